@@ -7,7 +7,7 @@ import gradcal_jax
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.versions import versions_of
 from gradcal_jax.files import Spec
-from gradcal_jax.files.recipe import FORMAT, Made, Predicted, Recipe
+from gradcal_jax.files.recipe import FORMAT, Predicted, Recipe, RecipeOrigin
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.tracks import Stability, tracks_of
@@ -57,7 +57,7 @@ def recipe(
         "status": status or NOT_OPTIMISED,
         "notes": (*notes, *executable.notes) or None,
         "rounded": executable.changes or None,
-        "made": Made(
+        "made": RecipeOrigin(
             by=f"gradcal {gradcal_jax.__version__}", versions=versions_of(_VERSIONS), **_without_none(seed=seed)
         ),
         "resolution": ControllerSteps(**{name: getattr(steps, name) for name in type(steps).model_fields}),

@@ -131,12 +131,13 @@ def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
     silent = [f"{report.name}: {report.problem}" for report in reports if report.problem]
     problems = [*silent, *plan.problems]
     if json:
-        print(as_json(asdict(plan) | {"problems": problems}))
+        steps = [{"told" if key == "commands" else key: value for key, value in asdict(s).items()} for s in plan.steps]
+        print(as_json(asdict(plan) | {"steps": steps, "problems": problems}))
     else:
         for step in plan.steps:
             waits = ", once it is ready" if step.waits else ""
             print(f"{time_text(step.begins_s)}  {step.name}, {time_text(step.duration_s)}{waits}")
-            print("".join(f"    {command}\n" for command in step.told), end="")
+            print("".join(f"    {command}\n" for command in step.commands), end="")
         print(f"{len(plan.steps)} steps, {time_text(plan.duration_s)} and what they wait for")
         for text in plan.rounded:
             print(f"rounded: {text}")

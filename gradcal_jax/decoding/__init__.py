@@ -1,1 +1,1 @@
-"""From what a run recorded to a log: raw bytes decoded, clocks laid on one another, angles and standstills. No JAX."""
+"""From a run's journal to a log: raw bytes decoded, clocks aligned, angles and standstills. No JAX."""

@@ -1,21 +1,22 @@
-"""A recording that somebody else made, laid on the run's clock by the motion itself.
+"""Alignment of another logger's recording with the run's clock, by the motion.
 
-The table's track is what was read of its angles, θ_k at the run's times t_k. The unit's track is A(u), its rate summed
-over its own clock u. Where the two clocks agree by
+The table's track is the readings of its angles, θ_k at the run's times t_k. The unit's track is A(u), its rate
+integrated over its own clock u. With the clocks related by
 
     t = offset + rate · (u − middle)
 
-the table turns between two readings by what the unit has sensed between them: θ_k = c + s·A(u(t_k)) + e_k, with a
-constant and a scale of its own for every burst of motion, so that biases, scale factors and slow drifts do no harm.
+the readings follow the integrated rate: θ_k = c + s·A(u(t_k)) + e_k, with a separate constant and scale for every burst
+of motion, so that biases, scale factors and slow drifts have no effect.
 
-First the place is found: the rates of both tracks are correlated on a coarse grid, and the best places are refined. A
-place counts as found only where nothing else fits nearly as well. What turns in the recording and not in the run, *and*
-in the run and not in the recording, counts against a place: else a cyclic plan would fit by any one of its cycles.
+The coarse offset comes first: the rates of both tracks are correlated on a coarse grid, and the best offsets are
+refined. An offset is accepted only where no other fits nearly as well. Motion in the recording and not in the run,
+*and* in the run and not in the recording, counts against an offset: otherwise a cyclic plan would fit by any of its
+cycles.
 
-The uncertainty is the larger of what the readings' scatter gives (white, with a share that grows with the rate: a
-reading's time is not known exactly either) and what the scatter from burst to burst gives, which holds whatever is
-correlated within one (White 1980). Not in it: the delay of the table's readings and the unit's filter, which are the
-same at every reading; they are in the offset.
+The uncertainty is the larger of two: from the scatter of the readings (white, with a part that grows with the rate,
+because the time of a reading is uncertain too), and from the scatter between bursts, which is valid for any
+correlation within a burst (White 1980). The delays of the table's readings and of the unit's filter are not in it: they
+are the same at every reading and so part of the offset.
 """
 
 import math
@@ -41,7 +42,7 @@ _STANDS_DPS: Final = 0.5
 
 
 class NoAlignment(ValueError):
-    """The recording cannot be laid on the run's clock; says why."""
+    """The recording cannot be aligned with the run's clock; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Alignment:
     bursts: int
     readings: int
     misfit: float
-    """Of the squares of the table's turns, the share that the recording does not show."""
+    """The fraction of the table's squared turns that is missing in the recording."""
 
     def host_time_s(self, recorded_s: Floats) -> Floats:
         return self.offset_s + self.rate * (recorded_s - self.middle_s)
@@ -82,7 +83,7 @@ class _Unit:
         self.rate_dps = rate - float(np.median(rate))
         steps = np.diff(self.time_s)
         self.angle_deg = np.concatenate(([0.0], np.cumsum(0.5 * steps * (self.rate_dps[1:] + self.rate_dps[:-1]))))
-        # Across a gap nobody knows what was turned.
+        # The angle turned across a gap is unknown.
         self.part = np.concatenate(([0], np.cumsum(steps > 5.0 * np.median(steps))))
 
     def at(self, times_s: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
@@ -95,10 +96,10 @@ class _Unit:
 
 
 def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, AngleTrack]) -> Alignment:
-    """Lay a recording on the run's clock.
+    """Align a recording with the run's clock.
 
     time_s      (n,)  of the recording, by its own clock
-    rates_dps   (n,)  by axis, deg/s; those that no axis of the table turns are not looked at
+    rates_dps   (n,)  by axis, deg/s; axes that the table does not turn are ignored
     tracks            by the same names: the table's readings
 
     Raises `NoAlignment` where nothing fits, several places fit, or the place is not known to 0.05 s.
@@ -133,13 +134,13 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
             f"the recording fits at two places {apart_s:.1f} s apart (or more): it must hold the run's first turn or "
             "its last, or turns that are not alike"
         )
-    found = _exactly(pairs, middle_s, best)
-    if not found.offset_std_s < _MOST_UNSURE_S:
+    alignment = _exactly(pairs, middle_s, best)
+    if not alignment.offset_std_s < _MOST_UNSURE_S:
         raise NoAlignment(
-            f"the recording's clock is known to {found.offset_std_s:.2g} s only: too few readings were taken while the "
-            "table turned"
+            f"the recording's clock is known to {alignment.offset_std_s:.2g} s only: too few readings were taken while "
+            "the table turned"
         )
-    return found
+    return alignment
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ def _on_grid(time_s: Floats, angle_deg: Floats, begins_s: float, count: int) -> 
 
 
 def _places(pairs: list[tuple[_Unit, AngleTrack]]) -> list[tuple[float, float]]:
-    """Where the tracks' rates agree best: host time less recorded time, and the share of what turns outside."""
+    """Where the tracks' rates agree best: host time less recorded time, and the fraction of motion outside."""
     begins_t = min(float(track.time_s[0]) for _, track in pairs)
     begins_u = min(float(unit.time_s[0]) for unit, _ in pairs)
     count_t = 1 + int((max(float(track.time_s[-1]) for _, track in pairs) - begins_t) / _GRID_S)
@@ -183,19 +184,19 @@ def _places(pairs: list[tuple[_Unit, AngleTrack]]) -> list[tuple[float, float]]:
     enough = (inside_t > 0.1 * total_t) & (inside_u > 1e-6 * total_t)
     likeness = np.where(enough, together, 0.0) / np.sqrt(np.where(enough, inside_t * inside_u, 1.0))
     outside = np.minimum(total_t - inside_t, total_u - inside_u).clip(0.0) / total_t
-    found: list[tuple[float, float]] = []
+    peaks: list[tuple[float, float]] = []
     score = np.abs(likeness) - outside
     for place in np.argsort(-score)[: 50 * _PLACES]:
         lag_s = begins_t - begins_u + _GRID_S * (int(place) - (count_u - 1))
-        if score[place] > 0.3 and all(abs(lag_s - other) > _APART_S for other, _ in found):
-            found.append((lag_s, float(outside[place])))
-        if len(found) == _PLACES:
+        if score[place] > 0.3 and all(abs(lag_s - other) > _APART_S for other, _ in peaks):
+            peaks.append((lag_s, float(outside[place])))
+        if len(peaks) == _PLACES:
             break
-    return found
+    return peaks
 
 
 def _refined(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: float, outside: float) -> _Place:
-    """Gauss and Newton on the turns between consecutive readings, with one scale and one bias an axis."""
+    """Gauss-Newton on the turns between consecutive readings, with one scale and one bias for each axis."""
     excess, misfit, scale = 0.0, 1.0, 1.0
     for _ in range(20):
         rows: list[Floats] = []
@@ -229,7 +230,7 @@ def _refined(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: f
 
 @dataclass(frozen=True)
 class _Burst:
-    """Readings around one motion, with constant and scale taken out once they are weighted."""
+    """Readings around one motion; constant and scale are eliminated after weighting."""
 
     left_deg: Floats
     slopes: Floats
@@ -238,7 +239,7 @@ class _Burst:
 
 
 def _bursts(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: float, excess: float) -> list[_Burst]:
-    found: list[_Burst] = []
+    bursts: list[_Burst] = []
     for unit, track in pairs:
         u = middle_s + (track.time_s - offset_s) / (1.0 + excess)
         angle, rate, part = unit.at(u)
@@ -250,26 +251,26 @@ def _bursts(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: fl
                 continue
             design = np.stack((np.ones(len(here)), angle[rows] - angle[rows].mean()), axis=1)
             slopes = -np.stack((rate[rows], rate[rows] * (u[rows] - middle_s)), axis=1)
-            found.append(_Burst(track.angle_deg[rows] - angle[rows], slopes, rate[rows], design))
-    return found
+            bursts.append(_Burst(track.angle_deg[rows] - angle[rows], slopes, rate[rows], design))
+    return bursts
 
 
 def _runs(moves: NDArray[np.bool_], time_s: Floats) -> list[tuple[int, int]]:
-    """First and last reading of each motion, of a long one in pieces."""
+    """First and last reading of each motion; a long motion is split into pieces."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], moves, [False]))))
-    found: list[tuple[int, int]] = []
+    spans: list[tuple[int, int]] = []
     for first, after in edges.reshape(-1, 2):
         begin = int(first)
         for place in range(int(first), int(after)):
             if place == after - 1 or time_s[place] - time_s[begin] > _LONGEST_S:
-                found.append((begin, place))
+                spans.append((begin, place))
                 begin = place + 1
-    return found
+    return spans
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """One step of Gauss and Newton, and what it was made of: slopes and rests by burst, in units of their scatter."""
+    """One Gauss-Newton step, and its slopes and residuals by burst, in units of their scatter."""
 
     bursts: list[_Burst]
     weighted: list[tuple[Floats, Floats]]
@@ -310,7 +311,7 @@ def _exactly(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, place: _Pla
     robust = inverse @ (each.T @ each) @ inverse * bursts / max(bursts - 2, 1)
     covariance = robust if robust[0, 0] > covariance[0, 0] else covariance
     own, cross, slope = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
-    # The middle at which offset and rate do not depend on each other.
+    # The middle that makes the errors of offset and rate independent.
     shift_s = -cross / slope
     line = middle_s + shift_s, offset_s + (1.0 + excess) * shift_s, 1.0 + excess
     stds = math.sqrt(max(own - cross**2 / slope, 0.0)), math.sqrt(slope)
@@ -318,7 +319,7 @@ def _exactly(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, place: _Pla
 
 
 def _projected(burst: _Burst, noise_deg: float, jitter_s: float) -> tuple[Floats, Floats]:
-    """Slopes and rest in units of their own scatter, without what a constant and a scale explain."""
+    """Slopes and residuals in units of their scatter, with constant and scale projected out."""
     weight = 1.0 / np.hypot(noise_deg, jitter_s * burst.rate_dps)
     basis = np.linalg.qr(burst.design * weight[:, None])[0]
     slopes, left = burst.slopes * weight[:, None], burst.left_deg * weight
@@ -326,7 +327,7 @@ def _projected(burst: _Burst, noise_deg: float, jitter_s: float) -> tuple[Floats
 
 
 def _scatter(bursts: list[_Burst], rest: list[Floats], noise_deg: float, jitter_s: float) -> tuple[float, float]:
-    """Scatter of readings at rest, and what grows with the rate, from what is left: a step towards them."""
+    """Scatter of readings at rest, and its part that grows with the rate, from the residuals: one iteration."""
     still, moving = 0.0, 0.0
     count_still, count_moving = 0.0, 0.0
     for burst, left in zip(bursts, rest, strict=True):

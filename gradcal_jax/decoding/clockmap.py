@@ -1,14 +1,14 @@
-"""A device's own clock against the run's clock: one line per stream, with what is left over.
+"""A device's clock against the run's clock: one line per stream, with its residuals.
 
-Bytes arrive late, never early: by the latency of the unit, of the adapter and of the operating system, sometimes by a
-lot, and of a burst that is fetched in pieces all but the last piece has waited for the rest of it. How late the most
-arrivals are says nothing, then, and the line runs where the quickest are: through the quickest of each of many
-stretches of the stream, and everything that lies as near to it as they do. The rate is what calibration needs (a
-sensor's clock is a scale factor); the offset holds the latency of the quickest.
+Bytes arrive late, never early: delayed by the unit, the adapter and the operating system, sometimes by much; of a burst
+that is read in pieces, all but the last piece waited for the rest. The delay of most arrivals carries no information,
+so the line is fitted to the quickest: the quickest of each of many stretches of the stream, and all arrivals as near to
+the line as they are. Calibration needs the rate (a sensor's clock is a scale factor); the offset includes the latency
+of the quickest arrivals.
 
-The scatter of many stamps averages out, the grid that they lie on does not: two ends of a line that are each known to
-the stamps' resolution leave the rate uncertain by resolution over span, however small the scatter (on virtual time,
-where bytes take no time at all, it is nothing but rounding).
+The scatter of many stamps averages out, their resolution does not: if both ends of a line are known to the resolution,
+the rate is uncertain by resolution over span, however small the scatter (which is only rounding in virtual time, where
+bytes take no time).
 """
 
 import math
@@ -50,13 +50,12 @@ def fit_clock(
 ) -> ClockMap:
     """Fit the line. Both `(n,)`, in the order of arrival; samples that came in one chunk share their host time.
 
-    `resolution_s` of the coarser of the two stamps: `rate_std` is not below what it leaves over the whole span.
-    A rate that no unit has, of a stretch too short to show one, counts as 1, known to `_CREDIBLE`.
+    `resolution_s` of the coarser of the two stamps limits `rate_std` from below, over the whole span.
+    An implausible rate, from a stretch too short to show one, counts as 1, known to `_CREDIBLE`.
 
-    Raises:
-        ValueError: fewer than three arrivals, or times that do not increase.
+    Raises `ValueError` for fewer than three arrivals, or times that do not increase.
     """
-    # Of one chunk the last sample waited least.
+    # The last sample of a chunk waited least.
     last = np.append(np.diff(host_time_s) > 0.0, True)
     device, host = device_time_s[last], host_time_s[last]
     if device.size < 3 or np.any(np.diff(device) <= 0.0):
@@ -82,7 +81,7 @@ def fit_clock(
     residual = host - offset - rate * centred
     unknown = 0.0
     if abs(rate - 1.0) > _CREDIBLE:
-        # Too short a stretch, and everything late: what the line shows is the lateness.
+        # The stretch is too short and all arrivals are late: the slope is that of the delays.
         unknown, rate, offset = _CREDIBLE, 1.0, float(np.min(host - centred))
         residual = host - offset - centred
         kept = residual <= float(np.sort(residual)[2])
@@ -96,7 +95,7 @@ def fit_clock(
 
 
 def _not_above(residual: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Without those that lie above the bulk: of a stretch in which nothing came quickly. At least three stay."""
+    """Without the stretches that lie above the bulk, which had no quick arrival. At least three stay."""
     middle = float(np.median(residual))
     spread = 1.4826 * float(np.median(np.abs(residual - middle)))
     kept = residual <= middle + max(4.0 * spread, _ROUNDING_S)

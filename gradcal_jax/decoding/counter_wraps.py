@@ -1,22 +1,21 @@
-"""How many samples are missing where a unit's counter begins anew every so many samples: told with the host's clock.
+"""The number of missing samples where a unit's counter wraps, from the host's clock.
 
-A counter of `R` samples (a STIM300's: 16 at 125 samples/s, 0.128 s) shows a loss to a multiple of R. The rest is in
-the host's stamps: every sample behind a loss of k rounds reaches the host k rounds later than its own count says.
-Stamps are late by what nobody knows, but never early, so that only the *quickest* arrivals are compared: `behind`, of
+A counter that wraps after `R` samples (a STIM300's: 16 at 125 samples/s, 0.128 s) shows a loss modulo R. The host's
+stamps show the rest: every sample after a loss of k rounds reaches the host k rounds later than its own count says.
+Stamps are late by an unknown delay, but never early, so that only the *quickest* arrivals are compared: `behind`, of
 the last `WINDOW_S` before a place, and `ahead`, of the next `WINDOW_S` after it. With `step = (ahead − behind)/round`:
 
     rounds lost there = nearest whole number to `step`
 
-which is right whenever the quickest arrivals of both windows were late by the same to within half a round, however late
-all others were: a computer that is busy for seconds, a burst that is fetched in pieces and bytes that wait behind it do
-no harm. Where the rest, |step − nearest|, is more than a quarter of a round, or fewer than three arrivals ahead are as
-quick as that, the number is said to be in doubt: the first wrong one of a stream goes unsaid only where the quickest
-three of a whole window were late by more than three quarters of a round.
+This is right if the delays of the quickest arrivals in both windows agree within half a round, however late all others
+are: a computer that is busy for seconds, a burst that is read in pieces and bytes that wait behind it have no effect.
+The number is reported as doubtful where |step − nearest| is more than a quarter of a round, or where fewer than three
+arrivals ahead are as quick. So the first wrong number of a stream stays unreported only where the quickest three of a
+whole window were late by more than three quarters of a round.
 
-Nothing is counted where the stream shows no trace of a loss, a jump of the counter or bytes that belong to no datagram:
-stamps that come later from there on are what a loss of exactly k rounds looks like, and a computer that is busy for a
-whole window, too. That is said as well. (Where a trace follows within the window, it is taken for the place of the
-loss.)
+Nothing is counted where the stream has no trace of a loss (a jump of the counter, or bytes outside datagrams): stamps
+that are later from there on may be a loss of exactly k rounds, or a computer that is busy for a whole window. This is
+reported too. Where a trace follows within the window, it counts as the place of the loss.
 
 The unit's clock may differ from the host's by some 0.05 %: a window then moves by a quarter of a round.
 """
@@ -45,31 +44,31 @@ class Doubt:
     row: int
     """The first sample behind it."""
     rounds: int
-    """That were counted there; without a trace none are, and this is what the stamps look like."""
+    """The number counted there; without a trace nothing is counted, and this is the number that the stamps suggest."""
     traced: bool
     why: str
 
 
 @dataclass(frozen=True)
 class _Arrivals:
-    """Samples that came together, by their last, which waited least."""
+    """Samples that arrived together, represented by the last, which waited least."""
 
     last: Whole
     host_s: Floats
     late_s: Floats
     """Host time less device time: up to a constant, how late."""
     ahead_s: Floats
-    """The smallest `late_s` of this and of all that follow within the window."""
+    """The smallest `late_s` of this arrival and of all later ones within the window."""
     follow: Whole
     """How many that are."""
 
 
 def wraps_resolved(samples: ImuBatch, round_samples: int, sample_s: float) -> tuple[ImuBatch, tuple[Doubt, ...]]:
-    """`samples` of one stream, from its first on, with `device_time_s` and `gap_before` as the whole stream tells them.
+    """`samples` of one stream, from its first on, with `device_time_s` and `gap_before` from the whole stream.
 
-    `round_samples`, after which the unit's counter begins anew (0: its stamps are absolute, and nothing is to be told);
-    `sample_s`, the interval of samples by the unit's clock. What the decoder took for the number of rounds when it had
-    seen no more than the past is dropped.
+    `round_samples`: the unit's counter wraps after so many samples (0: its stamps are absolute, and nothing changes);
+    `sample_s`: the sampling interval by the unit's clock. The decoder's own number of rounds, from past samples only,
+    is dropped.
     """
     if not round_samples or len(samples) < 2:
         return samples, ()
@@ -82,7 +81,7 @@ def wraps_resolved(samples: ImuBatch, round_samples: int, sample_s: float) -> tu
     follow = np.searchsorted(host, host + WINDOW_S, side="right") - np.arange(last.size)
     arrivals = _Arrivals(last, host, late, _minima(late, follow), follow)
     traces = np.flatnonzero((gaps > 0) | samples.disturbed)
-    lost, doubts = _lost(arrivals, traces[traces > 0], round_samples * sample_s)
+    lost, doubts = _lost_rounds(arrivals, traces[traces > 0], round_samples * sample_s)
     for row, rounds in lost.items():
         gaps[row] += rounds * round_samples
     since = np.concatenate(([0], np.cumsum(gaps[1:] + 1)))
@@ -91,25 +90,25 @@ def wraps_resolved(samples: ImuBatch, round_samples: int, sample_s: float) -> tu
 
 
 def _minima(values: Floats, counts: Whole) -> Floats:
-    """Of every place the smallest of the `counts` values that begin there, by minima of 1, 2, 4, … values."""
-    found, width, least = values.copy(), 1, values
+    """For every place the smallest of the `counts` values from there on, by minima of 1, 2, 4, … values."""
+    minima, width, least = values.copy(), 1, values
     while width <= int(counts.max(initial=0)):
         here = np.flatnonzero((counts >= width) & (counts < 2 * width))
-        found[here] = np.minimum(least[here], least[here + counts[here] - width])
+        minima[here] = np.minimum(least[here], least[here + counts[here] - width])
         if 2 * width > values.size:
             break
         least = np.minimum(least[:-width], least[width:])
         width *= 2
-    return found
+    return minima
 
 
-def _lost(arrivals: _Arrivals, traces: Whole, round_s: float) -> tuple[dict[int, int], tuple[Doubt, ...]]:
-    """Rounds lost before rows, and what is in doubt."""
+def _lost_rounds(arrivals: _Arrivals, traces: Whole, round_s: float) -> tuple[dict[int, int], tuple[Doubt, ...]]:
+    """Rounds lost before rows, and the doubtful numbers."""
     lost: dict[int, int] = {}
     doubts: list[Doubt] = []
     quickest: deque[tuple[float, float]] = deque()
-    # What was said and not counted, and until when the window behind still shows it.
-    said: deque[tuple[float, int]] = deque()
+    # The step that was reported and not counted, and until when the window behind still shows it.
+    reported: deque[tuple[float, int]] = deque()
     shift_s = 0.0
     arrival_of = np.append(np.searchsorted(arrivals.last, traces), arrivals.last.size)
     bounds: list[int] = np.searchsorted(arrival_of, np.arange(arrivals.last.size + 1)).tolist()
@@ -118,8 +117,8 @@ def _lost(arrivals: _Arrivals, traces: Whole, round_s: float) -> tuple[dict[int,
         low, high = bounds[number], bounds[number + 1]
         while len(quickest) > 1 and quickest[0][0] < host_s - WINDOW_S:
             quickest.popleft()
-        while said and said[0][0] < host_s:
-            said.popleft()
+        while reported and reported[0][0] < host_s:
+            reported.popleft()
         if quickest:
             behind_s = shift_s + quickest[0][1]
             step = (float(arrivals.ahead_s[number]) - behind_s) / round_s
@@ -131,14 +130,14 @@ def _lost(arrivals: _Arrivals, traces: Whole, round_s: float) -> tuple[dict[int,
                 if why := _doubtful(arrivals, number, behind_s, step, round_s, high - low):
                     doubts.append(Doubt(row, rounds, True, why))
                 shift_s += rounds * round_s
-            elif rounds > (before := sum(count for _, count in said)):
-                # Where a trace follows within the window, it is the trace that tells.
+            elif rounds > (before := sum(count for _, count in reported)):
+                # A trace that follows within the window is the place of the loss.
                 alone = int(arrival_of[low]) >= number + int(arrivals.follow[number])
                 if alone and _agree(arrivals, number, behind_s + rounds * round_s, round_s):
                     why = f"all stamps after it are later by {step - before:.2f} rounds and nothing shows a loss"
                     row = int(arrivals.last[number - 1]) + 1
                     doubts.append(Doubt(row, rounds - before, False, why))
-                    said.append((host_s + WINDOW_S, rounds - before))
+                    reported.append((host_s + WINDOW_S, rounds - before))
         elif high > low:
             doubts.append(Doubt(int(traces[high - 1]), 0, True, "nothing came before it that stamps could tell it by"))
         late_s = float(arrivals.late_s[number]) - shift_s
@@ -149,7 +148,7 @@ def _lost(arrivals: _Arrivals, traces: Whole, round_s: float) -> tuple[dict[int,
 
 
 def _doubtful(arrivals: _Arrivals, number: int, behind_s: float, step: float, round_s: float, traces: int) -> str:
-    """Why the number of rounds that were lost in an arrival is in doubt; empty where it is not."""
+    """Why the number of rounds lost in an arrival is doubtful; empty where it is not."""
     rounds = max(0, round(step))
     if abs(step - rounds) > _SURE:
         return f"the quickest stamps after it are later by {step:.2f} rounds than those before"
@@ -161,6 +160,6 @@ def _doubtful(arrivals: _Arrivals, number: int, behind_s: float, step: float, ro
 
 
 def _agree(arrivals: _Arrivals, number: int, level_s: float, round_s: float) -> bool:
-    """Whether of what follows more than one or two arrivals are about as late as that."""
+    """Whether more than one or two later arrivals are about as late."""
     late = arrivals.late_s[number : number + int(arrivals.follow[number])]
     return int(np.count_nonzero(late <= level_s + _SURE * round_s)) >= _FEWEST_ARRIVALS

@@ -1,15 +1,15 @@
 """From a run's journal to a log: samples decoded from the raw bytes, angles and standstills from the events.
 
-Only rows of stretches with data are kept: soaks, waiting and what a run did before a stretch began are counted as
-removed. So is a pause: nobody knows what became of the rig in it, and it ends stretches and standstills. A standstill
-is of all axes; a row of one carries the readings of the table's angles that are nearest to it in time. While other axes
-move, one that stands carries its own nearest reading, and one that a motor turns goes by the trapezoid that it was
-told, between what was read before and after; every other angle is drawn straight between readings, good for a look and
-not for estimation.
+Only rows of stretches with data are kept; soaks, waiting times, everything before a stretch and pauses are counted as
+removed. A pause ends stretches and standstills, because the state of the rig in it is unknown. In a standstill all axes
+stand, and a row carries the readings of the table's angles that are nearest to it in time. While other axes move, an
+axis that stands carries its own nearest reading, and an axis that a motor turns follows the commanded trapezoid between
+its readings before and after. Every other angle is interpolated linearly between readings: good enough for a plot, not
+for estimation.
 
-The stamps of a row are the sensor's own clock, laid on the computer's where data begin; `host_time` is the computer's,
-by a straight line through the quickest arrivals, whose slope and residuals are in the log's provenance. Where a run was
-resumed, or a unit began anew, the computer tells how much later its clock goes on.
+The time stamp of a row is the sensor's clock, aligned with the computer's where data begin. `host_time` is the
+computer's clock, by a straight line through the quickest arrivals, whose slope and residuals are in the log's
+provenance. Where a run was resumed or a unit restarted, the computer's clock gives the length of the interruption.
 """
 
 import itertools
@@ -40,23 +40,23 @@ from .clockmap import ClockMap, fit_clock
 from .counter_wraps import Doubt, wraps_resolved
 
 _MARGIN_S: Final = 0.02
-# Stamps of samples are late by what unit, adapter and system take, nobody knows how much; a row too few at rest costs
-# nothing, and one that still turned would be taken for rest.
+# Unit, adapter and system delay the stamps of samples by an unknown time. A row of rest that is lost costs nothing; a
+# row of motion that counted as rest would be an error.
 _SETTLED_S: Final = 0.1
-# Taken where no clock tells how much later a run went on.
+# The length of an interruption that no clock measured.
 _BETWEEN_SESSIONS_S: Final = 60.0
-# A wall clock that was set by less than this is no sign that the computer was off or asleep.
+# A jump of the wall clock by less than this does not mean that the computer was off or asleep.
 _CLOCK_SET_S: Final = 10.0
 _FEWEST_ARRIVALS: Final = 3
-# A motor whose move lasts so much longer than its trapezoid did not follow it.
+# A motor whose move takes longer than its trapezoid by more than this did not follow it.
 _LATE_S: Final = 0.2
 Floats = NDArray[np.float64]
 
 
 @dataclass
 class _Session:
-    """One part of a run: its records in order. It began at `begun_s` of the run's clock, the units hanging as the
-    `mounting` of that number, from 1; 0: nobody was ever asked to hang them."""
+    """One part of a run: its records in order. It began at `begun_s` of the run's clock, in the `mounting` of that
+    number, from 1; 0: the operator was never asked to mount the units."""
 
     number: int
     simulated: bool
@@ -68,7 +68,7 @@ class _Session:
 
     @property
     def origin_s(self) -> float:
-        """When the run's clock stood at zero, by the clock on the wall."""
+        """The wall clock's time at zero of the run's clock."""
         return self.wall_clock_s - self.begun_s
 
 
@@ -76,36 +76,34 @@ def log(folder: str | Path, unit: str | None = None, *, recording: Log | None = 
     """The log of a run, decoded from its journal's raw bytes: rates in rad/s, times in s, temperatures in °C, the
     table's angles in rad, standstills.
 
-    `unit`: of several units on the table, the one whose log to make. `recording`: what somebody else's logger recorded
-    of the unit in this run; its clock is found by the motion. Errors: `ValueError` where the folder is not a run's, or
-    the recording is not of it; `HardwareError` where the journal holds no samples of a stretch with data.
+    `unit`: the unit whose log is wanted, where the table carries several. `recording`: the unit's data in this run by
+    another logger; its clock is aligned by the motion. Errors: `ValueError` where the folder is not a run's, or the
+    recording is not of it; `HardwareError` where the journal holds no samples of a stretch with data.
     """
-    found = RunFolder(Path(folder))
-    about = {name: str(text) for name, text in found.notes().get("about", {}).items()}
+    run = RunFolder(Path(folder))
+    about = {name: str(text) for name, text in run.notes().get("about", {}).items()}
     if recording is not None:
-        made = log_of_recording(found.contents(), found.recipe(), found.rig(), recording, unit)
+        decoded = log_of_recording(run.contents(), run.recipe(), run.rig(), recording, unit)
     else:
-        made = log_of(found.contents(), found.recipe(), found.rig(), unit)
-    return replace(made, provenance={**about, **made.provenance})
+        decoded = log_of(run.contents(), run.recipe(), run.rig(), unit)
+    return replace(decoded, provenance={**about, **decoded.provenance})
 
 
 def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:
-    """The log of one unit (by name; None: the rig's only one), decoded as the journal says that it was configured.
-
-    Raises `HardwareError` where the journal holds no samples of a stretch with data.
-    """
+    """The log of one unit (by name; None: the rig's only one), decoded with the configuration in the journal. Raises
+    `HardwareError` where the journal holds no samples of a stretch with data."""
     rig = rig_as_run(contents, rig)
     device = _device(rig, unit)
     parts: list[_Part] = []
     aside = 0
-    found = _sessions(contents)
+    sessions = _sessions(contents)
     names = [axis.name for axis in rig.axis]
     if isinstance(recipe.spec, UnitSpec):
-        # The table of a whole unit has the axes of its spec, in that order; a single one may be named otherwise.
+        # A whole unit's table has the axes of its spec, in that order; a single axis may have another name.
         drawn = [axis.name for axis in recipe.spec.rig.table.axis]
         names = drawn if set(drawn) <= set(names) else names
-    axes = _axes_of(found, names)
-    for session in found:
+    axes = _axes_of(sessions, names)
+    for session in sessions:
         kept, left = _parts(session, device, axes)
         parts += kept
         aside += left
@@ -113,58 +111,58 @@ def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | 
         raise HardwareError(
             "The journal holds no samples of a stretch with data: the run ended before its first stretch began."
         )
-    provenance = _provenance(parts, found, recipe, (device.name, device.driver), exit_status(contents))
+    provenance = _provenance(parts, sessions, recipe, (device.name, device.driver), exit_status(contents))
     return _joined(parts, _labels(axes, recipe, rig), device.serial_number or device.name, provenance, aside)
 
 
 def log_of_recording(contents: JournalContents, recipe: Recipe, rig: RigFile, recorded: Log, unit: str | None) -> Log:
-    """The log of a unit that somebody else recorded, with the run's table and chamber.
+    """The log of a unit that another logger recorded, with the run's table and chamber.
 
-    Each part of the run is laid on the recording by the motion (`alignment`). Temperatures are the recording's own, or
-    else the chamber's. Raises `HardwareError` where the run has no stretch with data, `NoAlignment` (a `ValueError`)
+    Each part of the run is aligned with the recording by the motion (`alignment`). Temperatures are the recording's,
+    or else the chamber's. Raises `HardwareError` where the run has no stretch with data, `NoAlignment` (a `ValueError`)
     where the recording does not show the run's motion.
     """
     rig = rig_as_run(contents, rig)
     number = recorded.unit_index(unit or 0)
-    found = _sessions(contents)
-    axes = _axes_of(found, [axis.name for axis in rig.axis])
+    sessions = _sessions(contents)
+    axes = _axes_of(sessions, [axis.name for axis in rig.axis])
     labels = _labels(axes, recipe, rig)
     rates = {axis: np.degrees(recorded.rate_rad_per_s[number, :, k]) for k, axis in enumerate(recorded.axes)}
     if len(labels) == len(rates) == 1:
-        # Each has one axis only, whatever it is called.
+        # Both have one axis only: its name does not matter.
         rates = dict(zip(labels, rates.values(), strict=True))
     parts: list[_Part] = []
-    laid: list[Alignment] = []
-    for session in found:
+    alignments: list[Alignment] = []
+    for session in sessions:
         if _stretches(session.events):
             tracks = {label: _track(session.events, axis) for axis, label in zip(axes, labels, strict=True)}
-            laid.append(align(recorded.time_s, rates, tracks))
-            samples = _as_samples(recorded, number, rates, laid[-1], session.events)
-            part = _laid(session, samples, _clock_of(laid[-1]), axes, recorded.sample_interval_s)
+            alignments.append(align(recorded.time_s, rates, tracks))
+            samples = _as_samples(recorded, number, rates, alignments[-1], session.events)
+            part = _part_with_table(session, samples, _clock_of(alignments[-1]), axes, recorded.sample_interval_s)
             parts += [] if part is None else [part]
     if not parts:
         raise HardwareError("The recording holds no samples of a stretch of the run with data.")
     who = recorded.units[number]
-    provenance = _provenance(parts, found, recipe, (who, "recorded elsewhere"), exit_status(contents))
-    provenance["clock_offset_std_s"] = ", ".join(f"{one.offset_std_s:.1e}" for one in laid)
+    provenance = _provenance(parts, sessions, recipe, (who, "recorded elsewhere"), exit_status(contents))
+    provenance["clock_offset_std_s"] = ", ".join(f"{one.offset_std_s:.1e}" for one in alignments)
     log = _joined(parts, labels, who, provenance, 0, tuple(rates))
     message = "; ".join(
         f"the recording's clock is known by {one.readings} readings of {one.bursts} turns to {one.offset_std_s:.2g} s "
         f"and {1e6 * one.rate_std:.2g} ppm (1σ), delays of the table's readings not reckoned"
-        for one in laid
+        for one in alignments
     )
     return replace(log, findings=(*log.findings, Finding("clock found by the motion", "keep", 0, message)))
 
 
 def _track(events: Sequence[Event], axis: str) -> AngleTrack:
-    """Everything that was read of an axis's angle, in order."""
+    """All readings of an axis's angle, in order."""
     rows = [
         (float(e.data["time_s"]), float(e.data["position_deg"]))
         for e in events
         if e.name in ("angle", "track") and e.data["axis"] == axis and e.data["position_deg"] is not None
     ]
     times, angles = np.array(sorted(rows)).reshape(-1, 2).T
-    # What stands twice in the journal was read once; homing, which may count anew, is before all data.
+    # Two entries of one time are one reading. Homing, which may reset the count, precedes all data.
     first = np.append(True, np.diff(times) > 0.0)[: len(times)]
     return AngleTrack(times[first], angles[first])
 
@@ -200,11 +198,11 @@ def _as_samples(
     )
 
 
-def _clock_of(found: Alignment) -> ClockMap:
-    """As the line of a stream's clock: rows at both ends of a rest are left away by five sigmas."""
-    offset_s = found.offset_s - found.rate * found.middle_s
-    std_s = found.offset_std_s
-    return ClockMap(offset_s, found.rate, found.rate_std, std_s, 5.0 * std_s, found.readings, 0)
+def _clock_of(alignment: Alignment) -> ClockMap:
+    """The alignment as the line of a stream's clock: five sigmas are removed at both ends of a rest."""
+    offset_s = alignment.offset_s - alignment.rate * alignment.middle_s
+    std_s = alignment.offset_std_s
+    return ClockMap(offset_s, alignment.rate, alignment.rate_std, std_s, 5.0 * std_s, alignment.readings, 0)
 
 
 def _device(rig: RigFile, unit: str | None) -> ImuDevice:
@@ -217,32 +215,33 @@ def _device(rig: RigFile, unit: str | None) -> ImuDevice:
 
 
 def _sessions(contents: JournalContents) -> list[_Session]:
-    found: list[_Session] = []
+    sessions: list[_Session] = []
     mounting = 0
     for record in contents.records:
         if isinstance(record, Event):
             if record.name == SESSION:
                 data = record.data
                 wall_clock_s, simulated = float(data["wall_clock_s"]), bool(data["simulated"])
-                found.append(_Session(int(data["number"]), simulated, wall_clock_s, record.time_s, mounting))
+                sessions.append(_Session(int(data["number"]), simulated, wall_clock_s, record.time_s, mounting))
             elif record.name == "hung":
                 mounting = int(record.data["mounting"])
-            if found:
-                found[-1].events.append(record)
-        elif found and record.received:
-            found[-1].chunks.setdefault(record.line, []).append(record)
-    return found
+            if sessions:
+                sessions[-1].events.append(record)
+        elif sessions and record.received:
+            sessions[-1].chunks.setdefault(record.line, []).append(record)
+    return sessions
 
 
-def _axes_of(found: Sequence[_Session], names: Sequence[str]) -> list[str]:
-    """The rig's axes that were ever told to move or gave a reading: of what nobody turns or reads nothing is known, and
-    nothing depends on it."""
-    heard = {str(e.data["axis"]) for session in found for e in session.events if e.name in ("angle", *_TOLD_TO_MOVE)}
-    return [name for name in names if name in heard]
+def _axes_of(sessions: Sequence[_Session], names: Sequence[str]) -> list[str]:
+    """The rig's axes with a command of motion or a reading; nothing depends on the others."""
+    active = {
+        str(e.data["axis"]) for session in sessions for e in session.events if e.name in ("angle", *_MOVE_COMMANDS)
+    }
+    return [name for name in names if name in active]
 
 
 def _labels(axes: Sequence[str], recipe: Recipe, rig: RigFile) -> tuple[str, ...]:
-    """The axes' names in the log: the rig's, but the recipe's where each has one axis only, whatever their names."""
+    """The axes' names in the log: the recipe's where recipe and rig have one axis each, else the rig's."""
     turned = {move.axis for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")}
     return tuple(turned) if len(axes) == len(rig.axis) == len(turned) == 1 else tuple(axes)
 
@@ -250,7 +249,7 @@ def _labels(axes: Sequence[str], recipe: Recipe, rig: RigFile) -> tuple[str, ...
 # ------------------------------------------------------------------------------------------------------ one session
 
 # Not "stopped": what stood stands on, and what moved was told to.
-_TOLD_TO_MOVE: Final = ("move", "homing")
+_MOVE_COMMANDS: Final = ("move", "homing")
 
 
 @dataclass
@@ -276,35 +275,35 @@ class _Part:
 
 
 def _parts(session: _Session, device: ImuDevice, axes: Sequence[str]) -> tuple[list[_Part], int]:
-    """What a session gave, and the number of the samples of what ended before it gave anything."""
+    """The parts of a session, and the number of samples in streams without a usable part."""
     decoder = _decoder(session, device)
     chunks = session.chunks.get(device.name, [])
     if decoder is None or not chunks:
         return [], 0
     samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks])
-    found: list[_Part] = []
+    parts: list[_Part] = []
     aside = 0
     starts = np.flatnonzero(samples.restarted[1:]) + 1
     for rows in np.split(np.arange(len(samples)), starts):
-        part = _part(session, decoder, _taken(samples, rows), axes)
+        part = _part(session, decoder, _subset(samples, rows), axes)
         if part is None:
             aside += len(rows)
         else:
-            found.append(replace(part, restarted=bool(rows[0])))
-    if found:
-        # The decoder counts for the session, and every sum is taken over all parts.
-        found[0] = replace(found[0], bad_bytes=decoder.bad_bytes, repeated=decoder.repeated_datagrams)
-    return found, aside
+            parts.append(replace(part, restarted=bool(rows[0])))
+    if parts:
+        # The decoder counts for the whole session, and the counts of all parts are added.
+        parts[0] = replace(parts[0], bad_bytes=decoder.bad_bytes, repeated=decoder.repeated_datagrams)
+    return parts, aside
 
 
 def _part(session: _Session, decoder: ImuDecoder, samples: ImuBatch, axes: Sequence[str]) -> _Part | None:
-    """What a unit gave from its start on; None where that is nothing."""
+    """The samples of a unit from its start on; None where there are none."""
     if not _stretches(session.events) or len(np.unique(samples.host_time_s)) < _FEWEST_ARRIVALS:
         return None
     samples, doubts = wraps_resolved(samples, decoder.round_samples, decoder.sample_s)
     resolution_s = max(decoder.resolution_s, time.get_clock_info("monotonic").resolution)
     clock = fit_clock(samples.device_time_s, samples.host_time_s, resolution_s=resolution_s)
-    part = _laid(session, samples, clock, axes, decoder.sample_s)
+    part = _part_with_table(session, samples, clock, axes, decoder.sample_s)
     if part is None:
         return None
     after_s = clock.host_time_s(samples.device_time_s) - float(part.host_s[0])
@@ -312,8 +311,10 @@ def _part(session: _Session, decoder: ImuDecoder, samples: ImuBatch, axes: Seque
     return replace(part, doubts=placed, round_samples=decoder.round_samples)
 
 
-def _laid(session: _Session, samples: ImuBatch, clock: ClockMap, axes: Sequence[str], sample_s: float) -> _Part | None:
-    """The samples in stretches with data, with what the table did; None where there are none."""
+def _part_with_table(
+    session: _Session, samples: ImuBatch, clock: ClockMap, axes: Sequence[str], sample_s: float
+) -> _Part | None:
+    """The samples in stretches with data, with the table's motion; None where there are none."""
     host = clock.host_time_s(samples.device_time_s)
     kept = np.zeros(len(samples), bool)
     for start, end in _stretches(session.events):
@@ -327,12 +328,11 @@ def _laid(session: _Session, samples: ImuBatch, clock: ClockMap, axes: Sequence[
     at_s = host[rows]
     standing = _standstills(session.events, axes)
     number = np.full(len(rows), -1, np.int64)
-    # The line of the clocks is as sure as the arrivals that it was laid through agree: a row may be earlier or later by
-    # that much.
+    # The stamps are as uncertain as the residuals of the clocks' line: a row may be earlier or later by that much.
     unsure_s = clock.residual_max_s
     for place, (start, end) in enumerate(standing):
-        begun, over = start + _SETTLED_S + sample_s + unsure_s, end - _MARGIN_S - unsure_s
-        first, last = np.searchsorted(at_s, [begun, over])
+        begin, over = start + _SETTLED_S + sample_s + unsure_s, end - _MARGIN_S - unsure_s
+        first, last = np.searchsorted(at_s, [begin, over])
         number[first : max(first, last)] = place
     angles = (
         np.stack([_angles(session.events, axis, at_s, number) for axis in axes], axis=-1)
@@ -345,7 +345,7 @@ def _laid(session: _Session, samples: ImuBatch, clock: ClockMap, axes: Sequence[
     number[number >= 0] = np.searchsorted(left, number[number >= 0])
     return _Part(
         session,
-        _taken(samples, rows),
+        _subset(samples, rows),
         samples.device_time_s[rows],
         at_s,
         clock,
@@ -358,24 +358,24 @@ def _laid(session: _Session, samples: ImuBatch, clock: ClockMap, axes: Sequence[
     )
 
 
-def _taken(samples: ImuBatch, rows: NDArray[np.int64]) -> ImuBatch:
+def _subset(samples: ImuBatch, rows: NDArray[np.int64]) -> ImuBatch:
     return ImuBatch(**{name: getattr(samples, name)[rows] for name in ImuBatch.__dataclass_fields__})
 
 
 def _decoder(session: _Session, device: ImuDevice) -> ImuDecoder | None:
-    """A fresh decoder, from what the unit said of itself when it was configured."""
-    said = next((e for e in session.events if e.name == "configuration" and e.data["device"] == device.name), None)
-    if said is None:
+    """A new decoder, from the unit's configuration in the journal."""
+    own = (e for e in session.events if e.name == "configuration" and e.data["device"] == device.name)
+    if (configuration := next(own, None)) is None:
         return None
     config = config_of(device, "imu", ("imu", device.name))
     driver = driver_of(device.driver)
     assert driver is not None
-    return driver.load().decoder_of(config, said.data["registers"])
+    return driver.load().decoder_of(config, configuration.data["registers"])
 
 
 def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:
-    """From where a step with data begins to where it ends, the run breaks off, or the session does."""
-    found: list[tuple[float, float]] = []
+    """From the beginning of a step with data to its end, or to the end of the run or session."""
+    intervals: list[tuple[float, float]] = []
     open_since: float | None = None
     latest = 0.0
     for event in events:
@@ -385,25 +385,25 @@ def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:
             if open_since is None:
                 open_since = begin
         elif open_since is not None and (event.name == "step" or breaks_off(event)):
-            # A step that follows at once goes on with the stretch: its "step begins" comes at the same instant.
-            found.append((open_since, event.time_s))
+            # A step that follows at once continues the stretch: its "step begins" has the same time.
+            intervals.append((open_since, event.time_s))
             open_since = None
     if open_since is not None:
-        found.append((open_since, latest))
+        intervals.append((open_since, latest))
     merged: list[tuple[float, float]] = []
-    for start, end in found:
+    for start, end in intervals:
         joins = bool(merged) and start - merged[-1][1] < 1e-3
         merged.append((merged.pop()[0], end) if joins else (start, end))
     return merged
 
 
 def _standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[float, float]]:
-    """When no axis moves: from the reading that says so to the next command of motion, or until the run breaks off.
+    """When no axis moves: from the reading that shows it to the next command of motion, or to the run's interruption.
 
-    What stood then stands again from where the next step begins: an angle that somebody typed is not read again.
+    An axis that stood at an interruption stands again where the next step begins: a typed angle is not read again.
     """
     moving = set(axes)
-    found: list[tuple[float, float]] = []
+    intervals: list[tuple[float, float]] = []
     since: float | None = None
     latest = 0.0
     for event in events:
@@ -414,28 +414,27 @@ def _standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[flo
                 since = float(event.data["time_s"])
         elif event.name == "step begins" and since is None and axes and not moving:
             since = float(event.data["begins_s"])
-        elif event.name in _TOLD_TO_MOVE or breaks_off(event):
+        elif event.name in _MOVE_COMMANDS or breaks_off(event):
             if since is not None:
-                found.append((since, float(event.data.get("began_s", event.time_s))))
+                intervals.append((since, float(event.data.get("began_s", event.time_s))))
                 since = None
-            if event.name in _TOLD_TO_MOVE:
+            if event.name in _MOVE_COMMANDS:
                 moving.add(str(event.data["axis"]))
     if since is not None:
-        found.append((since, latest))
-    return [(start, end) for start, end in found if end > start]
+        intervals.append((since, latest))
+    return [(start, end) for start, end in intervals if end > start]
 
 
 def _mountings(session: _Session, host: Floats) -> NDArray[np.int64]:
-    """Of every row the number of the mounting, from 1; 0 where nobody was ever asked to hang the units."""
+    """The number of the mounting of every row, from 1; 0 where the operator was never asked to mount the units."""
     hung = [(event.time_s, int(event.data["mounting"])) for event in session.events if event.name == "hung"]
     numbers = np.array([session.mounting, *(number for _, number in hung)], np.int64)
     return numbers[np.searchsorted(np.array([time for time, _ in hung]), host, side="right")]
 
 
 def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArray[np.int64]) -> Floats:
-    """The axis's angle at every row, deg: of a standstill the nearest reading since the axis was last told to move (an
-    angle that somebody typed holds until it is turned again), else what is known of its own moves.
-    """
+    """The axis's angle at every row, deg: in a standstill the nearest reading since the axis's last command of motion
+    (a typed angle holds until the axis is turned again), else from its own moves."""
     readings = [
         e for e in events if e.name == "angle" and e.data["axis"] == axis and e.data["position_deg"] is not None
     ]
@@ -444,15 +443,15 @@ def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArra
     times = np.array([float(e.data["time_s"]) for e in readings])
     values = np.array([float(e.data["position_deg"]) for e in readings])
     still = np.array([not e.data["moving"] for e in readings])
-    told_to_move = [e for e in events if e.name in _TOLD_TO_MOVE and e.data["axis"] == axis]
-    moved = np.array([float(e.data.get("began_s", e.time_s)) for e in told_to_move])
-    result = _own_course(np.interp(host, times, values), host, told_to_move, moved, times[still], values[still])
+    moves = [e for e in events if e.name in _MOVE_COMMANDS and e.data["axis"] == axis]
+    moved = np.array([float(e.data.get("began_s", e.time_s)) for e in moves])
+    result = _own_course(np.interp(host, times, values), host, moves, moved, times[still], values[still])
     edges = np.flatnonzero(np.diff(standstill, prepend=-1, append=-1))
     for begin, end in itertools.pairwise(edges):
         if begin >= len(standstill) or standstill[begin] < 0:
             continue
-        told = int(np.searchsorted(moved, float(host[begin])))
-        low, high = moved[told - 1] if told else -math.inf, host[end - 1] + 2.0 * _MARGIN_S
+        number = int(np.searchsorted(moved, float(host[begin])))
+        low, high = moved[number - 1] if number else -math.inf, host[end - 1] + 2.0 * _MARGIN_S
         inside = np.flatnonzero(still & (times >= low) & (times <= high))
         if not len(inside):
             result[begin:end] = np.nan
@@ -463,27 +462,27 @@ def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArra
 
 
 def _own_course(
-    straight: Floats, host: Floats, told: Sequence[Event], moved: Floats, times: Floats, values: Floats
+    straight: Floats, host: Floats, commands: Sequence[Event], moved: Floats, times: Floats, values: Floats
 ) -> Floats:
-    """An axis's angle at every row, deg, whatever others do: nearest of its readings `values` at `times` while it
-    stands, and the trapezoid that it was told from one to the next; `straight` where neither is known."""
+    """An axis's angle at every row, deg, independent of other axes: the nearest of its readings `values` at `times`
+    while it stands, and the commanded trapezoid from one to the next; `straight` where neither is known."""
     result = straight.copy()
-    for k in range(-1, len(told)):
+    for k in range(-1, len(commands)):
         begin = moved[k] if k >= 0 else -math.inf
-        until = moved[k + 1] if k + 1 < len(told) else math.inf
-        # A reading at the very instant of a command is of the standstill before it.
+        until = moved[k + 1] if k + 1 < len(commands) else math.inf
+        # A reading at the time of a command belongs to the standstill before it.
         first, last = np.searchsorted(times, np.array([begin, until]), side="right")
         if first == last:
             continue
         low, middle, high = np.searchsorted(host, np.array([begin, float(times[first]), until]))
         own = times[first:last]
         result[middle:high] = values[first:last][np.searchsorted((own[1:] + own[:-1]) / 2.0, host[middle:high])]
-        move = told[k].data if k >= 0 else {}
+        move = commands[k].data if k >= 0 else {}
         if first == 0 or move.get("kind") not in ("go", "turn") or not move.get("acceleration_dps2"):
             continue
         angle, rate = float(values[first] - values[first - 1]), float(move["rate_dps"])
         turn = AxisCommand(0.0, "", "turn", rate_dps=rate, acceleration_dps2=move["acceleration_dps2"], angle_deg=angle)
-        # A person, or a stage that was held up, is not done when the trapezoid is.
+        # An operator, or a stage that was held up, does not follow the trapezoid.
         if turn.duration_s + _LATE_S > times[first] - begin:
             result[low:middle] = values[first - 1] + _turned(turn, host[low:middle] - begin)
     return result
@@ -519,7 +518,7 @@ def _joined(
     row, numbered = 0, 0
     hosts = _on_one_clock(parts)
     for place, (part, host) in enumerate(zip(parts, hosts, strict=True)):
-        # The sensor's own seconds: the computer's tell where the first part begins, and how far apart two parts are.
+        # The sensor's seconds; the computer's give the begin of the first part and the distance between two parts.
         begins_s = float(times[-1][-1] + host[0] - hosts[place - 1][-1]) if place else float(host[0])
         times.append(part.device_s - part.device_s[0] + begins_s)
         standstills.append(np.where(part.standstill >= 0, part.standstill + numbered, -1))
@@ -557,15 +556,15 @@ def _joined(
 def _on_one_clock(parts: Sequence[_Part]) -> list[Floats]:
     """The computer's times of all rows, on the clock of the first session.
 
-    That clock goes on in the next session, unless the computer was switched on anew or slept in between: then the clock
-    on the wall went on without it, and tells by how much.
+    That clock continues in the next session, unless the computer was restarted or slept in between: the wall clock then
+    gives the difference.
     """
     hosts = [parts[0].host_s]
     shift_s = 0.0
     for before, part in itertools.pairwise(parts):
         end_s = float(hosts[-1][-1])
         stood_s = part.session.origin_s - before.session.origin_s
-        # Simulated devices run on a clock of their own, which has nothing to do with the one on the wall.
+        # Simulated devices run on their own clock, which is independent of the wall clock.
         if stood_s > _CLOCK_SET_S and not part.session.simulated:
             shift_s += stood_s
         apart_s = float(part.host_s[0]) + shift_s - end_s
@@ -591,16 +590,16 @@ def _findings(parts: Sequence[_Part]) -> tuple[Finding, ...]:
         (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no sound datagram")),
         (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams came twice and count once")),
     ]
-    found = [Finding("gap", "split", gaps, f"{missing} samples are missing in {gaps} places")] if missing else []
-    found += _findings_of_rounds(parts)
-    return (*found, *(one for there, one in others if there))
+    findings = [Finding("gap", "split", gaps, f"{missing} samples are missing in {gaps} places")] if missing else []
+    findings += _findings_of_rounds(parts)
+    return (*findings, *(one for there, one in others if there))
 
 
 def _findings_of_rounds(parts: Sequence[_Part]) -> list[Finding]:
-    """Where it is not certain how many samples are missing: each kind with the first place of it."""
-    found: list[Finding] = []
+    """Places with an uncertain number of missing samples: each kind with its first place."""
+    findings: list[Finding] = []
     for traced, kind in ((True, "gap of doubtful length"), (False, "stamps that come later")):
-        places = [(part, *said) for part in parts for said in part.doubts if said[1].traced == traced]
+        places = [(part, *doubt) for part in parts for doubt in part.doubts if doubt[1].traced == traced]
         if places:
             part, first_s, first = places[0]
             samples = part.round_samples
@@ -610,15 +609,15 @@ def _findings_of_rounds(parts: Sequence[_Part]) -> list[Finding]:
                 else f"in {len(places)} places {samples} samples or a multiple of it may be missing; none are counted"
             )
             where = f"the first {abs(first_s):.1f} s {'before' if first_s < 0.0 else 'after'} data begin: {first.why}"
-            found.append(Finding(kind, "split" if traced else "keep", len(places), f"{message}; {where}"))
-    return found
+            findings.append(Finding(kind, "split" if traced else "keep", len(places), f"{message}; {where}"))
+    return findings
 
 
 def _provenance(
     parts: Sequence[_Part], sessions: Sequence[_Session], recipe: Recipe, unit: tuple[str, str], status: str
 ) -> dict[str, str]:
     first_rows = itertools.accumulate((len(part.host_s) for part in parts[:-1]), initial=0)
-    said: dict[str, Any] = {
+    entries: dict[str, Any] = {
         "recipe": recipe.fingerprint,
         "title": recipe.title or "",
         "run": status,
@@ -632,4 +631,4 @@ def _provenance(
         "clock_residual_rms_s": ", ".join(f"{part.clock.residual_rms_s:.1e}" for part in parts),
         "seams": sum(event.name == "seam" for session in sessions for event in session.events),
     }
-    return {name: str(value) for name, value in said.items()}
+    return {name: str(value) for name, value in entries.items()}

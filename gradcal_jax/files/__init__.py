@@ -1,7 +1,7 @@
-"""Plain data that people write and read: specs, contracts, presets. Nothing here imports JAX or the core.
+"""Files as plain data: specs, contracts, presets. Nothing here imports JAX or the core.
 
-`read_spec` gives a `Spec` whose quantities are SI and keep their text; `spec.schedule` is its plan worked out against
-the rig. Whatever is wrong with a file comes as one `SpecError` that names every key.
+`read_spec` gives a `Spec` whose quantities are SI and keep their text; `spec.schedule` is its plan resolved for the
+rig. All problems of a file are in one `SpecError` that names every key.
 """
 
 from gradcal_jax.files import presets

@@ -1,7 +1,7 @@
-"""Error terms that a spec does not name and that its prediction counts as zero, each with what is typical of its class.
+"""Error terms that a spec does not name and that its prediction counts as zero, each with its class's typical value.
 
-The figures and their sources are data, `typical.toml`; a term that the file names, be it with zero or an empty list, is
-not absent. Only terms that the spec's own plan could feel are listed.
+The figures and their sources are data, `typical.toml`; a term that the file names, even with zero or an empty list, is
+not absent. Only terms with an effect on the spec's own plan are listed.
 """
 
 import math
@@ -24,7 +24,7 @@ _OF_RAMPS: Final = frozenset({"thermal_lag", "bias_temperature_gradient"})
 
 
 class Grade(NamedTuple):
-    """The class that a sensor or table is taken for: its name, what is like it, and why."""
+    """The class of a sensor or table: its name, a typical device, and the reason."""
 
     name: str
     like: str
@@ -32,7 +32,7 @@ class Grade(NamedTuple):
 
 
 class AbsentTerm(NamedTuple):
-    """An absent term: its dotted key in the spec, a typical value as TOML has it, and where that figure comes from."""
+    """An absent term: its dotted key in the spec, a typical value for TOML, and the source of that figure."""
 
     key: str
     value: Any
@@ -45,19 +45,19 @@ class AbsentTerm(NamedTuple):
 
 
 def absent_terms(spec: Spec) -> list[AbsentTerm]:
-    """Every term of the error budget that the file leaves out although its plan would feel it. Errors: none."""
+    """Every term of the error budget that the file does not name and that affects its plan. Errors: none."""
     sensor, table = spec.sensor, spec.rig.table
     named = {"sensor": sensor.model_fields_set, "rig.table": table.model_fields_set}
     named["rig.table"] = named["rig.table"] | {f"angle.{name}" for name in table.angle.model_fields_set}
-    found: list[AbsentTerm] = []
+    terms: list[AbsentTerm] = []
     for prefix, row, matters in (
         ("sensor", _row("sensor", sensor_grade(sensor).name), _matters_of_sensor(spec)),
         ("rig.table", _row("table", table_grade(spec).name), _matters_of_table(spec)),
     ):
         for term in cast("list[dict[str, Any]]", row["term"]):
             if term["key"] in matters and term["key"] not in named[prefix]:
-                found.append(AbsentTerm(f"{prefix}.{term['key']}", _of_the_maps(term, sensor), term["source"]))
-    return found
+                terms.append(AbsentTerm(f"{prefix}.{term['key']}", _of_the_maps(term, sensor), term["source"]))
+    return terms
 
 
 def with_typical(spec: Spec) -> Spec:
@@ -66,7 +66,7 @@ def with_typical(spec: Spec) -> Spec:
 
 
 def sensor_grade(sensor: Sensor) -> Grade:
-    """The class of a gyro: what `sensor.grade` says, or what its drift, else its angle random walk, speak for."""
+    """The class of a gyro: `sensor.grade`, or else by its drift, or else by its angle random walk."""
     if sensor.grade is not None:
         return Grade(sensor.grade, str(_row("sensor", sensor.grade)["like"]), "sensor.grade")
     size = max((float(d.standard_deviation) for d in sensor.drift), default=0.0)
@@ -78,7 +78,7 @@ def sensor_grade(sensor: Sensor) -> Grade:
 
 
 def table_grade(spec: Spec) -> Grade:
-    """The class of a rate table, by the angle errors that are named; without any, that of the worst."""
+    """The class of a rate table, by its named angle errors; the worst class without any."""
     angle = spec.rig.table.angle
     size = max(float(angle.reading_noise), float(angle.standstill_offset))
     if size == 0.0:
@@ -87,7 +87,7 @@ def table_grade(spec: Spec) -> Grade:
 
 
 def _grade(kind: str, size: float, key: str, dimension: str, reason: str) -> Grade:
-    """The first class, of the worst at the head, that begins at or below a size; the last one begins at zero."""
+    """The first class, beginning with the worst, whose lower limit is at or below a size; the last limit is zero."""
     row = next(row for row in _table()[kind] if size >= units.parse(row[key], dimension))
     return Grade(row["grade"], row["like"], reason)
 
@@ -120,7 +120,7 @@ def _matters_of_table(spec: Spec) -> set[str]:
         return {"rate_accuracy"} if any(float(rate) for rate in plan.rates or ()) else set()
     cycle = spec.gradient_schedule.cycle
     if cycle is None:
-        # A standing axis is read at one angle: only what changes from reading to reading counts.
+        # A standing axis is read at one angle: only errors that change between readings have an effect.
         return {"angle.reading_noise"}
     matters = {"angle.reading_noise", "angle.standstill_offset", "angle.harmonics"}
     on_the_move = any(move.read_every is not None and not move.is_rest for move in cycle.moves)
@@ -128,7 +128,7 @@ def _matters_of_table(spec: Spec) -> set[str]:
 
 
 def _of_the_maps(term: Mapping[str, Any], sensor: Sensor) -> Any:
-    """A temperature error acts through the slopes of the maps that there are."""
+    """A temperature error acts through the slopes of the estimated maps."""
     if term["key"] != "temperature_error":
         return term["value"]
     maps = {"bias_slope": sensor.bias, "scale_factor_slope": sensor.scale_factor}

@@ -22,7 +22,7 @@ _MOST_PIECES = 200
 
 
 def increasing(values: Sequence[float], key: str) -> list[Problem]:
-    """A problem for the first entry that does not exceed the one before it."""
+    """A problem for the first entry not above the one before it."""
     for i in range(1, len(values)):
         if values[i] <= values[i - 1]:
             return [Problem((key, i), "must be above the entry before it", str(values[i]))]

@@ -1,7 +1,7 @@
-"""Ten answers to a spec, a rig file and a column map, each commented: what `gradcal start` writes.
+"""From ten answers to a commented spec, rig file and column map (`gradcal start`).
 
 The error budget is that of the sensor's grade (`typical.toml`), with the source of each figure beside it; the plan is
-one ramp over the chamber's range with turns at three rates, which is what a map of degree two in rate needs.
+one ramp over the chamber's range with turns at three rates, as a map of degree two in rate requires.
 """
 
 import math
@@ -16,7 +16,7 @@ from gradcal_jax.files.rig import TEMPLATE
 
 
 class Question(NamedTuple):
-    """One thing to know: its name, the words that ask for it, what kinds of answer it takes, separated by commas."""
+    """A question: its name, its words, and the kinds of its answers, which commas separate."""
 
     name: str
     asks: str
@@ -130,7 +130,7 @@ def _spec(answers: Mapping[str, str], known: Mapping[str, tuple[Any, ...]]) -> s
     grade = str(known["grade"][0])
     terms = {term.key: term for term in terms_of("sensor", grade)}
     lag = units.parse(str(terms["thermal_lag"].value), "time")
-    # The die follows the air late: what it does not reach is not asked for.
+    # The die's temperature lags the air's: temperatures that it does not reach are not required.
     inset = min(math.ceil(2.0 * slope * lag) + 2.0, 0.2 * (warm - cold))
     low, high = round(cold + inset), round(warm - inset)
     usable = min(known["rate"][0], 0.95 * known["full_scale"][0])
@@ -233,7 +233,7 @@ def _moves(usable: float, acceleration: float, travel: float) -> tuple[list[str]
     most = min(travel, 4.0 * 2.0 * math.pi)
     whole = math.floor(most / (2.0 * math.pi) + 1e-9)
     angle = whole * 2.0 * math.pi if whole else 0.95 * most
-    # Half of the angle at most goes into the two ramps.
+    # The two ramps take at most half of the angle.
     fastest = min(usable, math.sqrt(0.5 * angle * acceleration))
     written = f"turns = {{}}{whole}" if whole else f'turn = "{{}}{math.degrees(angle):.4f} deg"'
     moves: list[str] = []

@@ -94,7 +94,7 @@ class Chamber(Section):
 
 
 class Resolution(Section):
-    """What the controllers can be told: recipes are rounded to these steps."""
+    """Resolution of the controllers: recipes are rounded to these steps."""
 
     temperature: PositiveTemperatureDifference | None = None
     """Step of a temperature set point."""
@@ -158,7 +158,7 @@ class TableAxis(Section):
     """An axis of the table, outermost first."""
 
     name: Name
-    """Its name, by which moves speak of it."""
+    """Its name, which moves refer to."""
     direction: Vector
     """Direction while all stand at zero, in the frame that the axis outside carries (outermost: East, North, up)."""
     max_rate: PositiveRate
@@ -187,10 +187,10 @@ class TableAxis(Section):
 
     @property
     def reach(self) -> tuple[float, float]:
-        """From where to where it may turn (rad): its travel, and on either side up to what it must keep out of."""
+        """The allowed range of angles (rad): its travel, limited on either side by the forbidden angles."""
         if self.keep_out is None:
             return -float(self.travel), float(self.travel)
-        # The same angles again, a turn further on: zero lies between.
+        # The same forbidden angles one turn further: zero lies between.
         low, high = sorted(float(a) % _TURN for a in self.keep_out)
         return max(high - _TURN, -float(self.travel)), min(low, float(self.travel))
 
@@ -220,13 +220,13 @@ class UnitMounting(Section):
     @model_validator(mode="after")
     def _right_handed(self) -> "UnitMounting":
         if self.determinant != 1.0:
-            said = f"x = {self.x}, y = {self.y}, z = {self.z}"
-            refuse(Problem((), "the body's axes must be three different ones and right-handed (x × y = z)", said))
+            directions = f"x = {self.x}, y = {self.y}, z = {self.z}"
+            refuse(Problem((), "the body's axes must be three different ones and right-handed (x × y = z)", directions))
         return self
 
     @property
     def columns(self) -> tuple[tuple[float, ...], ...]:
-        """The body's x, y and z in the frame of the innermost axis, before `rotation`."""
+        """Body x, y and z in the innermost axis's frame, before `rotation`."""
         return tuple(_DIRECTIONS[d] for d in (self.x, self.y, self.z))
 
     @property
@@ -246,7 +246,7 @@ class UnitTable(Section):
     standing: Literal["held", "read"] = "held"
     """"held": a standing axis is known not to turn; "read": its angle is what each reading says, every `read_every`."""
     drive: Literal["motor", "hand"] = "motor"
-    """"hand": a gimbal that a person turns."""
+    """"hand": a gimbal that the operator turns."""
     tilt: SizeOfAngle = NO_ANGLE
     """Standard deviation of the base's two tilts."""
     azimuth: SizeOfAngle = NO_ANGLE

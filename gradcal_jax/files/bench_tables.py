@@ -1,4 +1,4 @@
-"""A recipe's tracks as rows of text, for whoever stands at the bench: the same on a terminal and on a page."""
+"""A recipe's tracks as rows of text for the operator: the same on a terminal and on a page."""
 
 import math
 from typing import Final
@@ -35,7 +35,7 @@ def chamber_rows(recipe: Recipe) -> list[tuple[str, ...]]:
 
 
 def chamber_words(recipe: Recipe) -> list[str]:
-    """How long it takes, and what is waited for, in sentences."""
+    """The duration and the conditions of waiting, in sentences."""
     stable = recipe.stability
     lines = [f"in all {time_text(recipe.duration_s)}, and what is waited for stable temperatures"]
     if any(segment.begins == "when stable" for segment in recipe.chamber.programme):
@@ -56,20 +56,20 @@ def _course(segment: ChamberSegment) -> str:
 def block_heading(block: MotionBlock) -> str:
     """When a block of motion begins and how often it repeats."""
     if block.repeat == 1:
-        said = f"{block.name}: begins with {block.begins_with}"
+        text = f"{block.name}: begins with {block.begins_with}"
     else:
-        said = f"{block.name}: begins with {block.begins_with}, {block.repeat} times, one every {block.period}"
+        text = f"{block.name}: begins with {block.begins_with}, {block.repeat} times, one every {block.period}"
     if any(block.start.values()):
-        said += f"; before, {', '.join(f'{name} to {angle}' for name, angle in block.start.items())}"
+        text += f"; before, {', '.join(f'{name} to {angle}' for name, angle in block.start.items())}"
     if block.standing_after > 0.0:
         read = "not read" if block.read_every_after is None else f"read every {block.read_every_after}"
-        said += f"; then stand for {block.standing_after} ({read})"
-    return said
+        text += f"; then stand for {block.standing_after} ({read})"
+    return text
 
 
 def move_rows(block: MotionBlock) -> list[tuple[str, ...]]:
-    """A row of `MOVES_HEAD` for each move; times count from the beginning of a repetition. Of a whole unit, whose axes
-    have places to be, the angle is followed by where it leads."""
+    """A row of `MOVES_HEAD` for each move; times count from the beginning of a repetition. For a whole unit, whose axes
+    have absolute angles, the angle of a turn is followed by the final one."""
     rows: list[tuple[str, ...]] = []
     at = {name: math.degrees(angle) for name, angle in block.start.items()}
     for move in block.moves:

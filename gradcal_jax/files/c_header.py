@@ -27,8 +27,8 @@ def header_text(calibration: Calibration, left_out: Sequence[str]) -> tuple[str,
         body += constants
         tables.append(entry)
         temperature, rate = _grid(axis)
-        said = correction.measured(axis, rate, temperature)
-        off = np.abs(corrected(axis, said, temperature) - rate)
+        output = correction.measured(axis, rate, temperature)
+        off = np.abs(corrected(axis, output, temperature) - rate)
         still = np.abs(rate) < 1e-12
         errors.append((axis.name, "at rest", float(np.max(off[still], initial=0.0)) * DEG_PER_H, "deg/h"))
         turning = np.abs(rate) > 0.1 * max(float(np.max(np.abs(rate))), 1e-12)
@@ -38,23 +38,23 @@ def header_text(calibration: Calibration, left_out: Sequence[str]) -> tuple[str,
     count = len(calibration.axis)
     temperature, raw, out = _self_test(calibration)
     axes = ", ".join(f"[{k}] {comment(axis.name)}" for k, axis in enumerate(calibration.axis))
-    said = [f"set to zero, since they did not pass: {comment(', '.join(left_out))}"] if left_out else []
-    said += ["measured = (1 + M(T, rate)) * rate + B(T), on each axis alone, in the sensor's own frame:", axes]
-    said.append("temperature in degC, rates in rad/s. Outside its range the calibration holds its value at the edge.")
-    head = header_head(calibration, "gyro calibration of", said, "GRADCAL_CALIBRATION_H")
+    remarks = [f"set to zero, since they did not pass: {comment(', '.join(left_out))}"] if left_out else []
+    remarks += ["measured = (1 + M(T, rate)) * rate + B(T), on each axis alone, in the sensor's own frame:", axes]
+    remarks += ["temperature in degC, rates in rad/s. Outside its range the calibration holds its value at the edge."]
+    head = header_head(calibration, "gyro calibration of", remarks, "GRADCAL_CALIBRATION_H")
     head += [f"#define GRADCAL_AXES {count}", "", _STRUCT]
     tables += ["};", ""]
     test = header_self_test(temperature, raw, out, "GRADCAL_AXES", max(2e-6 * float(np.max(np.abs(out))), 1e-9))
     return "\n".join([*head, *body, *tables, _FUNCTION, *test]) + "\n", errors
 
 
-def header_head(calibration: Calibration | UnitCalibration, what: str, said: Sequence[str], guard: str) -> list[str]:
+def header_head(calibration: Calibration | UnitCalibration, what: str, remarks: Sequence[str], guard: str) -> list[str]:
     """The comment at the head of a header, and its guard against being included twice."""
     simulated = ["SIMULATED: made from simulated data, of no real unit."] if calibration.simulated else []
     known = [comment(f"{name}: {text}") for name, text in calibration.provenance.items()]
     return [
         f"/* {what} {comment(calibration.serial_number)}, made by gradcal",
-        *(f" * {line}" for line in (*known, *simulated, *said)),
+        *(f" * {line}" for line in (*known, *simulated, *remarks)),
         " */",
         f"#ifndef {guard}",
         f"#define {guard}",
@@ -65,7 +65,7 @@ def header_head(calibration: Calibration | UnitCalibration, what: str, said: Seq
 def header_self_test(
     temperature: float, raw: Iterable[float], out: Iterable[float], count: str, within: float
 ) -> list[str]:
-    """The end of a header: a temperature (°C), readings, and what its function must make of them."""
+    """The end of a header: a temperature (°C), readings, and the function's expected results."""
     return [
         "/* self-test: gradcal_correct(GRADCAL_TEST_T, raw, out) must give these within GRADCAL_TEST_TOLERANCE */",
         f"#define GRADCAL_TEST_T {literal(temperature)}",
@@ -138,7 +138,7 @@ static inline void gradcal_correct(float temperature, const float raw[GRADCAL_AX
 
 
 def corrected(axis: AxisCalibration, measured_rad_per_s: Floats, temperature_c: Floats) -> Floats:
-    """What the header's function gives, step by step in float32: `(n,)`, rad/s."""
+    """The result of the header's function, computed in float32 as there: `(n,)`, rad/s."""
     single = np.float32
     bt0, bts, b = normalised_bias(axis)
     (mt0, mts), (mw0, mws), table = normalised_scale_factor(axis)
@@ -155,7 +155,7 @@ def corrected(axis: AxisCalibration, measured_rad_per_s: Floats, temperature_c: 
 
 
 def in_powers(table: NDArray[Any], x: Any, w: Any) -> Any:
-    """Σ table[i, j] xⁱ wʲ in float32, step by step as the headers' loops go."""
+    """Σ table[i, j] xⁱ wʲ in float32, in the order of the headers' loops."""
     total: Any = np.zeros(x.shape, np.float32)
     for line in table[::-1]:
         row: Any = np.zeros(x.shape, np.float32)
@@ -188,7 +188,7 @@ def _grid(axis: AxisCalibration) -> tuple[Floats, Floats]:
 
 
 def _self_test(calibration: Calibration) -> tuple[float, list[float], list[float]]:
-    """A temperature and a reading off every round number, and what the header's own polynomials make of it."""
+    """A temperature and a reading, none a round number, and the result by the header's own polynomials."""
     low = max(float(axis.valid_temperature[0]) for axis in calibration.axis)
     high = min(float(axis.valid_temperature[1]) for axis in calibration.axis)
     at = float(np.float32(low + 0.37 * (high - low)))
@@ -196,14 +196,14 @@ def _self_test(calibration: Calibration) -> tuple[float, list[float], list[float
     out: list[float] = []
     for k, axis in enumerate(calibration.axis):
         slow, fast = float(axis.valid_rate[0]), float(axis.valid_rate[1])
-        said = float(np.float32(slow + (0.71 - 0.11 * (k % 3)) * (fast - slow)))
-        raw.append(said)
-        out.append(float(corrected(axis, np.array([said]), np.array([at]))[0]))
+        reading = float(np.float32(slow + (0.71 - 0.11 * (k % 3)) * (fast - slow)))
+        raw.append(reading)
+        out.append(float(corrected(axis, np.array([reading]), np.array([at]))[0]))
     return at, raw, out
 
 
 def literal(value: float) -> str:
-    """A number as C has it in float32."""
+    """A float32 literal of C."""
     text = f"{np.float32(value):.9g}"
     return (text if any(c in text for c in ".en") else text + ".0") + "f"
 

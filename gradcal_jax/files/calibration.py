@@ -1,4 +1,4 @@
-"""gradcal-calibration/1: what was found of one unit, with its covariance, and where it holds.
+"""gradcal-calibration/1: the estimated coefficients of one unit, their covariance, and the range of validity.
 
     measured = (1 + M(T, ω))·ω + B(T) [+ g·dT/dt]          on each axis, in the sensor's own frame
 
@@ -67,11 +67,11 @@ class ScaleFactorMap(Section):
 
 
 LOG_HASH: Final = "log_sha256"
-"""Under this name the provenance keeps the fingerprint of the log that made the calibration."""
+"""The provenance has the fingerprint of the calibration's log under this name."""
 
 
 class Covariance(Section):
-    """Of the coefficients that could be observed."""
+    """Covariance of the observable coefficients."""
 
     names: Annotated[tuple[Text, ...], Field(max_length=5000)]
     """Names of the coefficients."""
@@ -98,14 +98,14 @@ class FitTest(Section):
     degrees: Whole
     """Degrees of freedom."""
     chance: Number
-    """Chance of one as large or larger."""
+    """Chance of a value as large or larger."""
 
 
 class Residuals(Section):
     """Whitened residuals of the fit, in standard deviations: independent and normal where the model is true."""
 
     counts: Annotated[tuple[Whole, ...], Field(min_length=18, max_length=18)]
-    """How many lie below -4, in steps of one half from there to 4, and above."""
+    """Counts below -4, in steps of one half from there to 4, and above."""
     rms: Annotated[tuple[Number, ...], Field(max_length=10)] = ()
     """Root mean square of each tenth of them, in the order of time."""
 
@@ -132,9 +132,9 @@ class AxisCalibration(Section):
     fit: Annotated[tuple[FitTest, ...], Field(max_length=100)] = ()
     """Tests of the fit."""
     residuals: Residuals | None = None
-    """What the fit leaves of the data."""
+    """Residuals of the fit."""
     unobservable: tuple[Text, ...] = ()
-    """Combinations of coefficients of which the data say nothing."""
+    """Combinations of coefficients that the data do not determine."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "AxisCalibration":
@@ -164,7 +164,7 @@ class AxisCalibration(Section):
 
 
 class Result(Section):
-    """What a requirement of the spec came to, in `unit`."""
+    """The result for a requirement of the spec, in `unit`."""
 
     name: Text
     """Of the requirement."""
@@ -223,9 +223,9 @@ class Calibration(Section):
     axis: Annotated[tuple[AxisCalibration, ...], Field(min_length=1, max_length=20)]
     """Calibrations by axis."""
     noise: Noise | None = None
-    """The noise that was assumed."""
+    """The assumed noise."""
     result: Annotated[tuple[Result, ...], Field(max_length=1000)] = ()
-    """What the requirements came to."""
+    """The results for the requirements."""
     provenance: dict[str, Text] = Field(default_factory=dict)
     """Texts by name: versions, sources, the log's hash."""
 
@@ -253,7 +253,7 @@ def bias_names(temperature: TemperatureBasis) -> list[str]:
 
 
 def scale_factor_names(temperature: TemperatureBasis, rate: RateBasis) -> list[str]:
-    """Names of M's coefficients in the order of the engine: temperature slow, rate fast."""
+    """Names of M's coefficients, in the order temperature slow, rate fast."""
     both = isinstance(temperature, TemperaturePolynomial) and isinstance(rate, RatePolynomial)
     if both and max(temperature.size, rate.size) <= 10:
         return [f"b{j}{i}" for i in range(temperature.size) for j in range(rate.size)]
@@ -268,9 +268,9 @@ def _kind(basis: str) -> str:
     return {"b-spline": "spline", "bins": "bin"}[basis]
 
 
-def _mismatch(found: Mapping[str, float], expected: list[str]) -> list[Problem]:
-    missing = [name for name in expected if name not in found]
-    strange = [name for name in found if name not in set(expected)]
+def _mismatch(coefficients: Mapping[str, float], expected: list[str]) -> list[Problem]:
+    missing = [name for name in expected if name not in coefficients]
+    strange = [name for name in coefficients if name not in set(expected)]
     problems: list[Problem] = []
     if missing:
         problems.append(Problem(("coefficients",), f"lacks {', '.join(missing[:8])}", kind="missing"))
@@ -280,7 +280,7 @@ def _mismatch(found: Mapping[str, float], expected: list[str]) -> list[Problem]:
 
 
 def read_calibration(path: str | Path) -> Calibration:
-    """Read a calibration file: coefficients and covariance in SI (rad/s, ratios), what they cover, what is left.
+    """Read a calibration file: coefficients and covariance in SI (rad/s, ratios), range of validity, residuals.
 
     Errors: `SpecError` with every fault.
     """
@@ -293,7 +293,7 @@ def parse_calibration(text: str, source: str = "") -> Calibration:
 
 
 def write_calibration(calibration: Calibration, path: str | Path) -> None:
-    """Write a calibration, whole or not at all; what its numbers mean, and their units, stand in its head.
+    """Write a calibration, atomically; the head of the file explains its numbers and units.
 
     Errors: `OSError` where it cannot be written.
     """
@@ -301,7 +301,7 @@ def write_calibration(calibration: Calibration, path: str | Path) -> None:
 
 
 _HEADER: Final = """\
-What was found of one unit. Apply it with `gradcal apply`, check it with `gradcal validate`.
+The calibration of one unit. Apply it with `gradcal apply`, check it with `gradcal validate`.
     measured = (1 + M(T, rate)) * rate + B(T)
 a{k}: rad/s, times the k-th power of (T - centre)/scale, in B.
 b{j}{i}: ratio, times the j-th power of (rate - centre)/scale and the i-th of the temperature's, in M.

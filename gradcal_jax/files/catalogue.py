@@ -1,4 +1,4 @@
-"""gradcal-catalogue/1: sensors, rigs, requirements and plans, of which every combination gets a recipe.
+"""gradcal-catalogue/1: sensors, rigs, requirements and plans; every combination gets a recipe.
 
     format = "gradcal-catalogue/1"
     [design]                                  # as in a spec; `minimise` is the requirement's
@@ -21,7 +21,7 @@
     change = { gradient = "1 K/min" }
     design = { starts = 16 }                  # beyond [design], for this plan
 
-A plan is where a search begins: it says how long, from where to where, and what kind of motion.
+A plan is the start of a search: its duration, temperatures and kind of motion.
 """
 
 import itertools
@@ -55,23 +55,23 @@ class Entry(Section):
     base: Text
     """A preset, or the path of a spec, seen from this file."""
     change: dict[str, Any] = Field(default_factory=dict)
-    """Keys of its section that are other."""
+    """Changed keys of its section."""
 
 
 class PlanEntry(Entry):
-    """A plan, and what its search may do beyond the catalogue's [design]."""
+    """A plan, and changes of the catalogue's [design] for its search."""
 
     design: dict[str, Any] = Field(default_factory=dict)
-    """Keys of [design] that are other for this plan."""
+    """Changed keys of [design] for this plan."""
 
 
 class RequirementEntry(Section):
-    """What the calibration must serve: a base spec's requirements, or those written here."""
+    """Requirements on the calibration: a base spec's, or those of the catalogue itself."""
 
     name: Text
     """Of the entry."""
     minimise: Text
-    """Which of its requirements the designs minimise."""
+    """The requirement that the designs minimise."""
     base: Text | None = None
     """A preset or the path of a spec, whose requirements are taken."""
     of: Annotated[tuple[dict[str, Any], ...], Field(min_length=1, max_length=100)] | None = None
@@ -180,7 +180,7 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Catalogue
             spec_of(tables)
         except SpecError as error:
             problems = error.problems
-        # What does not go with the base's other sections may go with others of the catalogue.
+        # A section that does not fit the base's others may fit other sections of the catalogue.
         own = [p for p in problems if p.key[:1] == (kind,)]
         if own:
             raise SpecError([p.under(kind, place, "change") for p in own], source)
@@ -195,8 +195,8 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Catalogue
         rows = [dict(row) for row in entry.of or of_base]
         names = [row.get("name") for row in rows]
         if entry.minimise not in names:
-            said = f"is none of its requirements: {', '.join(map(str, names)) or 'there are none'}"
-            raise SpecError([Problem(("requirement", i, "minimise"), said, entry.minimise)], source)
+            message = f"is none of its requirements: {', '.join(map(str, names)) or 'there are none'}"
+            raise SpecError([Problem(("requirement", i, "minimise"), message, entry.minimise)], source)
         requirements.append(rows)
     places = itertools.product(*(range(len(x)) for x in (sensors, rigs, requirements, plans)))
     for s, r, q, p in places:

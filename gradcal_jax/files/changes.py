@@ -2,7 +2,7 @@
 
     changed(spec, {"plan.cycle.moves[1].peak_rate": 3.1, "rig.table.angle.reading_noise": "30 arcsec"})
 
-A plain number for a key that holds a quantity is SI (°C for temperatures) and is written in the unit that stood there.
+A plain number for a key that holds a quantity is SI (°C for temperatures) and is written in the unit of the old value.
 """
 
 import copy
@@ -100,7 +100,7 @@ def _inside(here: Any, part: str | int, key: Key) -> Any:
 
 
 def _dressed(old: object, value: object) -> object:
-    """`value` as the file writes it: an SI number takes the unit of the text that stood there."""
+    """`value` for the file: an SI number is written in the unit of the old text."""
     if isinstance(value, float | int) and not isinstance(value, bool) and isinstance(old, str):
         return units.format_quantity(float(value), units.unit_of(old))
     return copy.deepcopy(value)

@@ -1,7 +1,7 @@
-"""What only the sections together can tell: limits of rig and sensor, and references between sections.
+"""Checks between sections: limits of rig and sensor, and references.
 
-Every section may be None, where it could not be read; then what depends on it is left out, so that one run of `check`
-says all that can be known.
+A section that could not be read is None; the checks that depend on it are skipped, so that one run of `check` reports
+all other problems.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ from gradcal_jax.files.sensor import ScaleFactor, Sensor
 
 # Rounded figures (a ramp rounded to hundredths of a second) may exceed a limit by this share.
 _SLACK = 1e-6
-# By so much (K) a mission may be warmer or colder than the plan, whose ends are rounded to the chamber's steps.
+# Tolerance (K) of a mission's range beyond the plan's, whose ends are rounded to the chamber's steps.
 _NEARLY = 0.5
 
 
@@ -59,17 +59,17 @@ def _notice(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
         return
     own = {"temperature_degree": scale.temperature.degree, "rate_degree": scale.rate.degree}
     for name, degree in own.items():
-        asked = getattr(notice, name)
-        if asked is None:
+        hidden = getattr(notice, name)
+        if hidden is None:
             continue
-        if scale.discrepancy is not None and asked != getattr(scale.discrepancy, name):
-            yield Problem((name,), "must be that of the scale factor's discrepancy; leave it out", asked)
-        elif asked <= degree:
-            yield Problem((name,), f"must exceed the map's degree, {degree}: only what is beyond it is hidden", asked)
+        if scale.discrepancy is not None and hidden != getattr(scale.discrepancy, name):
+            yield Problem((name,), "must be that of the scale factor's discrepancy; leave it out", hidden)
+        elif hidden <= degree:
+            yield Problem((name,), f"must exceed the map's degree, {degree}: only what is beyond it is hidden", hidden)
 
 
 def visited_temperatures(plan: GradientPlan | StandardPlan, rig: Rig | None) -> tuple[float, float] | None:
-    """The coldest and the warmest that the chamber is while data are used (°C); None where the plan cannot be made."""
+    """The coldest and the warmest chamber temperature of used data (°C); None where the plan has errors."""
     if isinstance(plan, StandardPlan):
         return min(plan.temperatures), max(plan.temperatures)
     try:
@@ -83,7 +83,7 @@ def visited_temperatures(plan: GradientPlan | StandardPlan, rig: Rig | None) -> 
 def _missions(
     i: int, requirement: Requirement, span: tuple[float, float] | None, whose: str, column: str = "temperature"
 ) -> Iterator[Problem]:
-    """Where the i-th requirement's missions leave a range (°C, or rad/s) that is calibrated."""
+    """Where the i-th requirement's missions leave the calibrated range (°C, or rad/s)."""
     if span is None or not isinstance(requirement, HeadingRequirement):
         return
     slack, factor, unit = (_NEARLY, 1.0, "degC") if column == "temperature" else (_SLACK, math.degrees(1.0), "deg/s")
@@ -255,7 +255,7 @@ def _motion(moves: Sequence[ResolvedMove], rig: Rig, sensor: Sensor | None) -> I
             wrong = "needs a table that is turned by hand" if move.shape == "hand" else "cannot be made by hand"
             message = f'{wrong}; rig.table.drive is "{rig.table.drive}"'
             yield Problem((*key, "shape"), message, move.shape)
-        # Of the peak's share: a ramp written to hundredths of a second may miss a limit by its rounding.
+        # Tolerance as a fraction of the peak: a ramp rounded to hundredths of a second may miss a limit.
         yield from _rate_limits(move.fastest, rig, sensor, key, move.words)
         if move.peak_acceleration > limit * (1.0 + _SLACK):
             message = (

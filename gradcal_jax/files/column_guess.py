@@ -1,4 +1,4 @@
-"""A column map for a recording that has none: by example, and guessed from a header that speaks for itself."""
+"""A column map for a recording without one: an example, and a guess from the header."""
 
 import re
 from itertools import islice
@@ -54,22 +54,21 @@ _UNITS: Final = {
 
 
 def without_a_map(path: Path) -> LogError:
-    """The error for a recording that came without a column map: what to do, with a guess where its header allows."""
+    """The error for a recording without a column map: what to do, with a guess from its header if possible."""
     problem = f"{path} is no log of this program (.nc): say what its columns mean in a file and give it with --columns"
     example = "gradcal new column-map -o columns.toml writes one to start from"
     try:
-        found = guess(path)
+        columns = guess(path)
     except (OSError, ValueError):
-        found = None
-    if found is None:
+        columns = None
+    if columns is None:
         return LogError(f"{problem}; {example}")
-    return LogError(f"{problem}; {example}. A guess from its header, to be completed where it says ???:\n\n{found}")
+    return LogError(f"{problem}; {example}. A guess from its header, to be completed where it says ???:\n\n{columns}")
 
 
 def guess(path: Path) -> str | None:
-    """A column map in TOML for what the header of a text table (or the names in an .npz) tells; None if it tells too
-    little. Units that no name tells are ???, for a person to put in.
-    """
+    """A column map in TOML from the header of a text table (or the names in an .npz); None if that is not enough.
+    Units without a hint in the name are ???, to be completed by the user."""
     names, delimiter = _names(path)
     rates: dict[str, tuple[str, str]] = {}
     forces: dict[str, tuple[str, str]] = {}
@@ -98,10 +97,10 @@ def guess(path: Path) -> str | None:
 def contradiction(column: str, unit: str) -> str | None:
     """A question where the name of a column of rates or stamps says another unit than its map; None elsewhere."""
     match = _RATE.fullmatch(column) or _TIME.fullmatch(column)
-    told = "???" if match is None else _unit(match[2])
-    if told in ("???", unit):
+    named = "???" if match is None else _unit(match[2])
+    if named in ("???", unit):
         return None
-    return f"the name of column '{column}' says {told}, and the map says {unit}: which of them is right?"
+    return f"the name of column '{column}' says {named}, and the map says {unit}: which of them is right?"
 
 
 def _unit(text: str | None) -> str:
@@ -114,7 +113,7 @@ def _line(key: str, column: str, unit: str) -> str:
 
 
 def _names(path: Path) -> tuple[list[str], str | None]:
-    """The names of the columns, and what stands between them."""
+    """The names of the columns, and their delimiter."""
     if path.suffix.lower() == ".npz":
         with path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
             return list(opened.files), None

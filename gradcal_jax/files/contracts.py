@@ -1,7 +1,7 @@
 """Contracts for other programs: gradcal-timeline/2 and gradcal-prediction/1. SI unless a name ends in its unit.
 
-They are written by the program and read by others, so every number is plain. What cannot be observed is null, with a
-warning; nothing is ever nan or infinite.
+Other programs read them, so every number is plain. An unobservable value is null, with a warning; no value is nan or
+infinite.
 """
 
 from typing import Annotated, Literal
@@ -56,7 +56,7 @@ class ProcessRow(Section):
 
 
 class DiscrepancyRow(Section):
-    """The polynomials that the structure leaves out: products of functions of the map's own x in both directions."""
+    """Polynomials beyond the structure: products of functions of the map's own x in both directions."""
 
     sigma: Size
     """Prior standard deviation of each coefficient."""
@@ -82,7 +82,7 @@ class MapRow(Section):
     smoothness_along: tuple[Literal["temperature", "rate"], ...] = ()
     """Axes along which neighbours count."""
     discrepancy: DiscrepancyRow | None = None
-    """Structure that the map leaves out."""
+    """Structure beyond the map."""
 
 
 class TemperatureErrorRow(Section):
@@ -159,7 +159,7 @@ class SensorRow(Section):
 
 
 class SegmentRow(Section):
-    """What one sensor axis and the chamber do from `start` for `duration`.
+    """The motion of one sensor axis and the chamber's course from `start` for `duration`.
 
     Where a segment begins at another temperature than the one before it ended, the chamber steps.
     """
@@ -210,13 +210,13 @@ class ReadingRow(Section):
     axis: Axis
     """Axis of the sensor."""
     origin: bool = False
-    """Whether the angle counts from this reading on, and nothing is known of what was turned before."""
+    """Whether the angle counts from this reading on, with the angle turned before unknown."""
     white_std: Size
     """Standard deviation of this reading alone (rad or rad/s)."""
     standstill_id: int | None = None
     """Standstill or set point that it shares `offset_std` with."""
     offset_std: Size = 0.0
-    """Standard deviation of what is common to the standstill or set point (rad or rad/s)."""
+    """Standard deviation of the error common to the standstill or set point (rad or rad/s)."""
     timing_std: Size = 0.0
     """Standard deviation of its time (s)."""
     duration: Size | None = None
@@ -244,13 +244,13 @@ class Timeline(Section):
     estimator: Literal["best linear", "least squares"] = "best linear"
     """Generalised least squares with all priors, or unweighted mean rate errors without priors."""
     points: Literal["independent", "one run"] | None = None
-    """Standard method: whether readings share what `starts` begins over the run, or each has noise of its own."""
+    """Standard method: whether readings share the processes of `starts` over the run, or have independent noise."""
     sensor: SensorRow
     """The error model."""
     harmonics: tuple[HarmonicRow, ...] = ()
     """Errors of the angle that repeat with it."""
     segments: tuple[SegmentRow, ...]
-    """What axes and chamber do."""
+    """Motion of axes, and course of the chamber."""
     readings: tuple[ReadingRow, ...]
     """What is read."""
 
@@ -259,11 +259,11 @@ class CheckRow(Section):
     """Chances, before either run, of holding one unit's calibration against a second run of the same plan."""
 
     accepted: Size
-    """That it is accepted."""
+    """Chance that it is accepted."""
     false_accept: Size
-    """That it is accepted although its error is beyond the target (global risk)."""
+    """Chance that it is accepted although its error is beyond the target (global risk)."""
     false_reject: Size
-    """That it is rejected although its error is within (global risk)."""
+    """Chance that it is rejected although its error is within (global risk)."""
 
 
 class MissionRow(Section):
@@ -272,7 +272,7 @@ class MissionRow(Section):
     file: str
     """Its table."""
     weight: Size
-    """How much it counts."""
+    """Its weight."""
     after_s: Size
     """When its error is taken (s)."""
     left: Size | None = None
@@ -282,7 +282,7 @@ class MissionRow(Section):
 
 
 class RequirementRow(Section):
-    """What is left of a requirement, in `unit`. Null: cannot be observed by this plan, or was not asked for."""
+    """The residual of a requirement, in `unit`. Null: this plan cannot observe it, or it was not requested."""
 
     name: str
     """Of the requirement."""
@@ -325,13 +325,14 @@ class RequirementRow(Section):
     check: CheckRow | None = None
     """Global risks (JCGM 106) of a second run."""
     limited_by: str | None = None
-    """What the residual is limited by, in words."""
+    """The limiting errors of the residual, in words."""
     uncertain: tuple[Size, Size] | None = None
     """Least and largest of the deciding statistic, where noise figures are uncertain."""
     with_typical: Size | None = None
-    """Residual with every absent error term at what is typical of its class."""
+    """Residual with every absent error term at its class's typical value."""
     own: Size | None = None
-    """Of heading and north: what the unit's own noise adds (root sum of squares), which no calibration takes off."""
+    """For heading and north: the contribution of the unit's own noise (root sum of squares), which no calibration
+    removes."""
     own_sources: dict[str, Size] | None = None
     """Its parts."""
     missions: tuple[MissionRow, ...] | None = None
@@ -349,9 +350,9 @@ class AbsentRow(Section):
     key: str
     """Its key."""
     typical: str
-    """What is typical of the class."""
+    """The class's typical value."""
     source: str
-    """Where that comes from."""
+    """Its source."""
 
 
 class ParameterRow(Section):
@@ -371,7 +372,7 @@ class ParameterRow(Section):
 
 
 class NoticeRow(Section):
-    """What a test of the log notices of structure that the model lacks: the polynomials after the map's."""
+    """Detection by a test of the log of structure that the model lacks: the polynomials after the map's."""
 
     quantity: Literal["scale_factor", "bias"]
     """Which map."""
@@ -384,21 +385,21 @@ class NoticeRow(Section):
     rate_degree: int | None = None
     """Highest degree in rate."""
     components: int
-    """Combinations of the coefficients that the plan sees: the test's degrees of freedom."""
+    """Observable combinations of the coefficients: the test's degrees of freedom."""
     false_alarm: Size
     """Level of the test."""
     standard_deviation: Size | None = None
-    """Size of each coefficient that `power` is of; null where the spec names none."""
+    """Size of each coefficient for `power`; null where the spec has none."""
     power: Size | None = None
-    """Probability that it is noticed."""
+    """Probability of detection."""
     sure_power: Size
     """Probability that counts as sure."""
     sure_from: Size | None = None
-    """Size from which on it is; null: never."""
+    """Size from which on the probability is reached; null: never."""
 
     @property
     def sentence(self) -> str:
-        """As people read it."""
+        """In words."""
         shape = f"up to degree {self.temperature_degree}"
         shape += " in temperature" if self.rate_degree is None else f" in temperature by {self.rate_degree} in rate"
         hidden = f"structure of the {self.quantity.replace('_', ' ')} that the model lacks (polynomials {shape})"
@@ -421,20 +422,20 @@ class Prediction(Section):
     title: str | None = None
     """Of the spec."""
     duration_s: Size
-    """Of the whole plan (s)."""
+    """Duration of the whole plan (s)."""
     soak_s: Size
-    """Of its soaks (s)."""
+    """Duration of its soaks (s)."""
     motion_s: Size
-    """Of its ramp (s)."""
+    """Duration of its ramp (s)."""
     requirements: tuple[RequirementRow, ...]
-    """What is left, by requirement."""
+    """Residuals, by requirement."""
     parameters: tuple[ParameterRow, ...]
     """Coefficients."""
     covariance: tuple[tuple[Finite | None, ...], ...] | None
     """Of the coefficients, in the units of the parameters; null entries cannot be observed."""
     notices: tuple[NoticeRow, ...] = ()
-    """What tests of the log would notice."""
+    """Detection by tests of the log."""
     warnings: tuple[str, ...] = ()
-    """What to know, in sentences."""
+    """Warnings, in sentences."""
     counted_as_zero: tuple[AbsentRow, ...] = ()
     """Error terms that the spec does not name."""

@@ -1,9 +1,9 @@
-"""What a calibration does to data, in NumPy, by the formulas that the estimator itself uses.
+"""Correction of data by a calibration, in NumPy, by the same formulas as the estimator.
 
     measured = (1 + M(T, ω))·ω + B(T) [+ g·dT/dt]
 
-is solved for ω to rounding: `ω ← (measured − B)/(1 + M(T, ω))`, which gains a factor |ω ∂M/∂ω| a round. Outside the
-range that the data covered, the maps' values at its edge hold.
+is solved for ω to rounding: `ω ← (measured − B)/(1 + M(T, ω))`, whose error shrinks by a factor |ω ∂M/∂ω| per
+iteration. Outside the range of the data, the maps keep their values at its edge.
 """
 
 import importlib
@@ -32,8 +32,8 @@ from gradcal_jax.files.unit_calibration import UnitCalibration
 _ROUNDS = 200
 _ROWS_AT_ONCE = 1 << 16
 _SLOPE_WINDOW_S = 60.0
-# Over a shorter break the temperature went on as before; behind a longer one a run begins with a stable chamber, and a
-# lag has died away.
+# Over a shorter break the temperature is continuous; after a longer one a run begins with a stable chamber, and the
+# lag has decayed.
 _BRIDGED_S = 60.0
 
 
@@ -87,12 +87,12 @@ def _within(x: Floats, bounds: tuple[float, float]) -> Floats:
 
 
 def measured(axis: AxisCalibration, rate_rad_per_s: Floats, temperature_c: Floats) -> Floats:
-    """What the sensor says of true rates, `(n,)`: the calibration forwards."""
+    """The sensor's output for true rates, `(n,)`: the calibration forwards."""
     return (1.0 + scale_factor(axis, temperature_c, rate_rad_per_s)) * rate_rad_per_s + bias(axis, temperature_c)
 
 
 def correct(axis: AxisCalibration, measured_rad_per_s: Floats, temperature_c: Floats) -> Floats:
-    """True rates `(n,)` of what the sensor said: `measured` solved to rounding.
+    """True rates `(n,)` for the sensor's output: `measured` solved to rounding.
 
     Raises `ValueError` where the map is so steep that it cannot be inverted there.
     """
@@ -103,8 +103,8 @@ def correct(axis: AxisCalibration, measured_rad_per_s: Floats, temperature_c: Fl
     return result
 
 
-def _correct(axis: AxisCalibration, said: Floats, temperature: Floats) -> Floats:
-    without_bias = said - bias(axis, temperature)
+def _correct(axis: AxisCalibration, output: Floats, temperature: Floats) -> Floats:
+    without_bias = output - bias(axis, temperature)
     scale = axis.scale_factor
     if scale is None:
         return without_bias
@@ -120,21 +120,20 @@ def _correct(axis: AxisCalibration, said: Floats, temperature: Floats) -> Floats
         left = left[np.abs(new - now) > tolerance * np.maximum(np.abs(new), np.finfo(np.float64).tiny)]
         if not len(left):
             return rate
-    # Next to a jump of the map (bins) two answers may take turns: either is one within the jump.
+    # Next to a jump of the map (bins) two values may alternate: both are within the jump.
     if isinstance(scale.rate, RateBins):
         return rate
     first = int(left[0])
     raise ValueError(
-        f"the scale-factor map of axis {axis.name} is too steep to be inverted at {np.degrees(said[first]):.4g} deg/s, "
-        f"{temperature[first]:.4g} degC: is this calibration of another sensor?"
+        f"the scale-factor map of axis {axis.name} is too steep to be inverted at {np.degrees(output[first]):.4g} "
+        f"deg/s, {temperature[first]:.4g} degC: is this calibration of another sensor?"
     )
 
 
 def followed(temperature_c: Floats, time_s: Floats, starts: NDArray[np.int64], lag_s: float) -> Floats:
-    """The temperature that the maps follow: a first-order lag behind the measured one `(n,)`, whose unbroken stretches
-    begin at the rows `starts`. It begins in equilibrium, again after every long break; over a short one the
-    temperature is taken to run straight on.
-    """
+    """The temperature of the maps: the measured one `(n,)`, whose unbroken stretches begin at the rows `starts`, with a
+    first-order lag. It begins in equilibrium, also after every long break; over a short break the temperature is
+    interpolated linearly."""
     if lag_s <= 0.0:
         return temperature_c
     signal: Any = importlib.import_module("scipy.signal")
@@ -163,7 +162,7 @@ def temperature_slope(temperature_c: Floats, time_s: Floats) -> Floats:
 
 
 def known_temperature(log: Log, unit: int) -> Floats:
-    """A unit's temperature at every row, missing ones bridged by straight lines. Raises `LogError` without any."""
+    """A unit's temperature at every row, missing ones interpolated linearly. Raises `LogError` without any."""
     if log.temperature_c is None or not np.isfinite(log.temperature_c[unit]).any():
         raise LogError(f"the log has no temperature of unit {log.units[unit]}, and the calibration depends on it")
     values = log.temperature_c[unit]
@@ -183,7 +182,7 @@ def needs_temperature(calibration: Calibration) -> bool:
 def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
     """The log of one unit with corrected rates (rad/s); axes that the calibration does not have stay as they are.
 
-    Solves measured = (1 + M(T, ω))·ω + B(T) for ω, row by row; beyond what the calibration covers its value at the edge
+    Solves measured = (1 + M(T, ω))·ω + B(T) for ω, row by row; beyond the calibration's range its value at the edge
     holds, and `Corrected` counts such rows. Masked rows are corrected too, and stay masked.
 
     Errors: `LogError` where a temperature is needed that is not there, and where no axis of the log is calibrated.
@@ -207,16 +206,16 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
         axis = calibration.axis_of(name)
         column = log.axis_index(name)
         at = followed(temperature, log.time_s, log.stretch_starts, float(axis.thermal_lag or 0.0))
-        said = rates[:, column]
+        output = rates[:, column]
         if axis.bias_temperature_gradient is not None:
-            said = said - axis.bias_temperature_gradient * temperature_slope(temperature, log.time_s)
-        readable = np.isfinite(said)
-        found = np.full_like(said, np.nan)
-        found[readable] = correct(axis, said[readable], at[readable])
-        rates[:, column] = found
+            output = output - axis.bias_temperature_gradient * temperature_slope(temperature, log.time_s)
+        readable = np.isfinite(output)
+        rate = np.full_like(output, np.nan)
+        rate[readable] = correct(axis, output[readable], at[readable])
+        rates[:, column] = rate
         if needs_temperature(calibration):
             outside_temperature += count_outside(at[usable], axis.valid_temperature)
-        outside_rate += count_outside(found[usable & readable], axis.valid_rate)
+        outside_rate += count_outside(rate[usable & readable], axis.valid_rate)
     forces = None if log.specific_force_m_per_s2 is None else log.specific_force_m_per_s2[number]
     corrected = log_corrected(log, number, calibration, rates, forces)
     alone = tuple(name for name in log.axes if name not in common)

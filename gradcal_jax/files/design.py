@@ -1,4 +1,4 @@
-"""`[design]`: what `optimise` may change, and what for, of one axis and of a whole unit."""
+"""`[design]`: the free variables and the objective of `optimise`, for one axis and for a whole unit."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast
@@ -36,16 +36,16 @@ Free = Literal[
 
 
 class Scenario(Section):
-    """A variant of sensor or rig that the plan must serve too: overrides of single keys, and a weight."""
+    """A variant of sensor or rig for which the plan must be good too: changes of single keys, and a weight."""
 
     name: Text | None = None
     """A name for people."""
     weight: Annotated[Number, Field(gt=0.0)] = 1.0
     """Its weight in the mean over scenarios."""
     sensor: dict[str, Any] = Field(default_factory=dict)
-    """Keys below [sensor] that are other here."""
+    """Changed keys below [sensor]."""
     rig: dict[str, Any] = Field(default_factory=dict)
-    """Keys below [rig] that are other here."""
+    """Changed keys below [rig]."""
 
 
 class Notice(Section):
@@ -122,6 +122,6 @@ class UnitDesign(Section):
     moves: Annotated[Count, Field(ge=2, le=400)] = 80
     """Most turns in a cycle."""
     robust: Literal["mean", "worst"] = "mean"
-    """Whether the mean over what `uncertain` noise figures may be, or the worst of it, counts."""
+    """Whether the mean or the worst over the ranges of `uncertain` noise figures counts."""
     seed: Whole = 0
     """Seed of the annealing."""

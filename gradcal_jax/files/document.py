@@ -1,4 +1,4 @@
-"""Reading a TOML document from a path or a text, with one clean sentence for whatever is wrong with it as a whole."""
+"""Reading a TOML document from a path or a text, with one sentence for a problem of the whole document."""
 
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -57,15 +57,15 @@ def read_toml(text: str, source: str = "") -> dict[str, Any]:
 
 
 def format_problem(document: Mapping[str, Any], expected: str) -> Problem | None:
-    """What is wrong with the `format` key, if anything."""
+    """The problem of the `format` key, if there is one."""
     if "format" not in document:
         return Problem(("format",), f'this key is missing; expected "{expected}"', kind="missing")
-    found = document["format"]
-    if found == expected:
+    version = document["format"]
+    if version == expected:
         return None
-    of_kind = isinstance(found, str) and found.split("/")[0] == expected.split("/")[0]
+    of_kind = isinstance(version, str) and version.split("/")[0] == expected.split("/")[0]
     wanted = "this version of the program reads" if of_kind else "expected"
-    return Problem(("format",), f'{wanted} "{expected}"', found)
+    return Problem(("format",), f'{wanted} "{expected}"', version)
 
 
 def model_of(
@@ -77,8 +77,8 @@ def model_of(
 ) -> Model:
     """A document of the format `expected` as the model of it. Raises `SpecError` that lists everything wrong.
 
-    Another kind or version of file is said alone: the rest would only be noise. With `further`, which adds to the
-    problems that it is given, that holds of a `format` that is there; without it, of one that is missing, too.
+    A wrong kind or version of file is the only problem reported. With `further`, which adds to the list of problems,
+    this is so for a wrong `format`; without it, for a missing one, too.
     """
     problem = format_problem(document, expected)
     if problem is not None and (further is None or isinstance(document.get("format"), str)):
@@ -93,6 +93,6 @@ def model_of(
 
 
 def parsed(kind: type[Model], text: str, expected: str, source: str) -> Model:
-    """As `model_of`, of a TOML text; problems say on which of its lines they are."""
+    """As `model_of`, for a TOML text; problems have the number of their line."""
     with with_lines(text):
         return model_of(kind, read_toml(text, source), expected, source)

@@ -6,8 +6,8 @@
     c-header    a function in float32 with all that the calibration has (polynomials)
     csv         every coefficient with its standard deviation, for spreadsheets; nothing is lost
 
-What a target cannot carry is said in numbers: the largest error against the calibration itself over its range. The
-targets' formulas were read from their public sources; nothing here has been run on a flight controller.
+Each export reports in numbers what its target cannot carry: the largest error against the calibration over its range.
+The formulas are from the targets' public sources; no export has been run on a flight controller.
 """
 
 import csv
@@ -38,7 +38,7 @@ class Loss(NamedTuple):
 
 
 class Export(NamedTuple):
-    """`text` for the target's file, what is lost, and what whoever uses it has to know."""
+    """`text` for the target's file, the losses, and notes for the user."""
 
     text: str
     losses: tuple[Loss, ...]
@@ -78,8 +78,8 @@ def export(
 def export_units(calibrations: Sequence[Calibration], firmware: str) -> Export:
     """Several sensors of one flight controller ("px4", "ardupilot"), in one file.
 
-    Their numbers are those of their order for PX4, which knows them by device id (their serial numbers), and those of
-    their names for ArduPilot (IMU0 is its first). Errors: `ValueError` as `export`, and for more sensors than it has.
+    PX4 identifies sensors by device id (their serial numbers) and numbers them in their order; ArduPilot's numbers come
+    from their names (IMU0 is the first). Errors: `ValueError` as `export`, and for too many sensors.
     """
     lines: dict[str, None] = {}
     losses: list[Loss] = []
@@ -96,7 +96,7 @@ def export_units(calibrations: Sequence[Calibration], firmware: str) -> Export:
 
 
 def without(calibration: Calibration, zeroed: Sequence[str]) -> tuple[Calibration, tuple[str, ...]]:
-    """The calibration with some coefficients at zero, and which they are. Raises `ValueError` for unknown names."""
+    """The calibration with some coefficients set to zero, and their names. Raises `ValueError` for unknown names."""
     wanted = dict.fromkeys(zeroed, False)
     gone: list[str] = []
     axes: list[AxisCalibration] = []
@@ -115,7 +115,7 @@ def without(calibration: Calibration, zeroed: Sequence[str]) -> tuple[Calibratio
                         gone.append(f"{axis.name}.{name}")
             changed[part_name] = part.model_copy(update={"coefficients": coefficients})
         axes.append(axis.model_copy(update=changed))
-    unknown = [name for name, found in wanted.items() if not found]
+    unknown = [name for name, present in wanted.items() if not present]
     if unknown:
         raise ValueError(f"the calibration has no coefficient {', '.join(unknown)} that could be set to zero")
     return calibration.model_copy(update={"axis": tuple(axes)}), tuple(dict.fromkeys(gone))
@@ -130,13 +130,13 @@ def range_temperatures(axis: AxisCalibration) -> Floats:
 
 
 def _lost_scale_factor(axis: AxisCalibration, carried: Floats | float = 0.0) -> Loss | None:
-    """The largest scale-factor error over the calibration's range that `carried` does not take off."""
+    """The largest scale-factor error over the calibration's range after the correction by `carried`."""
     if axis.scale_factor is None:
         return None
     slow, fast = float(axis.valid_rate[0]), float(axis.valid_rate[1])
     temperature, rate = np.meshgrid(range_temperatures(axis), np.linspace(slow, fast, 61), indexing="ij")
-    found = correction.scale_factor(axis, temperature.ravel(), rate.ravel()) - carried
-    return Loss(axis.name, "scale factor", float(np.max(np.abs(found))) * PPM, "ppm")
+    error = correction.scale_factor(axis, temperature.ravel(), rate.ravel()) - carried
+    return Loss(axis.name, "scale factor", float(np.max(np.abs(error))) * PPM, "ppm")
 
 
 def _lost_terms(axis: AxisCalibration) -> list[str]:
@@ -152,15 +152,15 @@ def _lost_terms(axis: AxisCalibration) -> list[str]:
 
 
 def _triad(calibration: Calibration) -> dict[str, AxisCalibration]:
-    found = {axis.name.lower(): axis for axis in calibration.axis if axis.name.lower() in _TRIAD}
-    if not found:
+    axes = {axis.name.lower(): axis for axis in calibration.axis if axis.name.lower() in _TRIAD}
+    if not axes:
         names = ", ".join(axis.name for axis in calibration.axis)
         raise ValueError(f"the target has axes x, y, z, and the calibration has {names}: none of them fits")
-    return found
+    return axes
 
 
 def _of_bias(calibration: Calibration, target: str) -> dict[str, AxisCalibration]:
-    """The triad for a target that carries the bias alone: zeros in the place of a bias that is unknown are refused."""
+    """The triad for a target that carries the bias alone: zeros in place of an unknown bias are refused."""
     triad = _triad(calibration)
     without_bias = [name for name, axis in triad.items() if axis.bias is None]
     if without_bias:
@@ -202,7 +202,7 @@ def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
 
 
 def ardupilot_range(number: int, low: float, high: float) -> dict[str, float]:
-    """The parameters that switch the correction of one sensor on, over a range (°C)."""
+    """The parameters that enable the correction of one sensor over a range (°C)."""
     return {f"INS_TCAL{number}_{name}": value for name, value in (("ENABLE", 1.0), ("TMIN", low), ("TMAX", high))}
 
 
@@ -232,7 +232,7 @@ def _place(number: int) -> str:
 def ardupilot_correction(
     parameters: Mapping[str, float], axis: str, temperature_c: Floats, number: int = 1, kind: str = "GYR"
 ) -> Floats:
-    """What ArduPilot takes off a raw rate (rad/s), or force (m/s², before its scale; `kind` ACC), in float32."""
+    """ArduPilot's correction of a raw rate (rad/s), or force (m/s², before its scale; `kind` ACC), in float32."""
     value = {name: np.float32(v) for name, v in parameters.items()}
     letter = axis.upper()
     c1, c2, c3 = (value[f"INS_TCAL{number}_{kind}{k}_{letter}"] for k in (1, 2, 3))
@@ -248,7 +248,7 @@ def ardupilot_correction(
 
 
 def bias_left(axis: AxisCalibration, taken_off: Floats) -> float:
-    """The largest bias that is left where a target takes this off, over the axis's range."""
+    """The largest bias after a target's correction, over the axis's range."""
     return float(np.max(np.abs(taken_off - correction.bias(axis, range_temperatures(axis)))))
 
 
@@ -316,7 +316,7 @@ def px4_lines(rows: Iterable[tuple[str, float, int]]) -> list[str]:
 def px4_correction(
     parameters: Mapping[str, float], axis: str, temperature_c: Floats, number: int = 0, letter: str = "G"
 ) -> Floats:
-    """What PX4 takes off a raw rate (rad/s), or specific force (m/s²; `letter` A), in float32."""
+    """PX4's correction of a raw rate (rad/s), or specific force (m/s²; `letter` A), in float32."""
     value = {name: np.float32(v) for name, v in parameters.items()}
     place = _TRIAD.index(axis)
     x = [value[f"TC_{letter}{number}_X{k}_{place}"] for k in range(4)]
@@ -373,7 +373,7 @@ def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
 
 
 def one_temperature(options: Mapping[str, Any], within: tuple[float, float], target: str) -> float:
-    """The temperature (°C) that was asked for. Raises `ValueError` without one within the range."""
+    """The requested temperature (°C). Raises `ValueError` without one within the range."""
     at = options["temperature_c"]
     if at is None:
         raise ValueError(f"{target}'s file is for one temperature: say which with --temperature")
@@ -384,13 +384,13 @@ def one_temperature(options: Mapping[str, Any], within: tuple[float, float], tar
 
 
 def file_comment(calibration: Calibration | UnitCalibration, at: float | None = None) -> str:
-    """The comment of which unit, and which temperature (°C), a file is."""
+    """The comment with the unit and the temperature (°C) of a file."""
     where = "" if at is None else f", {at:g} degC"
     return f"# gradcal {calibration.serial_number}{where}" + (", SIMULATED" if calibration.simulated else "")
 
 
 def kalibr_noise(noise: Noise | UnitNoise | None) -> list[str]:
-    """The lines of the noise that is known."""
+    """The lines of the known noise."""
     keys = (
         ("gyroscope_noise_density", "angle_random_walk", "rad/s/sqrt(Hz)"),
         ("gyroscope_random_walk", "rate_random_walk", "rad/s^2/sqrt(Hz)"),

@@ -1,6 +1,6 @@
 """Recordings of other programs -> `Log`: CSV and other text tables, NumPy's `.npz` and `.npy`, MATLAB v5 files.
 
-What the columns mean is said in a small TOML file, with units:
+A small TOML file has the meaning of the columns, with units:
 
     format      = "gradcal-columns/1"
     sample_rate = "100 Hz"                    # as stated; needed where there is no time
@@ -25,8 +25,8 @@ What the columns mean is said in a small TOML file, with units:
     [policy]
     gaps = "refuse"                           # see gradcal_jax.files.log_faults
 
-Several sensors on one table: `[[sensor]]` tables with `name`, `rate`, `force`, `temperature` and `status`, in the place
-of those at the top. Times count from the first row. Raw counts whose scale nobody knows stand as they are, with
+Several sensors on one table: `[[sensor]]` tables with `name`, `rate`, `force`, `temperature` and `status`, in place of
+those at the top. Times count from the first row. Raw counts of unknown scale are kept unchanged with
 `wrong_units = "keep"`.
 """
 
@@ -62,14 +62,14 @@ FORMAT: Final = "gradcal-columns/1"
 
 
 class StatusColumn(Source):
-    """The device's own status; rows in which it is anything but `good` are marked bad."""
+    """The device's own status; rows whose status is not `good` are marked bad."""
 
     good: Number = 0.0
     """Value of a usable row."""
 
 
 class SensorColumns(Section):
-    """What belongs to one of several sensors."""
+    """Columns of one of several sensors."""
 
     name: Name
     """Of the sensor."""
@@ -145,7 +145,7 @@ class ColumnMap(Section):
 
     @property
     def sensors(self) -> tuple[SensorColumns, ...]:
-        """The sensors, one made of what stands at the top where `[[sensor]]` is absent."""
+        """The sensors; one sensor of the keys at the top where `[[sensor]]` is absent."""
         if self.sensor:
             return self.sensor
         return (
@@ -190,8 +190,8 @@ def import_log(path: str | Path, columns: ColumnMap, *, rows: tuple[int, int | N
     _refuse_contradictions(columns)
     table = read_table(path, columns.csv, list(columns.sources()))
     try:
-        found = _columns(table, columns, path.name)
-        return examine(found if rows is None else found.part(rows), columns.policy)
+        log = _columns(table, columns, path.name)
+        return examine(log if rows is None else log.part(rows), columns.policy)
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
 

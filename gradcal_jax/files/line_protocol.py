@@ -1,23 +1,23 @@
-"""`gradcal-lines/1`: a device that is spoken to in lines of text, described without a line of code.
+"""`gradcal-lines/1`: the description of a device with a text protocol, without code.
 
     format = "gradcal-lines/1"
     role   = "chamber"                              # or "axis"
     title  = "Thermotron 3800"
-    [line]                                          # how a message is spoken
+    [line]                                          # the framing of messages
     ends   = "\\r"
-    [ask.air]                                       # what can be read: a question, and its reply with fields in braces
+    [ask.air]                                       # a query, and its reply with fields in braces
     send   = "PVAR1?"
     reply  = "{air}"
-    [tell.setpoint]                                 # what can be told, with values in braces
+    [tell.setpoint]                                 # a command, with values in braces
     send   = ["SETP1,{setpoint:g}", "RUNM"]
-    [state.conditioning]                            # what a field says of the device
+    [state.conditioning]                            # a state of the device, from a field
     field  = "mode"
     bit    = 4
 
-Of a reply `{name}` is a number, `{name:text}` whatever comes before the next character of the template, `{name:char}`
-one character; without a name it is passed over. Whatever is told must be shown by something that is asked: a protocol
-in which a set value cannot be read back is refused. What is told when, and verified how, is the driver's affair
-(`hardware.drivers.lines`); there is no logic here, and no regular expression: a file may come from anybody.
+In a reply `{name}` is a number, `{name:text}` the text up to the next character of the template, `{name:char}` one
+character; a field without a name is ignored. A reply must show the value of every command: a protocol in which a set
+value cannot be read back is refused. The order and verification of commands are in the driver
+(`hardware.drivers.lines`). There is no logic here, and no regular expression, because a file may be untrusted.
 """
 
 import re
@@ -52,7 +52,7 @@ from gradcal_jax.files.section import Section, refuse
 FORMAT: Final = "gradcal-lines/1"
 _FIELD: Final = re.compile(r"\{([a-z_]*)(?::(text|char))?\}")
 _VALUE: Final = re.compile(r"\{([a-z]+):(0?\d{0,2}(?:\.\d)?f|g)\}")
-# Beyond these, what a device shows is its arithmetic.
+# Further decimals of a device are rounding errors.
 _FINEST_DECIMALS: Final = 3
 _NUMBER: Final = r"([-+]?\d+(?:\.\d*)?)"
 
@@ -62,7 +62,7 @@ def _listed(value: object) -> object:
 
 
 Texts = Annotated[tuple[Text, ...], BeforeValidator(_listed), Field(max_length=8)]
-# Of replies one may be empty: nothing but what ends it.
+# A reply may be empty except for its end.
 Replies = Annotated[tuple[Annotated[str, Field(strict=True, max_length=2000)], ...], BeforeValidator(_listed)]
 
 
@@ -165,8 +165,8 @@ class LineQuestion(Section):
     @property
     def fields(self) -> dict[str, str]:
         """Its fields' names -> their kinds."""
-        found = (match for reply in self.reply for match in _FIELD.finditer(reply))
-        return {match[1]: match[2] or "number" for match in found if match[1]}
+        fields = (match for reply in self.reply for match in _FIELD.finditer(reply))
+        return {match[1]: match[2] or "number" for match in fields if match[1]}
 
     @model_validator(mode="after")
     def _ends(self) -> "LineQuestion":
@@ -218,7 +218,7 @@ class Condition(Section):
         return self
 
     def holds(self, text: str) -> bool:
-        """Whether it is so, by what the device said. A number that is none raises `ValueError`."""
+        """Whether the state holds, by the device's reply. An invalid number raises `ValueError`."""
         if self.bit is not None:
             return bool(int(float(text)) >> self.bit & 1)
         if self.below is not None:
@@ -275,76 +275,78 @@ class LineProtocol(Section):
 
     def _missing(self) -> list[Problem]:
         role = _ROLES[self.role]
-        found = [
+        problems = [
             Problem((table, name), f"this key is missing; a {self.role} needs it", kind="missing")
             for table, needed in (("tell", role.tells), ("state", role.states))
             for name in needed
             if name not in getattr(self, table)
         ]
-        found += [
+        problems += [
             Problem(("ask",), f"no reply has the field {{{name}}}, which a {self.role} needs", kind="missing")
             for name in role.fields
             if name not in self.fields
         ]
-        found += [
+        problems += [
             Problem(("limits", name), f"this key is missing; a {self.role} needs it", kind="missing")
             for name in role.limits
             if getattr(self.limits, name) is None
         ]
         if "ramp" in self.tell and self.limits.free_ramp is None:
             message = "this key is missing; a ramp must be taken off again"
-            found.append(Problem(("limits", "free_ramp"), message, kind="missing"))
-        return found
+            problems.append(Problem(("limits", "free_ramp"), message, kind="missing"))
+        return problems
 
     def _unreadable(self) -> list[Problem]:
-        """What is told and cannot be read back."""
-        found: list[Problem] = []
+        """Problems of commands that cannot be read back, and of fields that no reply has."""
+        problems: list[Problem] = []
         for name, command in self.tell.items():
             key = ("tell", name)
             known = _ROLES[self.role].values
             if name not in known:
-                found.append(Problem(key, f"a {self.role} is told {', '.join(known)}; {instead(name, known)}"))
+                problems.append(Problem(key, f"a {self.role} is told {', '.join(known)}; {instead(name, known)}"))
                 continue
             written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}
             if (name == "setpoint" or command.shown_by) and len(written) != 1:
-                found.append(Problem((*key, "send"), "expected one value, written alike in all lines"))
+                problems.append(Problem((*key, "send"), "expected one value, written alike in all lines"))
             if wrong := {value for value, _ in written} - set(known[name]):
                 allowed = ", ".join(f"{{{value}}}" for value in known[name]) or "no values"
-                found.append(Problem((*key, "send"), f"{{{sorted(wrong)[0]}}} is not known here; it takes {allowed}"))
+                problems.append(
+                    Problem((*key, "send"), f"{{{sorted(wrong)[0]}}} is not known here; it takes {allowed}")
+                )
             if command.reply and len(command.reply) not in (1, len(command.send)):
-                found.append(Problem((*key, "reply"), f"expected one, or {len(command.send)}: one for each line"))
+                problems.append(Problem((*key, "reply"), f"expected one, or {len(command.send)}: one for each line"))
             if name in _SHOWN_BY_THEMSELVES and not command.shown_by:
                 message = "a set value that cannot be read back is not set: expected the fields of replies that show it"
-                found.append(Problem((*key, "shown_by"), message, kind="missing"))
-            found += [
+                problems.append(Problem((*key, "shown_by"), message, kind="missing"))
+            problems += [
                 Problem((*key, "shown_by"), f"no reply has the field {{{field}}}", field)
                 for field in command.shown_by
                 if field not in self.fields
             ]
         if "on" in self.tell and self.role == "axis" and "powered" not in self.state:
-            found.append(Problem(("state", "powered"), "this key is missing; nothing else shows what tell.on did"))
+            problems.append(Problem(("state", "powered"), "this key is missing; nothing else shows what tell.on did"))
         for key, field in [
             *((("state", name, "field"), entry.field) for name, entry in self.state.items()),
             *((("require", index, "field"), entry.field) for index, entry in enumerate(self.require)),
         ]:
             if field not in self.fields:
-                found.append(Problem(key, f"no reply has the field {{{field}}}", field))
-        return found
+                problems.append(Problem(key, f"no reply has the field {{{field}}}", field))
+        return problems
 
     def _badly_written(self) -> list[Problem]:
-        found: list[Problem] = []
+        problems: list[Problem] = []
         for name, question in self.ask.items():
             for key, template in (*(("reply", reply) for reply in question.reply), ("last", question.last or "")):
                 if problem := _problem_of_reply(template):
-                    found.append(Problem(("ask", name, key), problem, template))
+                    problems.append(Problem(("ask", name, key), problem, template))
         for name, command in self.tell.items():
             for send in command.send:
                 if {"{", "}"} & set(_VALUE.sub("", send)):
-                    found.append(Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send))
+                    problems.append(Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send))
         spoken = [*(q.send for q in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
         if any(ord(letter) > 255 for text in (*spoken, self.line.ends, self.line.reply_ends) for letter in text):
-            found.append(Problem((), "only characters of one byte can be sent"))
-        return found
+            problems.append(Problem((), "only characters of one byte can be sent"))
+        return problems
 
 
 class _Role:
@@ -377,7 +379,7 @@ def _problem_of_reply(template: str) -> str:
 
 
 def reply_pattern(template: str) -> re.Pattern[str]:
-    """What a reply must look like: its named groups are the fields. Takes time in proportion to a line's length."""
+    """The pattern of a reply, with the fields as named groups. Matching is linear in a line's length."""
     pattern, place = "", 0
     for match in _FIELD.finditer(template):
         pattern += _literal(template[place : match.start()])
@@ -391,31 +393,31 @@ def reply_pattern(template: str) -> re.Pattern[str]:
 
 
 def _literal(text: str) -> str:
-    """As many blanks as there are: devices differ."""
+    """Any number of blanks: devices differ."""
     return " +".join(re.escape(part) for part in text.split(" "))
 
 
 def formatted(template: str, values: Mapping[str, float]) -> tuple[str, dict[str, str]]:
-    """A command with its values, and each value as it was written."""
+    """A command with its values, and the text of each value."""
     written: dict[str, str] = {}
 
     def write(match: re.Match[str]) -> str:
         text = format(values[match[1]], match[2])
-        # No device needs a minus before a nought.
+        # No minus sign before zero.
         written[match[1]] = text if float(text) else format(0.0, match[2])
         return written[match[1]]
 
     return _VALUE.sub(write, template), written
 
 
-def shows(told: str, shown: str) -> bool:
-    """Whether a number that is read back is the one that was told, to half a step of the device's own decimals."""
-    decimals = min(len(shown.partition(".")[2]), _FINEST_DECIMALS)
-    return abs(float(told) - float(shown)) <= 0.51 * 10.0**-decimals
+def shows(sent: str, reply: str) -> bool:
+    """Whether a number that is read back equals the one sent, to half a step of the device's own decimals."""
+    decimals = min(len(reply.partition(".")[2]), _FINEST_DECIMALS)
+    return abs(float(sent) - float(reply)) <= 0.51 * 10.0**-decimals
 
 
 def protocol_of(value: object) -> LineProtocol:
-    """The protocol that a rig file gives: the name of one that comes with this program, or its own tables.
+    """The protocol of a rig file: the name of one of this program's, or its own tables.
 
     Raises:
         ValueError: no such name, or (as `SpecError`) everything that is wrong with the tables.

@@ -1,4 +1,4 @@
-"""On which line of a TOML text each key stands: `tomllib` does not say, and an error message should.
+"""The line of each key of a TOML text, for error messages; `tomllib` does not give it.
 
 The text is known to be valid TOML, so the scanner only follows strings, comments and brackets.
 """
@@ -20,7 +20,7 @@ _PLAIN: Final = re.compile(r"[^,\]}\n#]*")
 
 @contextmanager
 def with_lines(text: str) -> Generator[None]:
-    """Problems of a file that was read from `text` say on which line their key stands."""
+    """Context that adds the line of its key to every problem of a file read from `text`."""
     try:
         yield
     except SpecError as error:
@@ -31,7 +31,7 @@ def with_lines(text: str) -> Generator[None]:
 
 
 def _nearest_line(known: dict[Key, int], key: Key) -> int | None:
-    """Of the key itself, or, where it is missing, of the innermost table around it."""
+    """The line of the key or, where it is missing, of the innermost table around it."""
     return next((known[key[:n]] for n in range(len(key), 0, -1) if key[:n] in known), None)
 
 
@@ -46,7 +46,7 @@ def _unescaped(text: str) -> str:
 
 class _Scanner:
     def __init__(self, text: str) -> None:
-        self.text, self.at, self.found = text, 0, dict[Key, int]()
+        self.text, self.at, self.lines = text, 0, dict[Key, int]()
         self.counts: dict[Key, int] = {}
         self._line, self._counted = 1, 0
 
@@ -60,10 +60,10 @@ class _Scanner:
                 self.at = self.text.index("]", self.at) + (2 if several else 1)
             else:
                 self.pair(prefix)
-        return self.found
+        return self.lines
 
     def header(self, key: Key, several: bool) -> Key:
-        """Where a header's table stands: lists of tables have the number of their last entry in it."""
+        """The path of a header's table, with the number of the last entry of each list of tables."""
         place: Key = ()
         for depth, part in enumerate(key):
             place = (*place, part)
@@ -115,7 +115,7 @@ class _Scanner:
         return tuple(parts)
 
     def blank(self) -> bool:
-        """Go to what comes next; whether there is something."""
+        """Skip blanks and comments; whether text remains."""
         match = _BLANK.match(self.text, self.at)
         assert match is not None
         self.at = match.end()
@@ -124,4 +124,4 @@ class _Scanner:
     def note(self, key: Key) -> None:
         self._line += self.text.count("\n", self._counted, self.at)
         self._counted = self.at
-        self.found.setdefault(key, self._line)
+        self.lines.setdefault(key, self._line)

@@ -5,8 +5,8 @@
     rate      integrated or sampled angular rate, rad/s                   [unit, time, axis]
     specific_force  of the accelerometers, m/s^2, where there are any     [unit, time, force_axis]
 
-A log never loses a row silently: `rows_read` is what the source held, `rows_removed` counts the rows that could not be
-kept (by reason), and `status` says of every row that was kept whether it is usable, for each unit, and if not, why.
+A log never loses a row silently: `rows_read` counts the rows of the source, `rows_removed` those that could not be kept
+(by reason), and `status` is 0 for every usable row of a unit and the reason otherwise.
 """
 
 import hashlib
@@ -32,7 +32,7 @@ Bools = NDArray[np.bool_]
 
 
 class LogError(ValueError):
-    """A record that cannot be used; the message is a sentence that says why and what to do."""
+    """A record that cannot be used; the message says why and what to do."""
 
 
 class Reason(IntFlag):
@@ -48,7 +48,7 @@ class Reason(IntFlag):
 
     @property
     def words(self) -> str:
-        """As people say it: ``frozen temperature``."""
+        """In words: ``frozen temperature``."""
         return (self.name or "").lower().replace("_", " ")
 
 
@@ -82,7 +82,7 @@ _NEEDED: Final = ("time", "rate", "stretch_start")
 
 @dataclass(frozen=True)
 class Finding:
-    """One kind of fault that was found in a record, and what was done about it."""
+    """One kind of fault in a record, and the action taken."""
 
     kind: str
     """``gap``, ``duplicate stamp``, ``unordered stamp``, ``unreadable row``, ``missing rate``, ``saturated``, …"""
@@ -96,7 +96,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class EvenSeries:
-    """One axis of one unit on an even grid, as `gradcal_jax.identify` takes it."""
+    """One axis of one unit on an even grid, the input of `gradcal_jax.identify`."""
 
     rate_rad_per_s: Floats
     valid: Bools
@@ -130,7 +130,7 @@ class Log:
     standstill: Whole | None = None
     """[time]; the number of the standstill a row belongs to, -1 while the table moves."""
     mounting: Whole | None = None
-    """[time]; how the unit hung, of the mountings of its spec the number from 0. `None`: always the first."""
+    """[time]; the number of the unit's mounting in its spec, from 0. `None`: always the first."""
     host_time_s: Floats | None = None
     """[time]; the computer's stamp of each row, where the sensor has a clock of its own."""
     status: Flags | None = None
@@ -138,7 +138,7 @@ class Log:
     stretch_starts: Whole = field(default_factory=lambda: np.zeros(1, np.int64))
     """The row at which each unbroken stretch begins; the first is 0."""
     rows_read: int = -1
-    """What the source held; -1: exactly these rows."""
+    """Rows of the source; -1: exactly these rows."""
     rows_removed: Mapping[str, int] = field(default_factory=dict[str, int])
     findings: tuple[Finding, ...] = ()
     simulated: bool = False
@@ -210,7 +210,7 @@ class Log:
         return digest.hexdigest()
 
     def counts(self, unit: str | int = 0) -> dict[str, int]:
-        """Where every row read went: ``used``, then removed and masked rows by reason. They add up to `rows_read`."""
+        """Counts of rows: ``used``, then removed and masked rows by reason. They add up to `rows_read`."""
         result = {"used": int(np.count_nonzero(self.usable(unit))), **self.rows_removed}
         if self.status is not None:
             status = self.status[self.unit_index(unit)]
@@ -222,9 +222,9 @@ class Log:
         return result
 
     def even(self, axis: str | int = 0, unit: str | int = 0) -> EvenSeries:
-        """One axis on an even grid, one invalid point standing for each gap however long: no window may span one.
+        """One axis on an even grid, with one invalid point for each gap of any length: no window may span one.
 
-        The interval is the mean one; that stamps jitter about it does not matter to sums of rates.
+        The interval is the mean one; jitter of the stamps about it has no effect on sums of rates.
         """
         unit_number, axis_number = self.unit_index(unit), self.axis_index(axis)
         rows = len(self.time_s)
@@ -240,7 +240,7 @@ class Log:
 
 
 def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:
-    """The intervals of stamps (s) but for those between two stretches."""
+    """The intervals of stamps (s), without those between two stretches."""
     interval = np.diff(time_s)
     inside = np.ones(len(interval), bool)
     inside[stretch_starts[1:] - 1] = False
@@ -334,9 +334,9 @@ def read_log(path: str | Path) -> Log:
         raise LogError(f"{path} is no netCDF file that can be read: {error}") from None
     except OSError as error:
         raise LogError(f"{path} cannot be read: {error.strerror or error}") from None
-    found = str(dataset.attrs.get("format"))
-    if found != FORMAT:
-        raise LogError(f'{path} has the format "{found}", where this program reads "{FORMAT}"')
+    version = str(dataset.attrs.get("format"))
+    if version != FORMAT:
+        raise LogError(f'{path} has the format "{version}", where this program reads "{FORMAT}"')
     try:
         return _from_dataset(dataset)
     except LogError as error:

@@ -1,4 +1,4 @@
-"""What a gradcal-log/1 holds, for other programs: the netCDF's dimensions, variables with their units, attributes."""
+"""The contents of a gradcal-log/1 for other programs: the netCDF's dimensions, variables with units, attributes."""
 
 from typing import Annotated, Generic, Literal, TypeVar
 
@@ -73,11 +73,11 @@ class Variables(Section):
     time: Stamps
     """Of the sensor's clock."""
     rate: Rates
-    """What the sensors said."""
+    """Output of the gyros."""
     stretch_start: StretchStarts
-    """Where unbroken stretches begin."""
+    """Begins of unbroken stretches."""
     specific_force: Forces | None = None
-    """What the accelerometers said."""
+    """Output of the accelerometers."""
     temperature: Temperatures | None = None
     """Of the sensors."""
     table_angle: TableAngles | None = None
@@ -85,9 +85,9 @@ class Variables(Section):
     table_rate: TableRates | None = None
     """Of the table's axes."""
     standstill: Standstills | None = None
-    """Which standstill a row belongs to."""
+    """Number of the standstill of each row."""
     mounting: Mountings | None = None
-    """How the unit hung."""
+    """Number of the unit's mounting."""
     host_time: Stamps | None = None
     """Of the computer's clock."""
     status: Statuses | None = None

@@ -1,6 +1,6 @@
-"""From raw columns to a log: what recordings get wrong, found, named, and dealt with by a stated policy.
+"""From raw columns to a log: faults of recordings, detected, named, and treated by a policy.
 
-    fault                       found by                                                              may be
+    fault                       detected by                                                           may be
     unreadable row              its time is no number of seconds                                      mask, refuse
     duplicate stamp             its time is that of an earlier row                                    mask, refuse
     unordered stamp             its time is before that of an earlier row                             mask, refuse
@@ -31,16 +31,16 @@ from gradcal_jax.files.section import Section
 _FASTEST_RATE: Final = 90.0
 """rad/s, 5000 deg/s: beyond the full scale of the sensors that this program calibrates."""
 _LARGEST_FORCE: Final = 500.0
-"""m/s²: usual in no record that a calibration is made of."""
+"""m/s²: not usual in any record for a calibration."""
 _GAP: Final = 1.6
 """Intervals: less is jitter."""
 _WINDOW: Final = 5
 """Rows on either side over which stamps make up for jitter."""
 _STUCK: Final = 3
 _COARSE: Final = 0.1
-"""Share of rows with the stamp of another, above which stamps do not tell rows apart."""
+"""Fraction of rows with the stamp of another, above which stamps do not distinguish rows."""
 _RESTART: Final = 10
-"""Rows on end behind an earlier stamp that are no stray ones."""
+"""Consecutive rows after an earlier stamp that are not single outliers."""
 _COUNTERS: Final[Mapping[str, float]] = {
     "32 bits of µs": 2**32 * 1e-6,
     "32 bits of ms": 2**32 * 1e-3,
@@ -59,7 +59,7 @@ _DRIFT: Final = 50e-6
 """Clock errors smaller than this are those of any crystal."""
 _BLOCKS: Final = 50
 _ABSURD: Final = 1e12
-"""No time (s), rate or temperature is as large: such a number was never a reading."""
+"""No time (s), rate or temperature is as large: such a number is not a reading."""
 _FACTORS: Final[Mapping[str, float]] = {
     "deg for rad (or the reverse)": 180 / np.pi,
     "a thousandth": 1e3,
@@ -69,7 +69,7 @@ _FACTORS: Final[Mapping[str, float]] = {
 
 
 class Policy(Section):
-    """What to do with each fault; see the module's head."""
+    """The action for each fault; see the module's head."""
 
     unreadable_rows: Literal["mask", "refuse"] = "mask"
     """Rows whose time is no number."""
@@ -99,7 +99,7 @@ class Policy(Section):
 
 @dataclass
 class Columns:
-    """What a source held, in SI, row by row and unchecked; shapes as in `Log`."""
+    """The columns of a source in SI, unchecked; shapes as in `Log`."""
 
     rate_rad_per_s: Floats
     units: tuple[str, ...]
@@ -149,14 +149,14 @@ class Columns:
 
 
 def examine(columns: Columns, policy: Policy | None = None) -> Log:
-    """The log that a source's columns hold, with every fault found and dealt with as the policy says.
+    """The log of a source's columns, with every fault treated by the policy.
 
-    Rows are removed only where their stamp is of no use; all others stay, masked unit by unit. Nothing is dropped
-    uncounted: for every unit, used and masked rows and removed rows add up to the rows of the source.
+    Rows are removed only where their stamp is unusable; all others stay, masked unit by unit. Every row is counted: for
+    every unit, used, masked and removed rows add up to the rows of the source.
 
     **Raises:** `LogError` where the policy refuses a fault, and where fewer than two rows are left.
     """
-    # What overflows or divides by zero among absurd numbers is absurd too, and is compared as such.
+    # Absurd numbers may overflow or divide by zero; the result is absurd too, and compared as such.
     with np.errstate(all="ignore"):
         return _Examination(columns, policy or Policy()).log()
 
@@ -204,14 +204,14 @@ class _Examination:
         }
         return Log(**as_it_is | examined)
 
-    def found(self, kind: str, action: str, count: int, message: str) -> None:
-        """Note a fault, or raise where it is to be refused."""
+    def note_fault(self, kind: str, action: str, count: int, message: str) -> None:
+        """Note a fault, or raise where the policy refuses it."""
         if action == "refuse":
             raise LogError(f"{message} (the policy refuses that: see [policy] of the column map)")
         self.findings.append(Finding(kind, action, count, message))
 
     def wrong_unit(self, question: str) -> None:
-        self.found("wrong unit", self.policy.wrong_units, 0, question)
+        self.note_fault("wrong unit", self.policy.wrong_units, 0, question)
 
     def mask(self, where: Bools, reason: Reason, action: str, words: str) -> None:
         count = int(np.count_nonzero(where))
@@ -219,12 +219,12 @@ class _Examination:
             return
         unit, row = np.argwhere(where)[0]
         named = f" of unit {self.raw.units[unit]}" if len(self.raw.units) > 1 else ""
-        self.found(reason.words, action, count, f"{_rows(count)} {words}, first row {row}{named}")
+        self.note_fault(reason.words, action, count, f"{_rows(count)} {words}, first row {row}{named}")
         if action == "mask":
             self.status[where] |= reason.value
 
     def ordered(self, rows: int) -> tuple[Floats, Bools]:
-        """The times that increase, and which rows of the source they are."""
+        """The increasing times, and their rows in the source."""
         raw = self.raw
         if raw.time_s is None:
             if raw.sample_rate_hz is None:
@@ -249,7 +249,7 @@ class _Examination:
         ):
             count = int(np.count_nonzero(where))
             if count:
-                self.found(kind, action, count, f"{_rows(count)} {words}, first row {int(np.argmax(where))}")
+                self.note_fault(kind, action, count, f"{_rows(count)} {words}, first row {int(np.argmax(where))}")
                 self.removed[kind] = count
         kept = readable & ~duplicate & ~unordered
         if np.count_nonzero(kept) < 2:
@@ -257,10 +257,10 @@ class _Examination:
         return time[kept], kept
 
     def refuse_restart(self, time: Floats, before: Floats, unordered: Bools) -> None:
-        """A clock that steps back and goes on from there: no order of the rows is to be had from it."""
+        """A clock that steps back and continues from there does not give the order of the rows."""
         for start, stop in formulas.runs(unordered).tolist():
             usual = float(np.median(np.abs(np.diff(time[start:stop])))) if stop - start >= _RESTART else 0.0
-            # Rows that merely come late are followed by a leap to where the others were.
+            # Rows that are only late are followed by a jump back to the others' times.
             if usual > 0.0 and (stop == len(time) or time[stop] - time[stop - 1] < 3 * usual):
                 step = float(before[start] - time[start])
                 turns = [words for words, turn in _COUNTERS.items() if abs(step + usual - turn) < 0.01 * turn]
@@ -275,7 +275,7 @@ class _Examination:
         interval = np.diff(time)
         usual = float(np.median(interval))
         suspect = np.flatnonzero(interval > _GAP * usual)
-        # Late stamps are followed by early ones; after a gap nothing is made up for.
+        # Late stamps are followed by early ones; after a gap they are not.
         first = np.maximum(suspect - _WINDOW, 0)
         last = np.minimum(suspect + 1 + _WINDOW, len(time) - 1)
         lost = (time[last] - time[first]) / usual - (last - first)
@@ -288,7 +288,7 @@ class _Examination:
                 f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} with about {dropped} samples dropped, the longest "
                 f"{longest:.3g} s, the first after row {int(gaps[0])} of those kept"
             )
-            self.found("gap", self.policy.gaps, len(gaps), text)
+            self.note_fault("gap", self.policy.gaps, len(gaps), text)
         return np.concatenate([[0], gaps + 1]).astype(np.int64)
 
     def rates(self, rate: Floats) -> None:
@@ -313,7 +313,7 @@ class _Examination:
         whole = [name for name, rows in zip(self.raw.units, frozen, strict=True) if rows.all()]
         if whole:
             text = f"the temperature of {', '.join(whole)} never changes: constant, or not connected?"
-            self.found("constant temperature", "keep", 0, text)
+            self.note_fault("constant temperature", "keep", 0, text)
             frozen[frozen.all(axis=1)] = False
         words = "with a temperature that stands still while others of the record move"
         self.mask(frozen, Reason.FROZEN_TEMPERATURE, policy.frozen_temperatures, words)
@@ -359,7 +359,7 @@ class _Examination:
             self.against_table(rate, table_rate, usable)
 
     def force_sizes(self, force: Floats) -> None:
-        """Specific forces that no accelerometer of a gyro's unit says, or that are those of g."""
+        """Specific forces beyond an accelerometer of a gyro's unit, or in g."""
         for unit, name in enumerate(self.raw.units):
             if not (rows := self.status[unit] == 0).any():
                 continue
@@ -368,7 +368,7 @@ class _Examination:
                 self.wrong_unit(f"the specific force of {name} is usually {usual:.3g} m/s²: is its unit g, or counts?")
 
     def against_table(self, rate: Floats, table_rate: Floats, usable: Bools) -> None:
-        """A table axis and a sensor axis that move as one, but by a factor that is one of units."""
+        """A table axis and a sensor axis with the same motion except for a factor between units."""
         for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
             for table_axis in range(table_rate.shape[1]):
                 reference = table_rate[:, table_axis]
@@ -395,25 +395,25 @@ class _Examination:
             error = mean * stated - 1
             if _DRIFT < abs(error) < 0.2:
                 text = f"the samples are {error * 1e6:+.0f} ppm longer than at the stated {stated:g} Hz"
-                self.found("clock drift", action, 0, text)
+                self.note_fault("clock drift", action, 0, text)
         if host is not None and bool(np.all(np.abs(host) < _ABSURD)) and len(host) > 2:
             x, y = time - time.mean(), host - host.mean()
             slope = float(x @ y / (x @ x))
-            # Stamps of the host jitter by milliseconds: only what stands out of that is drift.
+            # Stamps of the host jitter by milliseconds: only a larger deviation is drift.
             uncertain = float(np.std(y - slope * x) / (np.std(x) * np.sqrt(len(x))))
             if abs(slope - 1) > _DRIFT + 3 * uncertain and slope > 0:
                 text = f"the sensor's clock runs {(1 / slope - 1) * 1e6:+.0f} ppm fast against the host's"
-                self.found("clock drift", action, 0, text)
+                self.note_fault("clock drift", action, 0, text)
         wander = _wander(within)
         if wander > _DRIFT:
             text = f"the sample interval wanders by {wander * 1e6:.0f} ppm (rms) in the course of the record"
-            self.found("clock drift", action, 0, text)
+            self.note_fault("clock drift", action, 0, text)
 
 
 def _least_walk(values: Floats, interval: float) -> float:
     """The least angle random walk (rad/√s) that neighbouring samples and neighbouring means of 8 and 64 allow.
 
-    From the median of their differences: it belongs to the quieter half of the record, be there motion in the other.
+    From the median of their differences, which is that of the quieter half: the other half may contain motion.
     """
     walks: list[float] = []
     for size in (1, 8, 64):
@@ -426,7 +426,7 @@ def _least_walk(values: Floats, interval: float) -> float:
 
 
 def _stuck_at_extreme(values: Floats) -> Bools:
-    """Rows of runs of `_STUCK` and more at the largest or the least value, where that stands far from the others."""
+    """Rows of runs of `_STUCK` and more at the largest or the least value, where that is far from the others."""
     result = np.zeros(len(values), bool)
     finite = np.isfinite(values)
     if not finite.any():
@@ -455,7 +455,7 @@ def _frozen(time: Floats, values: Floats, starts: NDArray[np.int64]) -> Bools:
     if np.ptp(values[known]) == 0.0:
         return known if time[-1] - time[0] > _FROZEN_S else result
     finite = known[begin]
-    # A coarse sensor on a slow ramp repeats itself too, but evenly so; and what was frozen comes back with a jump.
+    # A coarse sensor on a slow ramp repeats values too, but evenly; and after a frozen stretch there is a jump.
     usual = float(np.median(lasting[finite]))
     jump = np.abs(np.diff(values[begin]))
     step = float(np.median(jump[np.isfinite(jump)])) if np.isfinite(jump).any() else 0.0
@@ -467,20 +467,20 @@ def _frozen(time: Floats, values: Floats, starts: NDArray[np.int64]) -> Bools:
 
 
 def _wander(interval: Floats) -> float:
-    """How far block means of the interval stray from their mean, beyond what jitter explains; relative rms."""
+    """Deviation of block means of the interval from their mean, beyond jitter; relative rms."""
     size = len(interval) // _BLOCKS
     if size < 4:
         return 0.0
     table = interval[: size * _BLOCKS].reshape(_BLOCKS, size)
     means = table.mean(axis=1)
-    # Jitter of stamps cancels in a block but for its ends.
+    # Jitter of stamps cancels in a block except at its ends.
     jitter = np.sqrt(2) * float(np.std(table - means[:, None])) / size
     excess = float(np.var(means)) - 4 * jitter**2
     return float(np.sqrt(max(excess, 0.0))) / float(means.mean())
 
 
 def _numbered(standstill: Floats | None) -> NDArray[np.int64] | None:
-    """Numbers of standstills: those given, or truth values counted up run by run; -1 while moving."""
+    """Numbers of standstills: from the source, or truth values counted up run by run; -1 while moving."""
     if standstill is None:
         return None
     known = np.where(np.isfinite(standstill), standstill, -1.0)

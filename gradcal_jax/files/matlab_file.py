@@ -1,7 +1,7 @@
 """Numeric arrays of MATLAB v5 files (`save` with -v6 or -v7), read with every length checked.
 
-Source: MathWorks, "MAT-File Format", level 5. SciPy's reader is quicker to call but ends the process, not the call, on
-some damaged files, and a lab computer's files are sometimes damaged.
+Source: MathWorks, "MAT-File Format", level 5. SciPy's reader is not used, because it ends the process on some damaged
+files, and a lab computer's files are sometimes damaged.
 
     file     128 bytes of header: text, version, "IM" or "MI" for the byte order; then elements
     element  8 bytes of tag: type, length; data padded to 8 bytes, except in compressed elements, which follow closely
@@ -29,14 +29,14 @@ _COMPRESSED: Final = 15
 _CLASSES: Final[Mapping[int, str]] = {
     6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8",
 }  # fmt: skip
-"""Classes of matrices that hold numbers; characters, cells, structures, objects and sparse matrices are passed over."""
+"""Classes of matrices that hold numbers; characters, cells, structures, objects and sparse matrices are ignored."""
 _COMPLEX: Final = 0x08
 
 
 def read_matlab(path: Path) -> dict[str, NDArray[Any]]:
     """Every real numeric array of a file by name; those with one row or column as vectors.
 
-    **Raises:** `ValueError` with the place, for whatever does not follow the format.
+    **Raises:** `ValueError` with the place, for violations of the format.
     """
     content = path.read_bytes()
     if len(content) < 128 or content[126:128] not in (b"IM", b"MI"):
@@ -80,7 +80,7 @@ def _elements(data: memoryview, order: Order) -> Iterator[tuple[int, memoryview]
 
 
 def _matrix(data: memoryview, order: Order) -> tuple[str, NDArray[Any] | None]:
-    """Name and array of a matrix; `None` for what is no array of real numbers."""
+    """Name and array of a matrix; `None` unless it is an array of real numbers."""
     parts = _elements(data, order)
     flags = _numbers(next(parts, None), order)
     shape = _numbers(next(parts, None), order)

@@ -1,4 +1,4 @@
-"""How much memory a spec's prediction takes, known from the file, so that nobody waits for a machine that runs out."""
+"""Memory that a spec's prediction needs, estimated from the file, to refuse plans that exceed the machine's."""
 
 import contextlib
 import os
@@ -7,7 +7,7 @@ from typing import Final
 from gradcal_jax.files.schedule import GradientSchedule
 from gradcal_jax.files.spec import Spec
 
-# Of the whitened rows and what makes them, for each reading and column; measured: 2.6 kB a reading with 39 columns.
+# For the whitened rows and their computation, by reading and column; measured: 2.6 kB a reading with 39 columns.
 _BYTES: Final = 68.0
 
 
@@ -22,7 +22,7 @@ def needed_bytes(spec: Spec) -> float:
 
 def available_bytes() -> float:
     """Memory that this machine can give; infinite where it does not say."""
-    # Linux keeps files in memory that is not in use, and gives it back: "free" alone would be far too little.
+    # Linux caches files in unused memory and releases it: "free" alone would be far too little.
     with contextlib.suppress(OSError, ValueError), open("/proc/meminfo", encoding="ascii") as lines:
         for name, amount, *_ in map(str.split, lines):
             if name == "MemAvailable:":

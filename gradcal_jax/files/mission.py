@@ -4,9 +4,9 @@
     0,   0.0,  21.0
     10, 35.5,  21.4
 
-Commas between columns, points in numbers; other columns are left alone, and so are empty lines and those that begin
-with "#". Between its rows a mission runs along straight lines. Once read, a requirement holds the text of the table
-itself, so that a recipe, a sweep's worker or a spec in another folder needs no other file.
+Commas between columns, points in numbers; other columns, empty lines and lines that begin with "#" are ignored. Between
+rows a mission is linear. Once read, a requirement has the text of the table itself, so that a recipe, a sweep's worker
+or a spec in another folder needs no other file.
 """
 
 import csv
@@ -27,7 +27,7 @@ from gradcal_jax.files.problems import Problem, SpecError, instead
 from gradcal_jax.files.quantity import Number, Text
 from gradcal_jax.files.section import Section, refuse
 
-# By column: its dimension, and the least and the largest SI value (°C) that a mission has.
+# By column: its dimension, and the least and the largest allowed SI value (°C).
 _COLUMNS: Final[Mapping[str, tuple[str, float, float]]] = {
     "time": ("time", -1e12, 1e12),
     "rate": ("angular rate", -1e4, 1e4),
@@ -67,7 +67,7 @@ class Mission(Section):
     file: Text
     """Table of time, rate and temperature with units in its header (CSV), seen from the spec's folder."""
     weight: Annotated[Number, Field(gt=0.0, le=1e6)] = 1.0
-    """How much it counts among others."""
+    """Its weight among others."""
     table: str = ""
     """Text of the table, once it was read; filled in by the program."""
 
@@ -103,14 +103,14 @@ class Mission(Section):
         return cast("MissionRows", self._parsed[0])
 
 
-# A spec is made again for every change of it.
+# Cached, because a spec is built again for every change.
 @lru_cache(maxsize=64)
 def _parse(text: str) -> tuple[MissionRows | str, ...]:
     return tuple(_rows_or_faults(text))
 
 
 def _rows_or_faults(text: str) -> Iterator[MissionRows | str]:
-    """The rows, or sentences that each begin with the line that is wrong."""
+    """The rows, or sentences that begin with the number of the faulty line."""
     lines = ((k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#"))
     at, head = next(lines, (1, ""))
     columns = list(_columns(head))
@@ -120,11 +120,11 @@ def _rows_or_faults(text: str) -> Iterator[MissionRows | str]:
         return
     places = cast("list[tuple[int, float, float]]", columns)
     count = len(_fields(head))
-    found: list[list[float]] = [[], [], []]
+    series: list[list[float]] = [[], [], []]
     numbers: list[int] = []
     for number, line in lines:
         row = _row(_fields(line), places, count)
-        if not isinstance(row, str) and found[0] and row[0] <= found[0][-1]:
+        if not isinstance(row, str) and series[0] and row[0] <= series[0][-1]:
             row = f"the time is not after that of line {numbers[-1]}; rows are in order of time"
         if not isinstance(row, str) and len(numbers) >= _MOST_ROWS:
             row = f"more than {_MOST_ROWS} rows; average them to fewer"
@@ -135,14 +135,14 @@ def _rows_or_faults(text: str) -> Iterator[MissionRows | str]:
                 return
             continue
         numbers.append(number)
-        for column, value in zip(found, row, strict=True):
+        for column, value in zip(series, row, strict=True):
             column.append(value)
     if faults:
         return
     if len(numbers) < 2:
         yield f"line {at}: there are fewer than two rows below the header"
         return
-    time, rate, temperature = found
+    time, rate, temperature = series
     yield MissionRows(tuple(t - time[0] for t in time), tuple(rate), tuple(temperature), tuple(numbers))
 
 
@@ -154,7 +154,7 @@ def _fields(line: str) -> list[str]:
 
 
 def _columns(head: str) -> Iterator[tuple[int, float, float] | str]:
-    """Of time, rate and temperature the column, the SI value of 0 and of one unit; or what is wrong."""
+    """For time, rate and temperature the column, the SI value of 0 and of one unit; or the problem."""
     fields = _fields(head)
     named = [match.groups() if (match := _HEAD.fullmatch(field)) else (field, None, None) for field in fields]
     names = [str(name) for name, _, _ in named]
@@ -182,7 +182,7 @@ def _columns(head: str) -> Iterator[tuple[int, float, float] | str]:
 
 
 def _row(fields: list[str], places: list[tuple[int, float, float]], count: int) -> list[float] | str:
-    """Time, rate and temperature of a row; or what is wrong with it."""
+    """Time, rate and temperature of a row; or its problem."""
     if len(fields) != count:
         return (
             f"{len(fields)} columns, and the header has {count}; "

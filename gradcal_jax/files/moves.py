@@ -1,4 +1,4 @@
-"""The moves of a cycle: what people write, and the motion that it means.
+"""The moves of a cycle: the keys of the file, and the motion that they define.
 
 Kinematics (D duration, A peak rate, r ramp time, θ angle):
 
@@ -11,10 +11,10 @@ Kinematics (D duration, A peak rate, r ramp time, θ angle):
     spline          integral     largest slope         duration, rates (inner control values)
     hand            AD/2         largest slope         turn|turns, duration, unevenness
 
-The user gives as many keys as fix the motion; with two for a ramped shape the ramps are as short as the table's largest
-acceleration allows. More keys are welcome where they agree within 0.5 % (rounded figures of a paper do); then the
-angle and the duration given are taken as exact. The sign of the motion belongs to `turn`; where the angle follows from
-the other keys it belongs to `peak_rate`.
+The keys must determine the motion; with two keys for a ramped shape the ramps are as short as the table's largest
+acceleration allows. More keys are allowed if they agree within 0.5 % (as rounded figures of a paper do); then angle and
+duration are exact. The sign of the motion is that of `turn`; where the angle follows from the other keys, that of
+`peak_rate`.
 """
 
 import math
@@ -71,7 +71,7 @@ class ResolvedMove:
 
     @property
     def words(self) -> str:
-        """As problems say it."""
+        """In words, for messages."""
         return f"{self.shape}, {self.duration:.4g} s"
 
     @property
@@ -140,7 +140,7 @@ class _Turn(_Move):
 
     @property
     def angle(self) -> float | None:
-        """The angle that was written, in rad."""
+        """The angle of the file, in rad."""
         if self.turns is not None:
             return 2.0 * math.pi * self.turns
         return _number(self.turn)
@@ -168,7 +168,7 @@ class _PeakedTurn(_Turn):
         return self
 
     def sizes(self) -> tuple[float, float | None, float | None, float | None]:
-        """Direction (±1), and the sizes of angle, peak rate and duration that were written."""
+        """Direction (±1), and the sizes of angle, peak rate and duration in the file."""
         angle, peak = self.angle, _number(self.peak_rate)
         leading = angle if angle is not None else peak
         direction = -1.0 if leading is not None and leading < 0.0 else 1.0
@@ -202,8 +202,8 @@ class _RampedTurn(_PeakedTurn):
         """Complete (θ, A, D, r) by θ = A(D − r)."""
         _, angle, peak, duration = self.sizes()
         ramp = _number(self.ramp)
-        given = [value is not None for value in (angle, peak, duration)]
-        if sum(given) < 2:
+        sizes = [value is not None for value in (angle, peak, duration)]
+        if sum(sizes) < 2:
             message = "the motion is not determined; give two of turn, peak_rate and duration (and ramp if it matters)"
             raise SpecError([Problem((), message)])
         least = self.STEEPNESS / max_acceleration  # ramp time for each unit of peak rate
@@ -228,7 +228,7 @@ class _RampedTurn(_PeakedTurn):
                     self._too_short(2.0 * ramp)
                 peak = angle / (duration - ramp)
             else:
-                # A(D − least·A) = θ; the smaller root, written so that nothing cancels
+                # A(D − least·A) = θ; the smaller root, without cancellation
                 discriminant = duration**2 - 4.0 * least * angle
                 if discriminant < 0.0:
                     self._too_short(2.0 * math.sqrt(least * angle))
@@ -238,19 +238,19 @@ class _RampedTurn(_PeakedTurn):
         return self.motion(angle=angle, peak=peak, duration=duration, acceleration=acceleration, ramp=ramp)
 
     def _from_three(self, angle: float, peak: float, duration: float, ramp: float | None) -> float:
-        found = duration - angle / peak
+        fitting = duration - angle / peak
         if ramp is not None and abs(peak * (duration - ramp) - angle) > AGREEMENT * angle:
             turned = f"{math.degrees(peak * (duration - ramp)):.5g} deg"
             message = f"contradicts the others: peak_rate × (duration − ramp) is {turned}; leave one of the four out"
             raise SpecError([Problem((self.angle_key,), message, self._written_angle())])
-        if found <= 0.0 or found > 0.5 * duration * (1.0 + AGREEMENT):
+        if fitting <= 0.0 or fitting > 0.5 * duration * (1.0 + AGREEMENT):
             shortest, longest = _seconds(angle / peak), _seconds(2.0 * angle / peak)
             message = (
                 f"contradicts {self.angle_key} and peak_rate, which need more than {shortest} (no ramps) "
                 f"and at most {longest} (ramps only)"
             )
             raise SpecError([Problem(("duration",), message, str(self.duration))])
-        return min(found, 0.5 * duration)
+        return min(fitting, 0.5 * duration)
 
     def _too_fast(self, angle: float, peak: float, ramp: float, least: float) -> None:
         if self.ramp is not None:
@@ -299,11 +299,11 @@ class _WholeTurn(_PeakedTurn):
             message = "the motion is not determined; give two of turn, peak_rate and duration"
             raise SpecError([Problem((), message)])
         if angle is not None and duration is not None:
-            found = angle / (self.FULLNESS * duration)
-            if peak is not None and abs(found - peak) > AGREEMENT * peak:
-                message = f"contradicts {self.angle_key} and duration, which mean {_round_rate(found)}; leave one out"
+            fitting = angle / (self.FULLNESS * duration)
+            if peak is not None and abs(fitting - peak) > AGREEMENT * peak:
+                message = f"contradicts {self.angle_key} and duration, which mean {_round_rate(fitting)}; leave one out"
                 raise SpecError([Problem(("peak_rate",), message, str(self.peak_rate))])
-            peak = found
+            peak = fitting
         elif peak is not None and duration is not None:
             angle = self.FULLNESS * peak * duration
         else:
@@ -418,7 +418,7 @@ class Hand(_Turn):
     shape: Literal["hand"]
     """Course of the rate."""
     unevenness: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.3
-    """How unevenly a hand turns, as a share of the rate."""
+    """Unevenness of the turn, as a share of the rate."""
 
     @model_validator(mode="after")
     def _ends_only(self) -> "Hand":

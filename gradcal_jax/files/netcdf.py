@@ -1,8 +1,8 @@
 """Writing netCDF (HDF5) files, and reading those that may be damaged.
 
-One wrong byte among a file's addresses can send the HDF5 library round in circles, crash it, or have it ask for all the
-memory there is; none of that can be caught in the program that called it. So a file is first read in a process of its
-own, which may be stopped, and here only when that came to its end.
+One wrong byte in a file's addresses can make the HDF5 library loop for ever, crash, or allocate all memory, which the
+calling program cannot catch. So a file is first read in a separate process that can be stopped, and here only after
+that has succeeded.
 """
 
 import subprocess
@@ -23,8 +23,8 @@ class NetcdfError(ValueError):
 def load_netcdf(path: str | Path, trial_s: float = 30.0) -> Any:
     """The whole file as an `xarray.Dataset`; times stay plain numbers, never calendar dates.
 
-    `trial_s` is how long the trial may take, beside a tenth of a second for each megabyte. Errors: `NetcdfError` for
-    whatever is wrong with the file's bytes, `OSError` where it cannot be opened.
+    `trial_s` is the time-out of the trial, plus a tenth of a second for each megabyte. Errors: `NetcdfError` for
+    damaged files, `OSError` where a file cannot be opened.
     """
     path = Path(path)
     with path.open("rb") as opened:
@@ -45,7 +45,7 @@ def load_netcdf(path: str | Path, trial_s: float = 30.0) -> Any:
     with trial:
         try:
             import_module("xarray")  # while the trial imports it, too
-            said, _ = trial.communicate(timeout=trial_s + path.stat().st_size / _SLOWEST_BYTES_PER_S)
+            reply, _ = trial.communicate(timeout=trial_s + path.stat().st_size / _SLOWEST_BYTES_PER_S)
         except subprocess.TimeoutExpired:
             raise NetcdfError("it is damaged, reading it comes to no end") from None
         finally:
@@ -53,15 +53,15 @@ def load_netcdf(path: str | Path, trial_s: float = 30.0) -> Any:
     if trial.returncode < 0:
         raise NetcdfError(f"it is damaged, the HDF5 library does not survive it (signal {-trial.returncode})")
     if trial.returncode > 0:
-        raise NetcdfError(said.strip() or "the program that tries it first could not run")
+        raise NetcdfError(reply.strip() or "the program that tries it first could not run")
     return _load(path)
 
 
 def save_netcdf(dataset: Any, path: str | Path) -> None:
-    """Write an `xarray.Dataset`, whole or not at all. It is made in memory first: where a file cannot grow, the HDF5
-    library takes the program down with it. Errors: `OSError` that names the file.
+    """Write an `xarray.Dataset` atomically. It is built in memory first, because the HDF5 library crashes the program
+    where a file cannot grow. Errors: `OSError` that names the file.
     """
-    # Imported here, since this file is also run by its name, to try files out.
+    # Imported here, because this file is also run as a script, for the trial.
     from gradcal_jax.files.writing import whole
 
     contents = dataset.to_netcdf(engine="h5netcdf")
@@ -70,7 +70,7 @@ def save_netcdf(dataset: Any, path: str | Path) -> None:
 
 
 def _signed(opened: Any) -> bool:
-    """HDF5's signature stands at byte 0, or after a block of the user's: 512, 1024, 2048, … bytes."""
+    """HDF5's signature is at byte 0, or after a user block of 512, 1024, 2048, … bytes."""
     at = 0
     while True:
         opened.seek(at)

@@ -1,4 +1,4 @@
-"""`[plan]`: what chamber and table do, and when the axis is read.
+"""`[plan]`: the course of the chamber, the motion of the table, and the readings.
 
 Two methods. "standard": stable temperatures one after the other, each with a soak, a reference rate (or standstill) at
 each. "gradient": the temperature keeps changing, the table turns and rests, and the only reference is the angle.
@@ -113,7 +113,7 @@ class Cycle(Section):
     other_axes: OtherAxes | None = None
     """Time that the other axes take in each cycle."""
     duration: Time | None = None
-    """Length of a cycle; absent: what moves and other axes take; longer: the axis stands for the rest."""
+    """Length of a cycle; absent: that of its moves and other axes; longer: the axis stands for the rest."""
 
 
 class _Slopes:
@@ -166,7 +166,7 @@ class ChamberCourse(Section):
     """Soaks, ramps and steps one after the other, in the place of the keys above."""
 
     def course_problems(self, *, with_cycle: bool) -> list[Problem]:
-        """What is wrong with the course. `with_cycle`: whether there may be a slope for each cycle."""
+        """Problems of the course. `with_cycle`: whether there may be a slope for each cycle."""
         problems: list[Problem] = []
         if self.programme is not None:
             for key in ("temperature", "gradient", "soak"):
@@ -204,7 +204,7 @@ class GradientPlan(ChamberCourse):
     method: Literal["gradient"]
     """The method."""
     reference: Literal["angle"] = "angle"
-    """What the readings are compared with."""
+    """The reference of the readings."""
     read_every: Time | None = None
     """Spacing of the readings of a plan without a cycle."""
     cycle: Cycle | None = None

@@ -1,4 +1,4 @@
-"""Tables of points: what a sensor said at a temperature and a reference rate. The standard method's data, as they are.
+"""Tables of points: a sensor's output at a temperature and a reference rate, the data of the standard method.
 
     format         = "gradcal-points/1"
     name           = "SN-7"                   # of the sensor; axis = "x"
@@ -58,7 +58,7 @@ class PointMap(Section):
     reference_rate: RateColumn
     """Column of the rate of the table."""
     output: RateColumn
-    """Column of what the sensor said."""
+    """Column of the sensor's output."""
     sigma: RateColumn | None = None
     """Column of the output's standard deviation; absent: the spec's noise counts."""
     csv: TextTable = TextTable()
@@ -105,7 +105,7 @@ def read_points(path: str | Path, columns: PointMap | str | Path) -> RatePoints:
         for words, values in (("temperature", temperature), ("reference rate", reference), ("output", output)):
             if not np.isfinite(values).all():
                 raise LogError(f"the {words} of row {int(np.argmin(np.isfinite(values)))} is no number: leave it out")
-        # A sensor follows its table, but for its bias: a hundredfold more is a unit.
+        # Except for its bias, a sensor's output is the table's rate: a factor of a hundred is a wrong unit.
         slope = float(output @ reference / (reference @ reference)) if reference.any() else 1.0
         if not 0.5 < abs(slope) < 2.0:
             raise LogError(f"the output is {slope:.3g} times the reference: is one of them in another unit or scale?")

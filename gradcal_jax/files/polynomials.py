@@ -1,4 +1,4 @@
-"""Maps of any basis as polynomials, for targets that know nothing else: exact where they are ones, otherwise fitted."""
+"""Maps of any basis as polynomials, for targets without other bases: exact for polynomials, otherwise fitted."""
 
 import numpy as np
 from numpy.polynomial import polynomial

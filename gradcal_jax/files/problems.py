@@ -1,4 +1,4 @@
-"""What is wrong with a file: every problem at once, each with its key, its value and what was expected."""
+"""Problems of a file: all at once, each with its key, its value and the expected value."""
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,13 +22,13 @@ class _Absent:
 
 
 ABSENT: Final = _Absent()
-"""The value of a problem that is about a key which is not there, or about several keys together."""
+"""The value of a problem of an absent key, or of several keys together."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One fault. `key` is the path (names and list positions), `value` what the file says there (or `ABSENT`), `line`
-    where that stands in it."""
+    """One fault. `key` is the path (names and list positions), `value` the file's value there (or `ABSENT`), `line` its
+    line."""
 
     key: Key
     message: str
@@ -38,11 +38,11 @@ class Problem:
 
     @property
     def dotted(self) -> str:
-        """The key as people write it: ``plan.cycle.moves[2].peak_rate``."""
+        """The key as text: ``plan.cycle.moves[2].peak_rate``."""
         return dotted(self.key)
 
     def under(self, *prefix: str | int) -> "Problem":
-        """The same problem, seen from further up."""
+        """The same problem, with its key relative to an outer table."""
         return replace(self, key=(*prefix, *self.key))
 
     def __str__(self) -> str:
@@ -56,10 +56,10 @@ class Problem:
 
 
 class SpecError(ValueError):
-    """A file that cannot be used. `problems` lists every fault; the message says them all, one a line.
+    """A file that cannot be used. `problems` lists every fault; the message has them all, one a line.
 
-    A `ValueError`. Each `Problem` has the key, the value with its unit as it was written, and what was expected.
-    Errors: this is one; making it raises none.
+    A `ValueError`. Each `Problem` has the key, the value with the unit of the file, and the expected value.
+    Errors: none.
     """
 
     def __init__(self, problems: Iterable[Problem], source: str = "") -> None:
@@ -78,10 +78,10 @@ class SpecError(ValueError):
 
 
 def _unique(problems: Iterable[Problem]) -> tuple[Problem, ...]:
-    found: dict[str, Problem] = {}
+    unique: dict[str, Problem] = {}
     for problem in problems:
-        found.setdefault(str(problem), problem)
-    return tuple(found.values())
+        unique.setdefault(str(problem), problem)
+    return tuple(unique.values())
 
 
 def dotted(key: Key) -> str:
@@ -142,14 +142,14 @@ def one_of(known: Iterable[str]) -> str:
 
 
 def from_validation(error: ValidationError) -> list[Problem]:
-    """Every problem in what pydantic found, nested ones and ours among them, in our words."""
-    found = [problem for details in error.errors(include_url=False) for problem in _translate(details)]
+    """All problems of pydantic's error, including nested `SpecError`s, in this program's words."""
+    problems = [problem for details in error.errors(include_url=False) for problem in _translate(details)]
     # A list of which every entry was refused is also "too short": that is no fault of its own.
-    above = {other.key[:n] for other in found for n in range(len(other.key))}
-    return [p for p in found if p.kind != "short" or p.key not in above]
+    above = {other.key[:n] for other in problems for n in range(len(other.key))}
+    return [p for p in problems if p.kind != "short" or p.key not in above]
 
 
-# Pydantic's own kinds of error -> what was expected, in our words; the braces take the error's context.
+# Pydantic's kinds of error -> the expected value, in this program's words; the braces take the error's context.
 _EXPECTED: Final[Mapping[str, str]] = {
     "string_type": "expected text in quotes",
     "int_type": "expected a whole number",

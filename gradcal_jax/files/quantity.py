@@ -1,7 +1,7 @@
-"""Quantities in models of files: SI numbers that remember how they were written.
+"""Quantities in models of files: SI numbers that keep their text.
 
 A `Quantity` *is* its SI value (a float; °C for absolute temperatures) and keeps the text it was read from, so that
-writing a file back changes nothing. A number that the program worked out is dressed in a unit by `Quantity.of`.
+writing a file back changes nothing. `Quantity.of` gives a computed number a unit and a text.
 """
 
 import math
@@ -39,7 +39,7 @@ class Quantity(float):
 
     @classmethod
     def of(cls, value: float, unit: str) -> "Quantity":
-        """An SI value dressed in `unit`; its text reads back as exactly this value."""
+        """An SI value with a text in `unit`, which reads back as exactly this value."""
         text = units.format_quantity(value, unit)
         return cls(value, text, units.dimension_of(unit))
 
@@ -80,7 +80,7 @@ class Of:
         }
 
     def read(self, value: object) -> Quantity:
-        """The quantity in a file's value. Raises `ValueError` with what was expected."""
+        """The quantity in a file's value. Raises `ValueError` with the expected value."""
         if isinstance(value, Quantity) and value.dimension == self.dimension:
             quantity = value
         elif self.infinite is not None and value == self.infinite:

@@ -1,8 +1,8 @@
-"""gradcal-recipe/1: a plan made executable. Tracks of chamber and table, the prediction of what they leave, the spec.
+"""gradcal-recipe/1: an executable plan. Tracks of chamber and table, the predicted residual, the spec.
 
-The tracks follow from the spec inside, whose plan is rounded to what the controllers accept; a file in which they do
-not was changed by hand, and is refused. Nothing here imports JAX: a recipe is made by `gradcal_jax.api.recipe`,
-and what a runner needs of it is in this room.
+The tracks follow from the spec inside, whose plan is rounded to the controllers' steps; a file in which they do not was
+changed by hand, and is refused. Nothing here imports JAX: `gradcal_jax.api.recipe` builds a recipe, and this package
+has all that a runner needs of it.
 """
 
 import hashlib
@@ -37,22 +37,22 @@ class PredictedParameter(ParameterRow):
 
 
 class Predicted(Section):
-    """What the rounded plan leaves, as `gradcal predict` says it of the spec inside; the covariance is left out."""
+    """The residual of the rounded plan, as by `gradcal predict` for the spec inside; without the covariance."""
 
     duration_s: Size
-    """Of the whole plan (s)."""
+    """Duration of the whole plan (s)."""
     soak_s: Size
-    """Of its soaks (s)."""
+    """Duration of its soaks (s)."""
     motion_s: Size
-    """Of its ramp (s)."""
+    """Duration of its ramp (s)."""
     requirements: tuple[RequirementRow, ...] = ()
-    """What is left, by requirement."""
+    """Residuals, by requirement."""
     parameters: tuple[PredictedParameter, ...] = ()
     """Coefficients."""
     notices: tuple[NoticeRow, ...] = ()
-    """What tests of the log would notice."""
+    """Detection by tests of the log."""
     warnings: tuple[Text, ...] = ()
-    """What to know, in sentences."""
+    """Warnings, in sentences."""
 
     @classmethod
     def of(cls, prediction: Prediction) -> "Predicted":
@@ -61,13 +61,13 @@ class Predicted(Section):
         return cls.model_validate(tables)
 
 
-class Made(Section):
-    """How a recipe came about."""
+class RecipeOrigin(Section):
+    """The origin of a recipe."""
 
     by: Text
     """Program and version."""
     versions: dict[str, str]
-    """Versions of what it computed with."""
+    """Versions of the packages used."""
     seed: Whole | None = None
     """Of the search."""
 
@@ -80,24 +80,20 @@ def _spec_inside(value: object) -> Spec | UnitSpec:
 
 
 class Recipe(Section):
-    """A whole recipe.
-
-    `status` is a sentence ("not optimised", "converged: …"). `rounded` lists what rounding changed, `notes` what else
-    to know. `optimisation` is the optimiser's own record: objective, before, now, starts, limits.
-    """
+    """A whole recipe."""
 
     format: Literal["gradcal-recipe/1"]
     """Name and version of this file format."""
     title: Text | None = None
     """A name for people."""
     status: Text
-    """How the plan came about, in a sentence."""
+    """The origin of the plan, in a sentence ("not optimised", "converged: …")."""
     notes: tuple[Text, ...] = ()
-    """What else to know."""
+    """Further notes."""
     rounded: tuple[Text, ...] = ()
-    """What rounding changed."""
-    made: Made
-    """How the file came about."""
+    """Changes by rounding."""
+    made: RecipeOrigin
+    """The origin of the file."""
     resolution: ControllerSteps
     """Steps of the controllers that it is rounded to."""
     stability: Stability
@@ -107,7 +103,7 @@ class Recipe(Section):
     motion: tuple[MotionBlock, ...]
     """The table's track."""
     prediction: Predicted
-    """What the rounded plan leaves."""
+    """Residual of the rounded plan."""
     optimisation: dict[str, Any] | None = None
     """The optimiser's own record: objective, before, now, starts, limits."""
     spec: Annotated[Spec | UnitSpec, BeforeValidator(_spec_inside)] = Field(title="gradcal-spec/1")
@@ -117,7 +113,7 @@ class Recipe(Section):
     def _of_one_piece(self) -> "Recipe":
         chamber, motion = tracks_of(self.spec)
         problems = _differences(chamber.model_dump(mode="json"), self.chamber.model_dump(mode="json"), ("chamber",))
-        written, expected = ([block.model_dump(mode="json") for block in found] for found in (self.motion, motion))
+        written, expected = ([block.model_dump(mode="json") for block in blocks] for blocks in (self.motion, motion))
         problems += _differences(expected, written, ("motion",))
         refuse(*problems[:5])
         return self
@@ -131,12 +127,12 @@ class Recipe(Section):
 
     @property
     def duration_s(self) -> float:
-        """Of the plan; what is waited for stable temperatures comes on top."""
+        """Duration of the plan, without waiting for stable temperatures."""
         return self.spec.schedule.duration
 
     @property
     def fingerprint(self) -> str:
-        """The same for the same contents on every computer: what a run resumes by."""
+        """A hash of the contents, the same on every computer, which a resumed run compares."""
         tables = self.model_dump(mode="json", exclude_unset=True)
         text = json.dumps(tables, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
         return hashlib.sha256(text.encode()).hexdigest()
@@ -207,5 +203,5 @@ def recipe_of(document: Mapping[str, Any], source: str = "") -> Recipe:
 
 def is_recipe(document: Mapping[str, Any]) -> bool:
     """Whether tables are a recipe of any version."""
-    found = document.get("format")
-    return isinstance(found, str) and found.split("/")[0] == FORMAT.split("/")[0]
+    version = document.get("format")
+    return isinstance(version, str) and version.split("/")[0] == FORMAT.split("/")[0]

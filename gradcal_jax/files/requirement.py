@@ -1,4 +1,4 @@
-"""`[[requirement]]`: what the calibration of an axis or a whole unit must serve, and how the residual is summed up."""
+"""`[[requirement]]`: the errors that the calibration of an axis or a whole unit limits, and their statistics."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal
@@ -38,7 +38,7 @@ def _rates_only(value: object) -> object:
 
 class _OfAxis(Section):
     name: Text
-    """Its name, by which verdicts and [design] speak of it."""
+    """Its name, which verdicts and [design] refer to."""
     quantity: Any
     """What must be good."""
 
@@ -49,7 +49,7 @@ def _ordered(section: Any) -> Any:
 
 
 class ScaleFactorRequirement(_OfAxis):
-    """What a calibration must serve: the scale factor's error over a box of temperature and rate.
+    """A requirement on the scale factor's error over a box of temperature and rate.
 
     The target is met where `coverage` times the statistic is within it (simple acceptance); with `risk` it is guarded:
     met where the error at the worst place of the box is beyond it with no more than that chance.
@@ -85,7 +85,7 @@ class ScaleFactorRequirement(_OfAxis):
 
 
 class BiasRequirement(_OfAxis):
-    """What a calibration must serve: the bias's error over a range of temperature. Targets as of a scale factor."""
+    """A requirement on the bias's error over a range of temperature. Targets as for a scale factor."""
 
     quantity: Literal["bias"]
     temperature: tuple[Temperature, Temperature]
@@ -105,10 +105,10 @@ class BiasRequirement(_OfAxis):
 
 
 class HeadingRequirement(_OfAxis):
-    """What the calibration leaves of the integrated rate at the end of a `mission`, or `after` a time in it.
+    """The calibration's error in the integrated rate at the end of a `mission`, or `after` a time in it.
 
-    Of several missions the root mean square by their weights, or the "max". `target` limits the calibration's part
-    alone: the unit's own noise no calibration takes off. `coverage`, `risk`: as of a scale factor.
+    For several missions the weighted root mean square, or the "max". `target` limits the calibration's part alone,
+    because no calibration removes the unit's own noise. `coverage`, `risk`: as for a scale factor.
     """
 
     quantity: Literal["heading"]
@@ -161,7 +161,7 @@ class HeadingRequirement(_OfAxis):
 class NorthRequirement(_OfAxis):
     """The error of a gyrocompass: of the bias, over the Earth's rate across the meridian at the `latitude`.
 
-    `after`: how long it stands to find north, of which the unit's own noise depends. The rest as of a bias.
+    `after`: the time at rest to find north, on which the unit's own noise depends. The rest as for a bias.
     """
 
     quantity: Literal["north"]
@@ -206,7 +206,7 @@ class _OfUnit(Section):
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y", "z")
 
     name: Text
-    """Its name, by which verdicts and [design] speak of it."""
+    """Its name, which verdicts and [design] refer to."""
     temperature: tuple[Temperature, Temperature]
     """Lowest and highest temperature."""
     axis: Elements = "worst"

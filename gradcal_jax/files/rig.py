@@ -1,7 +1,7 @@
-"""`gradcal-rig/1`: which device hangs on which port, who it must be, and what it does when a run ends badly.
+"""`gradcal-rig/1`: the devices, their ports and serial numbers, and their safe states.
 
-The file names drivers and ports; what a driver's `options` mean is the driver's own affair and is read by
-`gradcal_jax.hardware.setup`, so that this room needs no serial library.
+The file names drivers and ports; `gradcal_jax.hardware.setup` reads a driver's `options`, so that this package needs no
+serial library.
 """
 
 import re
@@ -32,7 +32,7 @@ _PORT: Final = re.compile(
 
 
 def _port(text: str) -> str:
-    """Serial libraries know other addresses, too, some of which write files: a rig file may come from anybody."""
+    """Serial libraries accept other addresses, too, some of which write files; a rig file may be untrusted."""
     if text == TERMINAL or _PORT.fullmatch(text):
         return text
     raise ValueError("expected a device path, such as /dev/ttyUSB0, or COM3, socket://host:port, rfc2217://host:port")
@@ -77,11 +77,11 @@ class EncoderDevice(Section):
 class AxisDevice(Section):
     """`[[axis]]`, outermost first: the device that turns an axis of the table.
 
-    The driver "operator" is a person who turns the axis and types its angle; with an `encoder` it is read.
+    The driver "operator" asks a person to turn the axis and type its angle; with an `encoder` that is read.
     """
 
     name: Name
-    """Its name, by which runs and logs speak of it."""
+    """Its name, which runs and logs refer to."""
     driver: Text
     """Name of its driver: zaber, odrive or operator."""
     port: Port
@@ -119,7 +119,7 @@ class ImuDevice(Section):
     """`[[imu]]`: a unit under calibration."""
 
     name: Name
-    """Its name, by which runs and logs speak of it."""
+    """Its name, which runs and logs refer to."""
     driver: Text
     """Name of its driver: stim300 or vectornav."""
     port: Port
@@ -131,7 +131,7 @@ class ImuDevice(Section):
 
 
 class OperatorPlace(Section):
-    """`[operator]`: where somebody is asked to hang the units anew."""
+    """`[operator]`: where the operator is asked to hang the units anew."""
 
     port: Port = TERMINAL
     """The terminal, or where its own is connected."""
@@ -184,9 +184,9 @@ class RigFile(Section):
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
     """Units under calibration."""
     alarm: Alarm | None = None
-    """What is called when somebody must come."""
+    """The command that calls the operator."""
     operator: OperatorPlace | None = None
-    """Where somebody is asked to hang the units anew; absent: the terminal where the run was started."""
+    """Where the operator is asked to hang the units anew; absent: the terminal where the run was started."""
     laboratory: Laboratory | None = None
     """Who signs a certificate."""
     reference: Annotated[tuple[TraceableReference, ...], Field(max_length=20)] = ()
@@ -251,7 +251,7 @@ TEMPLATE: Final = """\
 format = "gradcal-rig/1"
 title  = "my bench"
 
-# What hangs on which port. A port is a device path, COM3, or a URL such as socket://192.168.0.7:10001.
+# The devices and their ports. A port is a device path, COM3, or a URL such as socket://192.168.0.7:10001.
 # `gradcal rig check` reads everything back from the devices.
 
 [chamber]
@@ -266,7 +266,7 @@ band    = "3 K"              # and so far beside it
 
 [[axis]]                     # outermost first
 name           = "table"
-driver         = "zaber"     # zaber or odrive; or operator: somebody turns it by hand (see below)
+driver         = "zaber"     # zaber or odrive; or operator: turned by hand (see below)
 port           = "/dev/ttyUSB1"
 safe           = "hold"      # hold, controlled stop or unpower
 gravity_loaded = false       # true: it moves by itself without power
@@ -296,7 +296,7 @@ sample_rate = "125 Hz"
 # [alarm]
 # command = ["notify-send", "gradcal"]
 
-# Who hangs a whole unit anew, where its spec has several mountings; without it, whoever started the run.
+# Where the operator is asked to hang a whole unit anew, if its spec has several mountings; else where the run started.
 # [operator]
 # port = "/dev/ttyUSB4"
 

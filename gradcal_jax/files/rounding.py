@@ -1,9 +1,9 @@
-"""A spec whose plan is rounded to what the controllers can be told, and whose turns are the trapezoids they make.
+"""Rounding of a spec's plan to the controllers' steps, with its turns as the controllers' trapezoids.
 
-Moves keep their place: a turn's duration is rounded up, so that its ramps do not become steeper than they may, and what
-that adds to a cycle is taken from the longest time of standing. A ramp's slope is rounded to the nearest step, or to
-the next slower one where a repetition of the cycle would be lost. Whole turns stay whole. Of a whole unit it is where
-the axes stand that is rounded, so that poses do not wander, and every pose is written out as the turns that lead there.
+Moves keep their order: a turn's duration is rounded up, so that its ramps do not exceed the limits, and the longest
+standstill of the cycle becomes shorter by as much. A ramp's slope is rounded to the nearest step, or to the next slower
+one where a repetition of the cycle would be lost. Whole turns stay whole. For a whole unit the axes' angles at rest are
+rounded, so that rounding errors of poses do not add up, and every pose is replaced by its turns.
 """
 
 import math
@@ -38,7 +38,7 @@ Table = dict[str, Any]
 
 
 class ControllerSteps(Section):
-    """The steps of the controllers. The defaults suit the drivers here; `[rig.resolution]` of a spec goes first."""
+    """The steps of the controllers. The defaults suit this program's drivers; a spec's `[rig.resolution]` overrides."""
 
     temperature: PositiveTemperatureDifference = Quantity(0.1, "0.1 K", "temperature difference")
     """Step of a temperature."""
@@ -54,16 +54,16 @@ class ControllerSteps(Section):
 
 def steps_of(spec: Spec | UnitSpec) -> ControllerSteps:
     """The steps that a spec's `[rig.resolution]` gives, defaults for the others."""
-    given = spec.rig.resolution
-    if given is None:
+    resolution = spec.rig.resolution
+    if resolution is None:
         return ControllerSteps()
     names = ("temperature", "time", "rate", "angle")
-    return ControllerSteps(**{name: value for name in names if (value := getattr(given, name)) is not None})
+    return ControllerSteps(**{name: value for name in names if (value := getattr(resolution, name)) is not None})
 
 
 @dataclass(frozen=True)
 class Rounded(Generic[AnySpec]):
-    """`changes`: what rounding did, a sentence each; `notes`: what the controllers do otherwise than the plan says."""
+    """`changes`: the changes by rounding, a sentence each; `notes`: deviations of the controllers from the plan."""
 
     spec: AnySpec
     changes: tuple[str, ...]
@@ -71,40 +71,40 @@ class Rounded(Generic[AnySpec]):
 
 
 def rounded(spec: AnySpec, steps: ControllerSteps | None = None, *, keep_shapes: bool = False) -> Rounded[AnySpec]:
-    """The spec as the controllers can execute it.
+    """The spec with a plan that the controllers can execute.
 
-    `keep_shapes`: the table follows any shape by itself; without it turns become trapezoids ("linear ramps") of the
-    same angle, peak rate and duration, and oscillations become turns to and fro.
+    `keep_shapes`: the table can follow any shape; without it turns become trapezoids ("linear ramps") of the same
+    angle, peak rate and duration, and oscillations become turns to and fro.
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """
     rounder = _Rounder(steps or steps_of(spec), keep_shapes)
     tables = tables_of(spec)
     plan: Table = tables["plan"]
-    made: Spec | UnitSpec
+    result: Spec | UnitSpec
     if isinstance(spec, UnitSpec):
         _temperatures(plan, rounder)
         _unit_cycle(spec, plan["cycle"], rounder)
-        made = _keep_cycles(spec, tables, rounder)
+        result = _keep_cycles(spec, tables, rounder)
     elif isinstance(schedule := spec.schedule, GradientSchedule):
         _temperatures(plan, rounder)
         if "read_every" in plan:
             plan["read_every"] = rounder.time(plan["read_every"])
         if schedule.cycle is not None:
             _cycle(spec, plan["cycle"], schedule, schedule.cycle, rounder)
-        made = _keep_cycles(spec, tables, rounder)
+        result = _keep_cycles(spec, tables, rounder)
     else:
         plan["temperatures"] = [rounder.temperature(text) for text in plan["temperatures"]]
         plan["soak"], plan["integration"] = rounder.time_up(plan["soak"]), rounder.time(plan["integration"])
         if "rates" in plan:
             plan["rates"] = [rounder.rate(text) for text in plan["rates"]]
-        made = any_spec_of(tables)
-    changes = _changes(tables_of(spec)["plan"], tables_of(made)["plan"], "plan")
-    return Rounded(cast("AnySpec", made), tuple(changes), tuple(rounder.notes))
+        result = any_spec_of(tables)
+    changes = _changes(tables_of(spec)["plan"], tables_of(result)["plan"], "plan")
+    return Rounded(cast("AnySpec", result), tuple(changes), tuple(rounder.notes))
 
 
 class _Rounder:
-    """Texts to texts. A text that lies on its grid is kept as it was written."""
+    """Rounds texts of quantities. A text on its grid is unchanged."""
 
     def __init__(self, steps: ControllerSteps, keep_shapes: bool) -> None:
         self.steps, self.keep_shapes = steps, keep_shapes
@@ -123,7 +123,7 @@ class _Rounder:
         size = Decimal(repr(float(getattr(self.steps, name))))
         exact = Decimal(repr(value)) / size
         nearest = exact.to_integral_value(ROUND_HALF_EVEN)
-        # What lies on the grid but for the last digits stays there, whichever way is asked for.
+        # A value on the grid except for its last digits stays there, whatever the direction of rounding.
         return nearest if abs(exact - nearest) <= _HAIR else exact.to_integral_value(way)
 
     def _text(self, name: str, dimension: str, text: str, way: str = ROUND_HALF_EVEN, *, least: int = 0) -> str:
@@ -162,7 +162,7 @@ class _Rounder:
         return units.parse(self.to("angle", "angle", angle), "angle")
 
     def shape(self, move: ResolvedMove) -> str:
-        """Of the ramps that a turn is made with; noted where they are not the plan's."""
+        """The shape of a turn's ramps; noted where it is not the plan's."""
         shape = "cosine ramps" if self.keep_shapes and move.shape == "cosine ramps" else "linear ramps"
         note = f'turns of shape "{move.shape}" are made as trapezoids of the same angle, peak rate and duration'
         if move.shape != shape and note not in self.notes:
@@ -176,14 +176,14 @@ class _Rounder:
 def _keep_cycles(spec: AnySpec, tables: Table, rounder: _Rounder) -> AnySpec:
     """The spec of rounded tables, its slope the next slower one where a repetition of the cycle would be lost."""
     plan = tables["plan"]
-    made, before = any_spec_of(tables), _cycles(spec)
-    if _cycles(made) < before and isinstance(plan.get("gradient"), str):
+    result, before = any_spec_of(tables), _cycles(spec)
+    if _cycles(result) < before and isinstance(plan.get("gradient"), str):
         slope = rounder.slope(tables_of(spec)["plan"]["gradient"], ROUND_FLOOR)
         again = any_spec_of({**tables, "plan": {**plan, "gradient": slope}})
-        made = again if _cycles(again) > _cycles(made) else made
-    if _cycles(made) < before:
-        rounder.notes.append(f"rounding leaves room for {_cycles(made)} cycles instead of {before}")
-    return cast("AnySpec", made)
+        result = again if _cycles(again) > _cycles(result) else result
+    if _cycles(result) < before:
+        rounder.notes.append(f"rounding leaves room for {_cycles(result)} cycles instead of {before}")
+    return cast("AnySpec", result)
 
 
 def _cycles(spec: Spec | UnitSpec) -> int:
@@ -234,11 +234,11 @@ def _cycle(spec: Spec, cycle: Table, schedule: GradientSchedule, planned: Resolv
 
 
 def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder) -> None:
-    """Every rest and turn of a unit's cycle, written out, and from where the axes begin."""
+    """Every rest and turn of a unit's cycle in full, and the axes' first angles."""
     schedule, axes = spec.schedule, spec.rig.table.axis
     gyro = spec.sensor.gyro
     usable = math.inf if gyro is None else gyro.usable_rate or math.inf
-    given = tables_of(spec)["plan"]["cycle"]["moves"]
+    moves_of_file = tables_of(spec)["plan"]["cycle"]["moves"]
     if "start" in cycle:
         cycle["start"] = {name: rounder.angle(text) for name, text in cycle["start"].items()}
     moves: list[Table] = []
@@ -257,14 +257,14 @@ def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder) -> None:
             message = "the controllers of a whole unit's table turn by ramps; expected another shape"
             raise SpecError([Problem(("plan", "cycle", "moves", step.source, "shape"), message, move.shape)])
         if move.shape in ("hand", "sinusoid"):
-            made = _moves(dict(given[step.source]), move, steepest, fastest, rounder)
-            moves += [{name: value for name, value in table.items() if name != "read"} for table in made]
+            turns = _moves(dict(moves_of_file[step.source]), move, steepest, fastest, rounder)
+            moves += [{name: value for name, value in table.items() if name != "read"} for table in turns]
             at[k] += move.repeat * move.angle
             continue
         shape = rounder.shape(move)
         angle = rounder.on_grid(before[k]) - at[k] if move.repeat == 1 else move.angle
         if angle == 0.0:
-            # Less than a step of the controller: nothing turns.
+            # Less than a step of the controller: no turn.
             moves.append({"rest": rounder.to("time", "time", move.duration, ROUND_CEILING)})
             continue
         moves.append(_turn(angle, move, shape, steepest, fastest, rounder) | kept)
@@ -279,14 +279,14 @@ def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder) -> None:
 
 
 def _duration(move: Table) -> float:
-    """Of a rest or turn as it is written out, with its repetitions, s."""
+    """Duration of a rest or turn with its repetitions, s."""
     return int(move.get("repeat", 1)) * units.parse(move["rest" if "rest" in move else "duration"], "time")
 
 
 def _keep_period(
     cycle: Table, spec: Spec, schedule: GradientSchedule, planned: ResolvedCycle, rounder: _Rounder
 ) -> None:
-    """Take what rounding added from the longest standing, so that as many repetitions fit as before."""
+    """Shorten the longest standstill by the time that rounding added, so that as many repetitions fit as before."""
     own, period = planned.moving, planned.duration
     rests = [(units.parse(move["rest"], "time"), move, "rest") for move in cycle["moves"] if "rest" in move]
     if "other_axes" in cycle:
@@ -361,7 +361,7 @@ def _turn(angle: float, move: ResolvedMove, shape: str, steepest: float, fastest
     duration_text = rounder.to("time", "time", size / peak + max(ramp, least), ROUND_CEILING)
     duration = units.parse(duration_text, "time")
     if peak > 2.0 * size / duration:
-        # Ramps only: the peak that fits is what angle and duration leave, one step lower where it is on the grid.
+        # Ramps only: the peak follows from angle and duration, one step lower where it is on the grid.
         lower = rounder.to("rate", "angular rate", 2.0 * size / duration, ROUND_FLOOR)
         if units.parse(lower, "angular rate") > size / duration:
             text = lower
@@ -381,11 +381,11 @@ def _oscillation(
     swing = 0.5 * move.duration / move.cycles
     angle = 2.0 * move.peak_rate * swing / math.pi
     halves = [_turn(way * angle, move, "linear ramps", steepest, fastest, rounder) | kept for way in (1.0, -1.0)]
-    made = [dict(half) for _ in range(move.cycles * move.repeat) for half in halves]
+    turns = [dict(half) for _ in range(move.cycles * move.repeat) for half in halves]
     if move.read_every is None:
-        for place, half in enumerate(made):
+        for place, half in enumerate(turns):
             half["read"] = "end" if move.read_end and (place + 1) % (2 * move.cycles) == 0 else "none"
-    return made
+    return turns
 
 
 # ----------------------------------------------------------------------------------------------------- what changed

@@ -1,7 +1,7 @@
-"""A plan worked out against its rig: when the chamber is where, how often the cycle repeats, how many readings.
+"""A plan resolved for its rig: the chamber's temperature over time, repetitions of the cycle, number of readings.
 
-Nothing here knows an array; `gradcal_jax.api` turns a schedule into the core's objects, `check` prints it.
-Temperatures are the *chamber's*; a sensor's thermal lag is the core's affair.
+There are no arrays here; `gradcal_jax.api` turns a schedule into the core's objects, `check` prints it. Temperatures
+are the *chamber's*; the core applies a sensor's thermal lag.
 """
 
 import math
@@ -44,8 +44,8 @@ class TemperatureSegment:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Neighbouring segments whose data are used. The cycle starts with it and repeats as long as the axis's own moves
-    still fit; in what is then left of the stretch the axis stands (`leftover`, s)."""
+    """Consecutive segments whose data are used. The cycle starts with it and repeats as long as the axis's own moves
+    still fit; the axis stands for the rest of the stretch (`leftover`, s)."""
 
     start: float
     duration: float
@@ -68,12 +68,12 @@ class ResolvedCycle:
 
     @property
     def duration(self) -> float:
-        """Of the whole cycle (s)."""
+        """Duration of the whole cycle (s)."""
         return self.moving + self.other + self.idle
 
 
 class CourseTimes:
-    """How long a course of the chamber lasts."""
+    """Durations of a course of the chamber."""
 
     segments: tuple[TemperatureSegment, ...]
 
@@ -104,7 +104,7 @@ class GradientSchedule(CourseTimes):
 
     @property
     def cycles(self) -> int:
-        """How often the cycle is made, all stretches together."""
+        """Number of cycles in all stretches together."""
         return sum(stretch.cycles for stretch in self.stretches)
 
     @property
@@ -169,7 +169,7 @@ class StandardSchedule:
 
     @property
     def readings(self) -> int:
-        """One mean rate a point."""
+        """One mean rate for each point."""
         return len(self.points)
 
 
@@ -191,7 +191,7 @@ def standard_schedule(plan: StandardPlan) -> StandardSchedule:
 
 
 def gradient_schedule(plan: GradientPlan, rig: Rig) -> GradientSchedule:
-    """Work a gradient plan out. Raises `SpecError` with every problem found, keys relative to the plan."""
+    """Resolve a gradient plan. Raises `SpecError` with all problems, keys relative to the plan."""
     cycle = None if plan.cycle is None else resolve_cycle(plan.cycle, rig)
     times = None if cycle is None else (cycle.moving, cycle.duration)
     segments, stretches = programme_of(plan, rig.chamber, times)
@@ -251,9 +251,8 @@ def resolve_cycle(cycle: Cycle, rig: Rig) -> ResolvedCycle:
 def programme_of(
     plan: ChamberCourse, chamber: Chamber, cycle: tuple[float, float] | None
 ) -> tuple[tuple[TemperatureSegment, ...], tuple[Stretch, ...]]:
-    """The chamber's segments, and the stretches of used data with the cycles that fit; of a cycle what its moves take,
-    and all of it (s). Raises `SpecError`.
-    """
+    """The chamber's segments, and the stretches of used data with the cycles that fit. `cycle`: durations of its moves
+    and of all of it, s. Raises `SpecError`."""
     segments = _programme(plan, chamber) if plan.programme is not None else _ramp(plan, cycle)
     return segments, _stretches(segments, cycle)
 

@@ -10,7 +10,7 @@ from gradcal_jax.files.problems import hint
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.section import Section
 
-# By module and class: a program that reads specs need not load the importers of logs.
+# By module and class, so that a program that reads specs does not load the importers of logs.
 _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "spec": ("spec", "Spec"),
     "unit-spec": ("unit_spec", "UnitSpec"),
@@ -28,13 +28,13 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "sweep": ("sweep", "SweepFile"),
     "catalogue": ("catalogue", "CatalogueFile"),
 }
-# All are the first of their kind but these.
+# Versions other than 1.
 _VERSIONS: Final[Mapping[str, str]] = {"timeline": "2"}
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
 class _WithTexts(GenerateJsonSchema):
-    """Defaults that are quantities appear as the text that a file would hold."""
+    """Writes defaults that are quantities as the text of a file."""
 
     def encode_default(self, dft: Any) -> Any:
         return dft.text if isinstance(dft, Quantity) else super().encode_default(dft)

@@ -1,4 +1,4 @@
-"""The base of every table in a file: frozen, closed to unknown keys, and plain-spoken about what is wrong."""
+"""The base of every table in a file: frozen, closed to unknown keys, with plain messages."""
 
 import ast
 import sys
@@ -17,12 +17,12 @@ from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 class Section(BaseModel):
     """A table of a file. Unknown keys are refused with the nearest right spelling."""
 
-    # Deferred: a command builds the validators of the files that it reads, not of all.
+    # Deferred: a command builds only the validators of the files that it reads.
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=False, defer_build=True
     )
 
-    # Plain types: the tests check annotations function by function, where Self means nothing.
+    # Plain types: the tests check annotations function by function, where Self has no meaning.
     @model_validator(mode="wrap")
     @classmethod
     def _in_words(cls, value: Any, handler: Callable[[Any], Any]) -> Any:
@@ -42,7 +42,7 @@ class Section(BaseModel):
 
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
-    """What each key of a table means: the texts below the fields, those of its bases first."""
+    """The meaning of each key of a table: the texts below the fields, those of its bases first."""
     texts: dict[str, str] = {}
     for owner in reversed(model.__mro__):
         texts |= _texts(owner.__module__).get(owner.__qualname__, {}) if issubclass(owner, Section) else {}
@@ -51,7 +51,7 @@ def meanings(model: type[BaseModel]) -> dict[str, str]:
 
 @cache
 def _texts(module: str) -> dict[str, dict[str, str]]:
-    """By class and field, from the source: pydantic's own way reads every file anew for each class, at import."""
+    """The texts by class and field, from the source; pydantic would read every file again for each class, at import."""
     tree = ast.parse(Path(sys.modules[module].__file__ or "").read_text(encoding="utf-8"))
     return {
         table.name: {
@@ -117,7 +117,7 @@ def a_table(value: object) -> Mapping[str, object]:
 
 
 def refuse_misspelt(table: Mapping[str, object], known: Iterable[str]) -> None:
-    """Raise the first key of a table that is nearly one of those that it lacks, if there is one."""
+    """Raise for the first key of a table that is nearly one of the keys that it lacks, if there is one."""
     for key, value in table.items():
         if ending := hint(key, known):
             raise SpecError([Problem((key,), f"this key is unknown{ending}", value, "unknown")])

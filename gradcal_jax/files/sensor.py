@@ -1,4 +1,4 @@
-"""`[sensor]`: what is calibrated, its noise, and the error functions to be found, of one gyro axis or a whole unit."""
+"""`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or a unit."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -88,7 +88,7 @@ class BiasTemperatureGradient(Section):
 
 
 class BiasDiscrepancy(Section):
-    """What the chosen structure of B(T) may hide: the next orthogonal polynomials, with a prior."""
+    """Structure of B(T) beyond the model: the next orthogonal polynomials, with a prior."""
 
     standard_deviation: PositiveRate
     """Prior standard deviation of each of the hidden coefficients."""
@@ -97,7 +97,7 @@ class BiasDiscrepancy(Section):
 
 
 class ScaleFactorDiscrepancy(Section):
-    """What the chosen structure of M(T, ω) may hide: polynomials up to these degrees, with a prior."""
+    """Structure of M(T, ω) beyond the model: polynomials up to these degrees, with a prior."""
 
     standard_deviation: PositiveScaleFactor
     """Prior standard deviation of each of the hidden coefficients, a ratio."""
@@ -117,7 +117,7 @@ class Bias(Section):
     smoothness: PositiveRate | None = None
     """Standard deviation of the difference of neighbouring coefficients, of splines and bins."""
     discrepancy: BiasDiscrepancy | None = None
-    """Structure beyond the basis that the map may hide."""
+    """Structure beyond the basis."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "Bias":
@@ -142,7 +142,7 @@ class ScaleFactor(Section):
     smoothness: PositiveScaleFactor | None = None
     """Standard deviation of the difference of neighbouring coefficients, of splines and bins."""
     discrepancy: ScaleFactorDiscrepancy | None = None
-    """Structure beyond the basis that the map may hide."""
+    """Structure beyond the basis."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "ScaleFactor":
@@ -181,7 +181,7 @@ class Sensor(UncertainSection):
     name: Text | None = None
     """A name for people."""
     grade: Literal["consumer", "tactical", "navigation"] | None = None
-    """Class whose typical figures are named beside absent terms; absent: that of drift or random walk."""
+    """Class that gives typical figures for absent terms; absent: by drift or random walk."""
     quantity: Annotated[Literal["gyro"], BeforeValidator(_gyro)]
     """What the sensor measures."""
     angle_random_walk: AngleRandomWalk
@@ -288,14 +288,14 @@ class ThirdOrder(_ErrorTerm):
 
 
 class LeverArm(Section):
-    """Where an accelerometer sits, from where the table's axes meet."""
+    """Position of an accelerometer, from the intersection of the table's axes."""
 
     prior: PositiveLength | None = None
     """Standard deviation of each of three coordinates before the calibration; absent: unknown."""
 
 
 class GyroTriad(UncertainSection):
-    """`[sensor.gyro]`: what is the same for every gyro of the unit. A table that is absent is not estimated: known."""
+    """`[sensor.gyro]`: common properties of the unit's gyros. An absent table is not estimated: known."""
 
     FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk")
 
@@ -331,8 +331,8 @@ class GyroTriad(UncertainSection):
 
 
 class AccelerometerTriad(UncertainSection):
-    """`[sensor.accelerometer]`: what is the same for every accelerometer of the unit. Read where the table stands, and
-    on moves no faster than `read_on_moves_below`."""
+    """`[sensor.accelerometer]`: common properties of the unit's accelerometers. Read where the table stands, and on
+    moves no faster than `read_on_moves_below`."""
 
     FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk",)
 
@@ -357,7 +357,7 @@ class AccelerometerTriad(UncertainSection):
     read_on_moves_below: PositiveRate | None = None
     """Read on moves no faster than this, too; absent: at rest alone."""
     lever_arm: LeverArm | None = None
-    """Where the accelerometers sit, from where the table's axes meet."""
+    """Positions of the accelerometers, from the intersection of the table's axes."""
     cross_coupling: SecondOrder | None = None
     """Output in proportion to products of the force along two axes."""
 
@@ -373,7 +373,7 @@ class AccelerometerTriad(UncertainSection):
 
 
 class UnitFrame(Section):
-    """What the misalignments count from."""
+    """The reference of the misalignments."""
 
     fixed_by: Literal["table axes", "case"] = "table axes"
     """"table axes": the table's at zero, through the nominal mounting; "case": the case, known to the mounting's
@@ -390,9 +390,9 @@ class UnitSensor(Section):
     sample_clock_error: SizeOfScaleFactor | None = None
     """Standard deviation of the one clock that stamps all, a ratio."""
     gyro: GyroTriad | None = None
-    """What is the same for every gyro."""
+    """Common properties of the gyros."""
     accelerometer: AccelerometerTriad | None = None
-    """What is the same for every accelerometer."""
+    """Common properties of the accelerometers."""
     frame: UnitFrame | None = None
     """What the misalignments count from."""
 

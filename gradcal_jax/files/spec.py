@@ -1,4 +1,4 @@
-"""gradcal-spec/1: sensor, rig, requirements, plan. What people write and every command reads."""
+"""gradcal-spec/1: sensor, rig, requirements, plan; the input of every command."""
 
 import contextlib
 from collections.abc import Mapping
@@ -27,23 +27,23 @@ Requirements = Annotated[tuple[Requirement, ...], Field(max_length=100)]
 
 
 class Done(Section):
-    """What a run did of a plan before it was broken off; `[[done]]`, which `gradcal replan` writes."""
+    """The executed part of a plan before a run was broken off; `[[done]]`, which `gradcal replan` writes."""
 
     plan: GradientPlan
     """The plan that was executed then."""
     start: SizeOfTime
-    """From when on, on that plan's clock."""
+    """Its beginning, on that plan's clock."""
     end: Time
     """Until when."""
     pause: Time
-    """How long it is until what follows begins; the unit is not switched off in it."""
+    """Time until the next part or the plan begins; the unit stays switched on."""
 
 
 class Spec(Section):
     """A whole spec: sensor, rig, requirements, plan, and what `optimise` may change; read-only.
 
-    Quantities behave as numbers in SI (°C for temperatures) and keep their text. `schedule` is the plan worked out
-    against the rig. Made by `read_spec` or `parse_spec`, and by `changed` from another. Errors: `SpecError` by those.
+    Quantities behave as numbers in SI (°C for temperatures) and keep their text. `schedule` is the plan resolved for
+    the rig. From `read_spec` or `parse_spec`, or from another by `changed`. Errors: `SpecError` by those.
     """
 
     format: Literal["gradcal-spec/1"]
@@ -55,11 +55,11 @@ class Spec(Section):
     rig: Rig
     """Table and chamber."""
     requirement: Requirements = ()
-    """What the calibration must serve."""
+    """Requirements on the calibration."""
     plan: Plan
-    """What chamber and table do, and when the axis is read."""
+    """Course of the chamber, motion of the table, and readings of the axis."""
     done: Annotated[tuple[Done, ...], Field(max_length=1000)] = ()
-    """What was done before the plan begins, in the same run; every prediction counts it."""
+    """The parts executed before the plan begins, in the same run; every prediction includes them."""
     design: Design | None = None
     """What `optimise` may change; no other command reads it."""
 
@@ -105,7 +105,7 @@ _SECTIONS: Final[Mapping[str, TypeAdapter[Any]]] = {
 
 
 def expect_spec(value: object) -> Spec:
-    """The value, if it is a spec. Errors: `TypeError` that says how one is made of a file."""
+    """The value, if it is a spec. Errors: `TypeError` that says how to read one."""
     if isinstance(value, Spec):
         return value
     if isinstance(value, str | Path):
@@ -114,13 +114,13 @@ def expect_spec(value: object) -> Spec:
 
 
 def expect_whole(spec: Spec, what: str) -> None:
-    """Errors: `ValueError` where a plan goes on with what was done before, which `what` does not know."""
+    """Errors: `ValueError` where a plan continues an executed part, which `what` does not support."""
     if expect_spec(spec).done:
         raise goes_on(what)
 
 
 def goes_on(what: str) -> ValueError:
-    """What is said where a plan goes on with what was done before, which `what` does not know."""
+    """The message where a plan continues an executed part, which `what` does not support."""
     return ValueError(f"{what} is of a plan that begins a run, and this one goes on with what was done: [[done]]")
 
 
@@ -156,7 +156,7 @@ def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
 
 
 def of_one_axis(source: str = "") -> SpecError:
-    """What is said where the spec of a whole unit stands in the place of one axis's."""
+    """The message for the spec of a whole unit in place of one axis's."""
     message = "is of a whole unit (gyros, accelerometers); this serves one gyro axis alone"
     return SpecError([Problem(("sensor",), message)], source)
 
@@ -174,9 +174,9 @@ def _still_visible(document: Mapping[str, Any], problems: list[Problem]) -> list
     for name in _SECTIONS.keys() & pruned.keys():
         with contextlib.suppress(ValidationError):
             sections[name] = _SECTIONS[name].validate_python(pruned[name])
-    found = between_sections(*sections.values())
-    said = {problem.key for problem in problems}
-    return [problem for problem in found if problem.key not in said]
+    between = between_sections(*sections.values())
+    reported = {problem.key for problem in problems}
+    return [problem for problem in between if problem.key not in reported]
 
 
 def _without_unknown_keys(document: Mapping[str, Any], problems: list[Problem]) -> dict[str, Any]:

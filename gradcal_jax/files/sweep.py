@@ -79,9 +79,9 @@ class Axis(Section):
                 split_key(text)
             except ValueError as error:
                 problems.append(Problem(("key",), str(error), text))
-        given = [name for name in ("start", "stop", "count", "step") if getattr(self, name) is not None]
+        limits = [name for name in ("start", "stop", "count", "step") if getattr(self, name) is not None]
         if self.values is not None:
-            problems += [Problem((name,), 'cannot stand beside "values"', getattr(self, name)) for name in given]
+            problems += [Problem((name,), 'cannot stand beside "values"', getattr(self, name)) for name in limits]
         elif self.start is None or self.stop is None:
             problems.append(Problem((), 'expected "values", or "start" and "stop"', kind="missing"))
         elif self.count is not None and self.step is not None:

@@ -1,7 +1,7 @@
 """Tables of numbers: CSV and other text, NumPy's `.npz` and `.npy`, MATLAB v5 files, netCDF; columns with units.
 
-A column is named by its name or number, and its unit, scale and zero are said by whoever gives the file: a text without
-units is refused by the maps (`importers`, `points`) that are made of these sections.
+A column is identified by its name or number; the user gives its unit, scale and zero. The maps (`importers`, `points`),
+which consist of these sections, refuse columns without units.
 """
 
 import array
@@ -34,7 +34,7 @@ _APART: Final = {";": ";", "\t": "tab", ",": ",", "|": "|", " ": "whitespace"}
 _COMMA: Final = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 _HEXADECIMAL: Final = re.compile(r"0[xX][0-9a-fA-F]+")
 _CERTAIN: Final = (_COMMA, _HEXADECIMAL)
-"""What no damaged number looks like."""
+"""Patterns of values that are not damaged numbers."""
 _WAYS: Final = {
     _COMMA: 'a decimal comma; write decimal = "," under [csv]',
     _HEXADECIMAL: "hexadecimal counts; write them as decimal numbers",
@@ -46,7 +46,7 @@ _WAYS: Final = {
 
 
 class Source(Section):
-    """Where the numbers of a column stand: by name, or by number counted from 0."""
+    """A column, by name, or by number counted from 0."""
 
     column: Text | Whole
     """Name of the column, or its number counted from 0."""
@@ -54,7 +54,7 @@ class Source(Section):
     """Column of a two-dimensional array."""
 
     def words(self) -> str:
-        """As people say it."""
+        """In words, for messages."""
         name = f"number {self.column}" if isinstance(self.column, int) else f"'{self.column}'"
         return f"column {name}" + ("" if self.index is None else f", index {self.index}")
 
@@ -194,7 +194,7 @@ class Numbers:
         self.rows: int | None = None
 
     def numbers(self, source: Source) -> Array:
-        """One column, as it stands (integers stay integers)."""
+        """One column, unconverted (integers stay integers)."""
         values = self._find(source)
         if values.dtype.kind not in "biuf":
             raise LogError(f"{source.words()} holds no numbers")
@@ -315,9 +315,9 @@ def _quick(lines: Iterable[str], delimiter: str | None, comment: str, used: list
 
 
 def _patient(lines: Iterable[str], delimiter: str | None, comment: str, names: Mapping[int, str]) -> Floats:
-    """Row by row: what is missing or no number becomes NaN, and is counted and named later on.
+    """Row by row: missing values and texts become NaN, which are counted and named later.
 
-    A column of which nothing is a number, or that is written in another way than numbers are here, is an error.
+    A column without any number, or in another notation of numbers, is an error.
     """
     numbers = array.array("d")
     odd: dict[int, str] = {}
@@ -406,7 +406,7 @@ def _read_netcdf(path: Path, layout: TextTable, sources: Sequence[Source]) -> Nu
 
 
 def _same_unit(stated: str, unit: str) -> bool:
-    """Whether two names of units mean one; what is not understood passes."""
+    """Whether two names of units mean the same; an unknown name passes."""
     for dimension in ("angular rate", "temperature", "time", "angle"):
         try:
             ours = units.parse(f"1 {unit}", dimension)
@@ -417,7 +417,7 @@ def _same_unit(stated: str, unit: str) -> bool:
 
 
 def _loaded(load: Callable[[], _Result], kind: str) -> _Result:
-    """What a reader makes of a file, or one sentence for whatever it makes of bytes that are something else."""
+    """The result of a reader, or one sentence for any exception on damaged files or files of another kind."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

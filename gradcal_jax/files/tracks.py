@@ -1,14 +1,14 @@
-"""A plan as two tracks that can be executed: what the chamber does, segment by segment, and what the table does.
+"""A plan as two executable tracks: the chamber's segments, and the table's blocks of motion.
 
 A temperature segment begins at its time, which is the end of the one before, or when the temperature is stable: the
 first one, and every one whose data are used and that follows a soak or a step. A block of motion begins with a segment
 and repeats its moves; times in it count from the beginning of each repetition.
 
-Of a whole unit every axis of the table has its own name, one of them turns at a time, and all are read as often as the
-encoder that is read most; a block says where they stand as it begins, and of several mountings how the unit hangs.
+In a whole unit's track every axis of the table has its own name, one of them turns at a time, and all are read at the
+shortest interval of their encoders; a block has their first angles and, of several mountings, the unit's.
 
-The controllers of rotary stages turn by trapezoids of the rate. `acceleration` is that of the trapezoid which has the
-move's angle, peak rate and duration; of a spline, which has none, the steepest.
+The controllers of rotary stages turn by trapezoids of the rate. `acceleration` is that of the trapezoid with the move's
+angle, peak rate and duration, or a spline's largest.
 """
 
 import math
@@ -46,7 +46,7 @@ from gradcal_jax.units import dimension_of
 Begins = Literal["at its time", "when stable"]
 Doing = Literal["rest", "turn", "spin", "oscillate", "spline", "turn by hand", "wait"]
 
-# Of a motion that its duration and angle alone describe, the trapezoid's ramp as a share of the duration.
+# The trapezoid's ramp as a share of the duration, for motions with duration and angle only.
 _RAMP_SHARE: Final = {"half sine": 1.0 - 2.0 / math.pi, "raised cosine": 0.5, "hand": 0.5}
 
 
@@ -54,7 +54,7 @@ class Stability(Section):
     """When a temperature counts as stable."""
 
     within: PositiveTemperatureDifference = Quantity(0.5, "0.5 K", "temperature difference")
-    """How near it stays to its goal, and to itself."""
+    """Largest deviation from its goal, and largest change."""
     for_at_least: Time = Quantity(300.0, "5 min", "time")
     """For how long."""
     first_timeout: Time = Quantity(14400.0, "4 h", "time")
@@ -67,9 +67,9 @@ class ChamberSegment(Section):
     """One line of the chamber's track."""
 
     name: Text
-    """By which blocks of motion speak of it."""
+    """Its name, which blocks of motion refer to."""
     kind: Literal["soak", "ramp", "step"]
-    """What the chamber does."""
+    """The action of the chamber."""
     begins: Begins
     """At its time, or when the temperature is stable."""
     start: SizeOfTime
@@ -81,7 +81,7 @@ class ChamberSegment(Section):
     temperature_end: Temperature
     """As it ends."""
     slope: TemperatureSlope | None = None
-    """Of a ramp, signed; absent: it stays, or goes as fast as it can."""
+    """Slope of a ramp, signed; absent: constant, or as fast as the chamber can."""
     used: Flag
     """Whether its readings are part of the data."""
 
@@ -92,7 +92,7 @@ class TrackMove(Section):
     start: SizeOfTime
     """From the beginning of the repetition."""
     do: Doing
-    """What the axis does; "wait": it stands while others have their turn, or idle."""
+    """The action of the axis; "wait": it stands while other axes turn, or idle."""
     duration: Time
     """How long."""
     axis: Name = "x"
@@ -102,7 +102,7 @@ class TrackMove(Section):
     rate: Rate | None = None
     """Largest rate."""
     acceleration: PositiveAcceleration | None = None
-    """Of the trapezoid with the same angle, peak rate and duration; of a spline, the steepest."""
+    """Acceleration of the trapezoid with the same angle, peak rate and duration, or a spline's largest."""
     shape: Text | None = None
     """Course of the rate as planned."""
     cycles: Count | None = None
@@ -135,9 +135,9 @@ class MotionBlock(Section):
     mounting: Count | None = None
     """Of a whole unit: number of the mounting, from 1."""
     hang: Text | None = None
-    """How the unit hangs on the table, in words, where that changes between blocks: somebody is asked to hang it so."""
+    """How the unit hangs on the table, in words, where that changes between blocks: the operator is asked to do it."""
     start: dict[Name, Angle] = Field(default_factory=dict)
-    """Where the table's axes stand as it begins, outermost first."""
+    """Angles of the table's axes as it begins, outermost first."""
     moves: Annotated[tuple[TrackMove, ...], Field(min_length=1)]
     """One after the other."""
 
@@ -268,15 +268,15 @@ def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSeg
 
 
 def hanging(mounting: UnitMounting, number: int) -> str:
-    """How a unit is to hang, for whoever hangs it; directions are those of the innermost axis while all stand at zero.
+    """The mounting of a unit in words, for the operator; directions are the innermost axis's while all are at zero.
 
     ``mounting 2 (on its side): x along +y, y along -x, z along +z``
     """
     name = "" if mounting.name is None else f" ({mounting.name})"
-    said = f"mounting {number}{name}: x along {mounting.x}, y along {mounting.y}, z along {mounting.z}"
+    text = f"mounting {number}{name}: x along {mounting.x}, y along {mounting.y}, z along {mounting.z}"
     if mounting.rotation is None:
-        return said
-    return f"{said}, turned on by {', '.join(angle.text for angle in mounting.rotation)} about its x, y and z"
+        return text
+    return f"{text}, turned on by {', '.join(angle.text for angle in mounting.rotation)} about its x, y and z"
 
 
 def _move(move: ResolvedMove, start: float) -> TrackMove:
@@ -292,21 +292,21 @@ def _move(move: ResolvedMove, start: float) -> TrackMove:
 
 def _motion(move: ResolvedMove) -> dict[str, Any]:
     peak = math.degrees(move.peak_rate)
-    found: dict[str, Any] = {
+    motion: dict[str, Any] = {
         "angle": _in("deg", math.degrees(move.angle)),
         "rate": _in("deg/s", peak),
         "acceleration": _in("deg/s^2", trapezoid_acceleration(move) * 180.0 / math.pi),
         "shape": move.shape,
     }
     if move.shape == "sinusoid":
-        return found | {"do": "oscillate", "cycles": move.cycles}
+        return motion | {"do": "oscillate", "cycles": move.cycles}
     if move.shape == "spline":
-        return found | {"do": "spline", "rates": tuple(_in("deg/s", peak * c) for c in move.controls)}
-    return found | {"do": "turn by hand" if move.shape == "hand" else "turn"}
+        return motion | {"do": "spline", "rates": tuple(_in("deg/s", peak * c) for c in move.controls)}
+    return motion | {"do": "turn by hand" if move.shape == "hand" else "turn"}
 
 
 def trapezoid_acceleration(move: ResolvedMove) -> float:
-    """Of the trapezoid with a move's angle, peak rate and duration (rad/s²); of a spline the steepest slope."""
+    """Acceleration of the trapezoid with a move's angle, peak rate and duration (rad/s²), or a spline's largest."""
     if move.shape == "spline":
         return move.peak_acceleration
     if move.shape == "sinusoid":
@@ -348,6 +348,6 @@ def _standard(plan: StandardPlan) -> tuple[ChamberTrack, tuple[MotionBlock, ...]
 
 
 def _in(unit: str, number: float) -> Quantity:
-    """A number that was worked out, without the digits that rounding left behind (a billionth of the unit)."""
+    """A computed number without its rounding errors (a billionth of the unit)."""
     text = format(Decimal(repr(round(number, 9) + 0.0)).normalize(), "f")
     return Quantity.read(f"{text} {unit}", dimension_of(unit))

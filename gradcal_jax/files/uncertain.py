@@ -1,4 +1,4 @@
-"""`uncertain`: how far a noise figure may be from what is written, and what a table of such figures may hold.
+"""`uncertain`: the range of a noise figure around its nominal value, and the tables of such figures.
 
 standard_deviation = "1 deg/h"
 correlation_time   = "120 s"
@@ -25,7 +25,7 @@ Ends = tuple[Text, Text]
 
 
 def _understood(value: object) -> object:
-    """One message for whatever is neither of the two."""
+    """One message for a value that is neither of the two."""
 
     def known(entry: object) -> bool:
         ends = cast("Sequence[object]", entry) if isinstance(entry, list | tuple) else ()
@@ -46,7 +46,7 @@ class UncertainSection(Section):
     FIGURES: ClassVar[tuple[str, ...]] = ()
 
     uncertain: Uncertain | None = None
-    """How far figures may be from what is written: "factor 2", or by figure "factor 2" or [least, largest]."""
+    """Ranges of the figures: "factor 2", or by figure "factor 2" or [least, largest]."""
 
     @model_validator(mode="after")
     def _uncertain(self) -> "UncertainSection":
@@ -91,13 +91,13 @@ class UncertainSection(Section):
 
 def figures_of(key: str, table: object) -> dict[str, tuple[Quantity, Quantity]]:
     """The least and the largest value (SI) of every uncertain figure of a table and of those in it, by its key."""
-    found: dict[str, tuple[Quantity, Quantity]] = {}
+    figures: dict[str, tuple[Quantity, Quantity]] = {}
     if isinstance(table, UncertainSection):
-        found |= {f"{key}.{name}": ends for name, ends in table.ranges().items()}
+        figures |= {f"{key}.{name}": ends for name, ends in table.ranges().items()}
     if isinstance(table, Section):
         for name, value in table:
-            found |= figures_of(f"{key}.{name}", value)
+            figures |= figures_of(f"{key}.{name}", value)
     elif isinstance(table, tuple):
         for i, entry in enumerate(cast("tuple[object, ...]", table)):
-            found |= figures_of(f"{key}[{i}]", entry)
-    return found
+            figures |= figures_of(f"{key}[{i}]", entry)
+    return figures

@@ -28,12 +28,12 @@ def write_unit(calibration: UnitCalibration) -> tuple[str, list[tuple[str, str, 
     inverse = _inverse(calibration)
     low, high = (float(t) for t in calibration.valid_temperature)
     slow, fast = (float(r) for r in calibration.valid_rate)
-    said = [
+    remarks = [
         "measured = input + sum of map(T) * signals, solved for the inputs; frame: " + comment(calibration.frame),
         "temperature in degC, rates in rad/s, specific force in m/s^2; x, y, z. Beyond its range the values at the",
-        "edge hold. What the calibration has not comes out as it went in.",
+        "edge hold. Channels that the calibration lacks stay unchanged.",
     ]
-    lines = [*header_head(calibration, "calibration of the unit", said, "GRADCAL_UNIT_CALIBRATION_H"), _STRUCT]
+    lines = [*header_head(calibration, "calibration of the unit", remarks, "GRADCAL_UNIT_CALIBRATION_H"), _STRUCT]
     lines += [c_array(f"gradcal_c{k}[]", term.coefficients.values()) for k, (_, term) in enumerate(terms)]
     lines += ["", f"#define GRADCAL_TERMS {len(terms)}"]
     lines += ["static const struct gradcal_term gradcal_terms[GRADCAL_TERMS] = {"]
@@ -49,10 +49,10 @@ def write_unit(calibration: UnitCalibration) -> tuple[str, list[tuple[str, str, 
     lines += [f"static const float gradcal_inverse[6][6] = {{\n{rows}\n}};"]
     lines += ["", f"#define GRADCAL_T_MIN {literal(low)}", f"#define GRADCAL_T_MAX {literal(high)}"]
     lines += [f"#define GRADCAL_W_MIN {literal(slow)}", f"#define GRADCAL_W_MAX {literal(fast)}", "", _FUNCTION]
-    temperature, raw, found = test
+    temperature, raw, expected = test
     rounding = float(np.max(np.abs(inverse) @ np.abs(raw)))  # of raw counts far off zero
-    tolerance = max(4e-6 * float(np.max(np.abs(found))), 4e-7 * rounding, 1e-7)
-    lines += header_self_test(temperature, raw, found, "6", tolerance)
+    tolerance = max(4e-6 * float(np.max(np.abs(expected))), 4e-7 * rounding, 1e-7)
+    lines += header_self_test(temperature, raw, expected, "6", tolerance)
     return "\n".join(lines) + "\n", errors
 
 
@@ -119,18 +119,18 @@ def _shape(term: CalibratedTerm) -> tuple[float, float, int, float, float, int]:
 
 
 def _inverse(calibration: UnitCalibration) -> Floats:
-    """(6, 6): what each channel's error is divided by."""
+    """(6, 6): the divisor of each channel's error."""
     low, high = (float(t) for t in calibration.valid_temperature)
     return np.asarray(np.linalg.inv(linear_part(calibration.channel, 0.5 * (low + high))[0]), np.float64)
 
 
 def corrected_in_single(calibration: UnitCalibration, raw: Floats, temperature_c: Floats) -> Floats:
-    """What the header's function gives, step by step in float32: `(n, 6)`."""
+    """The result of the header's function, computed in float32 as there: `(n, 6)`."""
     f = np.float32
     low, high = (f(float(v)) for v in calibration.valid_temperature)
     slow, fast = (f(float(v)) for v in calibration.valid_rate)
-    t, said = np.clip(temperature_c.astype(f), low, high), raw.astype(f)
-    out, inverse = np.zeros_like(said), _inverse(calibration).astype(f)
+    t, reading = np.clip(temperature_c.astype(f), low, high), raw.astype(f)
+    out, inverse = np.zeros_like(reading), _inverse(calibration).astype(f)
     for _ in range(_ROUNDS):
         error = np.zeros_like(out)
         for channel in calibration.channel:
@@ -144,14 +144,14 @@ def corrected_in_single(calibration: UnitCalibration, raw: Floats, temperature_c
                     signal = out[:, SIGNALS.index(name.strip("|"))]
                     value = value * (np.abs(signal) if name.startswith("|") else signal)
                 error[:, channel.place] += value
-        left = said - out - error
+        left = reading - out - error
         for j in range(6):
             out += inverse[:, j] * left[:, j : j + 1]
     return out.astype(np.float64)
 
 
 def _errors(calibration: UnitCalibration) -> tuple[list[tuple[str, str, float, str]], tuple[float, Floats, Floats]]:
-    """By channel the largest error of the header; and a reading off every round number with what the header makes."""
+    """The largest error of the header by channel; and a reading, no round number, with the header's result."""
     rng = np.random.default_rng(0)
     low, high = (float(t) for t in calibration.valid_temperature)
     slow, fast = (float(r) for r in calibration.valid_rate)
@@ -163,10 +163,10 @@ def _errors(calibration: UnitCalibration) -> tuple[list[tuple[str, str, float, s
     rate, force = correct_unit(
         calibration.channel, raw[:, :3], raw[:, 3:], temperature, temperatures=(low, high), rates=(slow, fast)
     )
-    said = corrected_in_single(calibration, raw, temperature)
-    apart = np.max(np.abs(said - np.concatenate([rate, force], axis=1)), axis=0)
+    in_header = corrected_in_single(calibration, raw, temperature)
+    apart = np.max(np.abs(in_header - np.concatenate([rate, force], axis=1)), axis=0)
     errors: list[tuple[str, str, float, str]] = []
     for channel in calibration.channel:
         unit, factor = ("deg/h", DEG_PER_H) if channel.kind == "gyro" else ("ug", 1e6 / G)
         errors.append((f"{channel.kind} {channel.axis}", "rounding", float(apart[channel.place]) * factor, unit))
-    return errors, (float(temperature[0]), raw[0], said[0])
+    return errors, (float(temperature[0]), raw[0], in_header[0])

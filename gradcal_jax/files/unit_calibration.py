@@ -1,4 +1,4 @@
-"""gradcal-calibration/1 of a whole unit: what was found of its gyros and accelerometers, and of the table they hung on.
+"""gradcal-calibration/1 of a whole unit: the coefficients of its gyros and accelerometers, and the table's errors.
 
     measured = input + Σ map(T) · signals          of each channel; rates in rad/s, specific force in m/s²
 
@@ -51,11 +51,11 @@ class CalibratedTerm(Section):
     """One term of a channel, in `unit` (SI). Without `temperature` it is constant; `rate`: of its own rate."""
 
     name: Text
-    """Of the term, such as scale_factor."""
+    """Name of the term, such as scale_factor."""
     unit: Text
     """SI unit of its coefficients."""
     signals: Annotated[tuple[Text, ...], Field(max_length=4)] = ()
-    """True inputs that it is multiplied by, such as "rate x" or "force z"; none: 1."""
+    """Its factors, true inputs such as "rate x" or "force z"; none: 1."""
     temperature: TemperatureBasis | None = None
     """Basis over temperature; absent: constant."""
     rate: RateBasis | None = None
@@ -78,7 +78,7 @@ class CalibratedTerm(Section):
 
     @property
     def size(self) -> int:
-        """Of how many functions it is the sum."""
+        """Number of its functions."""
         return (1 if self.temperature is None else self.temperature.size) * (1 if self.rate is None else self.rate.size)
 
 
@@ -86,9 +86,9 @@ class CalibratedChannel(Section):
     """A gyro or an accelerometer along an axis of the body."""
 
     kind: Literal["gyro", "accelerometer"]
-    """Which kind of sensor."""
+    """Kind of sensor."""
     axis: BodyAxis
-    """Along which axis of the body."""
+    """Its axis of the body."""
     term: Annotated[tuple[CalibratedTerm, ...], Field(max_length=40)] = ()
     """Its errors, which add."""
 
@@ -108,22 +108,22 @@ class CalibratedChannel(Section):
 
 
 class TableError(Section):
-    """What the run says of the *table*: one error of its installation, SI, and what was known of it before."""
+    """An estimated error of the *table's* installation, SI, with its prior."""
 
     name: Text
     """Of the error."""
     value: Number
-    """What was found (SI)."""
+    """Estimate (SI)."""
     standard_deviation: Number
-    """What it is uncertain by (SI)."""
+    """Standard deviation of the estimate (SI)."""
     prior: Number
-    """What the spec called its uncertainty (SI)."""
+    """Standard deviation in the spec (SI)."""
     unit: Text
     """SI unit of all three."""
 
 
 class UnitResult(Section):
-    """What a requirement of the spec came to, in `unit`."""
+    """The result for a requirement of the spec, in `unit`."""
 
     name: Text
     """Of the requirement."""
@@ -172,11 +172,11 @@ class UnitCalibration(Section):
     simulated: Flag
     """Whether the log was simulated."""
     frame: Text
-    """What the misalignments count from."""
+    """The reference of the misalignments."""
     order: Text
-    """What the numbers mean, and in which order they are taken off."""
+    """The meaning of the numbers, and the order of the correction."""
     thermal_lag: Time | None = None
-    """How much later than the thermometer all terms follow; absent: not at all."""
+    """Lag of all terms behind the thermometer; absent: none."""
     valid_temperature: tuple[Temperature, Temperature]
     """Temperatures that the data covered; beyond, the values at the edge hold."""
     valid_rate: tuple[Rate, Rate]
@@ -186,17 +186,17 @@ class UnitCalibration(Section):
     covariance: Covariance | None = None
     """Of the coefficients that were observed; absent: not kept."""
     table: Annotated[tuple[TableError, ...], Field(max_length=500)] = ()
-    """What the run says of the table."""
+    """Estimated errors of the table."""
     fit: Annotated[tuple[FitTest, ...], Field(max_length=100)] = ()
     """Tests of the fit."""
     unobservable: Annotated[tuple[Text, ...], Field(max_length=5000)] = ()
-    """Coefficients of which the data say next to nothing."""
+    """Coefficients that the data hardly determine."""
     noise: UnitNoise | None = None
     """The noise that the estimate assumed."""
     result: Annotated[tuple[UnitResult, ...], Field(max_length=1000)] = ()
-    """What the spec's requirements came to."""
+    """The results for the spec's requirements."""
     provenance: dict[str, Text] = Field(default_factory=dict)
-    """Program, files and fingerprints that it came from."""
+    """Program, files and fingerprints of its origin."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "UnitCalibration":
@@ -237,7 +237,7 @@ def read_any_calibration(path: str | Path) -> Calibration | UnitCalibration:
 
 
 def write_unit_calibration(calibration: UnitCalibration, path: str | Path) -> None:
-    """Write a unit's calibration, whole or not at all; what its numbers mean, and their units, stand in its head.
+    """Write a unit's calibration, atomically; the head of the file explains its numbers and units.
 
     Errors: `OSError` where it cannot be written.
     """
@@ -245,21 +245,21 @@ def write_unit_calibration(calibration: UnitCalibration, path: str | Path) -> No
 
 
 def expect_axes(calibration: Calibration | UnitCalibration, what: str) -> Calibration:
-    """The calibration, of a gyro's axes. Raises `ValueError` with what does not take a whole unit's."""
+    """The calibration of a gyro's axes. Raises `ValueError` for a whole unit's, which `what` does not support."""
     if isinstance(calibration, UnitCalibration):
         raise ValueError(f"{what} is for calibrations of a gyro's axes, and this one is of a whole unit")
     return calibration
 
 
 _HEADER: Final = """\
-What was found of a whole unit: three gyros, three accelerometers. Apply it with `gradcal apply`.
+The calibration of a whole unit: three gyros, three accelerometers. Apply it with `gradcal apply`.
     measured = input + sum of map(T) * signals       rates in rad/s, specific force in m/s^2
-[[channel]] has the unit's own terms, [[table]] what the run says of the table that it hung on.
+[[channel]] has the unit's own terms, [[table]] the estimated errors of the table.
 Numbers without a unit are SI: rad, s, m, degC."""
 _SIMULATED: Final = "\nSIMULATED: made from simulated data, of no real unit."
 
 
 def term_of(name: str, unit: str, signals: tuple[str, ...], coefficients: dict[str, float], **bases: Any):
     """A term from plain numbers; bases that are None are left out."""
-    given = {key: value for key, value in bases.items() if value is not None}
-    return CalibratedTerm(name=name, unit=unit, signals=signals, coefficients=coefficients, **given)
+    bases_present = {key: value for key, value in bases.items() if value is not None}
+    return CalibratedTerm(name=name, unit=unit, signals=signals, coefficients=coefficients, **bases_present)

@@ -1,10 +1,10 @@
-"""What a whole unit's calibration does to data, in NumPy, by the formulas that the estimator itself uses.
+"""Correction of data by a whole unit's calibration, in NumPy, by the same formulas as the estimator.
 
     measured = input + Σ map(T) · signals
 
-is solved for the inputs of all channels together: what the sum, taken at the corrected values, leaves of what was
-measured is divided by the linear part and added to them, again until nothing changes. Each round gains a factor of the
-size of what is not linear, or differs from its value at the middle of the temperatures: raw counts are no hindrance.
+is solved for the inputs of all channels together: the residual of the equation at the corrected values is divided by
+the linear part and added to them, until nothing changes. The error shrinks in each iteration by a factor of the size of
+the terms that are not linear, or that differ from their value at the middle temperature; so raw counts converge, too.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ def term_values(term: CalibratedTerm, temperature_c: Floats, rate: Floats | None
 
 
 def _at_temperatures(term: CalibratedTerm, temperature_c: Floats) -> Floats:
-    """`(n, functions of the rate)`: what multiplies them, or the map itself."""
+    """`(n, functions of the rate)`: their coefficients, or the map itself."""
     coefficients = np.array(list(term.coefficients.values()))
     one = np.ones((len(temperature_c), 1))
     basis = one if term.temperature is None else basis_values(term.temperature, temperature_c)
@@ -49,9 +49,8 @@ def _at_rates(term: CalibratedTerm, of_temperature: Floats, rate: Floats | None)
 def channel_error(
     channel: CalibratedChannel, temperature_c: Floats, signals: dict[str, Floats], maps: Sequence[Floats] | None = None
 ) -> Floats:
-    """What a channel says beyond its input, `(n,)`, where the true inputs are `signals` ("rate x" rad/s, "force z"
-    m/s²; those that are not known count as none). `maps`: of each term, `_at_temperatures`.
-    """
+    """The error of a channel's output, `(n,)`, for the true inputs `signals` ("rate x" rad/s, "force z" m/s²; an
+    unknown input counts as zero). `maps`: of each term, `_at_temperatures`."""
     total = np.zeros(len(temperature_c))
     for k, term in enumerate(channel.term):
         of_temperature = _at_temperatures(term, temperature_c) if maps is None else maps[k]
@@ -67,9 +66,8 @@ def channel_error(
 
 
 def linear_part(channels: Sequence[CalibratedChannel], temperature_c: float) -> tuple[Floats, Floats]:
-    """At one temperature, turned slowly: measured = matrix (6, 6) · (rates x, y, z, forces x, y, z) + bias (6,), SI.
-    What the channels have not is taken as perfect.
-    """
+    """At one temperature, for slow rates: measured = matrix (6, 6) · (rates x, y, z, forces x, y, z) + bias (6,), SI.
+    Absent terms count as zero."""
     at, matrix, bias = np.array([temperature_c]), np.eye(6), np.zeros(6)
     for channel in channels:
         for term in channel.term:
@@ -95,7 +93,7 @@ def correct_unit(
     Beyond `temperatures` (°C) and `rates` (rad/s) the maps' values at the edge hold. Other channels stay as they are.
     """
     (low, high), (slow, fast) = temperatures, rates
-    found_rate, found_force = rate.copy(), force.copy()
+    own_rate, own_force = rate.copy(), force.copy()
     for begin in range(0, len(rate), _ROWS_AT_ONCE):
         rows = slice(begin, begin + _ROWS_AT_ONCE)
         at = np.clip(temperature_c[rows], low, high)
@@ -113,7 +111,7 @@ def correct_unit(
                 own, name = signals, f"rate {channel.axis}"
                 beyond = np.zeros(0)
                 if channel.kind == "gyro" and name in signals:
-                    # The map holds at its edge; the rate that it multiplies goes on.
+                    # The map is constant beyond its edge; the rate that it multiplies is not limited.
                     own = signals | {name: np.clip(signals[name], slow, fast)}
                     beyond = signals[name] - own[name]
                 error = channel_error(channel, at, own, of_temperature)
@@ -122,7 +120,7 @@ def correct_unit(
                 left[channel.place] -= error
             moved = 0.0
             for k in np.flatnonzero(there):
-                # Only what acts on it: a reading that is missing takes no other triad with it.
+                # Only channels with an effect: a missing reading does not affect the other triad.
                 acts = np.flatnonzero(there & (inverse[k] != 0.0))
                 change = inverse[k, acts] @ left[acts]
                 now[k] += change
@@ -130,12 +128,12 @@ def correct_unit(
                 moved = max(moved, float(np.nanmax(np.abs(change), initial=0.0)) / size)
             if moved <= _SETTLED:
                 break
-        found_rate[rows], found_force[rows] = now[:3].T, now[3:].T
-    return found_rate, found_force
+        own_rate[rows], own_force[rows] = now[:3].T, now[3:].T
+    return own_rate, own_force
 
 
 def triad_of(log: Log, unit: int) -> tuple[Floats, Floats]:
-    """A unit's rates and specific forces `(n, 3)` along x, y, z; NaN for axes that the log has not."""
+    """A unit's rates and specific forces `(n, 3)` along x, y, z; NaN for axes absent in the log."""
     count = len(log.time_s)
     rate, force = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     for into, labels, values in (
@@ -169,24 +167,22 @@ def apply_unit(calibration: UnitCalibration, log: Log, unit: str | int = 0) -> C
         at = np.full(len(log.time_s), float(calibration.valid_temperature[0]))
     usable = log.usable(number)
     temperatures, covered = calibration.valid_temperature, calibration.valid_rate
-    found_rate, found_force = correct_unit(
-        calibration.channel, rate, force, at, temperatures=temperatures, rates=covered
-    )
+    own_rate, own_force = correct_unit(calibration.channel, rate, force, at, temperatures=temperatures, rates=covered)
     gyros = ["xyz".index(c.axis) for c in calibration.channel if c.kind == "gyro"]
-    outside_rate = count_outside(found_rate[usable][:, gyros], covered)
+    outside_rate = count_outside(own_rate[usable][:, gyros], covered)
     known = {(c.kind, c.axis) for c in calibration.channel}
     alone: list[str] = []
     rates, forces = log.rate_rad_per_s[number].copy(), None
     if log.specific_force_m_per_s2 is not None:
         forces = log.specific_force_m_per_s2[number].copy()
-    for kind, labels, into, found in (
-        ("gyro", log.axes, rates, found_rate),
-        ("accelerometer", log.force_axes, forces, found_force),
+    for kind, labels, into, corrections in (
+        ("gyro", log.axes, rates, own_rate),
+        ("accelerometer", log.force_axes, forces, own_force),
     ):
         for k, label in enumerate(labels):
             if (kind, label) not in known:
                 alone.append(f"{kind} {label}")
             elif into is not None:
-                into[:, k] = found[:, "xyz".index(label)]
+                into[:, k] = corrections[:, "xyz".index(label)]
     corrected = log_corrected(log, number, calibration, rates, forces)
     return Corrected(corrected, count_outside(at[usable], temperatures), outside_rate, tuple(alone))

@@ -7,7 +7,7 @@
     c-header    a function in float32 with everything that the calibration has (polynomials)
     csv         every coefficient with its standard deviation; nothing is lost
 
-What a target cannot carry is said in numbers: the largest error against the calibration itself over its range.
+Each export reports in numbers what its target cannot carry: the largest error against the calibration over its range.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -48,8 +48,8 @@ def export_unit(
         raise ValueError(f'there is no export format "{target}" of a whole unit: known are {known}')
     options = {"temperature_c": temperature_c, "instance": instance, "device_id": device_id}
     done = UNIT_FORMATS[target](calibration, options)
-    said = ("this calibration was made from SIMULATED data",) if calibration.simulated else ()
-    return done._replace(notes=(*done.notes, *said))
+    warning = ("this calibration was made from SIMULATED data",) if calibration.simulated else ()
+    return done._replace(notes=(*done.notes, *warning))
 
 
 # --- parts that serve the targets of single axes ----------------------------------------------------------------------
@@ -103,9 +103,8 @@ def _basis(term: CalibratedTerm) -> Any:
 
 
 class LinearUnit(NamedTuple):
-    """A unit at one temperature, turned slowly: measured rate = `gyro` ω + `sensitivity` f + `gyro_bias`, measured
-    force = `accelerometer` f + `accelerometer_bias`; SI.
-    """
+    """A unit at one temperature, for slow rates: measured rate = `gyro` ω + `sensitivity` f + `gyro_bias`, measured
+    force = `accelerometer` f + `accelerometer_bias`; SI."""
 
     gyro: Floats
     gyro_bias: Floats
@@ -115,20 +114,20 @@ class LinearUnit(NamedTuple):
 
 
 def linear_at(calibration: UnitCalibration, temperature_c: float) -> LinearUnit:
-    """The linear part of every channel at one temperature; what a unit has not is taken as perfect."""
+    """The linear part of every channel at one temperature; absent terms count as zero."""
     matrix, bias = linear_part(calibration.channel, temperature_c)
     return LinearUnit(matrix[:3, :3], bias[:3], matrix[:3, 3:], matrix[3:, 3:], bias[3:])
 
 
 def _lost(calibration: UnitCalibration, carried: Callable[[CalibratedTerm], bool]) -> list[Loss]:
-    """The largest value over its range of every term that a target does not carry: at one g, and its largest rate."""
+    """The largest value over its range of every term that a target cannot carry, at 1 g and its largest rate."""
     return [loss for term, loss in _left(calibration, lambda _: (0.0, "")) if not carried(term)]
 
 
 def _left(
     calibration: UnitCalibration, held: Callable[[CalibratedTerm], tuple[float, str]]
 ) -> Iterator[tuple[CalibratedTerm, Loss]]:
-    """Every term with its largest difference over its range from what a target holds of it, and what that is over."""
+    """Every term with its largest difference from the target's value over its range, and the name of that range."""
     low, high = (float(t) for t in calibration.valid_temperature)
     fastest = max(abs(float(r)) for r in calibration.valid_rate)
     temperature = np.linspace(low, high, _GRID)
@@ -157,7 +156,7 @@ def _people(term: CalibratedTerm, kind: str) -> tuple[str, float]:
 def _both(
     calibration: UnitCalibration, target: str, options: Mapping[str, Any]
 ) -> tuple[list[str], list[Loss], list[str]]:
-    """What a target of single axes takes of the gyros, where there are any."""
+    """The export of the gyros to a target of single axes, where there are any."""
     gyros = single_axes_of(calibration, "gyro")
     if gyros is None:
         return [], [], []
@@ -216,7 +215,7 @@ def _accelerometer_bias_losses(parts: Calibration, taken_off: Callable[[str, Flo
 
 
 def _scale_left(calibration: UnitCalibration, channel: CalibratedChannel, at: float) -> list[Loss]:
-    """What of a scale factor changes with temperature."""
+    """The variation of a scale factor with temperature."""
     term = channel.term_of("scale_factor")
     if term is None:
         return []
@@ -234,8 +233,10 @@ def _px4(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
         low, high = (float(t) for t in calibration.valid_temperature)
         rows = exports.px4_rows(parts.axis, "A", number, identity, low, high)
         lines += exports.px4_lines(rows)
-        told = {name: value for name, value, _ in rows}
-        losses += _accelerometer_bias_losses(parts, lambda name, t: exports.px4_correction(told, name, t, number, "A"))
+        parameters = {name: value for name, value, _ in rows}
+        losses += _accelerometer_bias_losses(
+            parts, lambda name, t: exports.px4_correction(parameters, name, t, number, "A")
+        )
         if identity is None:
             notes.append(f"TC_A{number}_ID must be the sensor's device id: with 0 PX4 ignores the set (--device-id)")
         notes.append("CAL_ACC offsets must be zero; corrected = R (raw - offset)")
@@ -259,7 +260,7 @@ class KalibrForm(NamedTuple):
 
 
 def kalibr_form(linear: LinearUnit) -> KalibrForm:
-    """The same matrices with their rotations taken apart: lower triangular times rotation, positive diagonals."""
+    """The same matrices with their rotations factored out: lower triangular times rotation, positive diagonals."""
     accelerometer, frame = _triangular(linear.accelerometer)
     gyro, rotation = _triangular(linear.gyro @ frame.T)
     return KalibrForm(accelerometer, gyro, rotation, linear.sensitivity @ frame.T, frame)
@@ -273,7 +274,7 @@ def _triangular(matrix: Floats) -> tuple[Floats, Floats]:
 
 
 def _one_temperature(calibration: UnitCalibration, at: float) -> list[Loss]:
-    """What the other temperatures, and rates, make of terms that are held as they are at one."""
+    """The errors at other temperatures and rates of terms that are held at one."""
 
     def held(term: CalibratedTerm) -> tuple[float, str]:
         if len(term.signals) > 1 or any(s.startswith("|") for s in term.signals):

@@ -1,9 +1,9 @@
 """`[plan]` of a whole unit: the chamber's course, and a cycle of rests, turns of one axis, and poses.
 
-A pose says where axes are to stand; it becomes one move of each axis that is elsewhere, outermost first, as fast as the
+A pose has the final angles of axes; it becomes one move of each axis that is elsewhere, outermost first, as fast as the
 rig allows (or at `peak_rate`), with cosine ramps. A turn moves one axis by an angle, in any of the shapes of a single
 axis; without a shape it has cosine ramps, and without rate and duration it is as fast as the rig allows. A `peak_rate`
-without shape and duration is one at most: a short turn does not reach it.
+without shape and duration is a limit: a short turn does not reach it.
 """
 
 import math
@@ -24,7 +24,7 @@ from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment,
 from gradcal_jax.files.section import Section, a_table, refuse, refuse_misspelt
 
 _SLACK = 1e-6
-# Of a cycle: what a cycle may lack and be whole, for times that a journal says.
+# Tolerance of a whole cycle, as a fraction, for the times of a journal.
 _WHOLE = 1e-3
 _FULL_TURN = 2.0 * math.pi
 _MOST = 1e6 * _FULL_TURN
@@ -34,7 +34,7 @@ _STEEPNESS = math.pi / 2.0
 
 
 class Pose(Section):
-    """Go where the named axes stand at these angles, one axis after the other, outermost first."""
+    """Move the named axes to these angles, one axis after the other, outermost first."""
 
     pose: dict[Text, Angle]
     """Angles by the name of the axis; others stay."""
@@ -84,7 +84,7 @@ class AxisMove(Section):
 
     @model_serializer(mode="wrap")
     def _as_written(self, handler: Callable[[Any], Any]) -> dict[str, Any]:
-        """The table of the file: the move's own keys beside "axis", without what stands for itself."""
+        """The table of the file: the move's own keys beside "axis", without defaults."""
         tables: dict[str, Any] = handler(self)
         move: dict[str, Any] = tables.pop("move")
         if move.get("shape") == "cosine ramps":
@@ -93,7 +93,7 @@ class AxisMove(Section):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """As the file has it: a move's keys beside the name of the axis; the shape may be left out."""
+        """The file's table: a move's keys beside the name of the axis; the shape may be left out."""
         moves: dict[str, Any] = handler.resolve_ref_schema(handler(schema))["properties"]["move"]
         kinds: list[dict[str, Any]] = []
         for ref in moves["anyOf"]:
@@ -143,7 +143,7 @@ class UnitCycle(Section):
 
 class UnitPlan(ChamberCourse):
     """The plan of a whole unit. With several mountings each used stretch of the course has the next one; a single ramp
-    is made once with each, and the chamber returns in between."""
+    is repeated with each, and the chamber returns in between."""
 
     method: Literal["gradient"]
     """The method."""
@@ -184,8 +184,8 @@ class UnitSchedule(CourseTimes):
 
 
 def cycles_between(schedule: UnitSchedule, start: float, end: float) -> UnitSchedule | None:
-    """The whole cycles that a plan of one stretch makes between two times (s), as a plan of their own; None: none. To
-    the last one belongs the time that is left after it."""
+    """The whole cycles of a plan of one stretch between two times (s), as a plan of their own; None: none. The last one
+    includes the time that is left after it."""
     (stretch,), period = schedule.stretches, schedule.period
     first = max(0, math.ceil((start - stretch.start) / period - _WHOLE))
     last = min(stretch.cycles, math.floor((end - stretch.start) / period + _WHOLE))
@@ -211,7 +211,7 @@ def cycles_between(schedule: UnitSchedule, start: float, end: float) -> UnitSche
 
 
 def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
-    """Work a unit's plan out. Raises `SpecError` with every problem found, keys relative to the plan."""
+    """Resolve a unit's plan. Raises `SpecError` with all problems, keys relative to the plan."""
     steps, start, problems = _steps(plan.cycle, rig)
     if problems:
         raise SpecError(problems)
@@ -246,7 +246,7 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
 def _once_each(
     segments: tuple[TemperatureSegment, ...], stretches: tuple[Stretch, ...], mountings: int, rig: UnitRig
 ) -> tuple[tuple[TemperatureSegment, ...], tuple[Stretch, ...]]:
-    """The course made once with each mounting; the chamber returns as fast as it can."""
+    """The course once with each mounting; the chamber returns as fast as it can."""
     first, last = segments[0], segments[-1]
     change = first.temperature_start - last.temperature_end
     pace = rig.chamber.max_heating if change > 0.0 else rig.chamber.max_cooling
@@ -285,7 +285,7 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
                 goal = item.pose.get(axis.name)
                 if goal is not None and abs(goal - here[k]) > 1e-9:
                     if by_hand:
-                        problems.append(_not_made_by(rig.table.drive, (*key, "pose"), "pose"))
+                        problems.append(_beyond_drive(rig.table.drive, (*key, "pose"), "pose"))
                     steps.append(UnitStep(k, quickest_turn(float(goal) - here[k], axis, item.peak_rate), i))
                     here[k] = float(goal)
             if item.rest is not None:
@@ -325,7 +325,7 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
             problems += [p.under(*key) for p in error.problems]
             continue
         if (move.shape == "hand") != by_hand:
-            problems.append(_not_made_by(rig.table.drive, (*key, "shape"), move.shape))
+            problems.append(_beyond_drive(rig.table.drive, (*key, "shape"), move.shape))
         problems += [replace(p, key=(*key, *p.key)) for p in _limits(move, axis)]
         steps.append(UnitStep(axes[name], move, i))
         here[axes[name]] += move.repeat * move.angle
@@ -335,7 +335,7 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
 
 
 def _unclosed(ends: Sequence[float], start: Sequence[float], axes: Iterable[str], why: str) -> list[Problem]:
-    """Axes that a cycle leaves elsewhere than it found them."""
+    """Problems of axes whose final angle in a cycle differs from the first."""
     return [
         Problem(
             ("cycle", "moves"),
@@ -388,7 +388,7 @@ def _limits(move: ResolvedMove, axis: TableAxis) -> list[Problem]:
 
 
 def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
-    """Every axis must stay within its travel either way of zero, and out of what is in its way, in every cycle."""
+    """Every axis must stay within its travel either way of zero, and outside forbidden angles, in every cycle."""
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     problems: list[Problem] = []
     for k, axis in enumerate(rig.table.axis):
@@ -421,7 +421,7 @@ def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
     return problems
 
 
-def _not_made_by(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:
+def _beyond_drive(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:
     if shape == "hand":
         return Problem(key, f'needs a table that is turned by hand; rig.table.drive is "{drive}"', shape)
     message = (

@@ -30,13 +30,13 @@ from gradcal_jax.files.unit_plan import UnitPlan, UnitSchedule, cycles_between, 
 
 
 class CyclesDone(Section):
-    """What a run did of a unit's plan before it was broken off; `[[done]]`, which `gradcal replan` writes. Whole cycles
-    count."""
+    """The executed part of a unit's plan before a run was broken off; `[[done]]`, which `gradcal replan` writes. Whole
+    cycles count."""
 
     plan: UnitPlan
     """The plan that was executed then, of one stretch of used data."""
     start: SizeOfTime
-    """From when on, on that plan's clock."""
+    """Its beginning, on that plan's clock."""
     end: Time
     """Until when."""
 
@@ -44,8 +44,7 @@ class CyclesDone(Section):
 class UnitSpec(Section):
     """A spec of a whole unit; read-only. Quantities behave as numbers in SI (°C) and keep their text.
 
-    `schedule` is the plan worked out against the rig. Made by `read_unit_spec` or `parse_unit_spec`.
-    Errors: `SpecError` by those.
+    `schedule` is the plan resolved for the rig. From `read_unit_spec` or `parse_unit_spec`. Errors: their `SpecError`.
     """
 
     format: Literal["gradcal-spec/1"]
@@ -57,11 +56,12 @@ class UnitSpec(Section):
     rig: UnitRig
     """Site, table and chamber."""
     requirement: UnitRequirements = ()
-    """What the calibration must serve."""
+    """Requirements on the calibration."""
     plan: UnitPlan
-    """What chamber and table do."""
+    """Course of the chamber, and motion of the table."""
     done: Annotated[tuple[CyclesDone, ...], Field(max_length=1000)] = ()
-    """What was done before the plan begins, in the same run; every prediction counts it, its drifts apart."""
+    """The parts executed before the plan begins, in the same run; every prediction includes them, with independent
+    drifts."""
     design: UnitDesign | None = None
     """What `optimise` may change; no other command reads it."""
 
@@ -115,8 +115,8 @@ class UnitSpec(Section):
         if accelerometer is not None and slow and turning and min(turning) > slow:
             message = f"has no effect: the slowest move reaches {math.degrees(min(turning)):.4g} deg/s; raise it, or "
             key = ("sensor", "accelerometer", "read_on_moves_below")
-            said = str(accelerometer.read_on_moves_below)
-            problems.append(Problem(key, message + "leave it out (and the lever arm)", said))
+            limit = str(accelerometer.read_on_moves_below)
+            problems.append(Problem(key, message + "leave it out (and the lever arm)", limit))
         if self.design is not None and self.design.minimise not in (ALL, WORST, *names):
             ending = hint(self.design.minimise, [ALL, WORST, *names])
             message = f"expected {one_of([ALL, WORST])}, or a requirement's name{ending}"
@@ -151,7 +151,7 @@ class UnitSpec(Section):
 
     @property
     def past(self) -> tuple[UnitSchedule, ...]:
-        """What was done before the plan begins: its whole cycles."""
+        """The parts executed before the plan begins: their whole cycles."""
         parts = (cycles_between(unit_schedule(p.plan, self.rig), float(p.start), float(p.end)) for p in self.done)
         return tuple(part for part in parts if part is not None)
 
@@ -171,7 +171,7 @@ def _needed_axes(requirement: UnitRequirement) -> list[tuple[str, str]]:
 
 
 def _needs(requirement: UnitRequirement) -> tuple[str, ...]:
-    """What a requirement's quantity needs of [sensor]."""
+    """The tables of [sensor] that a requirement's quantity needs."""
     both = requirement.quantity == "accelerometer_misalignment" and requirement.relative_to == "internal"
     return {
         "gyro_bias": ("gyro.bias",),

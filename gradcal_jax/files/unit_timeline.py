@@ -127,7 +127,7 @@ class UnitSegmentRow(Section):
     duration: Size
     """Length (s)."""
     axis: str | None = None
-    """Which axis moves; null: all stand."""
+    """The axis that moves; null: all stand."""
     shape: str
     """As of gradcal-timeline/2."""
     peak_rate: Finite = 0.0
@@ -149,7 +149,7 @@ class UnitSegmentRow(Section):
     attitude: Matrix3
     """Matrix from the body to East, North, up as it begins."""
     mounting: int
-    """Which mounting is used, counted from 0."""
+    """The mounting, counted from 0."""
     standstill_ids: tuple[int | None, ...]
     """Number of each axis's standstill; null while it moves."""
     read: tuple[str, ...]
@@ -178,13 +178,13 @@ class UnitTimeline(Section):
     title: str | None = None
     """Of the spec."""
     frame: Literal["table axes", "case"]
-    """What the misalignments count from."""
+    """The reference of the misalignments."""
     site: SiteRow
     """Where the rig stands."""
     table: tuple[TableAxisRow, ...]
     """Axes of the table, outermost first."""
     standing: Literal["held", "read"]
-    """What axes do that do not move: see above."""
+    """The model of axes at rest: see above."""
     mountings: tuple[MountingRow, ...]
     """How the unit hangs on the innermost axis."""
     thermal_lag: Size | None = None
@@ -194,4 +194,4 @@ class UnitTimeline(Section):
     installation: tuple[InstallationRow, ...]
     """Errors that all channels see."""
     segments: tuple[UnitSegmentRow, ...]
-    """What the table and the chamber do."""
+    """Motion of the table, and course of the chamber."""

@@ -1,4 +1,4 @@
-"""Writing models back as TOML: the texts of quantities as they were read, and nothing that was left to its default."""
+"""Writing models back as TOML: quantities with the texts of the file read, and without its omitted defaults."""
 
 import os
 import tempfile
@@ -38,20 +38,19 @@ def write_toml(model: Section, path: str | Path, *, header: str = "") -> None:
 
 
 def write_whole(path: str | Path, text: str) -> None:
-    """Write a text, whole or not at all: see `whole`. Errors: `OSError` that names the file."""
+    """Write a text atomically: see `whole`. Errors: `OSError` that names the file."""
     with whole(path) as passing:
         passing.write_text(text, encoding="utf-8", newline="\n")
 
 
 @contextmanager
 def whole(path: str | Path) -> Generator[Path]:
-    """A passing name beside `path` for a writer: what it writes there is moved to `path`, so that after a kill it is
-    whole or not there, and on a full disk nothing is left of it. Errors: `OSError` that names `path`.
-    """
+    """Context with a temporary name beside `path` for a writer: the file is moved to `path` at the end, so that it is
+    complete or absent after a kill, and removed on a full disk. Errors: `OSError` that names `path`."""
     path = Path(path)
     passing: Path | None = None
     try:
-        # The ending stays: some writers go by it.
+        # The ending stays, because some writers depend on it.
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
         os.close(handle)
         passing = Path(name)
@@ -72,7 +71,7 @@ def whole(path: str | Path) -> Generator[Path]:
 
 
 def _scalars_first(table: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """TOML wants a table's own keys before its subtables."""
+    """TOML requires a table's own keys before its subtables."""
     return sorted(table.items(), key=lambda entry: _opens_table(entry[0], entry[1]))
 
 
@@ -114,7 +113,7 @@ def _table(value: Mapping[str, Any]) -> Table:
 
 def _inline(value: Mapping[str, Any]) -> InlineTable:
     table = tomlkit.inline_table()
-    # What an entry is comes before how it is read and by which axis.
+    # The kind of an entry comes before its readings and its axis.
     for name, entry in sorted(value.items(), key=lambda item: item[0] in _TRAILING):
         table.append(name, _inline(cast("Mapping[str, Any]", entry)) if isinstance(entry, Mapping) else _short(entry))
     return table

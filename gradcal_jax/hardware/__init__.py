@@ -1,4 +1,4 @@
-"""The hardware layer: device roles, serial lines, drivers, simulated devices. No JAX in this room.
+"""The hardware layer: device roles, serial lines, drivers, simulated devices. No JAX in this package.
 
     transport → framing → codec → driver → role
 

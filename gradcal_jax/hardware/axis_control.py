@@ -1,12 +1,11 @@
-"""The axes' side of a run: what they were told, what they read, and who still turns.
+"""The axes in a run: their commands, readings and state of motion.
 
-A motor does a turn in the time that the track reckons with; it is looked at when it should stand, until it says so. A
-person takes the time that a person takes: while an axis is turned by hand nothing else of the track begins, and what
-comes after it begins as much later as the turn was late (`late_s`), so that every rest keeps its length.
+A motor does a turn in the track's time; it is read from its planned end on until it stands. An operator's turn may take
+longer: while an axis is turned by hand nothing else of the track begins, and everything after it is delayed by as much
+as the turn was late (`late_s`), so that every rest keeps its length.
 
-What was not done as the track says is `amiss`: a command that went out late, a turn that ended late or somewhere else,
-a spin at another rate. How fast an axis may turn now (`allowed`) follows from what it was told, and the rates that are
-read are held against it (`interlocks`).
+Deviations from the track are `amiss`: a late command, a turn that ended late or at another angle, a spin at another
+rate. The allowed rate of an axis (`allowed`) follows from its commands, and `interlocks` compares the readings with it.
 """
 
 import math
@@ -36,7 +35,7 @@ Draw = Callable[[Mapping[str, float]], str]
 
 
 class AxisControl:
-    """Tells the axes their moves and remembers what they say. One thread, the run's own."""
+    """Commands the axes and keeps their readings. One thread, the run's own."""
 
     def __init__(
         self,
@@ -55,12 +54,12 @@ class AxisControl:
         self._keep_track = keep_track
         self._draw = draw
         self._goal_deg: dict[str, float] = {}
-        # What ends by itself: when to look next; and when it was to end, of those that are turned by hand.
+        # Moves that end by themselves: the time of the next reading; of turns by hand the planned end.
         self._turning: dict[str, float] = {}
         self._planned_end_s: dict[str, float] = {}
         self._spinning: set[str] = set()
         self._by_hand: set[str] = set()
-        # What was asked for: the rate now, the rate before and until when that is still allowed, and ends of turns.
+        # Commanded: the rate now, the rate before and until when that is still allowed, and ends of turns.
         self._asked_dps: dict[str, float] = {}
         self._easing: dict[str, tuple[float, float]] = {}
         self._due_end_s: dict[str, float] = {}
@@ -77,7 +76,7 @@ class AxisControl:
             self._event("homing", axis=name)
             if self._limits_of(name).by_hand:
                 self._by_hand.add(name)
-            # At what rate a reference is searched is the device's affair.
+            # The device chooses the rate of its search for the reference.
             self._asked_dps[name] = math.inf
             self._axes[name].home()
             self.settle(name, meanwhile)
@@ -85,7 +84,7 @@ class AxisControl:
 
     @property
     def turned_by_hand(self) -> bool:
-        """Whether somebody is turning an axis now."""
+        """Whether an axis is being turned by hand now."""
         return bool(self._planned_end_s)
 
     @property
@@ -95,15 +94,15 @@ class AxisControl:
 
     @property
     def look_s(self) -> list[float]:
-        """When the axes are to be looked at next."""
+        """The time of the next reading of the axes."""
         return list(self._turning.values())
 
     def go_to_start(self, step: str, start_deg: Mapping[str, float], meanwhile: Callable[[], None]) -> None:
-        """Bring axes to where a step begins that begins by itself."""
+        """Bring axes to the starting angles of a step that does not follow another at once."""
         for name, position in start_deg.items():
             limits = self._limits_of(name)
             endless = limits.lowest_deg is None and limits.highest_deg is None
-            # An endless axis has no cable to wind up: within one turn is the same place.
+            # An endless axis has no cable to wind up: the angle within one turn suffices.
             goal = position % 360.0 if endless else position
             if not self._stands_at(name, goal):
                 rate, acceleration = min(limits.max_rate_dps, 60.0), min(limits.max_acceleration_dps2, 60.0)
@@ -112,8 +111,8 @@ class AxisControl:
                 self.settle(name, meanwhile)
 
     def move(self, step: str, move: AxisCommand, due_s: float, meanwhile: Callable[[], None]) -> None:
-        """A turn waits until the turn before it has ended, of whichever axis: one turns at a time, the others hold. How
-        late that makes it is in the journal."""
+        """A turn waits until the turn before it has ended, of any axis: one axis turns at a time, the others hold. The
+        delay is in the journal."""
         name = move.axis
         if (late_s := self._clock.now() - due_s) > self._latest_s:
             self.amiss.append(f"a {move.kind} of axis {name} began {late_s:.1f} s late")
@@ -127,7 +126,7 @@ class AxisControl:
         self._command(step, move)
 
     def look(self) -> None:
-        """Read an axis that is due to stand until it says that it does: there its standstill begins."""
+        """Read an axis from the planned end of its move until it stands: its standstill begins there."""
         for name in sorted(self._turning):
             if self._turning[name] <= self._clock.now():
                 self._turning[name] = self._clock.now() + (_POLL_BY_HAND_S if name in self._by_hand else _POLL_S)
@@ -139,10 +138,9 @@ class AxisControl:
             self._read(name)
 
     def watch(self) -> None:
-        """Read the rates of axes that have a motor, oftener where they move.
+        """Read the rates of axes that have a motor, more often where they move.
 
-        These readings are events only where the track is to be kept: by it somebody else's recording is laid on the
-        run's clock.
+        These readings are events only where the track is recorded, which aligns another logger's recording.
         """
         now = self._clock.now()
         for name in self._axes:
@@ -158,26 +156,26 @@ class AxisControl:
             asked_dps, runs_s = self._spins.get(name, (0.0, math.inf))
             off = reading.time_s > runs_s and abs(reading.rate_dps - asked_dps) > _off(asked_dps)
             self._off_rate[name] = self._off_rate.get(name, 0) + 1 if off else 0
-            # One reading may be a busy host's.
+            # One wrong reading may come from a busy host.
             if self._off_rate[name] == _OFF_READINGS:
                 self.amiss.append(f"axis {name} spins at {reading.rate_dps:.2f} deg/s instead of {asked_dps:g}")
 
     def allowed(self) -> dict[str, tuple[float, float]]:
-        """How fast an axis that has a motor may turn now, by what it was told; and how fast the rig lets it, deg/s."""
-        now, found = self._clock.now(), dict[str, tuple[float, float]]()
+        """The rates allowed to axes with a motor now, deg/s: by the last commands, and by the rig."""
+        now, rates = self._clock.now(), dict[str, tuple[float, float]]()
         for name in self._axes:
             limits = self._limits_of(name)
             if not limits.by_hand:
-                found[name] = (self._allowed_dps(name, now), limits.max_rate_dps)
-        return found
+                rates[name] = (self._allowed_dps(name, now), limits.max_rate_dps)
+        return rates
 
     def settle_all(self, meanwhile: Callable[[], None]) -> None:
-        """Wait until every axis stands that is to stand."""
+        """Wait until every axis stands, except spinning ones."""
         for name in sorted(self._turning):
             self.settle(name, meanwhile)
 
     def settle(self, name: str, meanwhile: Callable[[], None]) -> None:
-        """Wait until an axis stands; what turns for ever is stopped. A person is waited for as long as it takes."""
+        """Wait until an axis stands; it is stopped at the time-out. A turn by hand has no time-out."""
         end = self._clock.now() + (math.inf if name in self._by_hand else _LONGEST_MOVE_S)
         while self._read(name).moving:
             if self._clock.now() > end:
@@ -204,7 +202,7 @@ class AxisControl:
         self.amiss.clear()
 
     def _stands_at(self, name: str, goal_deg: float) -> bool:
-        """Whether an axis need not be told to go there: a motor goes exactly, a person only where it is worth it."""
+        """Whether an axis is near enough to a goal: no error for a motor, a tolerance for turns by hand."""
         newest = self.newest.get(name)
         if name in self._by_hand:
             return newest is not None and not newest.moving and abs(newest.position_deg - goal_deg) <= _NEAR_BY_HAND_DEG
@@ -245,7 +243,7 @@ class AxisControl:
     def _read(self, name: str) -> AxisReading:
         before, reading = self.newest.get(name), self._axes[name].read()
         self.newest[name] = reading
-        # An angle that nobody knows is no reading, and one that was typed is one reading however often it is asked for.
+        # An unknown angle is no reading, and a typed angle is one reading however often it is read.
         if not math.isnan(reading.position_deg) and before != reading:
             self._event("angle", at_once=False, axis=name, **record_of(reading))
         if not reading.moving:
@@ -257,7 +255,7 @@ class AxisControl:
         return reading
 
     def _stood(self, name: str, reading: AxisReading) -> None:
-        """An axis stands where it was to stand: when it was to, and where?"""
+        """Compare the time and angle of a standstill with the track."""
         if self._asked_dps.get(name):
             self._asks(name, 0.0)
         due_s = self._due_end_s.pop(name, None)
@@ -273,7 +271,7 @@ class AxisControl:
             )
 
     def _asks(self, name: str, rate_dps: float, acceleration_dps2: float = math.inf) -> None:
-        """From now on an axis is asked for this rate; what it turned at before it may turn at until it has slowed."""
+        """Set the commanded rate of an axis; the rate before stays allowed until the axis has slowed down."""
         now = self._clock.now()
         before_dps = self._allowed_dps(name, now)
         slows_s = (before_dps - rate_dps) / acceleration_dps2 if acceleration_dps2 > 0.0 else 0.0
@@ -286,17 +284,17 @@ class AxisControl:
         return max(self._asked_dps.get(name, 0.0), before_dps if now <= until_s else 0.0)
 
     def _limits_of(self, name: str) -> AxisLimits:
-        """As the axis told them when the run began."""
+        """The axis's limits at the beginning of the run."""
         if name not in self._limits:
             self._limits[name] = self._axes[name].limits()
         return self._limits[name]
 
 
 def _off(asked_dps: float) -> float:
-    """How far a rate that is read may be from the one that was asked for."""
+    """The tolerance of a rate's reading."""
     return _OFF_RATE * abs(asked_dps) + _OFF_RATE_DPS
 
 
 def too_fast(rate_dps: float, allowed: tuple[float, float]) -> bool:
-    """Whether an axis turns faster than it was told, or than the rig lets it."""
+    """Whether an axis turns faster than its command or the rig allows."""
     return abs(rate_dps) > min(bound + _off(bound) for bound in allowed)

@@ -1,9 +1,9 @@
 """A recipe as the runner's track: one step for each segment without data and for each repetition of the motion.
 
-A step is what a run resumes by, so a ramp of hours is cut into the repetitions of its cycle (or into pieces of ten
-minutes where the table only stands). Steps of one stretch of data follow one another without a break. Angles stay
-relative to where the axis began; every step carries where the axis and the chamber are to be when it begins by itself.
-Of a whole unit angles count from the axes' zeros, and before each stretch the axes go to where it begins.
+A run resumes at a step, so a ramp of hours is cut into the repetitions of its cycle (or into pieces of ten minutes
+where the table only stands). Steps of one stretch of data follow one another without a break. Angles are relative to
+the axis's start; every step has the angles and the temperature at its beginning, for resuming there. A whole unit's
+angles count from the axes' zeros, and the axes go to each stretch's starting angles before it.
 """
 
 import math
@@ -26,8 +26,8 @@ _SPIN_ACCELERATION_DPS2 = 100.0
 def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
     """The track of a recipe for a rig whose axes have these names.
 
-    An axis of the recipe ("x") is the rig's axis of that name; where the recipe turns one axis only and the rig has one
-    only, they are the same whatever its name. Raises `HardwareError` where an axis is missing.
+    Axes of recipe and rig match by name; where both have one axis only, these match whatever their names. Raises
+    `HardwareError` where an axis is missing.
     """
     names = _names(recipe, axes)
     segments = recipe.chamber.programme
@@ -92,7 +92,7 @@ def _unused(segment: ChamberSegment, stability: Stability, *, first: bool) -> Tr
 
 @dataclass
 class _Piece:
-    """A step in the making, on the stretch's own clock."""
+    """A step under construction, on the stretch's own clock."""
 
     name: str
     start_s: float
@@ -118,7 +118,7 @@ def _stretch(
     steps: list[TrackStep] = []
     for number, piece in enumerate(pieces):
         end = piece.start_s + piece.duration_s
-        told = [course for course in knees if course.start_s <= piece.start_s + 1e-6][-1]
+        target = [course for course in knees if course.start_s <= piece.start_s + 1e-6][-1]
         later = tuple(
             Course(course.start_s - piece.start_s, course.temperature_c, course.ramp_k_per_min)
             for course in knees
@@ -128,8 +128,8 @@ def _stretch(
             TrackStep(
                 piece.name,
                 piece.duration_s,
-                told.temperature_c,
-                told.ramp_k_per_min,
+                target.temperature_c,
+                target.ramp_k_per_min,
                 ready=_stable(stability, first=first) if waits and number == 0 else None,
                 moves=tuple(piece.moves),
                 start_c=_temperature(segments, piece.start_s),
@@ -208,7 +208,7 @@ def _standing(block: MotionBlock, total: float) -> list[_Piece]:
 
 
 def _points(block: MotionBlock, names: dict[str, str]) -> list[_Piece]:
-    """The standard method's rates: each a step; one that stands begins with a stop."""
+    """The standard method's rates: a step for each; a standstill begins with a stop."""
     axis = next(iter(names.values()), "")
     pieces: list[_Piece] = []
     for number, move in enumerate(block.moves, 1):
@@ -264,7 +264,7 @@ def _turn(start: float, axis: str, angle: float, rate: float, acceleration: floa
 def _spline(
     move: TrackMove, start: float, axis: str, angle: float, peak: float, acceleration: float
 ) -> list[AxisCommand]:
-    """Stretches of constant acceleration through the spline's rates; a last small turn makes the angle exact."""
+    """Pieces of constant acceleration through the spline's rates; a last small turn makes the angle exact."""
     controls = tuple(math.degrees(float(rate)) / peak for rate in move.rates or ())
     spans = [c for _, _, c in shape_pieces("spline", controls=controls)]
     duration = float(move.duration)

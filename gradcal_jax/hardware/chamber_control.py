@@ -1,7 +1,7 @@
-"""The chamber's side of a run: what it was told, what it has read, and when its temperature counts as stable.
+"""The chamber in a run: its commands, its readings, and when its temperature counts as stable.
 
-Beside what the chamber says stands the recipe's own course of the air (`Expected`): a chamber that takes every command
-and does nothing agrees with itself for ever.
+The readings are compared with the recipe's own course of the air (`Expected`), because a chamber that accepts every
+command and does nothing would agree with its own set point.
 """
 
 import itertools
@@ -28,7 +28,7 @@ Tell = Callable[..., None]
 
 @dataclass(frozen=True)
 class _SoftRamp:
-    """A ramp that the runner makes itself, by set points, where the controller has none."""
+    """A ramp by set points of the runner, for a controller without ramps."""
 
     began_s: float
     start_c: float
@@ -37,20 +37,20 @@ class _SoftRamp:
 
 
 class Expected:
-    """The recipe's temperature of the air over time, straight between knots; constant after the last."""
+    """The recipe's temperature of the air over time, linear between knots; constant after the last."""
 
     def __init__(self) -> None:
         self._knots: tuple[tuple[float, float], ...] = ()
 
     def unknown(self) -> None:
-        """The chamber goes somewhere as fast as it can."""
+        """No course: the chamber goes to a set point as fast as it can."""
         self._knots = ()
 
     def stands(self, now_s: float, temperature_c: float) -> None:
         self._knots = ((now_s, temperature_c),)
 
     def ramps(self, from_s: float, target_c: float, k_per_min: float) -> None:
-        """From where the course is at that time, if that is known."""
+        """A ramp from the course's temperature at that time, if that is known."""
         if not self._knots:
             return
         start_c = self._at(from_s)
@@ -76,7 +76,7 @@ class Expected:
 
 
 class ChamberControl:
-    """Tells the chamber its course and remembers what it says, from any thread: one command after the other."""
+    """Commands the chamber and keeps its readings, from any thread: one command after the other."""
 
     def __init__(self, chamber: TemperatureChamber, clock: Clock, event: Tell) -> None:
         self.chamber = chamber
@@ -101,10 +101,7 @@ class ChamberControl:
                 self._history.append((reading.time_s, value))
 
     def end(self, longest_s: float) -> None:
-        """From now on the chamber is told nothing; returns when it has heard what it is being told.
-
-        Or after `longest_s` real seconds.
-        """
+        """Send no further command; returns when the current one has ended, or after `longest_s` real seconds."""
         self._ended = True
         with self._clock.aside():
             if self._telling.acquire(timeout=longest_s):
@@ -112,7 +109,7 @@ class ChamberControl:
 
     @contextmanager
     def _alone(self) -> Generator[bool, None, None]:
-        """Alone with the chamber; whether it may still be told anything."""
+        """Exclusive access to the chamber; whether commands are still allowed."""
         if not self._telling.acquire(blocking=False):
             with self._clock.aside():
                 self._telling.acquire()
@@ -122,7 +119,7 @@ class ChamberControl:
             self._telling.release()
 
     def hold(self, temperature_c: float) -> None:
-        """Condition at a temperature, unless that is what it does already."""
+        """Condition at a temperature, unless the chamber does so already."""
         with self._alone() as may:
             if not may:
                 return
@@ -133,14 +130,14 @@ class ChamberControl:
                 self._event("chamber told", hold_c=temperature_c)
 
     def expect(self, course: Course, now_s: float) -> None:
-        """What the recipe has the air do from now on."""
+        """Set the recipe's course of the air from now on."""
         if course.ramp_k_per_min is not None:
             self.expected.ramps(now_s, course.temperature_c, course.ramp_k_per_min)
         elif self.expected.of_late(now_s, 0.0) != (course.temperature_c, course.temperature_c):
             self.expected.unknown()
 
     def follow(self, course: Course) -> None:
-        """Go where a course says: by the controller's own ramp where it has one, else by `step_soft_ramp`."""
+        """Follow a course: by the controller's own ramp where it has one, else by `step_soft_ramp`."""
         with self._alone() as may:
             if not may:
                 return
@@ -148,20 +145,20 @@ class ChamberControl:
                 self.hold(course.temperature_c)
                 return
             self._held_c = None
-            told = {"ramp_to_c": course.temperature_c, "asked_k_per_min": course.ramp_k_per_min}
+            command = {"ramp_to_c": course.temperature_c, "asked_k_per_min": course.ramp_k_per_min}
             if self.chamber.limits().hardware_ramp:
                 self._soft = None
                 rate = self.chamber.ramp(course.temperature_c, course.ramp_k_per_min)
-                self._event("chamber told", **told, k_per_min=rate)
+                self._event("chamber told", **command, k_per_min=rate)
                 return
             start = self.chamber.read().setpoint_c
             slope = math.copysign(course.ramp_k_per_min / 60.0, course.temperature_c - start)
             self._next_soft_s = self._clock.now()
             self._soft = _SoftRamp(self._next_soft_s, start, course.temperature_c, slope)
-            self._event("chamber told", **told, k_per_min=course.ramp_k_per_min, by="steps of the runner")
+            self._event("chamber told", **command, k_per_min=course.ramp_k_per_min, by="steps of the runner")
 
     def step_soft_ramp(self) -> None:
-        """A ramp by set points, at least five seconds apart; to be called often."""
+        """Continue a ramp by set points, at least five seconds apart; to be called often."""
         if self._soft is not None:
             with self._alone() as may:
                 if may:
@@ -179,7 +176,7 @@ class ChamberControl:
         self._next_soft_s = now + _SOFT_STEP_S
 
     def watch(self, every_s: float, watching: threading.Event, failed: Callable[[str], None]) -> None:
-        """In a thread of its own: read the chamber as long as it is `watching`."""
+        """Read the chamber while `watching`, in a separate thread."""
         failures = 0
         with self._clock.party():
             while watching.is_set():
@@ -200,7 +197,7 @@ class ChamberControl:
                         return
 
     def tell(self, course: Course, due_s: float, failed: Callable[[str], None]) -> None:
-        """In a thread of its own: a chamber that takes seconds to acknowledge delays no move and no reading."""
+        """Runs in a separate thread: a chamber that takes seconds to acknowledge delays no move and no reading."""
         self.expect(course, due_s)
 
         def tell() -> None:
@@ -213,7 +210,7 @@ class ChamberControl:
         threading.Thread(target=tell, daemon=True, name="telling the chamber").start()
 
     def stable_at(self, temperature_c: float, wanted: Stable) -> float | None:
-        """The newest temperature, if it has been stable for as long as wanted; else None."""
+        """The newest temperature, if it has been stable for the required time; else None."""
         with self._lock:
             readings = list(self._history)
         lowest = highest = temperature_c

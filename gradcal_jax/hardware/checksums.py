@@ -1,6 +1,6 @@
 """The check sums of all supported protocols, as pure functions of bytes.
 
-Drivers and simulated devices share this module and nothing else, so that a mistake in a codec cannot hide in its twin.
+Drivers and simulated devices share this module only, so that both cannot have the same mistake in a codec.
 """
 
 import binascii
@@ -48,8 +48,8 @@ def crc8_stim300(data: bytes) -> int:
 
 
 def crc16_vectornav(data: bytes) -> int:
-    """CRC-16 of VectorNav binary packets (polynomial 1021, start 0); over a packet with its own CRC (after the sync
-    byte) the result is zero."""
+    """CRC-16 of VectorNav binary packets (polynomial 1021, start 0); zero over a packet with its CRC, without the sync
+    byte."""
     return binascii.crc_hqx(data, 0)
 
 

@@ -1,14 +1,14 @@
-"""Time for everything that runs.
+"""Clocks of a run.
 
-Nobody in this room calls `time.sleep` to let a chamber soak or a table turn: they wait on a `Clock`. With `RealClock`
-that is ordinary waiting; for simulated devices alone, `simulate.virtual_clock` skips it.
+All waiting for chambers and tables is on a `Clock`, never by `time.sleep`. `RealClock` waits really;
+`simulate.virtual_clock`, for simulated devices only, skips the waiting.
 """
 
 import time
 from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol
 
-# Linux's monotonic clock stands still while the computer sleeps, and the devices go on: this one does not.
+# Linux's monotonic clock stops while the computer sleeps and the devices continue; this one does not stop.
 _RUNS_ON = getattr(time, "CLOCK_BOOTTIME", None)
 
 
@@ -22,7 +22,7 @@ class Link(Protocol):
     def change(
         self, *, to_device: int = 0, to_host: int = 0, attached: bool | None = None, host_is_there: bool = False
     ) -> None:
-        """So many bytes more are on their way (negative: fewer, they arrived), or the host opened or left the line."""
+        """Add to the bytes under way (negative: they arrived), or note that the host opened or left the line."""
         ...
 
 
@@ -34,38 +34,38 @@ class Clock(Protocol):
         ...
 
     def sleep_until(self, time_s: float) -> None:
-        """Return at `time_s` of this clock, at once when it has passed."""
+        """Return at `time_s` of this clock, at once if that is in the past."""
         ...
 
     def sleep(self, duration_s: float) -> None: ...
 
     def party(self) -> AbstractContextManager[None]:
-        """While inside, virtual time stands still unless this thread waits on the clock."""
+        """Context in which virtual time stands still unless this thread waits on the clock."""
         ...
 
     def aside(self) -> AbstractContextManager[None]:
-        """While inside, a party lets time go on: for waiting on something that is not this clock."""
+        """Context in which a party lets time pass: for waiting on something that is not this clock."""
         ...
 
     def real_pace(self) -> AbstractContextManager[None]:
-        """While inside, a party lets time go on as fast as the real one: for waiting on a silent line."""
+        """Context in which a party lets time pass at the real rate: for waiting on a silent line."""
         ...
 
     def link(self, url: str) -> Link: ...
 
 
 class _NoAccount:
-    """The link of real time: nothing to account for."""
+    """A link on real time: nothing to account for."""
 
     def change(self, **_: object) -> None:
         pass
 
 
 class RealClock:
-    """The computer's monotonic clock. Steps of the wall clock do not move it; what the computer sleeps counts.
+    """The computer's monotonic clock: steps of the wall clock do not change it, and it includes the computer's sleep.
 
-    `speed` makes its second shorter: for rehearsals with simulated devices that live in another process and have a
-    clock of the same speed. Never for devices that are real.
+    `speed` shortens its second, for rehearsals with simulated devices in another process whose clock has the same
+    speed. Never for real devices.
     """
 
     def __init__(self, *, speed: float = 1.0) -> None:

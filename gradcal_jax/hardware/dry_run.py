@@ -1,6 +1,6 @@
-"""What a run would do, before it does it: what each device will be told, and whether everything that it needs is there.
+"""Dry run: the commands that a run will send to each device, and whether all that it needs is ready.
 
-Nothing moves, but for `try_longest_moves`, which is asked for by name.
+Nothing moves, except in `try_longest_moves`, which has to be requested.
 """
 
 import math
@@ -23,18 +23,18 @@ _ROUNDED = 0.005
 
 @dataclass(frozen=True)
 class PlannedStep:
-    """A step of the run: its own time (what it waits for comes on top), and what the devices are told in it."""
+    """A step of the run: its own time (without waiting), and the commands to the devices in it."""
 
     name: str
     begins_s: float
     duration_s: float
     waits: bool
-    told: tuple[str, ...]
+    commands: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class DryRun:
-    """Of a whole run. `problems`: why it would not start; `rounded`: what the chamber makes of slopes."""
+    """The dry run of a recipe. `problems`: why it would not start; `rounded`: slopes that the chamber rounds."""
 
     steps: tuple[PlannedStep, ...]
     duration_s: float
@@ -43,50 +43,51 @@ class DryRun:
 
 
 def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> DryRun:
-    """What a track tells devices that have these limits."""
+    """The commands of a track to devices with these limits."""
     steps: list[PlannedStep] = []
     rounded: list[str] = []
     begins_s, here_c = 0.0, math.nan
     at = dict.fromkeys(axes, 0.0)
     for step in track.steps:
-        told: list[str] = []
+        commands: list[str] = []
         if step.ready is not None and step.begins_c is not None:
-            told.append(f"chamber: hold {step.begins_c:g} degC, until it is stable")
+            commands.append(f"chamber: hold {step.begins_c:g} degC, until it is stable")
             here_c = step.begins_c
         courses = [course for course in step.courses if step.follows or course.start_s > 0.0]
         if not step.follows and step.temperature_c is not None:
             courses.insert(0, Course(0.0, step.temperature_c, step.ramp_k_per_min))
         for course in courses:
-            said, made = _told(course, here_c, chamber)
-            told.append(f"chamber: {said}")
-            if made:
-                rounded.append(f"step {step.name!r}: {made}")
+            command, rounding = _chamber_command(course, here_c, chamber)
+            commands.append(f"chamber: {command}")
+            if rounding:
+                rounded.append(f"step {step.name!r}: {rounding}")
             here_c = course.temperature_c
         for name in dict.fromkeys(move.axis for move in step.moves):
-            told.append(_moves(name, [move for move in step.moves if move.axis == name], at))
-        steps.append(PlannedStep(step.name, begins_s, step.duration_s, step.ready is not None, tuple(told)))
+            commands.append(_moves(name, [move for move in step.moves if move.axis == name], at))
+        steps.append(PlannedStep(step.name, begins_s, step.duration_s, step.ready is not None, tuple(commands)))
         begins_s += step.duration_s
     problems = beyond_limits(track, chamber, axes)
     return DryRun(tuple(steps), begins_s, tuple(dict.fromkeys(rounded)), tuple(problems))
 
 
-def _told(course: Course, here_c: float, limits: ChamberLimits | None) -> tuple[str, str]:
-    """What the chamber is told, and what it makes of it where that differs."""
+def _chamber_command(course: Course, here_c: float, limits: ChamberLimits | None) -> tuple[str, str]:
+    """The command to the chamber, and a sentence where the chamber rounds its rate."""
     rate = course.ramp_k_per_min
     if rate is None:
         return f"hold {course.temperature_c:g} degC", ""
     way_k = abs(course.temperature_c - here_c)
-    said = f"ramp to {course.temperature_c:g} degC at {rate:.3g} K/min"
+    command = f"ramp to {course.temperature_c:g} degC at {rate:.3g} K/min"
     if limits is None or not limits.hardware_ramp:
-        return said + " (by steps of its set point, every 5 s)", ""
-    made = rate_as_made(limits, way_k, rate)
-    if abs(made - rate) <= _ROUNDED * rate:
-        return said, ""
-    return f"{said}, of which it makes {made:.3g}", f"{rate:.3g} K/min become {made:.3g} K/min in the chamber"
+        return command + " (by steps of its set point, every 5 s)", ""
+    executed = rate_as_made(limits, way_k, rate)
+    if abs(executed - rate) <= _ROUNDED * rate:
+        return command, ""
+    rounded = f"{rate:.3g} K/min become {executed:.3g} K/min in the chamber"
+    return f"{command}, of which it makes {executed:.3g}", rounded
 
 
 def rate_as_made(limits: ChamberLimits, way_k: float, rate_k_per_min: float) -> float:
-    """What the controller's steps, of rates or of whole times, make of a ramp."""
+    """The rate of a ramp after rounding to the controller's steps, of rates or of whole times."""
     if limits.ramp_step_s and way_k > 0.0:
         minutes = limits.ramp_step_s / 60.0
         return way_k / (minutes * max(1, round(way_k / rate_k_per_min / minutes)))
@@ -108,7 +109,7 @@ def _moves(name: str, moves: list[AxisCommand], at: dict[str, float]) -> str:
 
 @dataclass(frozen=True)
 class Tried:
-    """Something that a run needs, tried on the device itself."""
+    """A requirement of a run, tried on the device."""
 
     name: str
     what: str
@@ -116,9 +117,9 @@ class Tried:
 
 
 def try_for(bench: Bench, track: Track, clock: Clock, *, move: bool = False) -> list[Tried]:
-    """Try everything that a run needs: a reading of each device, the rates of streams, the track's limits; with `move`
-    the references and the longest move of each axis, there and back."""
-    found: list[Tried] = []
+    """Try all that a run needs: a reading of each device, the rates of streams, the track's limits; with `move` the
+    references and the longest move of each axis, there and back."""
+    trials: list[Tried] = []
     limits: dict[str, AxisLimits] = {}
     chamber = None
     if bench.chamber is not None:
@@ -126,24 +127,24 @@ def try_for(bench: Bench, track: Track, clock: Clock, *, move: bool = False) -> 
             reading, chamber = bench.chamber.read(), bench.chamber.limits()
             text = f"air {reading.air_c:.1f} degC, set point {reading.setpoint_c:.1f}, mode {reading.mode}"
             alarms = ", ".join(reading.alarms)
-            found.append(Tried("chamber", f"{text}; ALARM {alarms}" if alarms else text, not alarms))
+            trials.append(Tried("chamber", f"{text}; ALARM {alarms}" if alarms else text, not alarms))
         except HardwareError as problem:
-            found.append(Tried("chamber", str(problem), False))
+            trials.append(Tried("chamber", str(problem), False))
     for name, axis in bench.axes.items():
         try:
             place, limits[name] = axis.read(), axis.limits()
             text = "its angle is not known yet" if math.isnan(place.position_deg) else f"{place.position_deg:.3f} deg"
             faults = ", ".join(place.faults)
-            # Many controllers say that they have no reference by a fault: a run finds it first.
+            # Many controllers report a missing reference as a fault: a run homes the axis first.
             unknown = bool(faults) and not place.referenced
-            found.append(Tried(name, f"{text}; {faults}" if faults else text, not faults or unknown))
+            trials.append(Tried(name, f"{text}; {faults}" if faults else text, not faults or unknown))
         except HardwareError as problem:
-            found.append(Tried(name, str(problem), False))
-    found += [_streams(bench, name) for name in bench.imus]
-    found += [Tried("recipe", problem, False) for problem in beyond_limits(track, chamber, limits)]
-    if move and all(entry.good for entry in found):
-        found += try_longest_moves(bench, track, clock)
-    return found
+            trials.append(Tried(name, str(problem), False))
+    trials += [_streams(bench, name) for name in bench.imus]
+    trials += [Tried("recipe", problem, False) for problem in beyond_limits(track, chamber, limits)]
+    if move and all(entry.good for entry in trials):
+        trials += try_longest_moves(bench, track, clock)
+    return trials
 
 
 def _streams(bench: Bench, name: str) -> Tried:
@@ -155,14 +156,14 @@ def _streams(bench: Bench, name: str) -> Tried:
         count, missing, last_s = 0, 0, math.nan
         first: tuple[int, float] | None = None
         rate_hz, good, doubtful, began_s = math.nan, False, False, time.monotonic()
-        # What a busy host reads late is off by less the longer it listens.
+        # The longer the measurement, the smaller the error by late readings of a busy host.
         while (lasted_s := time.monotonic() - began_s) < (_LONGEST_S if doubtful else _STREAM_S):
             batch = decoder.push(*unit.read_bytes(0.5))
             if len(batch):
                 missing += int(batch.gap_before[1:].sum())
                 last_s, count = float(batch.host_time_s[-1]), count + len(batch)
                 first = first or (count, last_s)
-                # What came first had waited, nobody knows how long.
+                # The first bytes had waited for an unknown time.
                 rate_hz = (count - first[0]) / (last_s - first[1]) if last_s > first[1] else math.nan
                 good = abs(rate_hz / settings.sample_rate_hz - 1.0) < _RATE_OFF
                 doubtful = not (good or missing)
@@ -171,13 +172,13 @@ def _streams(bench: Bench, name: str) -> Tried:
         return Tried(name, str(problem), False)
     if math.isnan(rate_hz):
         return Tried(name, f"no samples came in {lasted_s:.0f} s", False)
-    said = f"{rate_hz:.1f} of {settings.sample_rate_hz:g} samples/s, {missing} missing"
-    return Tried(name, said, good and not missing)
+    text = f"{rate_hz:.1f} of {settings.sample_rate_hz:g} samples/s, {missing} missing"
+    return Tried(name, text, good and not missing)
 
 
 def try_longest_moves(bench: Bench, track: Track, clock: Clock) -> list[Tried]:
     """The references of the axes that the track moves, and the longest turn of each, there and back."""
-    found: list[Tried] = []
+    trials: list[Tried] = []
     for name in track.moved:
         turns = [m for step in track.steps for m in step.moves if m.axis == name and m.kind == "turn"]
         axis = bench.axes[name]
@@ -197,11 +198,11 @@ def try_longest_moves(bench: Bench, track: Track, clock: Clock) -> list[Tried]:
                 took_s, off = clock.now() - began_s, reading.position_deg - goal
                 text = f"{longest.angle_deg:g} deg in {took_s:.1f} s of {longest.duration_s:.1f}, {off:+.4f} deg off"
                 good = not reading.moving and abs(off) < _OFF_GOAL_DEG and took_s < longest.duration_s + _LATE_S
-                found.append(Tried(name, text, good))
+                trials.append(Tried(name, text, good))
                 if not good:
                     break
         except HardwareError as problem:
-            found.append(Tried(name, str(problem), False))
+            trials.append(Tried(name, str(problem), False))
         finally:
             axis.stop()
-    return found
+    return trials

@@ -1,8 +1,8 @@
-"""What can go wrong between the program and a device, by what may be done about it.
+"""Errors between the program and a device, classified by the possible response.
 
-Reads may be repeated after `ReplyTimeout`, `FramingError` and `ChecksumError`. Writes are repeated only when a
-read-back has shown that they did not take effect. `Rejected` and `DeviceFault` are the device's own word and are never
-repeated blindly. Every message is a sentence that says what was seen and what to do.
+Reads may be repeated after `ReplyTimeout`, `FramingError` and `ChecksumError`. Writes are repeated only after a
+read-back has shown that they did not take effect. `Rejected` and `DeviceFault` are statements of the device and are
+never repeated blindly. Every message says what was observed and what to do.
 """
 
 
@@ -16,7 +16,7 @@ _ESCAPES = {10: "\\n", 13: "\\r", 92: "\\\\"}
 
 
 class HardwareError(Exception):
-    """Any failure of a port, a device or a run. The message is for the person at the bench."""
+    """Any failure of a port, a device or a run. The message is for the operator."""
 
 
 class PortRefused(HardwareError):
@@ -28,7 +28,7 @@ class PortTaken(PortRefused):
 
 
 class Disconnected(HardwareError):
-    """The port vanished while it was open: a cable, an adapter or the peer is gone."""
+    """The port vanished while it was open: a cable, an adapter or the peer was removed."""
 
 
 class ReplyTimeout(HardwareError):
@@ -36,15 +36,15 @@ class ReplyTimeout(HardwareError):
 
 
 class FramingError(HardwareError):
-    """Bytes came, but they are not a message of this protocol."""
+    """The bytes received are not a message of this protocol."""
 
 
 class ChecksumError(FramingError):
-    """A message came whose check does not fit its contents."""
+    """The check sum of a message does not match its contents."""
 
 
 class Rejected(HardwareError):
-    """The device understood and said no.
+    """The device refused a valid message.
 
     `code` is the device's own code or word, `text` its meaning where known.
     """

@@ -1,4 +1,4 @@
-"""A recipe executed, on a rig or on simulated devices: what `gradcal run` does."""
+"""Execution of a recipe, on a rig or on simulated devices (`gradcal run`)."""
 
 import json
 import os
@@ -24,14 +24,14 @@ from .simulate.virtual_clock import VirtualClock
 from .supervision import Knows
 from .terminal import Terminal
 
-# A simulated run goes on so long after the last thing that it recorded.
+# A resumed simulated run continues this long after its last record.
 _LATER_S: Final = 60.0
 _MOST_UNITS: Final = 8
 _ONE: Final = "one sensor hangs on the simulated table of a single axis"
 
 
 class Attended(TypedDict, total=False):
-    """For whoever watches a run, as `session.run_session` takes them."""
+    """The arguments of `session.run_session` for the operator's interface."""
 
     on_progress: Callable[[RunProgress], None]
     with_runner: Callable[[Runner], None]
@@ -54,14 +54,13 @@ def run(
     units: int = 1,
     **attended: Unpack[Attended],
 ) -> RunResult:
-    """Execute a recipe and leave everything safe; `folder` becomes the run's, with all that was sent and received.
+    """Execute a recipe and leave everything safe; `folder` becomes the run's, with all bytes sent and received.
 
     Give either the `rig`, or `simulate`: then the devices are simulated, in virtual time or `speed` times faster than
-    the clock, their hidden errors drawn by `seed`, the sensor sampled at `sample_rate_hz` (125, 250, … 2000 Hz), of a
-    whole unit as many as `units` on the table; log, calibration and page say so. `attended`: for whoever watches
-    (`on_progress`, `with_runner`, `wait_when_paused`, `handle_signals`), and the `terminal` at which somebody turns the
-    axes that are turned by hand. `about`: texts by name, such as operator, unit and note, kept with the run and in its
-    log.
+    the clock, with hidden errors drawn by `seed`, the sensor sampled at `sample_rate_hz` (125, 250, … 2000 Hz), and
+    `units` whole units on the table; log, calibration and page say so. `attended`: the operator's interface
+    (`on_progress`, `with_runner`, `wait_when_paused`, `handle_signals`), and the `terminal` of the operator who turns
+    axes by hand. `about`: texts by name, such as operator, unit and note, kept with the run and in its log.
 
     Returns how it ended: `exit_status` "success", "stopped" or "aborted", `reason`, `steps_done`, `verified_safe`.
     Errors: `ValueError` for a folder that is not empty, for neither or both of rig and simulation, and for another
@@ -72,7 +71,7 @@ def run(
     path = Path(folder)
     if rig is not None:
         configs_of(rig)
-        _require_somebody(rig, recipe, attended)
+        _require_operator(rig, recipe, attended)
         return _on_rig(new_folder(path, recipe, rig, about=about), 0, attended)
     if sample_rate_hz not in RATES_HZ:
         known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
@@ -85,36 +84,36 @@ def run(
 
 
 def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack[Attended]) -> RunResult:
-    """Go on with a run that was ended or lost, by the recipe and on the rig (or the simulation) in its folder.
+    """Resume a run that was ended or lost, with the recipe and the rig (or the simulation) in its folder.
 
-    A `rig` that is given must be the one that the run began with.
+    A `rig` argument must be the one that the run began with.
 
-    The step that was cut short is done again; a simulated run goes on 60 s after the last thing recorded. `attended`
-    and what is returned: as `run`. Errors: `ValueError` where the folder holds no run, a complete one, or
-    one of another recipe or version; `HardwareError` where other devices answer than the run began with.
+    The interrupted step is repeated; a simulated run continues 60 s after its last record. `attended` and the result
+    are as for `run`. Errors: `ValueError` where the folder holds no run, a complete one, or one of another recipe or
+    version; `HardwareError` where other devices answer than at the beginning.
     """
-    found = RunFolder(Path(folder))
-    first = prepare_resume(found, rig)
-    notes = found.notes()
+    existing = RunFolder(Path(folder))
+    first = prepare_resume(existing, rig)
+    notes = existing.notes()
     if notes["simulated"]:
-        return _simulated(found.path, found.recipe(), notes["simulation"], first, attended)
-    _require_somebody(found.rig(), found.recipe(), attended)
-    return _on_rig(found, first, attended)
+        return _simulated(existing.path, existing.recipe(), notes["simulation"], first, attended)
+    _require_operator(existing.rig(), existing.recipe(), attended)
+    return _on_rig(existing, first, attended)
 
 
-def _require_somebody(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
+def _require_operator(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
     at_terminal = rig.operator is None or rig.operator.port == TERMINAL
     by_hand = any(axis.driver == OPERATOR for axis in rig.axis)
     hung = any(block.hang for block in recipe.motion)
     if hung and at_terminal and not by_hand and attended.get("terminal") is None:
         raise ValueError(
-            "the units are hung anew in this recipe by whoever sits at the terminal, and there is none: start the run "
+            "in this recipe the operator hangs the units anew, asked at the terminal, and there is none: start the run "
             "from a terminal, its output not redirected, or name a port under [operator] in the rig file"
         )
     names = [axis.name for axis in rig.axis if axis.port == TERMINAL]
     if names and attended.get("terminal") is None:
         raise ValueError(
-            f"axis {', '.join(names)} is turned by whoever sits at the terminal, and there is none: start the run from "
+            f"axis {', '.join(names)} is turned by the operator at the terminal, and there is none: start the run from "
             "a terminal, its output not redirected"
         )
 
@@ -139,10 +138,12 @@ def _simulated(
     settings: Any = {"seed": int(simulation["seed"]), "sample_rate_hz": float(simulation["sample_rate_hz"])}
     if isinstance(recipe.spec, UnitSpec):
         mounting = 0 if resumed is None else max(mounting_of(folder.contents()) - 1, 0)
-        made = SimulatedUnitLab(recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting)
+        simulated_lab = SimulatedUnitLab(
+            recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting
+        )
     else:
-        made = SimulatedLab(recipe.spec, clock, **settings)
-    with _on_one_core(), made as lab:
+        simulated_lab = SimulatedLab(recipe.spec, clock, **settings)
+    with _on_one_core(), simulated_lab as lab:
         if resumed is None:
             folder = new_folder(path, recipe, lab.rig, simulated=dict(simulation), about=about)
             write_whole(path / "hidden_truth.json", json.dumps(lab.truths(), indent=2) + "\n")
@@ -151,9 +152,8 @@ def _simulated(
 
 @contextmanager
 def _on_one_core() -> Generator[None, None, None]:
-    """What begins in it stays on the core where it begins: the threads of a rehearsal take turns, and from core to
-    core that costs a quarter of its time.
-    """
+    """Context whose threads stay on one core: the threads of a rehearsal take turns, and changing cores costs a quarter
+    of its time."""
     if sys.platform != "linux":
         yield
         return

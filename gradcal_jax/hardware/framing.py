@@ -1,7 +1,7 @@
-"""From a stream of bytes to messages: pure, without ports and without clocks.
+"""From a stream of bytes to messages: pure, without ports and clocks.
 
-A framer takes chunks of any size and gives whole frames; how the stream was cut into chunks makes no difference. The
-framers of single devices (datagrams, packets) stand beside their codecs; here are those that several devices share.
+A framer takes chunks of any size and returns whole frames, independent of how the stream was cut into chunks. Framers
+of a single device (datagrams, packets) are beside its codec; this module has those that several devices share.
 """
 
 from abc import ABC, abstractmethod
@@ -21,12 +21,12 @@ class Framer(Protocol):
         ...
 
     def reset(self) -> None:
-        """Forget an unfinished frame, after a time-out or a re-opened port."""
+        """Drop an unfinished frame, after a time-out or when a port is opened again."""
         ...
 
 
 class BufferedFramer:
-    """What every framer has; `pending` are the bytes of the unfinished frame."""
+    """The base of all framers; `pending` are the bytes of the unfinished frame."""
 
     def __init__(self) -> None:
         self._buffer: bytes = b""
@@ -40,10 +40,10 @@ class BufferedFramer:
 
 
 class LineFramer(BufferedFramer):
-    """Text lines that end at `terminator`, which is not part of the frame; None: at CR, LF or both, as a device may be
-    set. Empty lines are dropped, unless `keep_empty`.
+    """Text lines that end at `terminator`, which is not part of the frame; None: at CR, LF or both, for devices where
+    this is a setting. Empty lines are dropped, unless `keep_empty`.
 
-    A line longer than `longest` bytes is garbage: it is dropped up to the next terminator.
+    A line longer than `longest` bytes is noise: it is dropped up to the next terminator.
     """
 
     def __init__(self, terminator: bytes | None = None, *, longest: int = 4096, keep_empty: bool = False) -> None:
@@ -69,7 +69,7 @@ class LineFramer(BufferedFramer):
 
 
 class LengthFramer(BufferedFramer, ABC):
-    """Frames whose beginning tells their length. Where none begins, bytes are noise and dropped one by one, counted."""
+    """Frames whose head gives their length. Bytes where no frame begins are noise: dropped one by one, and counted."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -77,7 +77,7 @@ class LengthFramer(BufferedFramer, ABC):
 
     @abstractmethod
     def _length(self, head: bytes) -> int | None:
-        """Of the frame that `head` begins with; 0 when more bytes are needed to tell, None when none begins there."""
+        """The length of the frame at `head`; 0 when that needs more bytes, None when no frame begins there."""
 
     def push(self, data: bytes) -> list[bytes]:
         self._buffer += data
@@ -108,8 +108,8 @@ class ModbusTcpFramer(LengthFramer):
 class ModbusReplyFramer(LengthFramer):
     """Replies of a Modbus RTU slave to functions 3, 4, 6 and 16, by the length that their head announces.
 
-    The frames' CRC is *not* checked here: the codec does, so that a damaged reply is told from a missing one. Only what
-    belongs to `address` starts a frame.
+    The CRC is checked by the codec, *not* here, so that a damaged reply differs from a missing one. Only bytes of
+    `address` start a frame.
     """
 
     def __init__(self, address: int) -> None:
@@ -120,7 +120,7 @@ class ModbusReplyFramer(LengthFramer):
         length = self._announced(head)
         if not length or len(head) < length or _is_sound(head[:length]):
             return length
-        # Where a sound frame begins later, the one at the head is noise.
+        # If a sound frame begins later, the bytes at the head are noise.
         for start in range(1, len(head) - 4):
             later = self._announced(head[start:])
             if later and len(head) >= start + later and _is_sound(head[start : start + later]):

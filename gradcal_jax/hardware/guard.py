@@ -1,15 +1,15 @@
-"""A process beside the run that makes the rig safe when the run cannot do it any more.
+"""The guard: a process beside the run that makes the rig safe when the run no longer can.
 
-All that it will need is read before anything moves: the rig file, the drivers, the folder of the journal. Only then it
-says "ready". From then on both hold a pipe to the other. The run says "begun" before it moves anything, "before" with
-every setting of a device that it is about to change for the first time, "alive" every second, and "done" when it has
-ended by itself with everything verified safe. The guard answers "alive".
+It reads all that it needs before anything moves: the rig file, the drivers, the folder of the journal. Then it sends
+"ready". A pipe in each direction connects the two. The run sends "begun" before its first motion, "before" with every
+setting of a device before the first change, "alive" every second, and "done" when it has ended by itself with
+everything verified safe. The guard replies "alive".
 
 When the pipe closes after "begun" and without "done", the run was killed, broken off, or could not reach a device. When
-it stays open and nothing comes, the run hangs: the guard ends it. Then the ports are free; the guard opens them, makes
-every device safe, puts back the settings, and appends what became of them to the run's journal. A device that does not
-answer is tried again and again, for an hour, unless another run takes its port. A guard that does not answer in its
-turn is replaced, and the run's journal says so.
+the pipe stays open and silent, the run hangs: the guard ends it. Then the ports are free; the guard opens them, makes
+every device safe, restores the settings, and appends the outcome to the run's journal. A device that does not answer is
+tried again for an hour, unless another run takes its port. A guard that does not reply is replaced, which is an event
+of the run's journal.
 """
 
 import json
@@ -34,7 +34,7 @@ from .setup import Bench, configs_of, only_of, open_rig
 from .supervision import sound_alarm
 
 Settings = dict[str, dict[str, str]]
-"""What settings of devices were before the run changed them, by device and name."""
+"""Settings of devices before the run changed them, by device and name."""
 
 BEAT_S = 1.0
 _SILENT_S = 20.0
@@ -60,22 +60,22 @@ class Guard:
         self._start()
 
     def begun(self) -> None:
-        """From now on the rig may be anything but safe."""
+        """From now on the rig may be unsafe."""
         self._begun = True
         self._say("begun")
 
     def remember(self, device: str, name: str, value: str) -> None:
-        """What a setting of a device is, which is about to be changed."""
+        """Send the present value of a device's setting, before it is changed."""
         self._before.append("before " + json.dumps([device, name, value]))
         self._say(self._before[-1])
 
     def done(self) -> None:
-        """Everything was verified safe: nothing is left to do."""
+        """Everything was verified safe: the guard has nothing to do."""
         self._begun = False
         self._say("done")
 
     def beat(self) -> str:
-        """Say that the run is alive. A sentence where the guard was not, and was replaced."""
+        """Send "alive". Returns a sentence where the guard did not reply and was replaced."""
         code, now = self.process.poll(), time.monotonic()
         if code is None and (self._unanswered_s is None or now - self._unanswered_s < _SILENT_S):
             self._unanswered_s = self._unanswered_s or now
@@ -94,11 +94,11 @@ class Guard:
         return f"the guard {why}; another one has taken its place"
 
     def close(self) -> None:
-        """The run ends here: a guard that must act begins now."""
+        """The run ends here; the guard begins now if it has to act."""
         with self._lock, suppress(OSError):
             self._input.close()
         if self._begun:
-            # It takes as long as it takes; whoever waits for the run's end is to hear of it now.
+            # This has no time limit; the run's exit status is reported at once.
             threading.Thread(target=self.process.wait, daemon=True, name="leaving it to the guard").start()
             return
         try:
@@ -108,7 +108,7 @@ class Guard:
             self.process.wait()
 
     def _start(self) -> None:
-        """Start a guard. Raises `HardwareError` where it cannot do what it may have to."""
+        """Start a guard. Raises `HardwareError` where it cannot work."""
         process = subprocess.Popen(
             [sys.executable, "-m", "gradcal_jax.hardware.guard", str(self._folder), str(_SILENT_S)],
             stdin=subprocess.PIPE,
@@ -119,21 +119,21 @@ class Guard:
         assert process.stdin is not None
         assert process.stdout is not None
         self.process, self._input = process, process.stdin
-        ready, heard = threading.Event(), list[bytes]()
+        ready, received = threading.Event(), list[bytes]()
         self._unanswered_s = None
 
         def listen(output: IO[bytes]) -> None:
             with output:
-                while said := output.read(64):
-                    if not heard:
-                        heard.append(said)
+                while line := output.read(64):
+                    if not received:
+                        received.append(line)
                         ready.set()
                     self._unanswered_s = None
             ready.set()
 
         threading.Thread(target=listen, args=(process.stdout,), daemon=True, name="hearing the guard").start()
         ready.wait(_TO_START_S)
-        if not heard:
+        if not received:
             self._end()
             raise HardwareError(
                 f"The guard, which makes the rig safe if this run is killed, cannot work with {self._folder}: "
@@ -153,9 +153,9 @@ class Guard:
 
 @contextmanager
 def guarded(folder: Path) -> Generator[Guard, None, None]:
-    """While inside, a guard watches this process. It ignores Ctrl-C, which is the run's to handle.
+    """Context in which a guard watches this process. The guard ignores Ctrl-C, which the run handles.
 
-    The ports are to be opened inside and closed again before the end: then the guard takes over, if it has to.
+    The ports must be opened inside and closed before the end: then the guard can take over.
     """
     guard = Guard(folder)
     try:
@@ -168,8 +168,8 @@ def guarded(folder: Path) -> Generator[Guard, None, None]:
 
 
 def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEEP_TRYING_S) -> list[SafeOutcome]:
-    """Wait for the run's end on standard input; make safe if it had begun and ended, or hangs, without a last word."""
-    # Where the folder is moved to, the guard's own goes with it.
+    """Wait for the run's end on standard input; make safe if it began and then ended or hangs without "done"."""
+    # Its working folder keeps the guard with a run's folder that is moved.
     os.chdir(folder)
     rig = read_rig("rig.toml")
     configs_of(rig)
@@ -178,9 +178,9 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
     lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
 
     def listen() -> None:
-        said = b""
+        buffer = b""
         while chunk := os.read(0, 4096):
-            *whole, said = (said + chunk).split(b"\n")
+            *whole, buffer = (buffer + chunk).split(b"\n")
             for line in whole:
                 lines.put(line)
         lines.put(None)
@@ -210,7 +210,7 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
     if not begun:
         return []
     why = "the run did not answer any more and was ended" if hangs else "the run is gone, or left something unsafe"
-    # The alarm first: a device that does not answer may take an hour.
+    # The alarm comes first: a device that does not answer may take an hour.
     sound_alarm(rig, f"In {folder} {why}; the guard makes the rig safe")
     return make_folder_safe(Path(), rig=rig, before=before, why=why, keep_trying_s=keep_trying_s)
 
@@ -224,7 +224,7 @@ def make_folder_safe(
     deadline_s: float = 60.0,
     keep_trying_s: float = 0.0,
 ) -> list[SafeOutcome]:
-    """Make every device of a run's folder safe and put back its settings; the journal says what became of them.
+    """Make every device of a run's folder safe and restore its settings; the journal has the outcome.
 
     A device that is not verified safe is tried again for `keep_trying_s`.
     """
@@ -236,16 +236,16 @@ def make_folder_safe(
         happened.append((clock.now(), name, data))
 
     note("guard", what=f"{why}; making the rig safe")
-    end, pause_s, found = time.monotonic() + keep_trying_s, 1.0, dict[str, SafeOutcome]()
+    end, pause_s, outcomes = time.monotonic() + keep_trying_s, 1.0, dict[str, SafeOutcome]()
     while True:
         for outcome in _try_once(rig, clock, before or {}, deadline_s, note):
-            found[outcome.name] = outcome
-            said = {"action": outcome.action, "verified": outcome.verified, "evidence": outcome.evidence}
-            note("made safe", by="guard", device=outcome.name, **said)
-        left = {name: outcome for name, outcome in found.items() if not outcome.verified}
+            outcomes[outcome.name] = outcome
+            details = {"action": outcome.action, "verified": outcome.verified, "evidence": outcome.evidence}
+            note("made safe", by="guard", device=outcome.name, **details)
+        left = {name: outcome for name, outcome in outcomes.items() if not outcome.verified}
         again = bool(left) and time.monotonic() < end
         if left and keep_trying_s:
-            # What a device says at every try is said to whoever is there; the journal has the first and the last.
+            # Every try is printed; the journal has the first and the last.
             what = "is not safe, and is tried again" if again else "could not be made safe"
             for name, outcome in left.items():
                 print(f"{name} {what}: {outcome.evidence}", file=sys.stderr, flush=True)
@@ -254,7 +254,7 @@ def make_folder_safe(
             _write(folder / "journal", happened)
         happened.clear()
         if not again:
-            return list(found.values())
+            return list(outcomes.values())
         time.sleep(pause_s)
         pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
         rig = only_of(rig, set(left))
@@ -277,20 +277,19 @@ def _try_once(
 
 
 def _write(path: Path, happened: list[tuple[float, str, dict[str, Any]]]) -> None:
-    """Only now: to open a journal of hours takes seconds, and it may be its full disk that has ended the run."""
+    """Written at the end: opening a journal of hours takes seconds, and a full disk may have ended the run."""
     try:
         with Journal(path) as journal:
             for time_s, name, data in happened:
                 journal.event(time_s, name, **data)
     except Exception as problem:
-        # What became of the devices is said to whoever is there.
+        # The outcome has been printed already.
         print(problem, *(f"{name}: {data}" for _, name, data in happened), sep="\n", file=sys.stderr)
 
 
 def _open_soon(rig: RigFile, clock: Clock, missing: list[SafeOutcome]) -> Bench:
-    """The killed run's ports are free in a moment. A port that is not, as of a cable that was pulled, keeps no other
-    device from being made safe: its device is among the `missing`, unless another run has taken it.
-    """
+    """Open the killed run's ports, which become free in a moment. A port that stays closed, as with a cable pulled,
+    does not affect other devices: its device is among the `missing`, unless another run has taken it."""
     end = time.monotonic() + _TO_OPEN_S
     while True:
         try:
@@ -306,7 +305,7 @@ def _open_soon(rig: RigFile, clock: Clock, missing: list[SafeOutcome]) -> Bench:
             open_rig(only_of(rig, {name}), clock).close()
             openable.add(name)
         except PortTaken as problem:
-            # It is theirs now, and no longer the guard's to try again.
+            # The other run is responsible for it now.
             missing.append(SafeOutcome(name, "left to another run", True, str(problem), 0, 0.0))
         except HardwareError as problem:
             missing.append(SafeOutcome(name, action, False, str(problem), 0, 0.0))

@@ -1,7 +1,7 @@
-"""What a run watches while it runs, and what it does about it.
+"""Interlocks: conditions that pause or abort a run.
 
-A rule looks at the situation and gives a sentence when it is not as it should be. Only what lasts longer than the
-rule's patience trips it; then the run pauses or aborts, and the sentence goes into the journal.
+A rule examines the situation and returns a sentence where it is violated. A violation that lasts longer than the rule's
+patience trips it: the run pauses or aborts, and the sentence goes into the journal.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,16 +11,15 @@ from typing import Literal
 from .axis_control import too_fast
 from .roles import AxisReading, ChamberReading
 
-# A door that was opened for a moment is no reason to end a run.
+# A short opening of the door does not trip a rule.
 _PATIENCE_S = 30.0
 
 
 @dataclass(frozen=True)
 class Situation:
-    """The newest that is known. `imu_age_s`: time since each unit's last bytes. `course_c`: the lowest and the highest
-    temperature that the recipe has had for the air of late, None while the chamber goes somewhere as fast as it can.
-    `allowed_dps`: how fast an axis may turn now by what it was told, and how fast the rig lets it.
-    """
+    """The newest readings. `imu_age_s`: time since each unit's last bytes. `course_c`: the recipe's lowest and highest
+    temperature of the air over the last while, None while the chamber goes to a set point as fast as it can.
+    `allowed_dps`: the rates allowed to an axis now by its commands and by the rig."""
 
     time_s: float
     chamber: ChamberReading | None
@@ -43,11 +42,10 @@ class InterlockRule:
 
 @dataclass(frozen=True)
 class InterlockLimits:
-    """The numbers of the standard rules, and of what counts as executed; what is None is not watched.
+    """The limits of the standard rules, and of a step's execution; None switches a rule off.
 
-    The air may be `temperature_band_k` beside its course, and `temperature_lag_s` behind it. A command that is
-    `latest_s` late, a turn that ends so late, and a step of which more than `lost_share` of a unit's samples are lost
-    were not executed as written.
+    The air may be `temperature_band_k` off its course, and `temperature_lag_s` behind it. A step is not executed as
+    written if a command is, or a turn ends, `latest_s` late, or if it lacks more than `lost_share` of a unit's samples.
     """
 
     temperature_band_k: float | None = 3.0
@@ -60,14 +58,14 @@ class InterlockLimits:
 
 @dataclass
 class Interlocks:
-    """Rules with their memory of since when each has been violated."""
+    """Rules, with the time since when each has been violated."""
 
     rules: tuple[InterlockRule, ...]
     limits: InterlockLimits = field(default_factory=InterlockLimits)
     _since: dict[str, float] = field(default_factory=dict[str, float])
 
     def check(self, situation: Situation) -> tuple[InterlockRule, str] | None:
-        """The first rule that has lost its patience, with its sentence; aborts before pauses."""
+        """The first rule that trips, with its sentence; aborts before pauses."""
         tripped: list[tuple[InterlockRule, str]] = []
         for rule in self.rules:
             text = rule.look(situation)
@@ -78,13 +76,13 @@ class Interlocks:
         return min(tripped, key=lambda pair: pair[0].action != "abort", default=None)
 
     def forget(self) -> None:
-        """After a pause: every rule has its patience back."""
+        """Restart the patience of every rule, after a pause."""
         self._since.clear()
 
 
 def standard_rules(limits: InterlockLimits | None = None) -> Interlocks:
     """Chamber alarm, faults and over-speed of axes, course of the temperature, stale units, disk space."""
-    given = limits or InterlockLimits()
+    bounds = limits or InterlockLimits()
 
     def alarm(now: Situation) -> str:
         if now.chamber is None or not now.chamber.alarms:
@@ -92,39 +90,39 @@ def standard_rules(limits: InterlockLimits | None = None) -> Interlocks:
         return f"the chamber reports alarm {', '.join(now.chamber.alarms)}: see its manual"
 
     def faults(now: Situation) -> str:
-        found = [f"axis {name}: {', '.join(reading.faults)}" for name, reading in now.axes.items() if reading.faults]
-        return "; ".join(found)
+        texts = [f"axis {name}: {', '.join(reading.faults)}" for name, reading in now.axes.items() if reading.faults]
+        return "; ".join(texts)
 
     def over_speed(now: Situation) -> str:
-        found = [
+        texts = [
             f"axis {name} turns at {now.axes[name].rate_dps:.1f} deg/s; it was told {allowed[0]:g} and the rig allows "
             f"{allowed[1]:g}"
             for name, allowed in now.allowed_dps.items()
             if name in now.axes and too_fast(now.axes[name].rate_dps, allowed)
         ]
-        return "; ".join(found)
+        return "; ".join(texts)
 
     def course(now: Situation) -> str:
-        if now.chamber is None or given.temperature_band_k is None or now.course_c is None:
+        if now.chamber is None or bounds.temperature_band_k is None or now.course_c is None:
             return ""
         low, high = now.course_c
         air = now.chamber.air_c
         away = min(air - low, 0.0) or max(air - high, 0.0)
-        if abs(away) <= given.temperature_band_k:
+        if abs(away) <= bounds.temperature_band_k:
             return ""
         return (
             f"the air is at {air:.1f} degC, {away:+.1f} K from the recipe's course of the last "
-            f"{given.temperature_lag_s:g} s; the rig allows {given.temperature_band_k:g} K"
+            f"{bounds.temperature_lag_s:g} s; the rig allows {bounds.temperature_band_k:g} K"
         )
 
     def stale(now: Situation) -> str:
-        if given.imu_stale_s is None:
+        if bounds.imu_stale_s is None:
             return ""
-        old = [f"{name} for {age:.1f} s" for name, age in now.imu_age_s.items() if age > given.imu_stale_s]
+        old = [f"{name} for {age:.1f} s" for name, age in now.imu_age_s.items() if age > bounds.imu_stale_s]
         return f"no bytes from {', '.join(old)}" if old else ""
 
     def disk(now: Situation) -> str:
-        if now.free_bytes >= given.free_bytes:
+        if now.free_bytes >= bounds.free_bytes:
             return ""
         return f"only {now.free_bytes / 1e6:.0f} MB are free on the disk"
 
@@ -137,5 +135,5 @@ def standard_rules(limits: InterlockLimits | None = None) -> Interlocks:
             InterlockRule("stale unit", "pause", 0.0, stale),
             InterlockRule("disk space", "pause", 0.0, disk),
         ),
-        given,
+        bounds,
     )

@@ -7,12 +7,12 @@ A file of records, little-endian:
              3 sent                       n bytes  payload: JSON of an event, or the bytes of a line
     1 byte   number of the line           4 bytes  CRC-32 of everything from the kind to the payload's end
 
-Nothing is ever rewritten. A record that a crash has torn fails its CRC; the next run appends behind it, and the reader
-goes on at the next record that fits. Events reach the disk before `event` returns (unless it is told not to wait),
+Nothing is ever rewritten. A record that a crash has truncated fails its CRC; the next run appends behind it, and the
+reader continues at the next sound record. Events reach the disk before `event` returns (unless `at_once` is false),
 everything else at least once a second.
 
-One thread writes, in the order in which things happened; nobody but those who wait for an event waits for the disk. A
-disk that stalls for seconds therefore costs memory and not bytes of a line whose buffer holds a quarter of a second.
+One thread writes, in order of time; only the caller of an event waits for the disk. A disk that stalls for seconds
+therefore costs memory, and no bytes of a line whose buffer holds a quarter of a second.
 """
 
 import errno
@@ -37,7 +37,7 @@ _LONGEST = 1 << 26
 _MOST_WAITING = 1 << 28
 LINE_EVENT = "line"
 _NUMBER = (int, float)
-# What is read back of events, and its types.
+# The fields of events that are read back, and their types.
 _FIELDS: Mapping[str, Mapping[str, tuple[type, ...]]] = {
     LINE_EVENT: {"number": (int,), "name": (str,)},
     "session": {"number": (int,), "wall_clock_s": _NUMBER, "simulated": (bool,)},
@@ -56,18 +56,18 @@ _FIELDS: Mapping[str, Mapping[str, tuple[type, ...]]] = {
 }
 
 Direction = Literal[">", "<", "#"]
-"""To the device, from it, or a remark."""
+"""To the device, from it, or a remark about the line."""
 Recorder = Callable[[float, Direction, bytes], None]
-"""Keeps the bytes of a line: when, which way, what."""
+"""Records the bytes of a line: time, direction, bytes."""
 
 
 class JournalFull(HardwareError):
-    """The journal cannot be written: without it a run must not go on."""
+    """The journal cannot be written: a run must not continue without it."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened: `name` and whatever belongs to it."""
+    """An event of the run: its `name` and data."""
 
     time_s: float
     name: str
@@ -76,7 +76,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Chunk:
-    """Bytes of one line as they came or went."""
+    """Bytes of one line, received or sent."""
 
     time_s: float
     line: str
@@ -109,7 +109,7 @@ class Journal:
         self._sync_every_s = sync_every_s
         self._lines: dict[str, int] = {}
         if path.exists():
-            # Numbers of lines go on where the last run stopped: one number never means two lines.
+            # Numbers of lines continue after the last session's: one number never means two lines.
             known = [event.data["number"] for event in read_journal(path).events if event.name == LINE_EVENT]
             self._first_number = max(known, default=-1) + 1
         else:
@@ -117,7 +117,7 @@ class Journal:
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)
         self._problem: JournalFull | None = None
         self._closing = False
-        # Guards what follows: the records that wait, and how many were put in, are wanted on the disk, and are there.
+        # Guards the waiting records, and the numbers of records queued, requested on disk, and on disk.
         self._change = threading.Condition()
         self._waiting: list[bytes] = []
         self._waiting_bytes = 0
@@ -150,11 +150,11 @@ class Journal:
             self._append(_RECEIVED if received else _SENT, number, time_s, data)
 
     def recorder(self, line: str) -> Recorder:
-        """For a `Transport`: its bytes go into this journal under the name `line`."""
+        """A recorder for a `Transport`, whose bytes go into this journal under the name `line`."""
         return lambda time_s, direction, data: self.bytes_of(line, time_s, data, received=direction == "<")
 
     def close(self) -> None:
-        """Write what waits and close the file; idempotent."""
+        """Write the waiting records and close the file; idempotent."""
         with self._change:
             self._closing = True
             self._change.notify_all()
@@ -167,7 +167,7 @@ class Journal:
         self.close()
 
     def _append(self, kind: int, line: int, time_s: float, payload: bytes) -> None:
-        """Put a record in line for the disk. The caller holds the lock."""
+        """Queue a record for the disk. The caller holds the lock."""
         if self._problem is not None:
             raise self._problem
         if self._closing:
@@ -186,7 +186,7 @@ class Journal:
         self._change.notify_all()
 
     def _write_on(self) -> None:
-        """The writer's life: write what waits in one go, sync where somebody waits for it and once a second."""
+        """The writer's thread: write all waiting records at once, sync on request and once a second."""
         synced_s, dirty = time.monotonic(), False
         while True:
             with self._change:
@@ -228,7 +228,7 @@ class Journal:
 
 
 def read_journal(path: Path) -> JournalContents:
-    """Everything sound in a journal, however it ends. Raises `HardwareError` where there is no such file."""
+    """All sound records of a journal, however it ends. Raises `HardwareError` where there is no such file."""
     try:
         data = path.read_bytes()
     except OSError as problem:
@@ -244,7 +244,7 @@ def parse_journal(data: bytes) -> JournalContents:
         contents.damaged_bytes += start - position
         record, end = _record(data, start, names)
         if record is None:
-            # Two bytes that look like a beginning: the true one may be the very next.
+            # Two bytes that look like a head: the true head may be one byte later.
             contents.damaged_bytes += 1
             position = start + 1
             continue
@@ -275,7 +275,7 @@ def _record(data: bytes, start: int, names: dict[int, str]) -> tuple[Event | Chu
 
 
 def _event(start: int, time_s: float, payload: bytes) -> Event:
-    """An event, whose fields are what this program writes: what comes from elsewhere is refused in a sentence."""
+    """An event with the fields that this program writes; any other is refused with a sentence."""
     try:
         read: Any = json.loads(payload)
     except (ValueError, RecursionError):
@@ -299,7 +299,7 @@ def _strange(start: int, why: str) -> HardwareError:
 
 
 def json_of(item: Any) -> Any:
-    """Values as JSON has them: tuples as lists, infinities and NaN as null."""
+    """Values for JSON: tuples as lists, infinities and NaN as null."""
     if isinstance(item, Mapping):
         return {str(k): json_of(v) for k, v in item.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
     if isinstance(item, (list, tuple)):
@@ -308,7 +308,7 @@ def json_of(item: Any) -> Any:
 
 
 def record_of(value: Any) -> dict[str, Any]:
-    """A record of this room as JSON has it; its `name` is that of a device."""
+    """A dataclass for JSON; its `name` is that of a device."""
     fields = {name: json_of(getattr(value, name)) for name in value.__dataclass_fields__}
     if "name" in fields:
         fields["device"] = fields.pop("name")

@@ -1,4 +1,4 @@
-"""What of a step's samples is missing, and the steps that it concerns."""
+"""Missing samples of a step."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ class ExecutedStep:
 
 
 class SampleLosses:
-    """What is missing of a unit's samples: the stream is decoded once while it comes, and only this is kept."""
+    """Missing samples of a unit: the stream is decoded once on arrival, and only the losses are kept."""
 
     def __init__(self, decoder: ImuDecoder, sample_rate_hz: float) -> None:
         self._decoder, self._sample_rate_hz = decoder, sample_rate_hz
-        self._found: deque[tuple[float, int, bool]] = deque(maxlen=1 << 16)
+        self._losses: deque[tuple[float, int, bool]] = deque(maxlen=1 << 16)
         self.received = self.missing = 0
 
     def push(self, data: bytes, time_s: float) -> None:
@@ -36,11 +36,11 @@ class SampleLosses:
         missing, restarted = int(batch.gap_before.sum()), bool(batch.restarted.any())
         self.received, self.missing = self.received + len(batch), self.missing + missing
         if missing or restarted:
-            self._found.append((time_s, missing, restarted))
+            self._losses.append((time_s, missing, restarted))
 
     def between(self, executed: ExecutedStep, share: float) -> str:
-        """A sentence where more than a share of a step's samples is missing, or the unit began anew in it."""
-        inside = [found for found in list(self._found) if executed.began_s < found[0] <= executed.ended_s]
+        """A sentence where more than a share of a step's samples is missing, or the unit restarted in it."""
+        inside = [loss for loss in list(self._losses) if executed.began_s < loss[0] <= executed.ended_s]
         if any(restarted for _, _, restarted in inside):
             return "the unit began anew in mid-step"
         lost = sum(missing for _, missing, _ in inside)

@@ -1,4 +1,4 @@
-"""How a whole unit stands, as a drawing in text for whoever turns it by hand: which of its axes point where."""
+"""The attitude of a whole unit as a drawing in text for the operator: which of its axes point where."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
@@ -17,8 +17,8 @@ _WORLD: Final = {"up": (0.0, 0.0, 1.0), "east": (1.0, 0.0, 0.0), "north": (0.0, 
 
 
 def drawing_of(recipe: Recipe) -> Callable[[Mapping[str, float], int], str] | None:
-    """The drawing of a unit at angles (deg) of its table's axes, by name, in the mounting of a number, from 1; None
-    where the recipe is not of a whole unit."""
+    """The drawing of a unit at angles (deg) of its table's axes, by name, in a mounting (its number, from 1); None for
+    a recipe that is not of a whole unit."""
     spec = recipe.spec
     return (lambda angles, mounting: drawn(spec, angles, mounting)) if isinstance(spec, UnitSpec) else None
 
@@ -38,8 +38,8 @@ def drawn(spec: UnitSpec, angles_deg: Mapping[str, float], mounting: int) -> str
     attitude = attitude @ np.array(hung.columns).T
     if hung.rotation is not None:
         attitude = attitude @ turn_by([float(angle) for angle in hung.rotation])
-    said = {name: f"{name}: body {_seen(np.array(world) @ attitude)}" for name, world in _WORLD.items()}
-    return f"  {said['up']}\n  |  {said['north']}\n  | /\n  o---- {said['east']}"
+    texts = {name: f"{name}: body {_seen(np.array(world) @ attitude)}" for name, world in _WORLD.items()}
+    return f"  {texts['up']}\n  |  {texts['north']}\n  | /\n  o---- {texts['east']}"
 
 
 def turn_about(axis: Sequence[float] | Numbers, angle: float | Numbers) -> Numbers:

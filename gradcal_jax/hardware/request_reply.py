@@ -1,8 +1,8 @@
-"""Request and reply over one line, shared by all drivers whose device speaks when spoken to.
+"""Request and reply over one line, for all drivers whose device answers requests.
 
-The rules of retrying live here once: before every request the input is drained, so that a late reply to an earlier
-question is not taken for the answer to this one; after a time-out or a damaged reply the line is given time to fall
-silent; questions are repeated, commands are not (their driver reads back instead).
+The rules of retrying: the input is drained before every request, so that a late reply to an earlier query does not
+count as the reply to this one; after a time-out or a damaged reply the line is given time to become silent; queries are
+repeated, commands are not (their driver reads back instead).
 """
 
 import threading
@@ -20,13 +20,13 @@ Reply = TypeVar("Reply")
 
 
 class NotThisReply(Exception):
-    """Raised by a reply parser for a frame that is sound but answers something else: the exchange goes on waiting."""
+    """Raised by a reply parser for a sound frame that answers another request: the exchange continues to wait."""
 
 
 class Exchange:
     """One conversation at a time on a port. Thread-safe; several devices of one port share one exchange.
 
-    `min_interval_s` is the pause, on the run's clock, that the device wants between the starts of two requests;
+    `min_interval_s` is the device's least time between the starts of two requests, on the run's clock;
     `reply_timeout_s` is real time; `settle_s` is the silence (real time) that ends a disturbed conversation.
     """
 
@@ -55,8 +55,8 @@ class Exchange:
 
     @contextmanager
     def alone(self) -> Generator[None, None, None]:
-        """While inside, no other thread speaks on this line. Waiting for it does not hold virtual time: whoever is
-        speaking may have to wait on the clock."""
+        """Context with exclusive use of this line. Waiting for it does not hold virtual time, because the thread that
+        has the line may have to wait on the clock."""
         if not self._lock.acquire(blocking=False):
             with self.clock.aside():
                 self._lock.acquire()
@@ -74,11 +74,11 @@ class Exchange:
         reply_timeout_s: float | None = None,
         pause_after_s: float | None = None,
     ) -> Reply:
-        """Send `request`, return what `parse` makes of the reply.
+        """Send `request`, return the reply parsed by `parse`.
 
-        `parse` raises `NotThisReply` for a frame to pass over, `FramingError` or `ChecksumError` for a damaged one.
-        With `repeat` (questions only) those and a time-out are tried again. `pause_after_s` replaces the usual
-        interval to the next request.
+        `parse` raises `NotThisReply` for a frame to ignore, `FramingError` or `ChecksumError` for a damaged one. With
+        `repeat` (queries only) the request is repeated after those and after a time-out. `pause_after_s` replaces the
+        usual interval to the next request.
         """
         with self.alone():
             tries = self._tries if repeat else 1
@@ -86,7 +86,7 @@ class Exchange:
                 try:
                     reply = self._once(request, parse, reply_timeout_s or self._reply_timeout_s, pause_after_s)
                     if attempt > 1:
-                        # A late reply to an earlier try was taken, and the one to this try is still to come.
+                        # The reply was a late one to an earlier try, and the one to this try is still to come.
                         self.transport.drain(self._settle_s)
                     return reply
                 except (ReplyTimeout, FramingError):
@@ -96,7 +96,7 @@ class Exchange:
             raise AssertionError("unreachable: the last try returns or raises")
 
     def write(self, request: bytes, *, pause_after_s: float | None = None) -> None:
-        """Send something that has no reply."""
+        """Send a message that has no reply."""
         with self.alone():
             self._send(request, pause_after_s)
 
@@ -112,32 +112,32 @@ class Exchange:
     ) -> Reply:
         self._send(request, pause_after_s)
         end = time.monotonic() + reply_timeout_s
-        heard = b""
+        received = b""
         problem: FramingError | None = None
         spoke = True
         while (left := end - time.monotonic()) > 0.0:
-            # On a silent line virtual time goes on, from where one reading begins: a late reply has to come within it.
+            # On a silent line virtual time runs on from the start of this reading: a late reply has to come within it.
             data = self.transport.read(min(left, 0.1) if spoke else left)
             spoke = bool(data)
-            heard += data
+            received += data
             for frame in self._framer.push(data):
                 try:
                     return parse(frame)
                 except NotThisReply:
                     continue
                 except ChecksumError:
-                    # The message was ours to judge and is damaged: no use in waiting for another.
+                    # The reply to this request is damaged: no other will come.
                     raise
                 except FramingError as damage:
-                    # Perhaps noise before the reply: the reply may still come in its time.
+                    # This may be noise before the reply, which may still come in time.
                     problem = damage
         if problem is not None:
             raise problem
-        if heard:
+        if received:
             raise FramingError(
                 f"{self.device} at {self.transport.url} was sent {printable(request)!r} and answered "
-                f"{printable(heard)!r}, which is no complete reply of its protocol. Check that the port leads to this "
-                "device, its baud rate and its terminator."
+                f"{printable(received)!r}, which is no complete reply of its protocol. Check that the port leads to "
+                "this device, its baud rate and its terminator."
             )
         raise ReplyTimeout(
             f"{self.device} at {self.transport.url} was sent {printable(request)!r} and did not answer in "
@@ -156,7 +156,7 @@ def command_and_verify(
     pause_s: float = 0.2,
     looks: int = 3,
 ) -> Reply:
-    """Command, then read back until the read-back shows it; the one way in which this room repeats a command.
+    """Command, then read back until the read-back shows it; no other function repeats a command.
 
     `send` is repeated only after `looks` read-backs, `pause_s` of the run's clock apart, have shown that it did not
     take effect: a lost acknowledgement alone repeats nothing. A refusal by the device is raised at once.

@@ -1,8 +1,8 @@
-"""What the runner asks of devices: a chamber, axes of motion (driven, or turned by hand), a stream of an IMU.
+"""The roles of devices: a chamber, axes of motion (driven, or turned by hand), a stream of an IMU.
 
-Small protocols in the sense of `typing`: a driver has the methods, it inherits nothing. What was asked for (the set
-point) and what is (the read-back) are different fields everywhere. Units stand in the names: temperatures in °C (`_c`),
-angles in degrees (`_deg`), rates in deg/s (`_dps`).
+The roles are `typing` protocols: a driver has the methods and inherits nothing. Set point and read-back are different
+fields everywhere. Units are in the names: temperatures in °C (`_c`), angles in degrees (`_deg`), rates in deg/s
+(`_dps`).
 """
 
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ from .settings import KeptSettings
 
 @dataclass(frozen=True)
 class Identity:
-    """Who answered: compared with the rig file before a run and with the journal when one resumes."""
+    """A device's identity: compared with the rig file before a run and with the journal when one resumes."""
 
     driver: str
     model: str
@@ -27,7 +27,7 @@ class Identity:
 
 
 class ChamberSafe(Enum):
-    """What a chamber does when the run ends badly."""
+    """The state of a chamber after a run."""
 
     STANDBY = "standby"  # conditioning off: drifts to the room
     HOLD = "hold"  # stays where it is
@@ -35,7 +35,7 @@ class ChamberSafe(Enum):
 
 
 class AxisSafe(Enum):
-    """What an axis does when the run ends badly. There is no default that unpowers a gravity-loaded axis."""
+    """The state of an axis after a run. No default unpowers a gravity-loaded axis."""
 
     HOLD = "hold"  # controlled stop, stays powered
     STOP = "controlled stop"  # controlled stop; powered state left to the device
@@ -44,7 +44,7 @@ class AxisSafe(Enum):
 
 @dataclass(frozen=True)
 class ChamberLimits:
-    """What the chamber itself says it accepts. Ramps are made in steps of a rate, or of a whole time, where not 0."""
+    """The limits that the chamber reports. Ramps are rounded to steps of a rate, or of a whole time, where not 0."""
 
     lowest_c: float
     highest_c: float
@@ -58,7 +58,7 @@ class ChamberLimits:
 
 @dataclass(frozen=True)
 class ChamberReading:
-    """One reading; `setpoint_c` is the one that the controller works to now (moving while a ramp runs)."""
+    """One reading; `setpoint_c` is the controller's present set point (it moves while a ramp runs)."""
 
     time_s: float
     air_c: float
@@ -71,7 +71,7 @@ class ChamberReading:
 
 @dataclass(frozen=True)
 class SafeReport:
-    """What a device was told in `safe()` and what its read-back said."""
+    """The command of `safe()` and its read-back."""
 
     action: str
     verified: bool
@@ -90,9 +90,9 @@ class TemperatureChamber(Protocol):
         ...
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
-        """Go to `temperature_c` at `rate_k_per_min` (above zero), in the controller.
+        """Go to `temperature_c` at `rate_k_per_min` (above zero), by the controller's own ramp.
 
-        Returns the rate that the controller's resolution makes of it, K/min.
+        Returns the rate after rounding to the controller's resolution, K/min.
         """
         ...
 
@@ -103,7 +103,7 @@ class TemperatureChamber(Protocol):
 
 @dataclass(frozen=True)
 class AxisLimits:
-    """What the axis accepts. Travel is None where it turns for ever; `by_hand`: a person turns it."""
+    """The axis's limits. Travel is None for an endless axis; `by_hand`: the operator turns it."""
 
     max_rate_dps: float
     max_acceleration_dps2: float
@@ -116,7 +116,7 @@ class AxisLimits:
 
 @dataclass(frozen=True)
 class AxisReading:
-    """One reading. `position_deg` is unwrapped: it goes on counting over whole turns; NaN while nobody knows it."""
+    """One reading. `position_deg` is unwrapped: it counts over whole turns; NaN while it is unknown."""
 
     time_s: float
     position_deg: float
@@ -135,11 +135,11 @@ class MotionAxis(Protocol):
     def limits(self) -> AxisLimits: ...
     def read(self) -> AxisReading: ...
     def home(self) -> None:
-        """Find the reference; returns when it is found, raises `DeviceFault` when it is not."""
+        """Find the reference; returns at the end, raises `DeviceFault` on failure."""
         ...
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        """Start a trapezoidal move to an absolute position and return at once; `read().moving` tells its end."""
+        """Start a trapezoidal move to an absolute position and return at once; `read().moving` shows its end."""
         ...
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
@@ -162,16 +162,16 @@ class MotionAxis(Protocol):
 
 @runtime_checkable
 class DrawnAxis(Protocol):
-    """An axis whose mover is a person, who sees beforehand how the unit is to stand."""
+    """An axis that the operator turns, who sees the unit's next attitude beforehand."""
 
     def draw(self, drawing: str) -> None:
-        """Show this with the next turn that is asked for."""
+        """Show this with the next turn."""
         ...
 
 
 @dataclass(frozen=True)
 class ImuSettings:
-    """What the unit says of itself after configuration, for the log."""
+    """The unit's configuration, read back, for the log."""
 
     sample_rate_hz: float
     counter_modulus: int
@@ -182,7 +182,7 @@ class ImuSettings:
 class ImuBatch:
     """Samples decoded together. `n` of them, three axes; a quantity that the unit does not send is NaN.
 
-    Raw integers are kept beside scaled values: what is reported can be computed again.
+    Raw integers are kept beside scaled values, so that results can be recomputed.
 
     host_time_s     (n,)   clock of the run when the last byte of the sample was in hand
     device_time_s   (n,)   the unit's own time, unwrapped, from its counter or clock
@@ -193,7 +193,7 @@ class ImuBatch:
     status          (n,)   status bits, 0 = good; the meaning is the driver's
     gap_before      (n,)   number of samples missing just before this one, as far as the decoder has seen
     disturbed       (n,)   whether bytes just before it belong to no sound frame; False where stamps are absolute
-    restarted       (n,)   whether the unit began anew before it, so that its own time does not go on
+    restarted       (n,)   whether the unit restarted before it, so that its own time is not continuous
     """
 
     host_time_s: NDArray[np.float64]
@@ -212,22 +212,22 @@ class ImuBatch:
 
 
 class ImuDecoder(Protocol):
-    """Pure: the same bytes with the same stamps always give the same samples, however they were cut."""
+    """Pure: the samples depend on the bytes and their stamps only, not on how the stream was cut."""
 
     resolution_s: float
-    """Of the unit's own stamps."""
+    """Resolution of the unit's own stamps."""
     sample_s: float
-    """Interval of samples by the unit's own clock."""
+    """Sampling interval by the unit's own clock."""
     round_samples: int
-    """After how many samples the unit's counter begins anew; 0 where its stamps are absolute."""
+    """The number of samples after which the unit's counter wraps; 0 where its stamps are absolute."""
     repeated_datagrams: int
-    """Datagrams that were passed over because they had come before."""
+    """Repeated datagrams, which are ignored."""
 
     def push(self, data: bytes, host_time_s: float) -> ImuBatch: ...
 
     @property
     def bad_bytes(self) -> int:
-        """Bytes passed over because they belonged to no sound frame."""
+        """Bytes outside sound frames, which are ignored."""
         ...
 
 
@@ -243,11 +243,11 @@ class ImuStream(Protocol):
     def start(self) -> None: ...
     def stop(self) -> None: ...
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
-        """Raw bytes of the stream with their time: they go to disk before anyone decodes them."""
+        """Raw bytes of the stream with their time: they go to disk before they are decoded."""
         ...
 
     def decoder(self) -> ImuDecoder:
-        """A fresh decoder for this unit's settings."""
+        """A new decoder for this unit's settings."""
         ...
 
     def safe(self) -> SafeReport: ...

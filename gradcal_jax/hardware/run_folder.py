@@ -1,14 +1,14 @@
 """The folder of a run: recipe and rig as executed, the journal, and what resuming needs to know.
 
-    recipe.toml, rig.toml    as they were when the run began
-    recipe-2.toml, …         by which it went on, where it was planned anew
-    run.json                 when, by which version, simulated or not, the recipe's fingerprint, the rig, who and what
-    status.json              how the run stands, or ended (see `supervision`)
-    journal                  raw bytes and events of the run and of every resumed part of it
-    hidden_truth.json        of a simulated run: what the calibration is to find
+    recipe.toml, rig.toml    at the beginning of the run
+    recipe-2.toml, …         after replanning
+    run.json                 time, version, simulated or not, the recipe's fingerprint, the rig, operator and notes
+    status.json              the status of the run, or how it ended (see `supervision`)
+    journal                  raw bytes and events of all sessions of the run
+    hidden_truth.json        of a simulated run: the true parameters
 
-Each part of a run is a *session*: an event with its number begins it. A run that ended without its "end" event was
-lost (killed, or the power failed); the next session says so.
+A run consists of *sessions*: an event with its number begins each. A run that ended without its "end" event was lost
+(killed, or the power failed); the next session notes it.
 """
 
 import json
@@ -33,7 +33,7 @@ _FILES: Final = frozenset({"journal", "recipe.toml", "rig.toml", "run.json", "hi
 
 
 class RunFolderError(ValueError):
-    """A folder that cannot be used as it was asked for."""
+    """A folder that cannot be used for the requested action."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class RunFolder:
         return self.path / "journal"
 
     def recipes(self) -> list[str]:
-        """The files of the recipes by which it went, the newest last."""
+        """The files of the recipes of the run, the newest last."""
         return [Path(str(name)).name for name in self.notes().get("recipes", ["recipe.toml"])]
 
     def recipe(self) -> Recipe:
@@ -58,16 +58,16 @@ class RunFolder:
         return read_rig(self.path / "rig.toml")
 
     def notes(self) -> dict[str, Any]:
-        """What run.json holds. Raises `RunFolderError` where this is no run's folder."""
+        """The contents of run.json. Raises `RunFolderError` where this is no run's folder."""
         try:
-            found = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
+            notes = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
             raise RunFolderError(
                 f"{self.path} is not the folder of a run: there is no run.json that can be read."
             ) from None
-        if not isinstance(found, dict) or found.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
+        if not isinstance(notes, dict) or notes.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
             raise RunFolderError(f"{self.path} holds no {FORMAT}; it may be of another version.")
-        return found  # pyright: ignore[reportUnknownVariableType]
+        return notes  # pyright: ignore[reportUnknownVariableType]
 
     def contents(self) -> JournalContents:
         """The journal as far as it is sound."""
@@ -82,10 +82,10 @@ def new_folder(
     simulated: dict[str, Any] | None = None,
     about: Mapping[str, str] | None = None,
 ) -> RunFolder:
-    """Make the folder of a new run, or take that of a run that never began. `about` is kept with it: who, what, notes.
+    """Make the folder of a new run, or reuse that of a run that never began. `about`: operator, unit and notes to keep.
 
-    Raises `RunFolderError` where a run's folder is there already, or something else; `HardwareError`, before anything
-    is made, where the rig lacks an axis that the recipe turns.
+    Raises `RunFolderError` where the folder holds a run or other files; `HardwareError`, before it is made, where the
+    rig lacks an axis that the recipe turns.
     """
     track_of(recipe, [axis.name for axis in rig.axis])
     there = path / "journal"
@@ -94,7 +94,7 @@ def new_folder(
             f"{path} holds a run already: go on with it by `gradcal run --resume {path}`, or name another folder."
         )
     names = {entry.name for entry in path.iterdir()} if path.exists() else set[str]()
-    # A folder that holds anything else, or a journal of somebody else's, is left as it is.
+    # A folder with other files, or with a foreign journal, is left unchanged.
     if {"journal", "run.json"} <= names <= _FILES:
         for name in names:
             (path / name).unlink()
@@ -119,14 +119,14 @@ def new_folder(
 
 
 def rig_tables(rig: RigFile) -> dict[str, Any]:
-    """A rig as its file has it."""
+    """A rig as the tables of its file."""
     return rig.model_dump(mode="json", exclude_unset=True)
 
 
 def rig_as_run(contents: JournalContents, rig: RigFile) -> RigFile:
-    """The rig that the run began with, as its journal has it; `rig` where the journal has none.
+    """The rig that the run began with, from its journal; `rig` where the journal has none.
 
-    A rig file that was changed afterwards does not change what the recorded bytes mean.
+    A later change of the rig file does not change the meaning of the recorded bytes.
     """
     for event in contents.events:
         if event.name == SESSION and isinstance(event.data.get("rig"), dict):
@@ -137,18 +137,18 @@ def rig_as_run(contents: JournalContents, rig: RigFile) -> RigFile:
 def begin_session(
     journal: Journal, now_s: float, number: int, rig: RigFile, *, simulated: bool, first_step: int, recipe: int = 0
 ) -> None:
-    """The event that begins a part of a run; the wall clock stands beside the monotonic one."""
+    """Write the event that begins a session, with the wall clock beside the monotonic one."""
     part: dict[str, Any] = {"number": number, "first_step": first_step, "recipe": recipe, "wall_clock_s": time.time()}
     journal.event(now_s, SESSION, **part, simulated=simulated, version=version("gradcal_jax"), rig=rig_tables(rig))
 
 
 def sessions(contents: JournalContents) -> int:
-    """How many parts of the run the journal holds."""
+    """The number of sessions in the journal."""
     return sum(event.name == SESSION for event in contents.events)
 
 
 def steps_done(contents: JournalContents, recipe: int = 0) -> int:
-    """The step of the recipe of that number by which to go on: one after the last that is done."""
+    """The step of the recipe of that number at which to resume: one after the last that is done."""
     done, current = 0, 0
     for event in contents.events:
         if event.name == SESSION:
@@ -159,12 +159,12 @@ def steps_done(contents: JournalContents, recipe: int = 0) -> int:
 
 
 def mounting_of(contents: JournalContents) -> int:
-    """How the units hang, as `Step.mounting`; 0 where nobody was asked to hang them."""
+    """How the units hang, as `Step.mounting`; 0 where the operator was not asked to hang them."""
     return next((int(event.data["mounting"]) for event in reversed(contents.events) if event.name == "hung"), 0)
 
 
 def exit_status(contents: JournalContents) -> str:
-    """Of the last session: "success", "stopped", "aborted", or "lost" where the journal has no end."""
+    """The last session's exit status: "success", "stopped", "aborted", or "lost" where the journal has no end."""
     status = "lost"
     for event in contents.events:
         if event.name == SESSION:
@@ -175,9 +175,9 @@ def exit_status(contents: JournalContents) -> str:
 
 
 def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
-    """Check that the run can go on, and return the step by which. `rig`: one that it is said to go on with.
+    """Check that the run can be resumed, and return the first step. `rig`: the rig to resume with.
 
-    Raises `RunFolderError`: the recipe or the rig is another than the run began with, another version wrote the run, or
+    Raises `RunFolderError`: the recipe or the rig differs from the beginning, another version wrote the run, or
     everything is done.
     """
     notes = folder.notes()
@@ -188,10 +188,10 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
         )
     then: Any = notes.get("rig")
     for now in (folder.rig(), rig):
-        if now is not None and isinstance(then, dict) and (found := _differences(then, rig_tables(now))):
+        if now is not None and isinstance(then, dict) and (differences := _differences(then, rig_tables(now))):
             raise RunFolderError(
-                f"The rig is not the one that the run in {folder.path} began with: {'; '.join(found)}. Put it back, or "
-                "begin a new run."
+                f"The rig is not the one that the run in {folder.path} began with: {'; '.join(differences)}. Put it "
+                "back, or begin a new run."
             )
     if notes.get("version") != version("gradcal_jax"):
         raise RunFolderError(
@@ -218,7 +218,7 @@ def _differences(then: Any, now: Any, key: str = "") -> list[str]:
 
 
 def require_same_devices(bench: Bench, contents: JournalContents) -> None:
-    """Compare who answers with who answered when the run began. Raises `WrongIdentity`."""
+    """Compare the devices with those at the beginning of the run. Raises `WrongIdentity`."""
     known: dict[str, Event] = {}
     for event in contents.events:
         if event.name == "identity":

@@ -1,17 +1,17 @@
-"""Executes a track on a bench: one clock, everything journalled, safe at the end whatever ends it.
+"""Executes a track on a bench: one clock, everything journalled, safe at every kind of end.
 
-States and the ways between them are in `WAYS`; each change is an event of the journal. Requests (pause, stop, abort)
-may come from any thread or signal handler and are noticed within a quarter of a second of the run's clock, or as soon
-as the device that is just being told something has answered. Nothing turns while a run is paused, and what must end it
-still does. A step that was interrupted, by a pause or by the end of the process, is done again from its beginning: the
-chamber goes back to where the step begins and is stable there, the axes go to where they were, and the journal marks
-the seam.
+`WAYS` has the states and the transitions between them; each change is an event of the journal. Requests (pause, stop,
+abort) may come from any thread or signal handler and take effect within a quarter of a second of the run's clock, or
+when the device that has the current command has answered. Nothing turns while a run is paused, and interlocks can still
+end it. A step that was interrupted, by a pause or by the end of the process, is repeated from its beginning: the
+chamber goes to the step's first temperature and is stable there, the axes go to their angles, and the journal marks the
+interruption.
 
-Besides the thread that executes there is one that reads the chamber, one that feeds the watchdogs of axes, and one for
-each unit that carries its bytes to the disk: no device's slowness delays a move or lets a watchdog expire.
+Beside the executing thread, one thread reads the chamber, one feeds the watchdogs of axes, and one for each unit writes
+its bytes to the disk: no slow device delays a move or lets a watchdog expire.
 
-Resuming after a crash is a runner with `first_step` (see `run_folder`); what makes a rig safe when this process is
-killed is `guard`.
+A runner with `first_step` resumes after a crash (see `run_folder`); `guard` makes a rig safe when this process is
+killed.
 """
 
 import math
@@ -66,13 +66,13 @@ _ARRIVAL_S = 0.1
 _PIECES_S = 0.2
 _LONGEST_ARRIVAL_S = 60.0
 _TRIES = 3
-# Where somebody reaches into the chamber.
+# The chamber's temperature while the operator reaches into it.
 _FOR_HANDS_C = 23.0
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """How a run ended: "success", "stopped" (asked for) or "aborted", why, and what became of every device."""
+    """How a run ended: "success", "stopped" (on request) or "aborted", why, and the final state of every device."""
 
     exit_status: Literal["success", "stopped", "aborted"]
     reason: str
@@ -86,8 +86,8 @@ class RunResult:
 
 @dataclass(frozen=True)
 class RunProgress:
-    """For whoever shows it: handed to `on_progress` once a chamber reading, in the run's own thread: the run waits for
-    whoever does not return at once."""
+    """The argument of `on_progress`, called once for each chamber reading in the run's own thread: the run waits until
+    it returns."""
 
     state: RunState
     step: str
@@ -98,13 +98,13 @@ class RunProgress:
     chamber: ChamberReading | None
     axes: Mapping[str, AxisReading]
     course_c: tuple[float, float] | None = None
-    """The lowest and the highest that the recipe allows the air now, but for the band."""
+    """The lowest and the highest temperature of the air by the recipe now, without the band."""
     samples: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
-    """Of each unit: received, and missing between them."""
+    """Samples of each unit: received, and missing between them."""
 
 
 class _Interrupted(Exception):
-    """A pause in the middle of a step."""
+    """A pause within a step."""
 
 
 class _Ended(Exception):
@@ -117,7 +117,7 @@ class _Ended(Exception):
 
 @dataclass
 class Runner:
-    """One run. `run` returns only after everything was made safe, and raises nothing for what devices do."""
+    """One run. `run` returns only after everything was made safe, and raises no errors of devices."""
 
     track: Track
     bench: Bench
@@ -131,9 +131,9 @@ class Runner:
     wait_when_paused: bool = True
     first_step: int = 0
     mounting: int = 0
-    """How the units hang when the run begins, as `Step.mounting`; 0: nobody knows."""
+    """How the units hang when the run begins, as `Step.mounting`; 0: unknown."""
     draw: Callable[[Mapping[str, float], int], str] | None = None
-    """How a unit stands at angles (deg) of the axes, in a mounting: for whoever turns them by hand."""
+    """The drawing of a unit at angles (deg) of the axes, in a mounting, for the operator who turns them."""
 
     def __post_init__(self) -> None:
         self.state = RunState.IDLE
@@ -150,7 +150,7 @@ class Runner:
         self._tries: dict[int, int] = {}
         self._shortfall: StepNotDone | None = None
         self.ticked_s = time.monotonic()
-        """Real time of when the run's own thread last came by: one that hangs does not."""
+        """Real time of the last sign of life of the run's own thread."""
         self._heard_end_s = math.inf
         self._problem: str = ""
         self._working = threading.Event()
@@ -160,11 +160,11 @@ class Runner:
         self._step_ends_s = 0.0
 
     def request(self, what: Request, reason: str = "asked for") -> None:
-        """Ask for a change; safe in a signal handler."""
+        """Request a change of state; safe in a signal handler."""
         self._requests.append((what, reason))
 
     def dry_run(self) -> list[str]:
-        """Compare the track with the limits that the devices report now. Empty: it may start. Nothing moves."""
+        """Compare the track with the limits that the devices report. Empty: the run may start. Nothing moves."""
         chamber = self.bench.chamber.limits() if self.bench.chamber is not None else None
         return beyond_limits(self.track, chamber, {name: axis.limits() for name, axis in self.bench.axes.items()})
 
@@ -198,7 +198,7 @@ class Runner:
             with self.clock.aside():
                 for helper in helpers:
                     helper.join(timeout=5.0)
-            # Only now: nobody else reads the lines of the units any more.
+            # At the end: no other thread reads the lines of the units any more.
             for name, problem in put_back(self.bench).items():
                 self._event("settings put back", quietly=True, device=name, problem=problem)
             good = all(outcome.verified for outcome in outcomes)
@@ -256,11 +256,11 @@ class Runner:
                 self.clock.sleep(_SLICE_S)
 
     def _fail(self, problem: str) -> None:
-        """Of a helper: what it says ends the run."""
+        """Called by a helper thread: its sentence ends the run."""
         self._problem = problem
 
     def _carry_bytes(self, name: str) -> None:
-        """Raw bytes to the journal first; then what is missing between them is counted."""
+        """Write raw bytes to the journal first, then count the missing samples."""
         unit, losses = self.bench.imus[name], self._losses[name]
         while self._working.is_set():
             try:
@@ -274,7 +274,7 @@ class Runner:
                 return
 
     def _execute(self) -> None:
-        # A run that was killed after its last step has nothing left to do but to end.
+        # A run that was killed after its last step only has to end.
         again = 0 < self.first_step < len(self.track.steps)
         if again:
             step = self.track.steps[self._steps_done]
@@ -303,7 +303,7 @@ class Runner:
                 again = True
 
     def _take_back(self, shortfall: StepNotDone) -> None:
-        """A step that was not executed as written is made again, a few times; then the run ends."""
+        """Repeat a step that was not executed as written, a few times; then the run ends."""
         number, why = shortfall.number, str(shortfall)
         name = self.track.steps[number].name
         self._event("not done", step=name, number=number, why=why)
@@ -317,7 +317,7 @@ class Runner:
         self._event("seam", step=name, why="the step is made again; it was not executed as written")
 
     def _pause_between(self, step: TrackStep) -> None:
-        """Nothing turns while a run is paused, also what the next step would have gone on with."""
+        """Stop every axis: nothing turns while a run is paused, not even a spin that the next step continues."""
         try:
             self._axes.end_spins(step.name, step.duration_s)
             self._axes.settle_all(self._duties)
@@ -327,10 +327,10 @@ class Runner:
             self._wait_paused()
 
     def _confirm_steps(self) -> None:
-        """A step is done when its samples are in the journal too: what a resumed run does not do again is whole. What
-        is heard first behind its end may be a piece of a burst, and the other pieces hold the step's last samples."""
-        heard = min(self._imu_heard_s.values(), default=math.inf)
-        while self._unconfirmed and self._shortfall is None and self._unconfirmed[0].ended_s + _ARRIVAL_S <= heard:
+        """Wait until a step's samples are in the journal: a step that a resumed run does not repeat must be complete.
+        The first bytes after its end may be a piece of a burst whose other pieces hold the step's last samples."""
+        latest_s = min(self._imu_heard_s.values(), default=math.inf)
+        while self._unconfirmed and self._shortfall is None and self._unconfirmed[0].ended_s + _ARRIVAL_S <= latest_s:
             self._heard_end_s = min(self._heard_end_s, self.clock.now())
             if self.clock.now() < self._heard_end_s + _PIECES_S:
                 return
@@ -376,7 +376,7 @@ class Runner:
             while fallen < len(reads) and motion + reads[fallen] <= now:
                 fallen += 1
             if axes.by_hand and fallen:
-                # In somebody's hands nothing is read: of what fell due meanwhile only the last counts.
+                # No readings while an axis is turned by hand: of those that fell due meanwhile only the last counts.
                 del reads[: fallen - 1]
                 fallen = 1
             if fallen and not axes.turned_by_hand:
@@ -418,14 +418,14 @@ class Runner:
         return ExecutedStep(self._steps_done, begin, self.clock.now())
 
     def _require_executed(self) -> None:
-        """What an axis or a reading did not do as the track has it ends the step: it is to be made again."""
+        """Interrupt the step where axes or readings deviate from the track: it is to be repeated."""
         if self._shortfall is not None:
             raise self._shortfall
         if self._axes.amiss:
             raise StepNotDone(self._steps_done, "; ".join(dict.fromkeys(self._axes.amiss)))
 
     def _begin(self, step: TrackStep, again: bool) -> float:
-        """Bring everything to where the step begins, wait for its condition, and tell the chamber its course."""
+        """Bring axes and chamber to the step's start, wait for its condition, and command the chamber's course."""
         if step.mounting and step.mounting != self.mounting:
             self._hang(step)
         if again or step.goes_there:
@@ -444,10 +444,10 @@ class Runner:
         return self.clock.now()
 
     def _hang(self, step: TrackStep) -> None:
-        """Have somebody hang the units as the step says; a person takes the time that a person takes."""
+        """Ask the operator to hang the units for this step, and wait without a time-out."""
         console, chamber = self.bench.console, self._chamber
         if console is None:
-            raise HardwareError(f"Somebody is to hang the units anew ({step.hang}), and nobody can be asked.")
+            raise HardwareError(f"The units must be hung anew ({step.hang}), and there is no operator to ask.")
         self._axes.go_to_start(step.name, dict.fromkeys(step.start_deg, 0.0), self._duties)
         ready = step.again or step.ready
         if chamber is not None and ready is not None:
@@ -477,7 +477,7 @@ class Runner:
         self._event("stable", step=step.name, temperature_c=value, waited_s=self.clock.now() - began)
 
     def _duties(self, end_s: float | None = None) -> None:
-        """Whatever recurs: requests, readings, interlocks."""
+        """Recurring work: requests, readings, interlocks."""
         self.ticked_s = time.monotonic()
         self._obey_requests()
         self._confirm_steps()
@@ -485,12 +485,12 @@ class Runner:
         self._watch()
 
     def _watch(self) -> None:
-        """Interlocks pause the run or end it; one that is paused or has not begun they can only end."""
+        """Interlocks pause or end the run; a run that is paused or has not begun can only be ended."""
         if self._problem:
             raise HardwareError(self._problem)
         self._axes.watch()
         now = self.clock.now()
-        ages = {name: now - heard for name, heard in self._imu_heard_s.items()}
+        ages = {name: now - latest_s for name, latest_s in self._imu_heard_s.items()}
         free = shutil.disk_usage(self.journal.path.parent).free
         chamber, paused = self._chamber, self.state is RunState.PAUSED
         newest = None if chamber is None else chamber.newest
@@ -522,7 +522,7 @@ class Runner:
             if what in ("stop", "abort"):
                 raise _Ended("stopped" if what == "stop" else "aborted", reason)
             if self.state is RunState.IDLE:
-                # The references are found first.
+                # Homing comes first.
                 self._pause_first = what != "resume"
             elif what == "resume" and self.state in (RunState.PAUSING, RunState.PAUSED):
                 self._enter(RunState.RUNNING)
@@ -560,8 +560,8 @@ class Runner:
         self.on_progress(RunProgress(*where, left, ahead, newest, self._axes.newest, course_c, samples))
 
     def _end(self, status: str, reason: str) -> tuple[SafeOutcome, ...]:
-        """Make safe, and say so in the journal if it can still be written."""
-        # A chamber that is being made safe is told nothing else.
+        """Make safe, with an event in the journal if it can still be written."""
+        # A chamber that is being made safe gets no other commands.
         self._watching.clear()
         chamber = self._chamber
         waits = None if chamber is None else lambda: chamber.end(0.5 * self.safe_deadline_s)

@@ -1,7 +1,7 @@
-"""Making a rig safe: every device in a thread of its own, with its own deadline, retried, verified by read-back.
+"""Making a rig safe: every device in its own thread, with its own deadline, retried, verified by read-back.
 
-A device that hangs keeps nobody waiting but itself. What safe means is written in the rig file; what was done and what
-the device said afterwards is the outcome, also when it failed.
+A device that hangs delays no other. The rig file defines the safe state; the outcome is the command and the device's
+read-back, also on failure.
 """
 
 import threading
@@ -19,9 +19,9 @@ _RETRY_PAUSE_S = 0.2
 
 @dataclass
 class SafeOutcome:
-    """What became of one device. `evidence` is the read-back, or the last problem; `took_s` real seconds.
+    """The outcome of one device. `evidence` is the read-back, or the last problem; `took_s` real seconds.
 
-    Filled by its thread; whoever waits for that takes a copy: a hanging thread leaves what it knew so far.
+    Its thread fills it; the waiting thread takes a copy, with the state so far of a thread that hangs.
     """
 
     name: str
@@ -39,12 +39,12 @@ def make_safe(
     deadline_s: float = 60.0,
     before_chamber: Callable[[], None] | None = None,
 ) -> list[SafeOutcome]:
-    """Bring every device of the bench to the state that its rig file calls safe.
+    """Bring every device of the bench to the safe state of the rig file.
 
-    `before_chamber` is called in the chamber's thread: what somebody else is telling it must come before.
+    `before_chamber` is called in the chamber's thread, to let a command that is under way end first.
 
-    Returns after all devices are verified, or after `deadline_s` real seconds: then those that are not say why. Never
-    raises for what a device does.
+    Returns after all devices are verified, or after `deadline_s` real seconds: the others then have a reason. Raises no
+    error of a device.
     """
     attempts: list[tuple[SafeOutcome, float, threading.Thread]] = []
 
@@ -77,16 +77,16 @@ def make_safe(
 
 
 def put_back(bench: Bench) -> dict[str, str]:
-    """Put back the settings that drivers have changed; of each device that had any the problem, empty where none."""
-    found: dict[str, str] = {}
+    """Restore the settings that drivers have changed; by device with changed settings the problem, or an empty text."""
+    problems: dict[str, str] = {}
     for name, settings in bench.settings.items():
         if settings.before:
             try:
                 settings.put_back()
-                found[name] = ""
+                problems[name] = ""
             except HardwareError as problem:
-                found[name] = str(problem)
-    return found
+                problems[name] = str(problem)
+    return problems
 
 
 def _try(attempt: SafeOutcome, act: Callable[[], SafeReport], clock: Clock, began_s: float, deadline_s: float) -> None:
@@ -100,7 +100,7 @@ def _try(attempt: SafeOutcome, act: Callable[[], SafeReport], clock: Clock, bega
             except HardwareError as problem:
                 attempt.evidence = str(problem)
             except Exception as problem:
-                # Whatever a driver stumbles over must not keep it from being tried again.
+                # No error of a driver prevents the next try.
                 attempt.evidence = f"{type(problem).__name__}: {problem}"
             if attempt.verified or time.monotonic() >= began_s + deadline_s:
                 attempt.took_s = time.monotonic() - began_s

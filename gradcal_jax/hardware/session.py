@@ -1,6 +1,6 @@
-"""One part of a run, from opening the ports to closing them: what the command line and the tests call.
+"""One session of a run, from opening the ports to closing them.
 
-While it runs, Ctrl-C pauses after the step; again, it makes safe and ends. SIGTERM and SIGHUP make safe and end.
+While it runs, Ctrl-C pauses after the step; a second Ctrl-C makes safe and ends. SIGTERM and SIGHUP make safe and end.
 """
 
 import math
@@ -27,7 +27,7 @@ from .setup import open_rig
 from .supervision import Knows, StatusFile, sound_alarm
 from .terminal import Terminal
 
-# Longer than the run's own thread ever waits for one device: to find a reference takes minutes.
+# Longer than the run's own thread ever waits for one device: homing takes minutes.
 _HANGS_S = 300.0
 
 
@@ -51,10 +51,10 @@ def run_session(
     """Execute a run's recipe from `first_step` on, and leave everything safe.
 
     `guard`: a process beside this one makes the rig safe if this one is killed or broken off, and tries again where
-    this one ends with a device that is not verified safe. `with_runner` is handed the runner before it starts.
-    Without `wait_when_paused`, which is for somebody who can answer, what would pause the run ends it, safe.
-    `terminal` is where somebody is asked to turn what is turned by hand; `knows` says what is known, for the status.
-    Raises `HardwareError` for what keeps the run from starting; what happens later is in the result.
+    this one ends with a device that is not verified safe. `with_runner` is called with the runner before it starts.
+    Without `wait_when_paused`, which needs an operator, a reason to pause ends the run, safe. `terminal` is where the
+    operator is asked to turn axes; `knows` gives the knowledge so far, for the status. Raises `HardwareError` where the
+    run cannot start; later problems are in the result.
     """
     recipe = folder.recipe()
     track = track_of(recipe, [axis.name for axis in rig.axis])
@@ -66,7 +66,7 @@ def run_session(
         units = {device.port for device in rig.imu}
 
         def recorder_of(url: str) -> Recorder | None:
-            # A unit's stream goes into the journal by itself, under the unit's name.
+            # A unit's stream goes into the journal separately, under the unit's name.
             return None if url in units else journal.recorder(f"port {url}")
 
         bench = stack.enter_context(open_rig(rig, clock, recorder_of, terminal=terminal))
@@ -116,7 +116,7 @@ def run_session(
 
 
 def _changes(journal: Journal, clock: Clock, watched: Guard | None, device: str, name: str, value: str) -> None:
-    """A setting of a device is about to be changed: what it was goes to where it can be put back from."""
+    """Called before a device's setting is changed: its value goes to the guard and the journal."""
     journal.event(clock.now(), "setting changed", at_once=False, device=device, setting=name, before=value)
     if watched is not None:
         watched.remember(device, name, value)
@@ -124,7 +124,7 @@ def _changes(journal: Journal, clock: Clock, watched: Guard | None, device: str,
 
 @contextmanager
 def _beating(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> Generator[None, None, None]:
-    """While inside, the guard hears that the run is alive, for as long as the run's own thread is."""
+    """Context in which the guard is told that the run is alive, as long as the run's own thread is."""
     over = threading.Event()
 
     def beat() -> None:
@@ -132,13 +132,13 @@ def _beating(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> 
             if time.monotonic() - runner.ticked_s > _HANGS_S:
                 continue
             try:
-                said = watched.beat()
+                sentence = watched.beat()
             except HardwareError as problem:
-                said = str(problem)
-            if said:
-                print(said, file=sys.stderr, flush=True)
+                sentence = str(problem)
+            if sentence:
+                print(sentence, file=sys.stderr, flush=True)
                 with suppress(HardwareError):
-                    journal.event(clock.now(), "guard", what=said)
+                    journal.event(clock.now(), "guard", what=sentence)
 
     thread = threading.Thread(target=beat, daemon=True, name="telling the guard")
     thread.start()
@@ -152,14 +152,14 @@ def _beating(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> 
 @contextmanager
 def signals_to(runner: Runner) -> Generator[None, None, None]:
     """Ctrl-C once: pause after this step; again, or while it is paused: make safe and end, as SIGTERM and SIGHUP do.
-    Before the first step there is nothing to pause, and it ends.
+    Before the first step it ends the run.
 
-    Only in the main thread, as Python has it.
+    Only in the main thread (Python's rule for signals).
     """
     paused_s = [-math.inf]
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        # Twice at once counts as twice even where the first has not been noticed yet.
+        # Two signals at once count as two, even before the first has been handled.
         again = (
             runner.state in (RunState.IDLE, RunState.PAUSING, RunState.PAUSED) or time.monotonic() - paused_s[0] < 2.0
         )

@@ -1,7 +1,7 @@
-"""Settings of a device that a driver changes: what they were is kept, and put back when the driver goes.
+"""Settings of a device that a driver changes: their values before are kept, and restored at the end.
 
-What they were must outlive this process, too: whoever is told (`on_first_change`) can hand it to another one, whose
-driver then puts back what it never changed itself.
+The values must outlive this process, too: `on_first_change` passes them to another process, whose driver can restore
+settings that it has not changed itself.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,10 +10,10 @@ from .errors import HardwareError
 
 
 class KeptSettings:
-    """The settings of one device, by the driver's names, as the device spells their values.
+    """The settings of one device, by the driver's names, in the device's own spelling of the values.
 
-    `read` asks the device, `write` returns only when the device shows the new value, and `same` says whether it does.
-    A device that a driver changes nothing of has a `KeptSettings()`.
+    `read` asks the device, `write` returns only when the device shows the new value, and `same` compares two values.
+    A device without changed settings has a `KeptSettings()`.
     """
 
     def __init__(
@@ -27,13 +27,13 @@ class KeptSettings:
         self.on_first_change: Callable[[str, str], None] = lambda name, value: None
 
     def change(self, name: str, value: str) -> None:
-        """Set a setting, unless it has that value already."""
+        """Change a setting, unless it has that value already."""
         assert self._write is not None
         if not self._same(self.note(name, value), value):
             self._write(name, value)
 
     def note(self, name: str, value: str) -> str:
-        """Keep what a setting is, which is about to become `value` by some other command. Returns what it is."""
+        """Keep the value of a setting before another command changes it to `value`. Returns the value."""
         assert self._read is not None
         shown = self._read(name)
         if name not in self.before and not self._same(shown, value):
@@ -42,11 +42,11 @@ class KeptSettings:
         return shown
 
     def keep(self, before: Mapping[str, str]) -> None:
-        """What the settings were, as another process heard it."""
+        """Take over the values kept by another process."""
         self.before = {**before, **self.before}
 
     def put_back(self) -> None:
-        """Every setting as it was, the last that was changed first. All are tried; raises the first problem."""
+        """Restore every setting, the last change first. All are tried; raises the first problem."""
         problem: HardwareError | None = None
         for name, value in reversed(list(self.before.items())):
             assert self._read is not None

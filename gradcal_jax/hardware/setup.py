@@ -32,19 +32,19 @@ Device = ChamberDevice | AxisDevice | ImuDevice
 
 
 ENTRY_POINTS: Final = "gradcal.drivers"
-"""The group of entry points by which other packages bring drivers: each names a `Driver`."""
+"""The group of entry points by which other packages add drivers: each names a `Driver`."""
 
 
 @dataclass(frozen=True)
 class Driver:
-    """Where a driver lives: its module, and the names of its device's and its configuration's class in it.
+    """A driver's module, and the names of its device's and its configuration's class in it.
 
-    Besides, the module has `open_exchange(line, clock, config)`, or, of a unit, `decoder_of(config, registers)`. A new
-    one is a module beside the others and a line in `DRIVERS`, or another package's entry point.
+    The module also has `open_exchange(line, clock, config)` or, for a unit, `decoder_of(config, registers)`. A new
+    driver is a module beside the others and a line in `DRIVERS`, or another package's entry point.
     """
 
     role: Role | None
-    """None: what its configuration says."""
+    """None: given by the configuration."""
     module: str
     device_class: str
     config_class: str
@@ -75,16 +75,16 @@ DRIVERS: Final[Mapping[str, Driver]] = {
 
 
 def driver_names(role: Role) -> list[str]:
-    """The drivers that a device of a role may have. Those from outside are imported for it."""
+    """The drivers that a device of a role may have. Drivers of other packages are imported for it."""
     outside = sorted({entry.name for entry in entry_points(group=ENTRY_POINTS)} - set(DRIVERS))
-    found = {**DRIVERS, **{name: driver_of(name) for name in outside}}
-    return [name for name, driver in found.items() if driver is not None and _fits(driver, role)]
+    drivers = {**DRIVERS, **{name: driver_of(name) for name in outside}}
+    return [name for name, driver in drivers.items() if driver is not None and _fits(driver, role)]
 
 
 def driver_of(name: str) -> Driver | None:
-    """A driver by its name in the rig file: one of this program's, which nobody can replace, or another package's.
+    """A driver by its name in the rig file: this program's, which cannot be replaced, or another package's.
 
-    Raises `ValueError` where two packages bring one of this name, or where it cannot be loaded.
+    Raises `ValueError` where two packages have a driver of this name, or where it cannot be loaded.
     """
     if name in DRIVERS:
         return DRIVERS[name]
@@ -105,7 +105,7 @@ def driver_of(name: str) -> Driver | None:
 
 
 def _known(name: str) -> Driver:
-    """Of a device whose options have been read before."""
+    """The driver of a device whose options have been read before."""
     driver = driver_of(name)
     assert driver is not None
     return driver
@@ -126,7 +126,7 @@ _UNITS: Final = (
 )
 
 
-# Options that every device on a serial line has besides its driver's, and what they may be.
+# Options of every device on a serial line, beside its driver's, and their values.
 _LINE_OPTIONS: Final[Mapping[str, tuple[object, ...]]] = {
     "bytesize": (7, 8),
     "parity": ("N", "E", "O"),
@@ -137,12 +137,12 @@ _TERMINATORS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n"}
 
 
 def option_names(driver: str) -> dict[str, str]:
-    """The options of a driver as the file spells them -> the fields of its configuration."""
+    """The options of a driver, in the file's spelling -> the fields of its configuration."""
     return {_spelt(f.name)[0]: f.name for f in dataclasses.fields(_known(driver).config())}
 
 
 def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int, ...]) -> Any:
-    """The driver's configuration that a device of the rig file asks for.
+    """The driver's configuration for a device of the rig file.
 
     Raises:
         SpecError: no such driver, a driver of another role, unknown options, wrong values; all at once, with keys.
@@ -178,10 +178,10 @@ def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int
             problems.append(Problem(key, str(problem), value))
     if not problems:
         try:
-            made = config(**values)
-            if driver.role is not None or made.role == role:
-                return made
-            problems.append(Problem((*place, "options", "protocol"), f"describes an {made.role}; expected a {role}"))
+            built = config(**values)
+            if driver.role is not None or built.role == role:
+                return built
+            problems.append(Problem((*place, "options", "protocol"), f"describes an {built.role}; expected a {role}"))
         except SpecError as error:
             problems += [problem.under(*place, "options", "protocol") for problem in error.problems]
         except ValueError as problem:
@@ -191,22 +191,22 @@ def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int
 
 def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     """The configurations of all devices, by their place in the file. Raises `SpecError` with every problem."""
-    found: dict[tuple[str | int, ...], Any] = {}
+    configs: dict[tuple[str | int, ...], Any] = {}
     problems: list[Problem] = []
     for role, place, device in _devices(rig):
         try:
-            found[place] = config_of(device, role, place)
+            configs[place] = config_of(device, role, place)
             if isinstance(device, AxisDevice) and device.encoder is not None:
-                found[*place, "encoder"] = config_of(device.encoder, role, (*place, "encoder"))
+                configs[*place, "encoder"] = config_of(device.encoder, role, (*place, "encoder"))
         except SpecError as error:
             problems += error.problems
     if problems:
         raise SpecError(problems)
-    return found
+    return configs
 
 
 def _spelt(name: str) -> tuple[str, str, str]:
-    """A field's name in the file, its dimension and its unit (empty where it has none)."""
+    """A field's name in the file, its dimension and its unit (or empty texts)."""
     for ending, dimension, unit in _UNITS:
         if name.endswith(ending):
             return name.removesuffix(ending), dimension, unit
@@ -232,12 +232,12 @@ def _value(value: object, name: str, hint: Any) -> object:
 
 
 def _devices(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], Device]]:
-    found: list[tuple[Role, tuple[str | int, ...], Device]] = []
+    devices: list[tuple[Role, tuple[str | int, ...], Device]] = []
     if rig.chamber is not None:
-        found.append(("chamber", ("chamber",), rig.chamber))
-    found.extend(("axis", ("axis", index), axis) for index, axis in enumerate(rig.axis))
-    found.extend(("imu", ("imu", index), imu) for index, imu in enumerate(rig.imu))
-    return found
+        devices.append(("chamber", ("chamber",), rig.chamber))
+    devices.extend(("axis", ("axis", index), axis) for index, axis in enumerate(rig.axis))
+    devices.extend(("imu", ("imu", index), imu) for index, imu in enumerate(rig.imu))
+    return devices
 
 
 @dataclass
@@ -249,21 +249,21 @@ class Bench:
     axes: dict[str, MotionAxis] = field(default_factory=dict[str, MotionAxis])
     imus: dict[str, ImuStream] = field(default_factory=dict[str, ImuStream])
     console: Console | None = None
-    """Where a person is asked to hang the units anew."""
+    """Where the operator is asked to hang the units anew."""
     _ports: ExitStack = field(default_factory=ExitStack)
 
     @property
     def settings(self) -> dict[str, KeptSettings]:
-        """What the drivers of axes and units have changed, by device."""
+        """The settings changed by the drivers of axes and units, by device."""
         return {name: device.settings for name, device in (*self.axes.items(), *self.imus.items())}
 
     def devices(self) -> list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]]:
         """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
-        found: list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]] = []
-        found += [(entry.name, entry, self.axes[entry.name]) for entry in self.rig.axis]
+        devices: list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]] = []
+        devices += [(entry.name, entry, self.axes[entry.name]) for entry in self.rig.axis]
         if self.chamber is not None and self.rig.chamber is not None:
-            found.append(("chamber", self.rig.chamber, self.chamber))
-        return found + [(entry.name, entry, self.imus[entry.name]) for entry in self.rig.imu]
+            devices.append(("chamber", self.rig.chamber, self.chamber))
+        return devices + [(entry.name, entry, self.imus[entry.name]) for entry in self.rig.imu]
 
     def close(self) -> None:
         self._ports.close()
@@ -282,8 +282,8 @@ def open_rig(
     *,
     terminal: Terminal | None = None,
 ) -> Bench:
-    """Open every port of a rig. `recorder_of` gives the recorder of a port, for transcripts; `terminal` is where an
-    operator sits, absent where nobody does.
+    """Open every port of a rig. `recorder_of` gives the recorder of a port, for transcripts; `terminal` is the
+    operator's, absent where there is none.
 
     Raises:
         SpecError: options that a driver does not have.
@@ -347,7 +347,7 @@ def open_rig(
 
 @dataclass(frozen=True)
 class DeviceReport:
-    """What a device said of itself, or the sentence that says why it did not."""
+    """A device's identity and limits, or the sentence why there are none."""
 
     name: str
     driver: str
@@ -362,7 +362,7 @@ class DeviceReport:
 
 
 def only_of(rig: RigFile, names: Collection[str]) -> RigFile:
-    """The rig with these devices alone; that of the chamber is "chamber"."""
+    """The rig with these devices alone; the chamber's name is "chamber"."""
     chosen = {
         "chamber": rig.chamber if "chamber" in names else None,
         "axis": tuple(entry for entry in rig.axis if entry.name in names),
@@ -372,13 +372,13 @@ def only_of(rig: RigFile, names: Collection[str]) -> RigFile:
 
 
 def check_rig(bench: Bench) -> list[DeviceReport]:
-    """Ask every device who it is and what it accepts; compare serial numbers with the rig file. Nothing moves."""
+    """Ask every device for its identity and limits; compare serial numbers with the rig file. Nothing moves."""
     # The chamber first, as in the rig file.
     return [_report(*device) for device in sorted(bench.devices(), key=lambda device: device[0] != "chamber")]
 
 
 def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:
-    """Open and ask one device after the other: a port that is refused is a report too. Raises `SpecError`."""
+    """Open and ask one device after the other; a refused port becomes a report. Raises `SpecError`."""
     configs_of(rig)
     reports: list[DeviceReport] = []
     for _, _, device in _devices(rig):
@@ -412,7 +412,7 @@ def require_identity(name: str, entry: Device, identity: Identity) -> None:
 
 
 def with_options(schema: dict[str, Any]) -> dict[str, Any]:
-    """The JSON Schema of a rig file, with the options of every driver that is installed, this program's or not."""
+    """The JSON Schema of a rig file, with the options of every installed driver, of other packages too."""
     definitions = dict(schema["$defs"])
     roles: Mapping[str, Role] = {
         "ChamberDevice": "chamber",

@@ -1,7 +1,7 @@
-"""What of a recipe a journal proves was done, on the plan's own clock.
+"""The completed part of a recipe, from a run's journal, on the plan's own clock.
 
-That clock counts the durations of the steps one after the other, and no waiting. A step that was broken off counts as
-far as it came; one that was not executed as written does not count, nor does what came after it.
+That clock adds up the durations of the steps, without waiting. A step that was broken off counts up to the break; a
+step that was not executed as written does not count, nor does the data after it.
 """
 
 import json
@@ -15,7 +15,7 @@ from .run_folder import SESSION, RunFolder, RunFolderError, exit_status, prepare
 from .track import Track
 
 _SAME_S = 1e-3
-# To which a plan says what was done.
+# A recipe may begin this far from the end of the stretches done.
 _PLANNED_S = 0.2
 
 
@@ -31,18 +31,18 @@ class StretchDone:
 
 
 def breaks_off(event: Event) -> bool:
-    """Whether a run is interrupted or ends here: from now on somebody may be at the rig."""
+    """Whether a run is interrupted or ends here: from now on a person may be at the rig."""
     return event.name in ("interlock", "ending", "not done") or (
         event.name == "state" and event.data["state"] == "paused"
     )
 
 
 def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> list[StretchDone]:
-    """Of the run's recipe of that number (there is one more each time that a run is planned anew), in order."""
+    """The stretches of the run's recipe of that number (replanning adds a recipe), in order."""
     starts = [0.0]
     for step in track.steps:
         starts.append(starts[-1] + step.duration_s)
-    found: list[StretchDone] = []
+    stretches: list[StretchDone] = []
     open_step: tuple[int, float] | None = None
     current, first, latest_s = 0, 0, 0.0
 
@@ -52,12 +52,12 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
             number, begins_s = open_step
             lasted_s = min(time_s - begins_s, track.steps[number].duration_s)
             part = StretchDone(starts[number], starts[number] + lasted_s, begins_s, begins_s + lasted_s)
-            before = found[-1] if found else None
+            before = stretches[-1] if stretches else None
             flows = before is not None and abs(before.end_s - part.start_s) + abs(before.ended_s - begins_s) < _SAME_S
             if before is not None and flows:
-                found[-1] = replace(before, end_s=part.end_s, ended_s=part.ended_s)
+                stretches[-1] = replace(before, end_s=part.end_s, ended_s=part.ended_s)
             elif lasted_s > 0.0:
-                found.append(part)
+                stretches.append(part)
         open_step = None
 
     for event in contents.events:
@@ -65,7 +65,7 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
             close(latest_s if event.name == SESSION else event.time_s)
         latest_s = max(latest_s, event.time_s)
         if event.name == SESSION:
-            current, first, latest_s = int(event.data.get("recipe", 0)), len(found), event.time_s
+            current, first, latest_s = int(event.data.get("recipe", 0)), len(stretches), event.time_s
         elif current != recipe:
             continue
         elif event.name == "step begins" and event.data.get("data"):
@@ -73,19 +73,19 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
             open_step = (number, float(event.data["begins_s"])) if 0 <= number < len(track.steps) else None
         elif event.name == "not done":
             bad_s = starts[min(max(int(event.data["number"]), 0), len(track.steps))]
-            parts = [part if part.end_s <= bad_s else _until(part, bad_s) for part in found[first:]]
-            found[first:] = [part for part in parts if part.end_s > part.start_s]
+            parts = [part if part.end_s <= bad_s else _until(part, bad_s) for part in stretches[first:]]
+            stretches[first:] = [part for part in parts if part.end_s > part.start_s]
     close(latest_s)
-    return found
+    return stretches
 
 
 def stretches_of(folder: RunFolder) -> list[StretchDone]:
-    """What was done of a run's newest recipe."""
+    """The completed stretches of a run's newest recipe."""
     return stretches_done(folder.contents(), track_of(folder.recipe(), _axes(folder)), len(folder.recipes()) - 1)
 
 
 def goes_on_at(folder: RunFolder) -> float:
-    """Where a run is or will go on, on its plan's clock (s): while it is under way, where its last stretch ends."""
+    """Where a run will continue, on its plan's clock (s): while it is under way, the end of its last stretch."""
     contents, done = folder.contents(), stretches_of(folder)
     if done and exit_status(contents) == "lost":
         return done[-1].end_s
@@ -98,9 +98,9 @@ def _until(part: StretchDone, end_s: float) -> StretchDone:
 
 
 def adopt(folder: RunFolder, recipe: Recipe) -> None:
-    """From now on the run goes by this recipe, which `gradcal replan` made for it.
+    """Make this recipe, by `gradcal replan`, the run's recipe from now on.
 
-    Raises `RunFolderError` where the run cannot go on, and where the recipe does not go on from where the run stands.
+    Raises `RunFolderError` where the run cannot continue, or where the recipe does not begin at the run's present step.
     """
     prepare_resume(folder)
     before = folder.recipe()
@@ -116,7 +116,7 @@ def adopt(folder: RunFolder, recipe: Recipe) -> None:
     names = folder.recipes()
     name = f"recipe-{len(names) + 1}.toml"
     write_toml(recipe, folder.path / name)
-    # Whole or not at all: until this stands the run goes by the recipe before.
+    # Atomic: until this file is there, the run uses the recipe before.
     notes = folder.notes() | {"recipe": recipe.fingerprint, "recipes": [*names, name]}
     write_whole(folder.path / "run.json", json.dumps(notes, indent=2) + "\n")
 

@@ -1,6 +1,6 @@
-"""What others see of a run: a status file, replaced whole every few seconds, and the alarm that the rig file names.
+"""The status file of a run, replaced as a whole every few seconds, and the alarm command of the rig file.
 
-Both have threads of their own: no disk and no program that is called holds up the run.
+Both have their own threads: neither the disk nor the alarm command delays the run.
 """
 
 import json
@@ -22,15 +22,15 @@ STATUS: Final = "status.json"
 FORMAT: Final = "gradcal-status/1"
 _ALARM_S: Final = 60.0
 _KNOWS_S: Final = 300.0
-# Nobody looks more often; a rehearsal goes through hours in a minute.
+# No more often, because a rehearsal goes through hours in a minute.
 _WRITE_S: Final = 0.2
 
 Knows = Callable[[Path], Any]
-"""Of a run's folder what is known by what was done, plain; asked every few minutes, in a thread of its own."""
+"""The knowledge from a run so far, as plain data; called every few minutes, in a separate thread."""
 
 
 class StatusFile:
-    """Writes the newest of what it is shown; what came in between is not written."""
+    """Writes the newest status; statuses in between are dropped."""
 
     def __init__(self, folder: Path, *, simulated: bool, knows: Knows | None = None) -> None:
         self._path = folder / STATUS
@@ -56,9 +56,9 @@ class StatusFile:
         self._writer.join(timeout=5.0)
 
     def show(self, progress: RunProgress) -> None:
-        """How the run stands."""
-        said = asdict(progress)
-        self._put({**said, "state": progress.state.value})
+        """The progress of the run."""
+        status = asdict(progress)
+        self._put({**status, "state": progress.state.value})
 
     def end(self, result: RunResult) -> None:
         """How the run ended."""
@@ -66,11 +66,11 @@ class StatusFile:
         ended = {"exit_status": result.exit_status, "reason": result.reason, "verified_safe": result.verified_safe}
         self._put({**self._last, "state": state, "steps_done": result.steps_done, **ended})
 
-    def _put(self, said: dict[str, Any]) -> None:
+    def _put(self, status: dict[str, Any]) -> None:
         with self._change:
-            self._last = said
+            self._last = status
             head = {"format": FORMAT, "at_s": time.time(), "simulated": self._simulated}
-            self._newest = {**head, **said} | ({} if self._known is None else {"known": self._known})
+            self._newest = {**head, **status} | ({} if self._known is None else {"known": self._known})
             self._change.notify_all()
 
     def _ask_on(self, knows: Knows) -> None:
@@ -85,12 +85,12 @@ class StatusFile:
         while True:
             with self._change:
                 self._change.wait_for(lambda: self._newest is not None or self._over)
-                said, self._newest = self._newest, None
-                if said is None:
+                newest, self._newest = self._newest, None
+                if newest is None:
                     return
-            # A full disk is the journal's to complain of.
+            # The journal reports a full disk.
             with suppress(OSError):
-                write_whole(self._path, json.dumps(json_of(said), indent=1) + "\n")
+                write_whole(self._path, json.dumps(json_of(newest), indent=1) + "\n")
             with self._change:
                 self._change.wait_for(lambda: self._over, _WRITE_S)
 
@@ -98,16 +98,16 @@ class StatusFile:
 def read_status(folder: Path) -> dict[str, Any]:
     """The newest status of a run. Raises `ValueError` where there is none."""
     try:
-        found = json.loads((folder / STATUS).read_text(encoding="utf-8"))
+        status = json.loads((folder / STATUS).read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        found = None
-    if not isinstance(found, dict) or found.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
+        status = None
+    if not isinstance(status, dict) or status.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
         raise ValueError(f"{folder} has no {STATUS}: it is not the folder of a run, or its run has not begun")
-    return found  # pyright: ignore[reportUnknownVariableType]
+    return status  # pyright: ignore[reportUnknownVariableType]
 
 
 def sound_alarm(rig: RigFile, sentence: str) -> None:
-    """Run the command that the rig file names, without a shell; the sentence is its last word."""
+    """Run the command of the rig file, without a shell; the sentence is its last argument."""
     if rig.alarm is None:
         return
     command = [*rig.alarm.command, sentence]

@@ -1,8 +1,8 @@
-"""The terminal of this process in the place of a serial line, for an operator who sits at it.
+"""The terminal of this process in place of a serial line, for the operator.
 
-What is written is shown, what is typed comes line by line as the terminal hands it on, with its own editing and echo.
-A question is a line that was not ended: while one stands there, nobody else may draw on the terminal (`asking`).
-Whether anybody reads the keyboard here is `heard`: of two readers each would get every other line.
+Text that is written is shown; typed text arrives line by line, with the terminal's own editing and echo. A question is
+a line without an end: while it is shown, no other text may be drawn on the terminal (`asking`). `heard` is whether the
+keyboard is being read here: two readers would get every other line each.
 """
 
 import os
@@ -19,7 +19,7 @@ _CLEAR = "\r\x1b[2K"
 
 
 class TextLine(Protocol):
-    """What a driver of text needs of a `Transport`."""
+    """The part of a `Transport` that a driver of text uses."""
 
     url: str
 
@@ -29,7 +29,7 @@ class TextLine(Protocol):
 
 
 class Terminal:
-    """Line `terminal`. Without a keyboard there is nobody to be asked, and asking raises `HardwareError`."""
+    """Line `terminal`. Without a keyboard there is no operator, and a question raises `HardwareError`."""
 
     url = "terminal"
 
@@ -43,12 +43,12 @@ class Terminal:
         self._diverted: Callable[[], None] | None = None
 
     def next_line_goes_to(self, whom: Callable[[], None]) -> None:
-        """The next line that is typed is no answer to a driver's question: somebody else has asked (a pause)."""
+        """Take the next typed line away from the driver's question: it answers another one (a pause)."""
         self._diverted = whom
 
     def write(self, data: bytes) -> None:
         if self._keyboard is None or self._screen is None:
-            raise HardwareError("An axis is turned by hand, and there is no terminal at which somebody could be asked.")
+            raise HardwareError("An axis is turned by hand, and there is no terminal at which to ask the operator.")
         self._record(">", data)
         text = data.decode("utf-8", "replace")
         words = text.strip("\a")
@@ -60,15 +60,15 @@ class Terminal:
         self._screen.flush()
 
     def remark(self, text: str) -> None:
-        """Show something while a question stands there, and the question again below it."""
+        """Show a text above a question that is waiting for its answer."""
         self._screen.write(f"\r\n{text}\r\n{self._question}")
         self._screen.flush()
 
     def read_stamped(self, timeout_s: float) -> tuple[bytes, float]:
-        """What was typed, as soon as a line is whole. Raises `Disconnected` at the end of all input (Ctrl-D)."""
+        """Typed text, as soon as a line is complete. Raises `Disconnected` at the end of all input (Ctrl-D)."""
         assert self._keyboard is not None
         self.heard = True
-        # Windows cannot wait for a console with a time-out; the thread that reads there is left behind at the end.
+        # Windows cannot wait for a console with a time-out; the reading thread is abandoned at the end.
         if sys.platform != "win32" and not select.select([self._keyboard], [], [], timeout_s)[0]:
             return b"", self.clock.now()
         try:
@@ -76,7 +76,9 @@ class Terminal:
         except OSError as problem:
             raise Disconnected(f"The terminal is gone ({problem.strerror}).") from None
         if not data:
-            raise Disconnected("The terminal takes no more input (Ctrl-D, or it is gone): nobody can be asked.")
+            raise Disconnected(
+                "The terminal gives no more input (Ctrl-D, or it is gone): the operator cannot be asked."
+            )
         now = self.clock.now()
         if (whom := self._diverted) is not None:
             self._diverted = None
@@ -88,7 +90,7 @@ class Terminal:
         return data, now
 
     def close(self) -> None:
-        """The terminal stays what it is."""
+        """The terminal has no line settings to change."""
 
     def _record(self, direction: Any, data: bytes) -> None:
         if self.recorder is not None:

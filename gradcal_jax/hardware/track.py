@@ -1,7 +1,7 @@
-"""What the runner executes: steps of temperature, each with its moves. Plain data.
+"""The track that the runner executes: steps of temperature, each with its moves. Plain data.
 
-A step is what a run resumes by: it sets the chamber's course, waits until its condition holds (or its time-out ends the
-run), and then its own time begins, by which its moves start and it ends.
+A run resumes at a step. A step sets the chamber's course and waits until its condition holds (or its time-out ends the
+run); then its own time begins, on which its moves start and it ends.
 """
 
 import math
@@ -14,7 +14,7 @@ from .roles import AxisLimits, ChamberLimits
 
 @dataclass(frozen=True)
 class Stable:
-    """The temperature (the load's where the chamber tells it, else the air's) stays within `band_k` of its goal and
+    """The temperature (the load's where the chamber measures it, else the air's) stays within `band_k` of its goal and
     changes by at most `band_k` peak to peak, for `for_s`; not later than `timeout_s` after the waiting began."""
 
     band_k: float
@@ -40,7 +40,7 @@ class AxisCommand:
 
     @property
     def duration_s(self) -> float:
-        """Of a turn; of a spin its run-up; of a go nothing that is known without the position before it."""
+        """Duration of a turn, or of a spin's run-up; 0 for a go, which depends on the position before it."""
         if self.acceleration_dps2 <= 0.0:
             return 0.0
         ramp = abs(self.rate_dps) / self.acceleration_dps2
@@ -52,7 +52,7 @@ class AxisCommand:
 
 @dataclass(frozen=True)
 class Course:
-    """Where the chamber is told to go, `start_s` into a step; `ramp_k_per_min` None: as fast as it can."""
+    """A command to the chamber, `start_s` into a step; `ramp_k_per_min` None: as fast as it can."""
 
     start_s: float
     temperature_c: float
@@ -63,17 +63,17 @@ class Course:
 class TrackStep:
     """`temperature_c` None leaves the chamber alone; `ramp_k_per_min` None goes there as fast as it can.
 
-    With `ready` the step waits until the temperature is stable at `start_c` (None: at `temperature_c`), and only then
-    its own time begins and the chamber is told where to go. `courses` are what it is told in the step's own time. A
-    step that `follows` begins at the very instant at which the one before ends, and the chamber goes on as it was told,
-    unless a course says otherwise; where it must begin by itself (after a pause, or when a run is resumed) the chamber
-    first goes to `start_c` and is stable by `again`, and the axes go to `start_deg`.
+    With `ready` the step waits until the temperature is stable at `start_c` (None: at `temperature_c`); then its own
+    time begins and the chamber gets its command. `courses` are further commands in the step's own time. A step that
+    `follows` begins when the one before ends, and the chamber continues, unless there is a course; where it begins
+    separately (after a pause, or when a run is resumed) the chamber first goes to `start_c` and is stable by `again`,
+    and the axes go to `start_deg`.
 
-    With `goes_there` the axes go to `start_deg` however the step begins. Of several
-    mountings `hang` is how the units hang in it, number `mounting`, from 1: where they hang otherwise somebody is asked
-    to hang them so before, with the axes at zero and the chamber at a temperature for hands.
+    With `goes_there` the axes always go to `start_deg` first. Of several mountings `hang` is the step's, with number
+    `mounting`, from 1: where the units hang otherwise the operator is asked to change it before, with the axes at zero
+    and the chamber at a temperature safe for hands.
 
-    The last `slack_s` of the step are waiting only: a turn by hand that was late takes its time from there.
+    The last `slack_s` of the step are waiting only: they make up for late turns by hand.
 
     The angles of all axes are read at `read_at_s`, and after every turn when the axis stands; where `read_at_s` is
     empty, every `read_every_s`.
@@ -99,13 +99,13 @@ class TrackStep:
 
     @property
     def begins_c(self) -> float | None:
-        """Where the chamber stands when the step begins, as far as it matters."""
+        """The chamber's temperature at the beginning of the step, where it matters."""
         return self.start_c if self.start_c is not None else self.temperature_c
 
 
 @dataclass(frozen=True)
 class Track:
-    """The whole run. Errors: ValueError for times that cannot be."""
+    """The whole run. Errors: `ValueError` for inconsistent times."""
 
     steps: tuple[TrackStep, ...]
 
@@ -127,19 +127,19 @@ class Track:
 
     @property
     def duration_s(self) -> float:
-        """The steps' own time; what they wait for their conditions comes on top."""
+        """The steps' own time, without waiting for their conditions."""
         return sum(step.duration_s for step in self.steps)
 
     @property
     def moved(self) -> list[str]:
-        """The axes that move or are brought somewhere, by name."""
+        """The names of the axes that move."""
         moved = {move.axis for step in self.steps for move in step.moves}
         return sorted(moved | {name for step in self.steps if step.goes_there for name in step.start_deg})
 
 
 def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> list[str]:
-    """The dry run: every sentence names a step and what the devices do not accept. Empty: the run may start."""
-    found: list[str] = []
+    """Every sentence names a step and what the devices do not accept. Empty: the run may start."""
+    problems: list[str] = []
     at = dict.fromkeys(axes, 0.0)
     for step in track.steps:
         where = f"Step {step.name!r}"
@@ -148,50 +148,50 @@ def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str
             courses.append(Course(0.0, step.start_c))
         for course in (*courses, *step.courses):
             if chamber is None:
-                found.append(f"{where} sets a temperature and the rig has no chamber.")
+                problems.append(f"{where} sets a temperature and the rig has no chamber.")
             else:
-                found += [f"{where} {text}" for text in _beyond_chamber(course, chamber)]
+                problems += [f"{where} {text}" for text in _beyond_chamber(course, chamber)]
         if step.goes_there:
             at |= step.start_deg
         for move in step.moves:
             limits = axes.get(move.axis)
             if limits is None:
-                found.append(f"{where} moves axis {move.axis!r}, which the rig does not have ({', '.join(axes)}).")
+                problems.append(f"{where} moves axis {move.axis!r}, which the rig does not have ({', '.join(axes)}).")
                 continue
             goal = at[move.axis] + move.angle_deg if move.kind == "turn" else move.position_deg
-            found += [f"{where}, axis {move.axis!r}, {text}" for text in _beyond_axis(move, goal, limits)]
+            problems += [f"{where}, axis {move.axis!r}, {text}" for text in _beyond_axis(move, goal, limits)]
             at[move.axis] = goal
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(problems))
 
 
 def _beyond_chamber(course: Course, limits: ChamberLimits) -> list[str]:
-    found: list[str] = []
+    problems: list[str] = []
     if not limits.lowest_c <= course.temperature_c <= limits.highest_c:
-        found.append(
+        problems.append(
             f"sets {course.temperature_c:g} degC; the chamber accepts {limits.lowest_c:g} to {limits.highest_c:g}."
         )
     slowest, fastest = limits.slowest_ramp_k_per_min, limits.fastest_ramp_k_per_min
     if course.ramp_k_per_min is not None and limits.hardware_ramp and not slowest <= course.ramp_k_per_min <= fastest:
-        found.append(f"ramps at {course.ramp_k_per_min:g} K/min; the chamber accepts {slowest:g} to {fastest:g}.")
-    return found
+        problems.append(f"ramps at {course.ramp_k_per_min:g} K/min; the chamber accepts {slowest:g} to {fastest:g}.")
+    return problems
 
 
 def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str]:
     if move.kind == "stop":
         return []
-    found: list[str] = []
+    problems: list[str] = []
     if not 0.0 < abs(move.rate_dps) <= limits.max_rate_dps * (1.0 + 1e-9):
-        found.append(f"turns at {abs(move.rate_dps):g} deg/s; it accepts up to {limits.max_rate_dps:g}.")
+        problems.append(f"turns at {abs(move.rate_dps):g} deg/s; it accepts up to {limits.max_rate_dps:g}.")
     if not 0.0 < move.acceleration_dps2 <= limits.max_acceleration_dps2 * (1.0 + 1e-9):
-        found.append(
+        problems.append(
             f"accelerates at {move.acceleration_dps2:g} deg/s²; it accepts up to {limits.max_acceleration_dps2:g}."
         )
     lowest = -math.inf if limits.lowest_deg is None else limits.lowest_deg
     highest = math.inf if limits.highest_deg is None else limits.highest_deg
     if move.kind in ("go", "turn") and not lowest - 1e-6 <= goal <= highest + 1e-6:
-        found.append(f"goes to {goal:g} deg; its travel is {lowest:g} to {highest:g} deg.")
+        problems.append(f"goes to {goal:g} deg; its travel is {lowest:g} to {highest:g} deg.")
     if move.kind == "spin" and limits.by_hand:
-        found.append("turns at a constant rate, and it is turned by hand: make turns of it, or use a driven axis.")
+        problems.append("turns at a constant rate, and it is turned by hand: make turns of it, or use a driven axis.")
     elif move.kind == "spin" and (limits.lowest_deg is not None or limits.highest_deg is not None):
-        found.append("spins, and its travel is limited.")
-    return found
+        problems.append("spins, and its travel is limited.")
+    return problems

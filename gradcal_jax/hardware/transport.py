@@ -1,9 +1,9 @@
 """A serial line: opened exclusively, read and written with time-outs, every byte recorded.
 
-pyserial behind one small class, so that a fork of it could take its place. What the code depends on (pyserial 3.5): a
+A small class around pyserial, so that a fork can replace it. The code depends on these properties of pyserial 3.5: a
 vanished pty or adapter raises `SerialException` from `read` and `write` but a bare `OSError` from `in_waiting`; a
 `socket://` line reports at most one waiting byte; without a write time-out a stuck peer blocks for ever; an exclusive
-open does not stop an opener that did not ask for exclusiveness, hence our own lock file besides.
+open does not exclude openers that are not exclusive, hence the additional lock file.
 """
 
 import contextlib
@@ -54,14 +54,14 @@ class PortLock:
                 f"The port {url} is in use by another run{f' ({owner})' if owner else ''}. "
                 "Wait until it ends or give this run another port."
             ) from None
-        # A full disk keeps nobody from a port: who holds it is a courtesy.
+        # A full disk must not block a port: the name of its owner is only information.
         with contextlib.suppress(OSError):
             os.ftruncate(self._handle, 0)
             # The first byte belongs to the lock (Windows locks a byte range), the note begins behind it.
             os.write(self._handle, f"\nprocess {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n".encode())
 
     def _open(self, folder: Path) -> int:
-        """A link that somebody put there, folder or file, is not followed: what it leads to would be changed."""
+        """Open the lock file without following links, of folder or file: their target would be changed."""
         flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
         if sys.platform == "win32":
             return os.open(self._path, flags | os.O_CREAT, 0o666)
@@ -69,7 +69,7 @@ class PortLock:
         try:
             _share(inside, 0o1777)
             try:
-                # Linux may forbid O_CREAT for a file of another account in a folder that all may write in.
+                # Linux may forbid O_CREAT for a file of another account in a folder that is writable for all.
                 handle = os.open(self._path.name, flags, dir_fd=inside)
             except FileNotFoundError:
                 handle = os.open(self._path.name, flags | os.O_CREAT, 0o666, dir_fd=inside)
@@ -91,7 +91,7 @@ class PortLock:
 
 
 def _share(handle: int, mode: int) -> None:
-    """Accounts on one computer share its ports. Only the owner can say so, and has."""
+    """Let all accounts of a computer use its lock files. Only the owner can change the mode, and has done so."""
     with contextlib.suppress(OSError):
         os.fchmod(handle, mode)
 
@@ -100,8 +100,8 @@ class Transport:
     """Bytes to and from one port.
 
     `url` is a device path, `COM3`, or any URL of `serial.serial_for_url`, such as `socket://192.168.0.7:10001`.
-    `terminator`, where it is given, is what a text that is written ends in, in the place of what its driver wrote.
-    Reading returns what is there, as soon as anything is. All methods raise `Disconnected` once the port is gone.
+    `terminator`, if not None, replaces the driver's line end in every text written. `read` returns the waiting bytes,
+    as soon as there are any. All methods raise `Disconnected` once the port is gone.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class Transport:
             port.open()
         except (serial.SerialException, OSError, ValueError) as problem:
             self._lock.release()
-            # pyserial wraps the system's words in its own, number and name twice over.
+            # pyserial adds its own words to the system's message, with number and name twice.
             why = str(problem).rpartition("] ")[2].removesuffix(f": {url!r}")
             raise PortRefused(
                 f"The port {url} cannot be opened: {why}. Check its name, the cable, the rights of your account, "
@@ -146,7 +146,7 @@ class Transport:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The line settings as pyserial holds them: baudrate, bytesize, parity, stopbits."""
+        """The line settings, by pyserial's names: baudrate, bytesize, parity, stopbits."""
         return {name: getattr(self._port, name) for name in ("baudrate", "bytesize", "parity", "stopbits")}
 
     def write(self, data: bytes) -> None:
@@ -168,11 +168,11 @@ class Transport:
             raise self._gone(problem) from None
 
     def read(self, timeout_s: float) -> bytes:
-        """What is there, as soon as there is anything; empty when nothing came in `timeout_s` real seconds."""
+        """The waiting bytes, as soon as there are any; empty when nothing came in `timeout_s` real seconds."""
         return self.read_stamped(timeout_s)[0]
 
     def read_stamped(self, timeout_s: float) -> tuple[bytes, float]:
-        """Like `read`, with the clock's time at which the bytes were in hand."""
+        """Like `read`, with the clock's time of arrival."""
         try:
             self._set_timeout(timeout_s)
             if self._silent and timeout_s > 0.0:
@@ -199,7 +199,7 @@ class Transport:
         return data, now
 
     def drain(self, quiet_s: float = 0.0, *, longest_s: float = 2.0) -> bytes:
-        """Read and return (and record) what is waiting, until nothing came for `quiet_s`, for at most `longest_s`."""
+        """Read and return (and record) bytes until none came for `quiet_s`, for at most `longest_s`."""
         dropped = b""
         end = time.monotonic() + longest_s
         while chunk := self.read(quiet_s):
@@ -209,7 +209,7 @@ class Transport:
         return dropped
 
     def close(self) -> None:
-        """Idempotent, and never raises: it runs where something has already failed."""
+        """Idempotent, and never raises, because it runs after failures."""
         if self._closed:
             return
         self._closed = True

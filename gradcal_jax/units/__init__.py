@@ -1,7 +1,7 @@
-"""Text with units <-> SI numbers, at the edge of the house only.
+"""Text with units <-> SI numbers, for files, devices and messages only.
 
-A strict grammar of our own: what is not understood *exactly* is refused, with the nearest right spelling. (General unit
-libraries read ``0.1 °/√h`` as degrees per hour, ``10 mg`` as milligrams and ``30″`` as a pure number.)
+The grammar is strict: a text that does not follow it *exactly* is refused, with the nearest right spelling. (General
+unit libraries read ``0.1 °/√h`` as degrees per hour, ``10 mg`` as milligrams and ``30″`` as a pure number.)
 
     quantity := number unit | duration | sexagesimal angle        "0.1 deg/sqrt(h)"   "2 h 40 min"   "1° 30′ 15″"
     unit     := factor ("·" factor)* ("/" factor)*                a product after a division needs parentheses
@@ -21,8 +21,8 @@ Decisions where practice is divided:
 * A scale factor needs its unit too: ``ppm``, ``ppb``, ``%``, ``‰``, or ``1`` for a plain ratio (``0.01 1``).
 * Zero needs a unit like any other number; nan and infinity are no quantities.
 
-Numbers are multiplied out in decimal arithmetic and rounded once, so `parse` gives the float nearest to what was
-written, and `format_quantity` the shortest text that `parse` reads back as the very same float.
+Arithmetic is decimal, with one rounding at the end: `parse` gives the float nearest to the text, and `format_quantity`
+the shortest text that `parse` reads back as the same float.
 """
 
 from gradcal_jax.units.dimensions import DIMENSIONS, Dimension

@@ -1,4 +1,4 @@
-"""What can be measured, and every unit's name with its SI value."""
+"""The dimensions, and every unit's name with its SI value."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ class Powers(NamedTuple):
 
 @dataclass(frozen=True)
 class Dimension:
-    """A kind of quantity: its name with an article, the SI unit it is returned in, the unit people like, an example."""
+    """A kind of quantity: its name with an article, its SI unit, its customary unit, and an example."""
 
     name: str
     described: str

@@ -1,4 +1,4 @@
-"""The grammar of units, as the head of the package gives it: "deg/h/(K/min)" to its SI value and exponents."""
+"""Parser of unit expressions (grammar: see the package): "deg/h/(K/min)" to its SI value and exponents."""
 
 import difflib
 import re

@@ -10,7 +10,7 @@ from typing import Final
 from gradcal_jax.units.dimensions import CELSIUS, DIMENSIONS, FAHRENHEIT, PRECISE, SYMBOLS, Dimension
 from gradcal_jax.units.expressions import Refusal, Unit, read_unit
 
-# Only what is the same character in another coat: micro, minus, middle dots, hard spaces, the one-character °C and °F.
+# Other code points of the same characters only: micro, minus, middle dots, hard spaces, one-character °C and °F.
 _SAME: Final = str.maketrans(
     {
         "\N{MICRO SIGN}": "u",
@@ -37,19 +37,12 @@ class UnitError(ValueError):
     """A text that is not a quantity of the expected dimension; the message says what was expected."""
 
 
-def _measured(unit: Unit) -> Dimension | None:
+def _dimension_of_unit(unit: Unit) -> Dimension | None:
     """What a unit measures, if anything."""
     if unit.bare in CELSIUS or unit.bare in FAHRENHEIT:
         return DIMENSIONS["temperature"]
     known = (dimension for dimension in DIMENSIONS.values() if dimension.name != "temperature")
     return next((dimension for dimension in known if dimension.powers == unit.powers), None)
-
-
-def _known(dimension: str) -> Dimension:
-    if dimension not in DIMENSIONS:
-        close = difflib.get_close_matches(dimension, DIMENSIONS, n=1, cutoff=0.0)
-        raise UnitError(f"'{dimension}' is not a dimension; nearest: '{close[0]}'")
-    return DIMENSIONS[dimension]
 
 
 def _check(unit: Unit, dimension: Dimension) -> None:
@@ -64,7 +57,7 @@ def _check(unit: Unit, dimension: Dimension) -> None:
         raise Refusal("a temperature difference is written in K; degC is for absolute temperatures")
     elif unit.powers == dimension.powers:
         return
-    other = _measured(unit)
+    other = _dimension_of_unit(unit)
     raise Refusal(f"that is {other.described}" if other else f"that is not {dimension.described}")
 
 
@@ -120,7 +113,7 @@ def _compound(text: str, dimension: Dimension) -> Decimal | None:
 
 
 def _hint(text: str) -> str:
-    """Why the number could not be read, in the cases that people fall into."""
+    """Why the number could not be read, for the usual mistakes."""
     if re.match(r"[+-]?[0-9]+,[0-9]", text):
         return "decimals take a point, not a comma"
     if re.match(r"[+-]?[0-9]+_[0-9]", text) or re.match(r"[+-]?[0-9]+ [0-9]{3}\b", text):
@@ -165,19 +158,22 @@ def parse(text: str, dimension: str) -> float:
     `dimension` is a name from `DIMENSIONS`. Absolute temperatures are returned in °C. Raises `UnitError`, whose message
     names the text, the reason, and an example of what was expected.
     """
-    known = _known(dimension)
+    if dimension not in DIMENSIONS:
+        close = difflib.get_close_matches(dimension, DIMENSIONS, n=1, cutoff=0.0)
+        raise UnitError(f"'{dimension}' is not a dimension; nearest: '{close[0]}'")
+    known = DIMENSIONS[dimension]
     try:
         return _read(text, known)
     except Refusal as refusal:
         shown = text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
-        meant = _meant(text, known)
+        meant = _corrected(text, known)
         hint = f"; nearest: '{meant}'" if meant else ""
         expected = f"expected {known.described} such as '{known.example}'"
         raise UnitError(f"'{shown}' is not understood: {refusal}; {expected}{hint}") from None
 
 
-def _meant(text: str, dimension: Dimension) -> str | None:
-    """The text with usual slips mended, where that is a quantity of the dimension."""
+def _corrected(text: str, dimension: Dimension) -> str | None:
+    """The text with the usual mistakes corrected, where that is a quantity of the dimension."""
     if len(text) > _LONGEST:
         return None
     for mended in (
@@ -207,10 +203,10 @@ def dimension_of(unit: str) -> str:
 
 
 def _dimension(unit: Unit, text: str) -> Dimension:
-    found = _measured(unit)
-    if found is None:
+    dimension = _dimension_of_unit(unit)
+    if dimension is None:
         raise UnitError(f"unit '{text}' measures no quantity of this program")
-    return found
+    return dimension
 
 
 def unit_of(text: str) -> str:
@@ -249,16 +245,16 @@ def convert(value: float, from_unit: str, to: str) -> float:
     if not math.isfinite(value):
         raise UnitError(f"{value} cannot be converted: the number must be finite")
     source, target = _lookup(from_unit), _lookup(to)
-    given, wanted = _dimension(source, from_unit), _dimension(target, to)
-    if given != wanted:
-        raise UnitError(f"'{from_unit}' is {given.described}, '{to}' is {wanted.described}")
+    have, wanted = _dimension(source, from_unit), _dimension(target, to)
+    if have != wanted:
+        raise UnitError(f"'{from_unit}' is {have.described}, '{to}' is {wanted.described}")
     with localcontext(PRECISE):
         number = Decimal(value) - 32 if source.bare in FAHRENHEIT else Decimal(value)
         quotient = number * source.factor / target.factor
         return _representable(quotient + 32 if target.bare in FAHRENHEIT else quotient, value, to)
 
 
-def _written(number: Decimal, digits: int) -> str:
+def _rounded(number: Decimal, digits: int) -> str:
     context = Context(prec=digits)
     rounded = context.create_decimal(number).normalize(context)
     if rounded == 0:
@@ -276,14 +272,14 @@ def format_quantity(value: float, unit: str) -> str:
     """
     if not math.isfinite(value):
         raise UnitError(f"{value} is not a quantity: the number must be finite")
-    found = _lookup(unit)
+    source = _lookup(unit)
     dimension = dimension_of(unit)
-    number = _in_unit(value, found)
-    if found.bare in FAHRENHEIT:
-        # Near 0 degF the offset leaves only digits of rounding: take the plain decimal where it says the same.
+    number = _in_unit(value, source)
+    if source.bare in FAHRENHEIT:
+        # Near 0 degF the offset leaves only rounding errors: the short decimal is used where it parses alike.
         number = min((round(number, 9), number), key=lambda n: parse(f"{n:f} {unit}", dimension) != value)
     for digits in range(1, 26):
-        text = f"{_written(number, digits)} {unit}"
+        text = f"{_rounded(number, digits)} {unit}"
         if parse(text, dimension) == value:
             return text
     # 25 digits suffice for every unit without an offset; with one, a tiny number would need hundreds.

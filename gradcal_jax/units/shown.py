@@ -1,9 +1,9 @@
-"""What people read: factors from SI, and times in words."""
+"""Output for people: factors from SI, and times in words."""
 
 import math
 from typing import Final
 
-# What SI numbers (ratios, rad/s, rad/√s, rad) are multiplied by for people to read.
+# Factors from SI (ratios, rad/s, rad/√s, rad) to the units of reports.
 PPM: Final = 1e6
 # m/s² in one g (BIPM, CGPM 1901).
 G: Final = 9.80665

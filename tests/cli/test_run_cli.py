@@ -13,7 +13,7 @@ import pytest
 from gradcal_jax.cli import main
 from gradcal_jax.files import Quantity, changed, parse_spec, presets, to_toml
 from gradcal_jax.files.log import read_log
-from gradcal_jax.files.recipe import Made, Predicted, Recipe
+from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin
 from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.hardware.clock import RealClock
@@ -40,7 +40,7 @@ def a_recipe(folder: Path) -> Path:
     made = Recipe(
         format="gradcal-recipe/1",
         status="not optimised",
-        made=Made(by="a test", versions={}),
+        made=RecipeOrigin(by="a test", versions={}),
         resolution=steps_of(spec),
         stability=Stability(for_at_least=Quantity.read("20 s", "time")),
         chamber=chamber,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gradcal_jax import files
 from gradcal_jax.files import Quantity, SpecError, presets
 from gradcal_jax.files.quantity import Quantity as Q
-from gradcal_jax.files.recipe import Made, Predicted, Recipe, parse_recipe, recipe_of
+from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin, parse_recipe, recipe_of
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 
@@ -35,7 +35,7 @@ def made_of(spec, **keys):
     return Recipe(
         format="gradcal-recipe/1",
         status="not optimised",
-        made=Made(by="a test", versions={}),
+        made=RecipeOrigin(by="a test", versions={}),
         resolution=steps_of(spec),
         stability=Stability(),
         chamber=chamber,

@@ -10,7 +10,7 @@ from gradcal_jax.files import changed, presets, to_toml
 from gradcal_jax.files.bench_tables import block_heading, move_rows
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.recipe import Made, Predicted, Recipe, parse_recipe
+from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin, parse_recipe
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec
@@ -26,7 +26,7 @@ def recipe_of_unit(spec: UnitSpec) -> Recipe:
     return Recipe(
         format="gradcal-recipe/1",
         status="not optimised",
-        made=Made(by="a test", versions={}),
+        made=RecipeOrigin(by="a test", versions={}),
         resolution=steps_of(spec),
         stability=Stability(),
         chamber=chamber,

@@ -13,7 +13,7 @@ from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import SimulatedWeiss, WeissOptions
 
 from gradcal_jax.files import Quantity, Spec, changed, parse_spec, presets
-from gradcal_jax.files.recipe import Made, Predicted, Recipe
+from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
 from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
@@ -261,7 +261,7 @@ def unpredicted(spec: Spec | UnitSpec, *, stable_for: str = "20 s") -> Recipe:
     return Recipe(
         format="gradcal-recipe/1",
         status="not optimised",
-        made=Made(by="a test", versions={}),
+        made=RecipeOrigin(by="a test", versions={}),
         resolution=steps_of(spec),
         stability=Stability(for_at_least=Quantity.read(stable_for, "time")),
         chamber=chamber,

@@ -261,7 +261,7 @@ def test_what_a_person_cannot_be_is_refused(change: tuple[str, str], said: str) 
 
 def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
     rig = parse_rig(BY_HAND)
-    with pytest.raises(ValueError, match="axis x is turned by whoever sits at the terminal, and there is none"):
+    with pytest.raises(ValueError, match="axis x is turned by the operator at the terminal, and there is none"):
         run(hand_recipe(), tmp_path / "run", rig=rig)
     assert not (tmp_path / "run").exists()
     # Asked what it is, it answers; making it safe asks nobody.
@@ -269,7 +269,7 @@ def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
         axis = bench.axes["x"]
         assert axis.identify().driver == "operator"
         assert axis.safe(AxisSafe.HOLD).verified
-        with pytest.raises(HardwareError, match="no terminal at which somebody could be asked"):
+        with pytest.raises(HardwareError, match="no terminal at which to ask the operator"):
             axis.home()
         spin = AxisCommand(0.0, "x", "spin", rate_dps=10.0, acceleration_dps2=10.0)
         (problem,) = beyond_limits(Track((TrackStep("rates", 5.0, moves=(spin,)),)), None, {"x": axis.limits()})
@@ -495,7 +495,7 @@ def test_a_pause_at_the_terminal_an_end_of_input_and_a_resumed_run(tmp_path: Pat
             terminal.wait_for("turn by +360 deg")
             terminal.type("\x04")  # Ctrl-D: nobody is there any more
             assert terminal.ends() == 3
-            assert "takes no more input" in terminal.said
+            assert "input has ended" in terminal.said
         with AtTerminal("run", "--resume", folder) as terminal:
             turn(terminal, "zero mark", 0.1, "0.1 deg\n")
             turn(terminal, "turn by +360 deg", 360.2, "360.2 deg\n")
@@ -532,6 +532,6 @@ def test_a_terminal_hands_on_whole_lines_and_lends_one_to_somebody_else() -> Non
         assert terminal.read_stamped(2.0)[0] == b"2 deg\n"
         assert lent == [True]
         os.write(master, b"\x04")
-        with pytest.raises(Disconnected, match="nobody can be asked"):
+        with pytest.raises(Disconnected, match="the operator cannot be asked"):
             terminal.read_stamped(2.0)
     os.close(master)

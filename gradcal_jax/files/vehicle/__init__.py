@@ -1,7 +1,7 @@
 """Logs of vehicles and robots -> `Log`, without a column map: PX4's ULog, ArduPilot's DataFlash, ROS bags, MCAP.
 
-What is known of each source is in its module; what all need is in `streams`. The libraries that read the formats come
-with the extra `logs`, and are imported where a file of their kind is opened.
+Each source has its module; `streams` has the common part. The libraries that read the formats come with the extra
+`logs`, and are imported when a file of their kind is opened.
 """
 
 from gradcal_jax.files.vehicle.streams import KINDS, is_vehicle_log, read_vehicle_log, read_vehicle_logs

@@ -114,7 +114,7 @@ def _to_sensor(orientation: int) -> Floats:
 
 
 def _parameters(table: Any) -> Callable[[str, Floats, float], Floats]:
-    """The value of a parameter at each time: the first one before it was written, then the last one written."""
+    """The value of a parameter at each time: the last one written, or before any the first."""
     times = table["TimeUS"].astype(np.float64) * 1e-6
     where: dict[str, list[int]] = {}
     for row, name in enumerate(table["Name"].tolist()):

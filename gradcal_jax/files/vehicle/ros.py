@@ -10,8 +10,8 @@ writes it (https://design.ros2.org/articles/generated_interfaces_cpp.html; OMG D
     Imu      orientation 4 f64, its covariance 9 f64, angular_velocity 3 f64 (rad/s), …
     Temperature   temperature f64 (°C), variance f64
 
-Nothing in a message says whether a driver has taken a bias off: that is noted. Topics of mavros come from MAVLink,
-whose rates are the estimator's, and are refused.
+A message does not tell whether a driver has subtracted a bias: this is noted. Topics of mavros come from MAVLink, whose
+rates are the estimator's, and are refused.
 """
 
 import itertools
@@ -84,7 +84,7 @@ def _temperature(
 
 
 def _shared(name: str, other: str) -> int:
-    """How many parts of two topics' names are the same from the first on."""
+    """The number of equal parts at the beginning of two topics' names."""
     pairs = zip(name.split("/"), other.split("/"), strict=False)
     return sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
 

@@ -1,8 +1,7 @@
-"""The gyros that a vehicle's log holds, each with its own stamps and thermometer, and the `Log` made of them.
+"""The gyros of a vehicle's log, each with its own stamps and thermometer, and the `Log` of them.
 
-Gyros that share their stamps are units of one log. Others run at clocks of their own, which no row can share: the first
-is taken, or the one that was asked for, and the others are named. Temperatures of another topic are interpolated to the
-gyro's stamps.
+Gyros with common stamps are units of one log. Gyros with their own clocks cannot share rows: the first is used, or the
+requested one, and the others are named. Temperatures of another topic are interpolated to the gyro's stamps.
 """
 
 import contextlib
@@ -48,7 +47,7 @@ class GyroStream:
     """At the same stamps."""
     host_time_s: Floats | None = None
     notes: tuple[str, ...] = ()
-    """What is known of this source that a calibration must know, in sentences."""
+    """Properties of this source that matter for a calibration, in sentences."""
 
 
 def is_vehicle_log(path: Path) -> bool:
@@ -94,15 +93,15 @@ def _streams(path: Path) -> list[GyroStream]:
     reader = importlib.import_module(f"gradcal_jax.files.vehicle.{kind}")
     with _named(path):
         with quietly(_WORDS[kind]):
-            found: Sequence[GyroStream] = reader.gyros(path)
-        if not (streams := [stream for stream in found if len(stream.time_s) > 1]):
+            gyros: Sequence[GyroStream] = reader.gyros(path)
+        if not (streams := [stream for stream in gyros if len(stream.time_s) > 1]):
             raise LogError("there are no samples of a gyro in it")
         return streams
 
 
 @contextlib.contextmanager
 def _named(path: Path) -> Generator[None]:
-    """Errors say of which file they are."""
+    """Context that adds the file's name to errors."""
     try:
         yield
     except LogError as error:
@@ -130,7 +129,7 @@ def _log(
         host_time_s=first.host_time_s,
         provenance={"source": path.name, **_FIRMWARE.get(KINDS.get(path.suffix.lower(), ""), {})},
     )
-    # A gyro without a thermometer is of use for its noise; whoever needs its temperature finds none.
+    # A gyro without a thermometer is still useful for its noise.
     policy = Policy(missing_temperatures="mask" if len(known) == len(streams) else "keep")
     log = examine(columns if rows is None else columns.part(rows), policy)
     notes = [Finding("source", "keep", 0, note) for stream in streams for note in stream.notes]
@@ -166,7 +165,7 @@ def interpolated(time_s: Floats, of_time_s: Floats, values: Floats) -> Floats:
 
 
 def library(name: str, package: str) -> Any:
-    """A reader's library, or the sentence that says how to get it. Raises `LogError`."""
+    """A reader's library. Raises `LogError` with a sentence on how to install it."""
     try:
         return importlib.import_module(name)
     except ImportError:
@@ -177,7 +176,7 @@ def library(name: str, package: str) -> Any:
 
 @contextlib.contextmanager
 def quietly(kind: str) -> Generator[None]:
-    """Runs a library on bytes that may be damaged: its prints are dropped, its exceptions are one sentence."""
+    """Context for a library on bytes that may be damaged: drops its prints, and turns exceptions into one sentence."""
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             yield

@@ -25,16 +25,16 @@ def gyros(path: Path) -> Sequence[GyroStream]:
     # Names alone are looked at of what is in sensor_combined.
     with path.open("rb") as opened:
         log = reader.ULog(opened, [*_RAW, "sensor_combined"])
-    found = [data for data in log.data_list if data.name in _RAW]
+    topics = [data for data in log.data_list if data.name in _RAW]
     names = {data.name for data in log.data_list}
     start_s = float(log.start_timestamp) * 1e-6
-    if not found:
+    if not topics:
         only = "only sensor_combined, from which calibration and bias are taken off" if names else "no gyro"
         raise LogError(
             f"the log holds {only}: let PX4 log sensor_gyro, by the thermal calibration bit (4) of SDLOG_PROFILE"
         )
-    singles = {_device(data): _single(data, start_s) for data in found if data.name == "sensor_gyro"}
-    whole = {_device(data): _fifo(data, start_s) for data in found if data.name == "sensor_gyro_fifo"}
+    singles = {_device(data): _single(data, start_s) for data in topics if data.name == "sensor_gyro"}
+    whole = {_device(data): _fifo(data, start_s) for data in topics if data.name == "sensor_gyro_fifo"}
     for name, stream in whole.items():
         thermometer = singles.get(name)
         if thermometer is not None and thermometer.temperature_c is not None:

@@ -1,4 +1,4 @@
-"""What drivers share whose device speaks when spoken to: its exchange, its end, and how a chamber is made safe."""
+"""Base classes of drivers whose device answers requests: its exchange, its closing, and the safe state of a chamber."""
 
 from abc import ABC, abstractmethod
 from collections import deque
@@ -22,7 +22,7 @@ class ExchangeDriver(Generic[Config]):
 
 
 class ImuDriver(ExchangeDriver[Config]):
-    """A unit that streams: nothing that it does can be unsafe."""
+    """A unit that streams: it has no unsafe state."""
 
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
         return self._exchange.transport.read_stamped(timeout_s)
@@ -33,7 +33,7 @@ class ImuDriver(ExchangeDriver[Config]):
 
 
 class ChamberDriver(ExchangeDriver[Config], ABC):
-    """A chamber: it is safe as its read-back says."""
+    """A chamber, whose safe state is verified by its read-back."""
 
     @abstractmethod
     def read(self) -> ChamberReading: ...
@@ -46,7 +46,7 @@ class ChamberDriver(ExchangeDriver[Config], ABC):
 
     @abstractmethod
     def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
-        """Where it is held by a policy that holds it, °C, within its limits."""
+        """The set point of a policy that holds the chamber, °C, within its limits."""
 
     def _evidence(self, reading: ChamberReading) -> str:
         return f"mode {reading.mode}, set point {reading.setpoint_c} degC"
@@ -61,19 +61,26 @@ class ChamberDriver(ExchangeDriver[Config], ABC):
         return SafeReport(policy.value, verified, self._evidence(reading))
 
 
+class Unwatched:
+    """An axis without a watchdog."""
+
+    def arm_watchdog(self) -> None: ...
+
+    def heartbeat(self) -> None: ...
+
+
 class MeanRate:
-    """An axis's rate from its positions, for controllers that do not tell it: the mean since a reading at least 0.4 s
-    before. A noisy encoder that is read twice in a millisecond would make any rate of nothing. The time is taken from
-    when the earlier position was asked for to when the later had come: a host that was busy in between makes a rate too
-    small, and never too large.
+    """An axis's rate from its positions, for controllers that do not report it: the mean since a reading at least 0.4 s
+    before, because a noisy encoder that is read twice in a millisecond could show any rate. The time is from the
+    earlier request to the later reply: a host that was busy in between makes a rate too small, never too large.
     """
 
     def __init__(self) -> None:
-        # When a position was asked for, and the position.
+        # The times of requests, and the positions.
         self._recent: deque[tuple[float, float]] = deque()
 
     def of(self, asked_s: float, time_s: float, position_deg: float, *, moving: bool) -> float:
-        """The rate at a reading that was asked for and had come at these times; 0 of an axis that stands."""
+        """The rate at a reading with these times of request and reply; 0 for an axis that stands."""
         recent = self._recent
         while len(recent) > 1 and time_s - recent[1][0] >= _OVER_S:
             recent.popleft()

@@ -202,7 +202,7 @@ class EspecChamber(ChamberDriver[EspecConfig]):
         now = self._ask("TEMP?", parse_temperatures)
         mode = self._mode()
         if mode in _PROGRAM:
-            # Out of the old program first: else its `RMT RUN` could be taken for the new one's.
+            # End the old program first: its `RMT RUN` could look like the new one's.
             self.hold(min(max(now.measured_c, now.low_c), now.high_c))
             now, mode = self._ask("TEMP?", parse_temperatures), "CONSTANT"
         settled = mode == "CONSTANT" and abs(now.setpoint_c - now.measured_c) < 2.0

@@ -1,4 +1,4 @@
-"""What the decoders of IMU streams share: building and joining batches, and counting what is missing."""
+"""Shared by the decoders of IMU streams: building and joining batches, and counting missing samples."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ _ARRIVALS = 256
 
 
 def join(batches: Sequence[ImuBatch]) -> ImuBatch:
-    """One batch of several; of none, an empty one."""
+    """One batch of several; an empty one of none."""
     if not batches:
         return ImuBatch(
             host_time_s=np.zeros(0),
@@ -34,13 +34,12 @@ def join(batches: Sequence[ImuBatch]) -> ImuBatch:
 class GapCounter:
     """Unwraps a sample counter and says how many samples are missing before each one.
 
-    A counter that wraps after `modulus` samples cannot show the loss of a whole number of wraps by itself. Where the
-    stream was disturbed the host's clock says how many wraps went by; where it was not, a late chunk is only late. The
-    host's clock is held against the quickest of the recent arrivals: what is read after a computer has been busy for a
-    while is stamped late.
+    A counter that wraps after `modulus` samples cannot show the loss of a whole number of wraps by itself. After a
+    disturbance of the stream the host's clock gives the number of wraps; without one, a late chunk is only late. The
+    host's clock is compared with the quickest of the recent arrivals, because a busy computer stamps bytes late.
 
-    That is as much as the past can tell, and right where the chunk behind a disturbance is later than the quickest of
-    the `_ARRIVALS` before it by less than half a wrap. A log is made with what comes after as well (`rounds`).
+    This uses the past only, and is right where the chunk after a disturbance is later than the quickest of the
+    `_ARRIVALS` before it by less than half a wrap. A log uses the later samples, too (`decoding.counter_wraps`).
     """
 
     def __init__(self, *, step: int, modulus: int, ticks_per_s: float) -> None:
@@ -57,7 +56,7 @@ class GapCounter:
         delta = np.mod(np.diff(raw, prepend=previous), self._modulus)
         delta[delta == 0] = self._modulus
         if disturbed and self._offsets_s:
-            # The last of the samples has waited least: where the counter is when the host has it.
+            # The last sample has waited least: the counter's value when the host has it.
             now = (host_time_s - min(self._offsets_s)) * self._ticks_per_s
             lost = (now - float(self._count + delta.sum())) / self._modulus
             delta[0] += self._modulus * max(0, round(lost))

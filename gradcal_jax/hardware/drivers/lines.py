@@ -1,14 +1,14 @@
-"""Devices that speak in lines of text, as a rig file describes them (`files.line_protocol`): chambers and axes.
+"""Devices with a text protocol that a rig file describes (`files.line_protocol`): chambers and axes.
 
-The description says what can be asked, told and seen; here is what is told when, and how it is known to have taken:
+The description has the queries, commands and replies; this driver has their order and verification:
 
-* a chamber's set point, its ramp and whether it conditions are read back after every command; a ramp's rate is shown by
-  the chamber before the target is told, so that no lost line lets it go at full speed;
-* an axis that moves is stopped before it is told something else, unless what it was told is read back; after a move it
-  is known to be on its way, or there.
+* a chamber's set point, ramp and conditioning are read back after every command; the chamber shows a ramp's rate before
+  it gets the target, so that no lost line makes it go at full speed;
+* an axis that moves is stopped before another command, unless commands can be read back; after the command of a move
+  the driver verifies that the axis moves or has arrived.
 
-Lines without a check sum can be damaged into others that are as good: of a move only where the axis then stands tells,
-and whoever waits for it is to compare that (`hardware.turning` does).
+Damage can turn a line without a check sum into another valid line: a move is verified only by the axis's final angle,
+which the caller must compare (`hardware.axis_control` does).
 
 Unverified on real hardware: everything; each description says what its sources leave open.
 """
@@ -39,10 +39,10 @@ from ..request_reply import Exchange, NotThisReply, command_and_verify
 from ..roles import AxisLimits, AxisReading, AxisSafe, ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
-from .base import ChamberDriver, ExchangeDriver, MeanRate
+from .base import ChamberDriver, ExchangeDriver, MeanRate, Unwatched
 
 Texts = dict[str, str]
-"""Fields as the device wrote them."""
+"""Fields in the device's own text."""
 
 _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _SETTLED_K = 2.0
@@ -52,8 +52,8 @@ _STOPS_AGAIN_S = 1.0
 
 @dataclass(frozen=True)
 class LinesConfig:
-    """Options of the rig file. `protocol`: the name of one that comes with this program, or its tables. What is 0 or
-    absent is the protocol's. `zero_deg` is the rig's angle where the device says 0, `direction` +1 or -1."""
+    """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables. 0 or absent: the
+    protocol's value. `zero_deg` is the rig's angle at the device's 0, `direction` +1 or -1."""
 
     protocol: Any = ""
     baudrate: int = 0
@@ -69,41 +69,41 @@ class LinesConfig:
 
     def __post_init__(self) -> None:
         if not self.baudrate:
-            object.__setattr__(self, "baudrate", self.said.line.baudrate)
+            object.__setattr__(self, "baudrate", self.described.line.baudrate)
         if self.direction not in (-1, 1):
             raise ValueError(f"direction is {self.direction}; it is 1 or -1.")
 
     @cached_property
-    def said(self) -> LineProtocol:
-        """The protocol itself."""
+    def described(self) -> LineProtocol:
+        """The description of the protocol."""
         return protocol_of(self.protocol)
 
     @property
     def role(self) -> Literal["chamber", "axis"]:
-        return self.said.role
+        return self.described.role
 
     @property
     def line_settings(self) -> dict[str, Any]:
-        line = self.said.line
+        line = self.described.line
         return {"bytesize": line.bytesize, "parity": line.parity, "stopbits": line.stopbits}
 
 
 class Codec:
-    """Lines of one protocol to bytes and back: pure."""
+    """Codec between lines of one protocol and bytes: pure."""
 
-    def __init__(self, said: LineProtocol) -> None:
-        self._said = said
-        self._framed = said.line.frame == "stx-etx-xor8"
+    def __init__(self, protocol: LineProtocol) -> None:
+        self._protocol = protocol
+        self._framed = protocol.line.frame == "stx-etx-xor8"
 
     def framer(self) -> LineFramer:
-        ends = b"\x03" if self._framed else self._said.line.reply_ends.encode("latin-1")
+        ends = b"\x03" if self._framed else self._protocol.line.reply_ends.encode("latin-1")
         return LineFramer(ends or None, keep_empty=bool(ends))
 
     def message(self, text: str, *, bare: bool = False) -> bytes:
         body = text.encode("latin-1")
         if not self._framed:
-            return body if bare else body + self._said.line.ends.encode("latin-1")
-        body = bytes([self._said.line.address]) + bytes(byte | 0x80 for byte in body)
+            return body if bare else body + self._protocol.line.ends.encode("latin-1")
+        body = bytes([self._protocol.line.address]) + bytes(byte | 0x80 for byte in body)
         return b"\x02" + body + bytes([xor8(body) | 0x80, 3])
 
     def text(self, frame: bytes) -> str:
@@ -111,23 +111,23 @@ class Codec:
         if self._framed:
             begins = frame.rfind(b"\x02")
             body = bytes(byte & 0x7F for byte in frame[begins + 1 :])
-            if begins < 0 or len(body) < 2 or body[0] != self._said.line.address & 0x7F or xor8(body):
+            if begins < 0 or len(body) < 2 or body[0] != self._protocol.line.address & 0x7F or xor8(body):
                 raise ChecksumError(f"{printable(frame)!r} fails its check. Check the line's shielding.")
             frame = body[1:-1]
         text = frame.strip(b" \t\r\n\x11\x13").decode("latin-1")
         if not text.isprintable():
-            raise FramingError(f"{self._said.title} answered {printable(frame)!r}, which is no text. Baud rate?")
-        refusal = self._said.line.refusal
+            raise FramingError(f"{self._protocol.title} answered {printable(frame)!r}, which is no text. Baud rate?")
+        refusal = self._protocol.line.refusal
         if refusal is not None and (match := reply_pattern(refusal).fullmatch(text)) is not None:
             code = match.groupdict().get("code", text)
-            raise Rejected(f"{self._said.title} refuses: {text!r}. See its manual.", code=code, text=text)
+            raise Rejected(f"{self._protocol.title} refuses: {text!r}. See its manual.", code=code, text=text)
         return text
 
 
 def open_exchange(transport: Transport, clock: Clock, config: LinesConfig) -> Exchange:
-    line = config.said.line
+    line = config.described.line
     times_s = config.reply_timeout_s or float(line.timeout), float(line.pause)
-    return Exchange(transport, Codec(config.said).framer(), clock, config.said.title, *times_s)
+    return Exchange(transport, Codec(config.described).framer(), clock, config.described.title, *times_s)
 
 
 def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | LinesAxis":
@@ -136,52 +136,53 @@ def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | Lin
 
 
 class _Spoken(ExchangeDriver[LinesConfig]):
-    """What both roles share: questions, commands, states."""
+    """Common to both roles: queries, commands, states."""
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         super().__init__(exchange, config)
-        self._said = config.said
-        self._codec = Codec(config.said)
+        self._protocol = config.described
+        self._codec = Codec(config.described)
         self._patterns: dict[str, re.Pattern[str]] = {}
 
     def identify(self) -> Identity:
         known = self._read("model", "serial", "firmware")
-        needed = self._read(*(need.field for need in self._said.require))
-        for need in self._said.require:
+        needed = self._read(*(need.field for need in self._protocol.require))
+        for need in self._protocol.require:
             if not any(needed[need.field] == text or _same_number(needed[need.field], text) for text in need.equals):
-                raise Rejected(f"{self._said.title} says {need.field} = {needed[need.field]}: {need.why}.")
-        model = f"{self._said.title} {known.get('model', '')}".strip()
+                raise Rejected(f"{self._protocol.title} says {need.field} = {needed[need.field]}: {need.why}.")
+        model = f"{self._protocol.title} {known.get('model', '')}".strip()
         return Identity("lines", model, known.get("serial", ""), known.get("firmware", ""))
 
     def _read(self, *names: str) -> Texts:
-        """The fields of these names, each question asked once, in this order; what no reply has is absent."""
-        found: Texts = {}
-        where = self._said.fields
+        """The fields of these names, each query sent once, in this order; fields without a query are absent."""
+        fields: Texts = {}
+        where = self._protocol.fields
         for question in dict.fromkeys(where[name] for name in names if name in where):
-            found |= self._ask(self._said.ask[question])
-        return found
+            fields |= self._ask(self._protocol.ask[question])
+        return fields
 
     def _ask(self, question: LineQuestion) -> Texts:
-        heard: Texts = {}
+        fields: Texts = {}
 
         def parse(frame: bytes) -> Texts:
             try:
                 text = self._codec.text(frame)
             except Rejected as refused:
-                # What nobody refuses is a question: it was damaged on its way, and is asked again.
+                # Devices do not refuse queries: it was damaged on its way, and is repeated.
                 raise FramingError(str(refused)) from None
             for reply in question.reply:
                 if (match := self._pattern(reply).fullmatch(text)) is not None:
-                    heard.update(match.groupdict())
+                    fields.update(match.groupdict())
                     break
             else:
                 if question.last is None:
-                    raise FramingError(f"{self._said.title} answered {question.send!r} by {text!r}. Is it that device?")
+                    title = self._protocol.title
+                    raise FramingError(f"{title} answered {question.send!r} by {text!r}. Is it that device?")
             if question.last is not None and self._pattern(question.last).fullmatch(text) is None:
                 raise NotThisReply
-            if missing := set(question.fields) - set(heard):
+            if missing := set(question.fields) - set(fields):
                 raise FramingError(f"The reply to {question.send!r} has no {', '.join(sorted(missing))}.")
-            return heard
+            return fields
 
         return self._exchange.query(self._codec.message(question.send, bare=question.bare), parse)
 
@@ -191,15 +192,15 @@ class _Spoken(ExchangeDriver[LinesConfig]):
         return self._patterns[template]
 
     def _tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
-        """Send the lines of a command; returns its values as they were written."""
-        command = self._said.tell[name]
+        """Send the lines of a command; returns its values as text."""
+        command = self._protocol.tell[name]
         written: Texts = {}
         for number, send in enumerate(command.send):
-            text, told = formatted(send, values or {})
-            written |= told
+            text, values_sent = formatted(send, values or {})
+            written |= values_sent
             message = self._codec.message(text, bare=command.bare)
             if not command.reply:
-                self._exchange.write(message, pause_after_s=float(self._said.line.pause_after_command))
+                self._exchange.write(message, pause_after_s=float(self._protocol.line.pause_after_command))
                 continue
             reply = self._pattern(command.reply[min(number, len(command.reply) - 1)])
             self._exchange.query(
@@ -207,18 +208,19 @@ class _Spoken(ExchangeDriver[LinesConfig]):
                 lambda frame, text=text, reply=reply: self._acknowledged(frame, text, reply),
                 repeat=False,
                 reply_timeout_s=self._config.home_timeout_s if command.reply_when_done else None,
-                pause_after_s=float(self._said.line.pause_after_command) or None,
+                pause_after_s=float(self._protocol.line.pause_after_command) or None,
             )
         return written
 
     def _acknowledged(self, frame: bytes, text: str, reply: re.Pattern[str]) -> None:
-        said = self._codec.text(frame)
-        if reply.fullmatch(said) is None:
-            raise FramingError(f"{self._said.title} acknowledged {text!r} by {said!r}, which is another's reply.")
+        received = self._codec.text(frame)
+        if reply.fullmatch(received) is None:
+            title = self._protocol.title
+            raise FramingError(f"{title} acknowledged {text!r} by {received!r}, which is another's reply.")
 
     def _tell_shown(self, name: str, values: Mapping[str, float], shown_by: tuple[str, ...]) -> Texts:
-        """Tell a value until it is shown; returns what is shown."""
-        (value,) = {written for send in self._said.tell[name].send for written in formatted(send, values)[1].values()}
+        """Send a value until the device shows it; returns the value shown."""
+        (value,) = {text for send in self._protocol.tell[name].send for text in formatted(send, values)[1].values()}
         return command_and_verify(
             lambda: self._tell(name, values),
             lambda: self._read(*shown_by),
@@ -228,28 +230,28 @@ class _Spoken(ExchangeDriver[LinesConfig]):
         )
 
     def _switch(self, name: str, state: str, on: bool) -> None:
-        """Tell "on" or "off", where the device does not show that state already, until it does."""
-        asked = self._asks_of(state)
-        if self._is(state, self._read(*asked)) is not on:
+        """Send "on" or "off" until the device shows that state, unless it does already."""
+        names = self._asks_of(state)
+        if self._is(state, self._read(*names)) is not on:
             command_and_verify(
                 lambda: self._tell(name),
-                lambda: self._read(*asked),
+                lambda: self._read(*names),
                 lambda texts: self._is(state, texts) is on,
-                what=f"{self._said.title} {name}",
+                what=f"{self._protocol.title} {name}",
                 clock=self._clock,
             )
 
     def _is(self, name: str, texts: Texts) -> bool:
-        condition = self._said.state.get(name)
+        condition = self._protocol.state.get(name)
         if condition is None:
             return False
         try:
             return condition.holds(texts[condition.field])
         except ValueError:
-            raise FramingError(f"{self._said.title} says {condition.field} = {texts[condition.field]!r}.") from None
+            raise FramingError(f"{self._protocol.title} says {condition.field} = {texts[condition.field]!r}.") from None
 
     def _asks_of(self, *states: str) -> list[str]:
-        return [self._said.state[name].field for name in states if name in self._said.state]
+        return [self._protocol.state[name].field for name in states if name in self._protocol.state]
 
 
 def _same_number(left: str, right: str) -> bool:
@@ -263,13 +265,13 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
     """Role `Chamber`."""
 
     def limits(self) -> ChamberLimits:
-        known = self._said.limits
+        known = self._protocol.limits
         assert known.lowest is not None
         assert known.highest is not None
         numbers = float(known.lowest), float(known.highest), float(known.resolution)
         slowest = 0.0 if known.slowest is None else float(known.slowest) * 60.0
         fastest = math.inf if known.fastest is None else float(known.fastest) * 60.0
-        return ChamberLimits(*numbers, "ramp" in self._said.tell, slowest, fastest, self._ramp_step())
+        return ChamberLimits(*numbers, "ramp" in self._protocol.tell, slowest, fastest, self._ramp_step())
 
     def read(self) -> ChamberReading:
         texts = self._read("air", "setpoint", "product", *self._asks_of("conditioning", "alarm"))
@@ -277,10 +279,10 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
         conditions = self._is("conditioning", texts)
         alarms: tuple[str, ...] = ()
         if self._is("alarm", texts):
-            named = [name for name in ("code", "message", self._said.state["alarm"].field) if name in texts]
+            named = [name for name in ("code", "message", self._protocol.state["alarm"].field) if name in texts]
             alarms = (" ".join(dict.fromkeys(texts[name] for name in named)),)
         product = self._celsius(texts["product"]) if "product" in texts else None
-        mode = texts[self._said.state["conditioning"].field]
+        mode = texts[self._protocol.state["conditioning"].field]
         air_c, setpoint_c = self._celsius(texts["air"]), self._celsius(texts["setpoint"])
         return ChamberReading(time_s, air_c, product, setpoint_c, mode, conditions, alarms)
 
@@ -291,18 +293,19 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
         self._switch("on", "conditioning", True)
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
-        if "ramp" not in self._said.tell:
-            raise Rejected(f"The protocol of {self._said.title} has no ramps: it is ramped by steps of its set point.")
+        if "ramp" not in self._protocol.tell:
+            title = self._protocol.title
+            raise Rejected(f"The protocol of {title} has no ramps: it is ramped by steps of its set point.")
         limits = self.limits()
         if not max(limits.slowest_ramp_k_per_min, 1e-9) <= rate_k_per_min <= limits.fastest_ramp_k_per_min:
-            raise LimitExceeded(f"{rate_k_per_min:g} K/min lies outside what {self._said.title} can do.")
+            raise LimitExceeded(f"{rate_k_per_min:g} K/min lies outside what {self._protocol.title} can do.")
         self._check(temperature_c)
         now = self.read()
         if not now.conditioning or abs(now.setpoint_c - now.air_c) >= _SETTLED_K:
-            # A ramp begins where the set point is: let that be where the air is.
+            # A ramp begins at the set point: set it to the temperature of the air.
             self.hold(min(max(now.air_c, limits.lowest_c), limits.highest_c))
-        unit = self._said.units.ramp
-        shown_by = self._said.tell["ramp"].shown_by
+        unit = self._protocol.units.ramp
+        shown_by = self._protocol.tell["ramp"].shown_by
         shown = self._tell_shown("ramp", {"ramp": units.convert(rate_k_per_min, "K/min", unit)}, shown_by)
         self._go_to(temperature_c)
         self._switch("on", "conditioning", True)
@@ -318,12 +321,12 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
         return min(max(wanted, limits.lowest_c), limits.highest_c)
 
     def _go_to(self, temperature_c: float) -> None:
-        value = {"setpoint": units.convert(temperature_c, "degC", self._said.units.temperature)}
-        self._tell_shown("setpoint", value, ("target" if "target" in self._said.fields else "setpoint",))
+        value = {"setpoint": units.convert(temperature_c, "degC", self._protocol.units.temperature)}
+        self._tell_shown("setpoint", value, ("target" if "target" in self._protocol.fields else "setpoint",))
 
     def _free_ramp(self) -> None:
-        """A ramp stays in force until it is taken off, for whoever uses the panel next, too."""
-        free, command = self._said.limits.free_ramp, self._said.tell.get("ramp")
+        """Remove the ramp, which otherwise stays in force, also for the next user of the panel."""
+        free, command = self._protocol.limits.free_ramp, self._protocol.tell.get("ramp")
         if command is None or free is None:
             return
         shown = self._read(*command.shown_by)
@@ -331,32 +334,32 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
             self._tell_shown("ramp", {"ramp": free}, command.shown_by)
 
     def _celsius(self, text: str) -> float:
-        value = units.convert(float(text), self._said.units.temperature, "degC")
+        value = units.convert(float(text), self._protocol.units.temperature, "degC")
         if not _LOWEST_PLAUSIBLE_C <= value <= _HIGHEST_PLAUSIBLE_C:
             raise FramingError(
-                f"{self._said.title} reports {value} degC, which is not plausible. Check line and sensor."
+                f"{self._protocol.title} reports {value} degC, which is not plausible. Check line and sensor."
             )
         return value
 
     def _ramp_step(self) -> float:
-        """What the last of the decimals that a ramp is written with stands for, K/min."""
-        command = self._said.tell.get("ramp")
+        """The resolution of the text of a ramp, K/min."""
+        command = self._protocol.tell.get("ramp")
         if command is None:
             return 0.0
         decimals = len(formatted(command.send[0], {"ramp": 1.0})[1]["ramp"].partition(".")[2])
-        return units.convert(10.0**-decimals, self._said.units.ramp, "K/min")
+        return units.convert(10.0**-decimals, self._protocol.units.ramp, "K/min")
 
     def _check(self, temperature_c: float) -> None:
         limits = self.limits()
         if not limits.lowest_c <= temperature_c <= limits.highest_c:
             raise LimitExceeded(
                 f"{temperature_c:.1f} degC lies outside {limits.lowest_c:g} to {limits.highest_c:g} degC, the limits "
-                f"in the protocol of {self._said.title}. Change the plan."
+                f"in the protocol of {self._protocol.title}. Change the plan."
             )
 
 
-class LinesAxis(_Spoken):
-    """Role `MotionAxis`. Referenced is an axis that this driver has homed, until it shows a fault."""
+class LinesAxis(_Spoken, Unwatched):
+    """Role `MotionAxis`. An axis is referenced after this driver has homed it, until it shows a fault."""
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         _Spoken.__init__(self, exchange, config)
@@ -365,12 +368,12 @@ class LinesAxis(_Spoken):
         self.settings = KeptSettings(self._setting, self._set, lambda left, right: shows(right, left))
 
     def limits(self) -> AxisLimits:
-        known, config, angle = self._said.limits, self._config, self._said.units
+        known, config, angle = self._protocol.limits, self._config, self._protocol.units
         assert known.max_rate is not None
         assert known.max_acceleration is not None
         assert known.step is not None
         fastest = [units.to_unit(float(known.max_rate), "deg/s"), config.max_rate_dps]
-        if "max_rate" in self._said.fields:
+        if "max_rate" in self._protocol.fields:
             fastest.append(units.convert(float(self._read("max_rate")["max_rate"]), angle.rate, "deg/s"))
         strongest = [units.to_unit(float(known.max_acceleration), "deg/s^2"), config.max_acceleration_dps2]
         ends = [
@@ -382,17 +385,17 @@ class LinesAxis(_Spoken):
         return AxisLimits(rate, acceleration, ends[0], ends[1], step, hardware_watchdog=False)
 
     def read(self) -> AxisReading:
-        # Whether it moves first: a position that is read of an axis that stood is where it stands.
-        asked = self._asks_of("moving", "fault", "powered")
-        texts = self._read(*asked)
+        # The motion is read first: a position read after that is the final one if the axis stood.
+        names = self._asks_of("moving", "fault", "powered")
+        texts = self._read(*names)
         if self._moved and not self._is("moving", texts):
-            # One damaged character makes a standstill of a motion: it is asked for twice.
-            texts = self._read(*asked)
+            # One damaged character can turn motion into a standstill: the query is sent twice.
+            texts = self._read(*names)
         asked_s = self._clock.now()
         texts |= {} if "position" in texts else self._read("position")
         time_s = self._clock.now()
         moving = self._moved = self._is("moving", texts)
-        faults = (texts[self._said.state["fault"].field],) if self._is("fault", texts) else ()
+        faults = (texts[self._protocol.state["fault"].field],) if self._is("fault", texts) else ()
         self._referenced = self._referenced and not faults
         position = self._degrees(texts["position"])
         rate = self._rates.of(asked_s, time_s, position, moving=moving)
@@ -416,7 +419,7 @@ class LinesAxis(_Spoken):
         self._require_ready(referenced=True)
         self._stop_if_moving()
         self._prepare(rate_dps, acceleration_dps2)
-        unit, config = self._said.units, self._config
+        unit, config = self._protocol.units, self._config
         goal = units.convert((position_deg - config.zero_deg) * config.direction, "deg", unit.angle)
         values = {"position": goal, **self._motion(rate_dps, acceleration_dps2)}
         near = limits.resolution_deg
@@ -429,19 +432,19 @@ class LinesAxis(_Spoken):
         )
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
-        if "spin" not in self._said.tell:
-            raise Rejected(f"The protocol of {self._said.title} has no constant rates: make turns of them.")
+        if "spin" not in self._protocol.tell:
+            raise Rejected(f"The protocol of {self._protocol.title} has no constant rates: make turns of them.")
         self._check(abs(rate_dps), acceleration_dps2)
         self._require_ready(referenced=False)
-        shown_by = self._said.tell["spin"].shown_by
+        shown_by = self._protocol.tell["spin"].shown_by
         if not shown_by:
             self._stop_if_moving()
         self._prepare(abs(rate_dps), acceleration_dps2)
         signed = rate_dps * self._config.direction
-        velocity = units.convert(signed, "deg/s", self._said.units.rate)
+        velocity = units.convert(signed, "deg/s", self._protocol.units.rate)
         values = {"velocity": velocity, **self._motion(abs(rate_dps), acceleration_dps2)}
-        if self._said.limits.spin_angle is not None:
-            far = units.to_unit(float(self._said.limits.spin_angle), self._said.units.angle)
+        if self._protocol.limits.spin_angle is not None:
+            far = units.to_unit(float(self._protocol.limits.spin_angle), self._protocol.units.angle)
             values["way"] = math.copysign(far, signed)
         if shown_by:
             self._tell_shown("spin", values, shown_by)
@@ -455,7 +458,7 @@ class LinesAxis(_Spoken):
         )
 
     def stop(self) -> None:
-        # A stop does no harm twice: it is told again and again until the axis stands.
+        # A stop is harmless when repeated: it is sent until the axis stands.
         end = self._clock.now() + self._config.stop_timeout_s
         while True:
             try:
@@ -471,28 +474,23 @@ class LinesAxis(_Spoken):
             if self._clock.now() > end:
                 raise NotVerified(f"The axis still moves {self._config.stop_timeout_s:g} s after it was told to stop.")
 
-    def arm_watchdog(self) -> None:
-        """A protocol of lines has no watchdog."""
-
-    def heartbeat(self) -> None:
-        """A protocol of lines has no watchdog."""
-
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
         if policy is AxisSafe.UNPOWER:
-            if "off" not in self._said.tell:
-                raise Rejected(f"The protocol of {self._said.title} cannot unpower it; choose the safe policy 'hold'.")
+            if "off" not in self._protocol.tell:
+                title = self._protocol.title
+                raise Rejected(f"The protocol of {title} cannot unpower it; choose the safe policy 'hold'.")
             self._switch("off", "powered", False)
         reading = self.read()
         state = "; ".join(reading.faults) or "no faults"
         return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
 
     def _degrees(self, text: str) -> float:
-        angle = units.convert(float(text), self._said.units.angle, "deg")
+        angle = units.convert(float(text), self._protocol.units.angle, "deg")
         return angle * self._config.direction + self._config.zero_deg
 
     def _motion(self, rate_dps: float, acceleration_dps2: float) -> dict[str, float]:
-        unit = self._said.units
+        unit = self._protocol.units
         acceleration = units.convert(acceleration_dps2, "deg/s^2", unit.acceleration)
         return {"rate": units.convert(rate_dps, "deg/s", unit.rate), "acceleration": acceleration}
 
@@ -514,23 +512,23 @@ class LinesAxis(_Spoken):
         self._power_on()
 
     def _power_on(self) -> None:
-        if "on" in self._said.tell:
+        if "on" in self._protocol.tell:
             self._switch("on", "powered", True)
 
     def _prepare(self, rate_dps: float, acceleration_dps2: float) -> None:
-        """What a device keeps between moves is set before one, and put back at the end of a run."""
+        """Settings that the device keeps between moves are set before a move, and restored at the end of a run."""
         values = self._motion(rate_dps, acceleration_dps2)
         for name in ("acceleration", "rate"):
-            if name in self._said.tell:
-                (template, *_) = self._said.tell[name].send
+            if name in self._protocol.tell:
+                (template, *_) = self._protocol.tell[name].send
                 self.settings.change(name, formatted(template, values)[1][name])
 
     def _setting(self, name: str) -> str:
-        shown_by = self._said.tell[name].shown_by
+        shown_by = self._protocol.tell[name].shown_by
         return self._read(*shown_by)[shown_by[0]]
 
     def _set(self, name: str, value: str) -> None:
-        self._tell_shown(name, {name: float(value)}, self._said.tell[name].shown_by)
+        self._tell_shown(name, {name: float(value)}, self._protocol.tell[name].shown_by)
 
     def _stop_if_moving(self) -> None:
         if self.read().moving:

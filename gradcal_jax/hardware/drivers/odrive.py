@@ -2,22 +2,21 @@
 
 Sources: ODrive's repository (documentation and firmware 0.5.6) and the enumerations of its 0.6.11 package. 115200 8N1.
 A request that ends in `*` and the decimal exclusive or of its characters is answered with one; a damaged request
-*vanishes without an answer*. Commands of motion are never answered: the driver reads back what the controller took for
-its input. An invalid encoder estimate is printed as 0.0, so that readiness is asked for with every position. `q` and
-`c` are not used.
+*gets no answer*. Commands of motion are never answered: the driver reads back the controller's input. An invalid
+encoder estimate is printed as 0.0, so that readiness is queried with every position. `q` and `c` are not used.
 
-**What the controller remembers decides what a command does.** `t` plans from `pos_setpoint`, which no command of
-velocity moves and which `t` itself does not synchronise: after a spin the axis would first go back to where the last
-move ended, as fast as the controller's `vel_limit` lets it. Writing `control_mode` as a property does synchronise. So
-before every `t` the mode is written, `pos_setpoint` and estimate are read back, and only where they agree is the move
-sent. An `input_vel` of an earlier spin acts as soon as the input mode lets it: it is set to nought before modes are
-changed. A velocity loop at nought gives way to a load; what stands is therefore held by the position loop.
+**The controller's memory changes the effect of commands.** `t` plans from `pos_setpoint`, which velocity commands do
+not change and which `t` itself does not synchronise: after a spin the axis would first go back to the end of the last
+move, at the controller's `vel_limit`. Writing `control_mode` as a property does synchronise. So before every `t` the
+mode is written, `pos_setpoint` and estimate are read back, and the move is sent only if they agree. An `input_vel` of
+an earlier spin acts as soon as the input mode allows it: it is set to zero before modes are changed. A velocity loop at
+zero yields to a load; therefore the position loop holds an axis at rest.
 
 **Watchdog**: fed by every motion command and by `heartbeat()`, checked by the controller in every state, and its error
 stays until `sc`. When it expires the motor goes idle and *coasts*: an unbalanced gimbal falls. `safe` switches it off,
-clears the error that it left, and takes an axis that this program had powered under control again. Errors that are
-there when a run begins are cleared and shown as warnings of every reading; those that come back, and those that come
-later, are faults. (`sc` clears the errors of both motors of a board.)
+clears its error, and takes control again of an axis that this program had powered. Errors at the beginning of a run are
+cleared and shown as warnings of every reading; recurring and later errors are faults. (`sc` clears the errors of both
+motors of a board.)
 
 Positions are float32: one step is 2⁻²³ of the value, 0.011 deg at 440 turns; `limits().resolution_deg` says it.
 
@@ -119,7 +118,7 @@ class ODriveConfig:
 
     @property
     def ready_in(self) -> str:
-        """Empty: generation 0.6 has no such property, and an encoder that is not valid is one of its errors."""
+        """Empty: generation 0.6 has no such property; an invalid encoder is one of its errors."""
         return self.ready_property or ("encoder.is_ready" if self.generation == "0.5" else "")
 
     @property
@@ -132,7 +131,7 @@ def request(words: str) -> bytes:
 
 
 def parse_line(frame: bytes) -> str:
-    """Text of a reply whose check sum fits. Raises `ChecksumError` also where there is none: one was asked for."""
+    """Text of a reply with a right check sum. Raises `ChecksumError` also where there is none: it was requested."""
     body, star, check = frame.rpartition(b"*")
     if not star or check != str(xor8(body)).encode():
         raise ChecksumError(f"The reply {printable(frame)!r} fails its check sum. Check the line's shielding.")
@@ -215,7 +214,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
         arrived = self._target_turns is None or abs(turns - self._target_turns) < self._turns(config.in_position_deg)
         moving = not slow or self._spinning or not arrived
         if errors:
-            # A controller with an error has let go of the motor: nothing is under way any more.
+            # A controller with an error does not drive the motor: no move is under way any more.
             moving = not slow
         rate = config.direction * turns_per_s * 360.0 / config.turns_per_table_turn
         faults = errors if ready else (*errors, "the encoder's position is not valid")
@@ -282,11 +281,11 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
             self._wait_for_state(IDLE, 2.0, "unpowering")
             held = True
         else:
-            # What this program has powered is held, also where it was let go of; what stood idle is left idle.
+            # An axis that this program has powered is held, also after an error; an idle axis stays idle.
             if self._powered or expired:
                 self._close_loop()
             reading = self._brake()
-            # The mode holds the angle: it is not put back.
+            # The mode holds the angle: it is not restored.
             self.settings.before.pop(_CONTROL_MODE, None)
             held = not self._powered or self._state() == CLOSED_LOOP
         state = self._state()
@@ -331,7 +330,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
         return tuple(known + ([f"0x{rest:x}"] if rest else []))
 
     def _clear_errors(self) -> None:
-        """What an earlier session left is shown and cleared. Raises `DeviceFault` for what comes back."""
+        """Show and clear the errors of an earlier session. Raises `DeviceFault` for recurring errors."""
         self._disarm_watchdog()
         if not (faults := self._faults()):
             return
@@ -354,7 +353,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
         if faults := self._faults():
             raise DeviceFault(f"The controller reports {', '.join(faults)}. Clear the cause and start again.")
         if self._state() != CLOSED_LOOP:
-            # In position control the loop closes on where the motor is; at a velocity it would begin to turn.
+            # In position control the loop closes at the motor's position; at a velocity it would begin to turn.
             self._set(self._config.input_velocity_property, 0.0)
             self.settings.change(_CONTROL_MODE, str(POSITION_CONTROL))
             command_and_verify(
@@ -377,7 +376,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
     def _velocity(self, turns_per_s: float, acceleration_turns: float) -> None:
         self.settings.change("controller.config.vel_ramp_rate", decimal(acceleration_turns))
         for _ in range(2):
-            # A trapezoid that ends in between puts the control mode back to position: hence twice, and verified.
+            # A trapezoid that ends in between sets the control mode to position: hence twice, and verified.
             if (self._property(_CONTROL_MODE), self._property(_INPUT_MODE)) == (VELOCITY_CONTROL, VELOCITY_RAMP):
                 break
             self._set(self._config.input_velocity_property, 0.0)
@@ -387,7 +386,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
         self._shown(words, self._config.input_velocity_property, turns_per_s)
 
     def _hold_here(self) -> None:
-        """The position loop holds the axis where it stands, and its set point is there: verified, or raised."""
+        """Hold the axis where it stands by the position loop. Raises where mode and set point are not verified."""
         path, tolerance = self._config.setpoint_property, self._turns(_SYNCHRONISED_DEG)
 
         def astray() -> tuple[float, float]:
@@ -403,7 +402,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
         )
 
     def _brake(self) -> AxisReading:
-        """To standstill, and held there if the motor has power."""
+        """Stop, and hold the axis if the motor has power."""
         closed = self._state() == CLOSED_LOOP
         if closed:
             self._velocity(0.0, self._turns(self._config.max_acceleration_dps2))

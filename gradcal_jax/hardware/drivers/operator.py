@@ -1,18 +1,18 @@
-"""An axis that a person turns: asked on a terminal, its angle typed there or read from an encoder.
+"""An axis that the operator turns: asked on a terminal, its angle typed there or read from an encoder.
 
-The program asks on a line that it does not end, with a bell, and waits for a line:
+The program writes a question without a line end, with a bell, and waits for a line:
 
     x: turn by +360 deg in 10 s, to 360 deg; let it stand and type the angle that it shows:
     360.02 deg
 
-An angle has its unit, by the grammar of all the files (`359° 58′ 30″` is one, `360,02` is none), or `unit` says what a
-bare number means. What is not understood is asked again, and so is, once, what is further than `miss` from where the
-turn was to end. A dial of one turn will do: of the angles that look alike the nearest to the goal is taken. With an
-encoder Enter alone says that the axis stands.
+An angle has its unit, by the grammar of all files (`359° 58′ 30″` is valid, `360,02` is not), or `unit` is the unit of
+bare numbers. The question is repeated for an invalid answer, and once for an angle further than `miss` from the goal. A
+dial of one turn suffices: of the angles that look alike the nearest to the goal counts. With an encoder, Enter alone
+means that the axis stands.
 
-The axis moves from the question to the answer, whatever the person does meanwhile; what was typed is one reading, at
-the instant at which its line ended. The port is "terminal", where `gradcal run` was started, or any other that leads to
-a person: text with CR or LF at the end of a line, and no echo from here.
+The axis counts as moving from the question to the answer; a typed angle is one reading, at the time when its line
+ended. The port is "terminal", where `gradcal run` was started, or any other with an operator: text with CR or LF at the
+end of a line, and no echo by the program.
 """
 
 import math
@@ -27,6 +27,7 @@ from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, Saf
 from ..settings import KeptSettings
 from ..terminal import TextLine
 from ..track import AxisCommand
+from .base import Unwatched
 
 _BELL = "\a"
 
@@ -65,7 +66,7 @@ def nearest_turn_deg(shown_deg: float, goal_deg: float) -> float:
 
 
 class Console:
-    """One terminal, one question at a time. Lines that come without a question are passed over."""
+    """One terminal, one question at a time. Lines without a question are ignored."""
 
     def __init__(self, line: TextLine, clock: Clock) -> None:
         self._line, self._clock = line, clock
@@ -87,7 +88,7 @@ class Console:
         self._line.write(_BELL.encode())
 
     def answer(self) -> tuple[str, float] | None:
-        """What was typed, and when its line ended; None as long as there is nothing."""
+        """The typed line and the time of its end; None until there is one."""
         if self._problem:
             raise Disconnected(self._problem)
         if not (self._open and self._answers):
@@ -105,7 +106,7 @@ class Console:
         self._line.close()
 
     def _listen(self) -> None:
-        """In a thread of its own: a person answers when it suits, and the stamp is of the line's end."""
+        """Runs in a separate thread: the operator answers at any time, and the stamp is the time of the line's end."""
         while True:
             try:
                 data, time_s = self._line.read_stamped(0.2)
@@ -122,8 +123,8 @@ def open_exchange(line: TextLine, clock: Clock, config: OperatorConfig) -> Conso
     return Console(line, clock)
 
 
-class OperatorAxis:
-    """Role `MotionAxis`. `name` is what the person is told; `encoder` an axis whose motor is never told anything."""
+class OperatorAxis(Unwatched):
+    """Role `MotionAxis`. `name` is shown to the operator; `encoder` is an axis whose motor gets no commands."""
 
     def __init__(
         self, console: Console, config: OperatorConfig, clock: Clock, name: str, encoder: MotionAxis | None = None
@@ -136,14 +137,14 @@ class OperatorAxis:
         self._question = self._drawing = ""
         self._ring_s = math.inf
         self._doubted = False
-        # The newest reading that somebody vouches for; None: nobody knows where it stands.
+        # The newest reading confirmed by the operator; None: unknown.
         self._stands: AxisReading | None = None
 
     def identify(self) -> Identity:
         if self._encoder is None:
             return Identity("operator", "turned by hand, angles typed")
-        found = self._encoder.identify()
-        return replace(found, driver="operator", model=f"turned by hand, encoder of {found.driver} {found.model}")
+        encoder = self._encoder.identify()
+        return replace(encoder, driver="operator", model=f"turned by hand, encoder of {encoder.driver} {encoder.model}")
 
     def limits(self) -> AxisLimits:
         config = self._config
@@ -163,7 +164,7 @@ class OperatorAxis:
         return self._stands
 
     def home(self) -> None:
-        """Asks for the zero mark and returns at once: the readings tell when somebody has answered."""
+        """Asks for the zero mark and returns at once: the readings show when the operator has answered."""
         self._goal_deg, self._stands, self._whole_turns_deg = 0.0, None, 0.0
         self._ask(f"{self._name}: bring it to its zero mark")
 
@@ -182,23 +183,17 @@ class OperatorAxis:
         self._ask(f"{self._name}: turn {how}")
 
     def draw(self, drawing: str) -> None:
-        """What the next question is to show first: how the unit stands when it is done."""
+        """The text before the next question: the unit's attitude after the turn."""
         self._drawing = drawing
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
         raise Rejected(f"{self._name} is turned by hand, and nobody turns at a constant rate for long.")
 
     def stop(self) -> None:
-        """Nothing drives it. What was asked is taken back, and until somebody is asked again nobody knows the angle."""
+        """Withdraw the question (nothing drives the axis). The angle is unknown until the next answer."""
         if self._question:
             self._question, self._stands = "", None
             self._console.withdraw(f"{self._name}: never mind, leave it where it is.")
-
-    def arm_watchdog(self) -> None:
-        """A person has no watchdog."""
-
-    def heartbeat(self) -> None:
-        """A person has no watchdog."""
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
@@ -218,26 +213,26 @@ class OperatorAxis:
         self._console.ask(f"\r\n{drawing}\r\n{self._question}" if drawing else self._question)
 
     def _hear(self) -> None:
-        """Take the answer, if it has come and can be understood."""
-        said = self._console.answer()
-        if said is None:
+        """Take the answer, if there is a valid one."""
+        answer = self._console.answer()
+        if answer is None:
             if self._clock.now() >= self._ring_s:
                 self._ring_s += self._config.remind_s
                 self._console.ring()
             return
-        text, time_s = said
-        if (found := self._understood(text, time_s)) is None:
+        text, time_s = answer
+        if (reading := self._understood(text, time_s)) is None:
             return
-        away = abs(found.position_deg - self._goal_deg)
+        away = abs(reading.position_deg - self._goal_deg)
         if away > self._config.miss_deg and not self._doubted:
             self._doubted = True
             again = "press Enter" if self._encoder is not None else "type it"
             self._console.ask(
-                f"{self._name}: {found.position_deg:.6g} deg is {away:.3g} deg away from {self._goal_deg:.6g} deg; "
+                f"{self._name}: {reading.position_deg:.6g} deg is {away:.3g} deg away from {self._goal_deg:.6g} deg; "
                 f"mend it, or {again} again if it is so:"
             )
             return
-        self._question, self._stands = "", found
+        self._question, self._stands = "", reading
 
     def _understood(self, text: str, time_s: float) -> AxisReading | None:
         if self._encoder is not None:
@@ -258,7 +253,7 @@ class OperatorAxis:
         return AxisReading(time_s, position, 0.0, False, True, (), ())
 
     def _encoded(self) -> AxisReading:
-        """The encoder's reading, in the whole turns that the zero mark was found in."""
+        """The encoder's reading, with whole turns counted from the zero mark."""
         assert self._encoder is not None
         reading = self._encoder.read()
         position = reading.position_deg + self._whole_turns_deg

@@ -4,12 +4,11 @@ Source: the official data sheet TS1524 rev. 31; the frames of a real unit agree.
 `stim300_datagrams`. Utility Mode (`$name,parameters,check`) is the interface for machines; nothing is ever saved to the
 flash memory. Bias trim and g-compensation alter the outputs: they are read and recorded.
 
-The counter counts internal samples (2000 /s) modulo 256: at 125 samples/s it wraps every 16 samples. Whole wraps that
-are lost in a disturbed stretch are reckoned with the host's clock.
+The counter counts internal samples (2000 /s) modulo 256: at 125 samples/s it wraps every 16 samples. The host's clock
+gives the number of whole wraps that are lost in a disturbed stretch.
 
 Unverified on real hardware: that a unit already in Utility Mode answers the request with status 1; the codes of the
-output units (`rate_unit_code`, `increment_unit_code`);
-rates other than those of a standard line on USB adapters.
+output units (`rate_unit_code`, `increment_unit_code`); non-standard baud rates on USB adapters.
 """
 
 import re
@@ -95,7 +94,7 @@ def parse_utility(frame: bytes) -> tuple[str, list[str]]:
 
 
 def decoder_of(config: Stim300Config, registers: Mapping[str, str]) -> Stim300Decoder:
-    """The decoder for what a unit said of itself when it was configured: live, or from a journal long after."""
+    """The decoder for a unit's configuration as it was read back: live, or later from a journal."""
     ranges = registers.get("irng", "").split(",")
     try:
         (range_g,) = {int(text) for text in ranges[3:6]}
@@ -114,7 +113,7 @@ class Stim300Stream(ImuDriver[Stim300Config]):
 
     def __init__(self, transport: Transport, clock: Clock, config: Stim300Config) -> None:
         super().__init__(Exchange(transport, LineFramer(b"\r"), clock, "The STIM300", config.reply_timeout_s), config)
-        # What is set lasts until the unit is switched off, and is never saved.
+        # Settings last until the unit is switched off, and are never saved.
         self.settings = KeptSettings()
         self._registers: dict[str, str] = {}
         self._in_utility = False
@@ -156,20 +155,20 @@ class Stim300Stream(ImuDriver[Stim300Config]):
     def _enter_utility(self) -> None:
         if self._in_utility:
             return
-        heard = b""
+        received = b""
         for _ in range(2):
             self._exchange.transport.write(b"UTILITYMODE\r")
             end = time.monotonic() + self._config.mode_timeout_s
             while (left := end - time.monotonic()) > 0.0:
-                heard = (heard + self._exchange.transport.read(min(left, 0.1)))[-4096:]
+                received = (received + self._exchange.transport.read(min(left, 0.1)))[-4096:]
                 # A unit that a killed program left in Utility Mode calls the request invalid: `#,1,180`.
-                if re.search(rb"#UTILITYMODE,234\r|#,1,180\r", heard):
+                if re.search(rb"#UTILITYMODE,234\r|#,1,180\r", received):
                     self._exchange.transport.drain(0.02)
                     self._in_utility = True
                     return
-        raise (FramingError if heard else ReplyTimeout)(
+        raise (FramingError if received else ReplyTimeout)(
             f"The unit at {self._exchange.transport.url} was sent 'UTILITYMODE' and did not enter Utility Mode"
-            + (f"; it sent {printable(heard[-80:])!r}. Check that this is a STIM300 and" if heard else ". Check")
+            + (f"; it sent {printable(received[-80:])!r}. Check that this is a STIM300 and" if received else ". Check")
             + " power, cable (RS-422), baud rate and parity."
         )
 
@@ -183,9 +182,9 @@ class Stim300Stream(ImuDriver[Stim300Config]):
         return self._exchange.query(utility_request(name, *parameters), parse)
 
     def _set(self, name: str, code: int) -> None:
-        """Settings are idempotent: asking again after a lost reply does no harm; the read-back decides."""
+        """Settings are idempotent: repeating after a lost reply is harmless; the read-back decides."""
         if self._ask(f"i{name}")[0] == str(code):
             return
         self._ask(f"s{name}", code)
         if (shown := self._ask(f"i{name}")[0]) != str(code):
-            raise NotVerified(f"The unit was told ${name} = {code} and reports {shown}.")
+            raise NotVerified(f"The unit got ${name} = {code} and reports {shown}.")

@@ -1,8 +1,8 @@
 """STIM300 datagrams: from the bytes of Normal Mode to samples. Pure; the driver is in `stim300`.
 
 Source: data sheet TS1524 rev. 31. A datagram has no sync word: it begins with an identifier that implies its length and
-ends in a CRC-32 that is reckoned with zero bytes which are never sent, up to a multiple of four. The decoder locks only
-where a CRC fits, stays locked while CRCs fit, and on a failure goes on by one byte.
+ends in a CRC-32 that includes zero bytes which are never sent, up to a multiple of four. The decoder locks only where a
+CRC is right, stays locked while CRCs are right, and advances by one byte after a failure.
 """
 
 import zlib
@@ -77,12 +77,12 @@ def _int24(columns: NDArray[np.uint8]) -> NDArray[np.int32]:
 class Stim300Decoder:
     """Bytes of Normal Mode -> samples. `acceleration_range_g` comes from the unit itself (`$irng`).
 
-    Whether the unit ends its datagrams in CR LF shows at the first one.
+    The first datagram shows whether the unit ends them in CR LF.
 
-    A unit whose start-up bit comes up in the middle of a stream has begun anew: power was cut, or it was reset.
+    A start-up bit within a stream means that the unit restarted: power was cut, or it was reset.
 
-    Special datagrams between normal ones are passed over and counted; before the first lock, as after power-on, they
-    cannot be told from noise and count as `bad_bytes`. A datagram that comes twice, at once or late, counts once.
+    Special datagrams between normal ones are skipped and counted; before the first lock, as after power-on, they look
+    like noise and count as `bad_bytes`. A datagram that comes twice, at once or later, counts once.
     """
 
     resolution_s = 1.0 / INTERNAL_RATE_HZ
@@ -104,7 +104,7 @@ class Stim300Decoder:
         self.sample_s = self._step / INTERNAL_RATE_HZ
         self.round_samples = _MODULUS // self._step
         self._gaps = GapCounter(step=self._step, modulus=_MODULUS, ticks_per_s=float(INTERNAL_RATE_HZ))
-        # Within a round of the counter no two datagrams are alike, so one that is was sent once and came twice.
+        # Within a round of the counter no two datagrams are alike, so a repeated one was sent once and came twice.
         self._recent: dict[bytes, None] = {}
         self._before = b""
         self._starting_up = True
@@ -124,7 +124,7 @@ class Stim300Decoder:
             whole = len(self._buffer) // stride
             if self._line_end is None:
                 if self._recent:
-                    # What comes after the first datagram tells: no identifier is a CR.
+                    # The byte after the first datagram decides: no identifier is a CR.
                     if self._buffer == b"\r":
                         break
                     self._line_end = self._buffer.startswith(b"\r\n")
@@ -139,7 +139,7 @@ class Stim300Decoder:
                 if self._line_end is None:
                     continue
             if good == whole:
-                # What is left may already be known not to be a datagram of this kind.
+                # The remaining bytes may already be known not to be a datagram of this kind.
                 if self._buffer and self._buffer[0] != self._locked and not self._skip_special(stride):
                     if self._buffer[0] in SPECIAL_LENGTHS and len(self._buffer) < 48 + stride:
                         break
@@ -191,7 +191,7 @@ class Stim300Decoder:
         return whole
 
     def _skip_special(self, stride: int) -> bool:
-        """Pass over a special datagram that is followed by a sound normal one."""
+        """Skip a special datagram that is followed by a sound normal one."""
         length = SPECIAL_LENGTHS.get(self._buffer[0])
         if length is None or self._locked is None:
             return False
@@ -206,9 +206,8 @@ class Stim300Decoder:
         return True
 
     def _first_comers(self, block: NDArray[np.uint8], layout: DatagramLayout) -> NDArray[np.uint8]:
-        """Without the datagrams that are there already. A late repetition may carry the very count that is due, and
-        what follows may go on from there: each is looked for.
-        """
+        """Remove repeated datagrams. A late repetition may have the count that is due, and later ones may follow it, so
+        that each is compared."""
         fresh: list[int] = []
         for row in range(len(block)):
             datagram = block[row].tobytes()
@@ -225,9 +224,9 @@ class Stim300Decoder:
     def _came_before(self, datagram: bytes, layout: DatagramLayout) -> bool:
         if datagram not in self._recent:
             return False
-        # A unit that always says the same is no reason to believe that its datagrams are repetitions.
-        said = slice(1, layout.counter)
-        return datagram == self._before or datagram[said] != self._before[said]
+        # A unit with constant output does not repeat its datagrams.
+        contents = slice(1, layout.counter)
+        return datagram == self._before or datagram[contents] != self._before[contents]
 
     def _decode(self, block: NDArray[np.uint8], layout: DatagramLayout, host_time_s: float) -> ImuBatch:
         block = self._first_comers(block, layout)

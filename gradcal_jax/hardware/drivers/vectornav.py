@@ -2,13 +2,12 @@
 
 Sources: the vendor's C library and its example for binary output. 115200 8N1. An ASCII message is `$VN…*` and two
 hexadecimal digits of the exclusive or between `$` and `*`; a binary packet is FA, a byte of groups, a 16-bit mask per
-group, the payload, and a CRC-16 with which everything after FA comes to zero. Replies come between samples and are told
+group, the payload, and a CRC-16 that makes the CRC of all bytes after FA zero. Replies come between samples and differ
 from them by their header. Nothing is saved to the unit's memory.
 
 The samples are the *uncompensated* ones: calibrated in the factory, without the user's filter and bias registers.
 Binary packets carry the unit's own time in nanoseconds, from which missing samples are counted. ASCII lines carry no
-time and no counter: **a lost line cannot be noticed**, so that binary is the default and ASCII is for a look at the
-bench.
+time and no counter: **a lost line cannot be detected**, so that binary is the default and ASCII is for first tests.
 
 Unverified on real hardware: that the base rate is 800 Hz on every model (`base_rate_hz`); the meaning of
 "uncompensated" differs between versions of the firmware.
@@ -98,7 +97,7 @@ def request(words: str) -> bytes:
 
 
 def parse_line(frame: bytes) -> list[str]:
-    """Fields of an ASCII message whose check sum fits. Raises `Rejected` for `$VNERR`."""
+    """Fields of an ASCII message with a right check sum. Raises `Rejected` for `$VNERR`."""
     body, star, check = frame[1:].rpartition(b"*")
     if frame[:1] != b"$" or not star or check != b"%02X" % xor8(body):
         raise ChecksumError(f"The message {printable(frame)!r} fails its check sum. Check cable and baud rate.")
@@ -147,10 +146,9 @@ class VectorNavFramer(LengthFramer):
 
 
 class VectorNavDecoder:
-    """Bytes -> samples. Only packets of the configured output count; others are passed over.
+    """Bytes -> samples. Only packets of the configured output count; others are ignored.
 
-    A binary packet that comes twice counts once: no two have the same time. Time that goes back is a unit that began
-    anew.
+    A binary packet that comes twice counts once: no two have the same time. If the time goes back, the unit restarted.
     """
 
     resolution_s = 1e-9
@@ -217,7 +215,7 @@ class VectorNavDecoder:
 
 
 def decoder_of(config: VectorNavConfig, registers: Mapping[str, str]) -> VectorNavDecoder:
-    """The decoder for a configured unit; the binary packets say of themselves all but the rate."""
+    """The decoder for a configured unit; binary packets describe all but the rate."""
     del registers
     return VectorNavDecoder(sample_rate_hz=config.sample_rate_hz)
 
@@ -254,11 +252,11 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
             self.settings.change("75", self._binary_output(1))
 
     def stop(self) -> None:
-        """Silence, also of the other outputs, which an earlier use may have left on."""
+        """Switch off all outputs, also others that an earlier use may have left on."""
         self.settings.change("6", "0")
         self.settings.change("75", self._binary_output(0))
         for register in ("76", "77"):
-            # A unit without this output has none that is on.
+            # The unit does not have this output.
             with suppress(Rejected):
                 self.settings.change(register, ",".join(["0", *self._read(int(register))[1:]]))
 
@@ -283,15 +281,15 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
         return self._ask(f"VNRRG,{register:02d}", ["VNRRG", str(register)])
 
     def _write(self, register: int, values: str) -> None:
-        """Registers are idempotent: writing again after a lost reply does no harm; the read-back decides."""
+        """Registers are idempotent: writing again after a lost reply is harmless; the read-back decides."""
         self._ask(f"VNWRG,{register:02d},{values}", ["VNWRG", str(register)])
         shown = self._read(register)
         if not _same(shown, values.split(",")):
-            raise NotVerified(f"Register {register} was told {values} and reports {','.join(shown)}.")
+            raise NotVerified(f"Register {register} got {values} and reports {','.join(shown)}.")
 
 
 def _same(shown: list[str], wanted: list[str]) -> bool:
-    """Equal but for leading zeros; a unit may append fields of its other ports."""
+    """Equal except for leading zeros; a unit may append fields of its other ports."""
     return len(shown) >= len(wanted) and all(
         (a.lstrip("0") or "0") == (b.lstrip("0") or "0") for a, b in zip(shown, wanted, strict=False)
     )

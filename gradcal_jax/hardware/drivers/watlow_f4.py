@@ -1,10 +1,10 @@
 """Watlow F4 (F4S, F4D) controllers over Modbus RTU: TestEquity and many re-badged chambers.
 
 Source: the vendor-class ChamberConnectLibrary; a third party's driver shows the same frames. 8N1, functions 3 and 6,
-CRC-16, at least 30 ms between frames. Set points and process values are 16-bit integers times a power of ten
-that register 606 tells. The driver works in static mode (register 300) and never saves to the EEPROM, whose writes are
-limited; ramps are made by the runner in steps (`hardware_ramp` is False), because a ramp in the controller means
-editing a stored profile.
+CRC-16, at least 30 ms between frames. Set points and process values are 16-bit integers times a power of ten given by
+register 606. The driver works in static mode (register 300) and never saves to the EEPROM, whose writes are limited;
+the runner makes ramps in steps (`hardware_ramp` is False), because a ramp in the controller means editing a stored
+profile.
 
 Specific to a site, hence options: which event output switches the conditioning (`conditioning_event`), which digital
 input is the limit controller's contact (`limit_input`), which analogue input measures the product (`product_input`).
@@ -83,7 +83,7 @@ def _checked(frame: bytes, address: int, function: int) -> bytes:
 
 
 def exception_of(code: int) -> Rejected:
-    """What a Modbus exception says."""
+    """The error for a Modbus exception."""
     meaning = EXCEPTIONS.get(code, "unknown")
     return Rejected(f"The controller refuses: exception {code} ({meaning}).", code=str(code), text=meaning)
 

@@ -3,8 +3,8 @@
 Sources. Registers, their values and float order: ESPEC's ChamberConnectLibrary (watlowf4t.py). Part and serial number,
 the low word first: Watlow's F4T user's guide, chapter 6. Ramps to a set point (2794, 2796, 2798): TestEquity's F4T
 manual, chapter 4. A set point that is written while the control loop is off is accepted and ignored
-(ChamberConnectLibrary, issue 11): so the loop is switched on first, and what counts is the set point in force (2810),
-not the one that was written (2782).
+(ChamberConnectLibrary, issue 11): so the loop is switched on first, and the read-back is the set point in force (2810),
+not the written one (2782).
 
 One loop, without cascade. Specific to a site, hence options: which `loop` is the temperature's; which profile event
 switches the plant (`conditioning_event`); how many `alarms` there are. Temperatures must be in Celsius on this
@@ -87,7 +87,7 @@ def float_of(words: tuple[int, ...]) -> float:
 
 
 def parse_reply(frame: bytes, sent: bytes) -> bytes:
-    """The data of the reply to a message. Raises for an exception; passes over what answers another message."""
+    """The data of the reply to a message. Raises for an exception; ignores replies to other messages."""
     if frame[:2] != sent[:2] or frame[6] != sent[6] or frame[7] & 0x7F != sent[7]:
         raise NotThisReply
     if frame[7] & 0x80:
@@ -174,7 +174,7 @@ class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
         return f"{reading.mode}, set point {reading.setpoint_c:g} degC"
 
     def _begin(self, temperature_c: float) -> None:
-        """Whatever must be before a set point counts: it is allowed, no profile runs, and the loop is on."""
+        """The preconditions of a set point: it is allowed, no profile runs, and the loop is on."""
         low, high = self._float(LOWEST), self._float(HIGHEST)
         if not low <= temperature_c <= high:
             raise LimitExceeded(
@@ -188,7 +188,7 @@ class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
 
     def _condition(self, on: bool) -> None:
         mode, event = MODE + self._above, self._config.conditioning_event
-        said = "on (set points are ignored while it is off)" if on else "off"
+        state = "on (set points are ignored while it is off)" if on else "off"
         if event:
             register = EVENTS[event - 1]
             self._write_word(register, ON if on else OFF, f"Conditioning {'on' if on else 'off'}")
@@ -196,7 +196,7 @@ class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
             return
         in_force = lambda: self._words(MODE_IN_FORCE + self._above)[0]  # noqa: E731
         wanted = AUTO if on else OFF
-        self._shown(mode, (wanted,), f"The control loop {said}", in_force, lambda value: value == wanted)
+        self._shown(mode, (wanted,), f"The control loop {state}", in_force, lambda value: value == wanted)
 
     def _words(self, register: int, count: int = 1) -> tuple[int, ...]:
         sent = self._message(read_body(register, count))

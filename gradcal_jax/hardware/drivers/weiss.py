@@ -3,20 +3,20 @@
 Sources: several independent public drivers and their tests, two captured self-descriptions, and a chamber's help text.
 9600 8N1, address of two digits, CR. `$aaI` reads a fixed-width record whose layout differs from chamber to chamber;
 `$aaE` writes *all* set points and *all* digital channels at once; `$aaU` sets gradients; `$aa?` describes the layout.
-The driver reads the description once and derives where everything stands; a chamber that does not describe itself gets
-its layout from the rig file. Writing is reading, changing temperature and start, and writing everything else as it was.
+The driver reads the description once and derives the positions of all values; a chamber without a description gets its
+layout from the rig file. To write is to read, change temperature and start, and write all other values unchanged.
 
-The manual allows one string in five seconds (`min_interval_s`): more disturbs the chamber's own control.
+The manual allows one string in five seconds (`min_interval_s`): more disturb the chamber's own control.
 
 Unverified on real hardware: that `$aaU` is per minute (two sources agree, no manual page was seen); `$aaF`, the reply
 to which no source shows (`read_faults`, off by default: then `alarms` is always empty and the rig needs another way to
 notice a chamber alarm); records with 16 digital channels (`digital_channels`, one source); the acknowledgement, which
 old controllers send (`0`) and new ones do not (both are accepted, the read-back decides).
 
-**Neither a gradient nor the target of a ramp can be read back.** A `$E` that is lost leaves the chamber as it was, a
-lost `$U` lets it go as fast as it can, and a gradient outlives the run that set it. But while a gradient runs the
-nominal value of the record is the moving one: a ramp counts as begun only when that moves, at about the rate that was
-asked for, and is told again otherwise. `hold`, `standby` and `safe` take the gradient off.
+**Neither a gradient nor the target of a ramp can be read back.** A lost `$E` leaves the chamber unchanged, a lost `$U`
+makes it go as fast as it can, and a gradient stays in force after the run. But while a gradient runs the nominal value
+of the record moves: a ramp counts as begun only when that moves at about the requested rate, and the command is
+repeated otherwise. `hold`, `standby` and `safe` remove the gradient.
 """
 
 import re
@@ -36,7 +36,7 @@ _CHANNEL = re.compile(r"(?:CV|SV|MV|DO)\d\d")
 _DEFINITION = re.compile(r"((?:CV|SV|MV|DO)\d\d)\s+(?!(?:CV|SV|MV|DO)\d)(.*[A-Za-z].*)")
 _RANGE = re.compile(r"min\D*?(-?\d+(?:\.\d+)?)\D+?max\D*?(-?\d+(?:\.\d+)?)\s*(.*)", re.IGNORECASE)
 _TRIES = 3
-# Of a nominal value that is to move, K: what counts as movement, and what resolution and time may hide.
+# Change of a nominal value that counts as movement, and its uncertainty by resolution and time, K.
 _MOVED_K, _HIDDEN_K = 0.25, 0.15
 
 
@@ -71,7 +71,7 @@ class WeissConfig:
 
 @dataclass(frozen=True)
 class Layout:
-    """Which number of the record is what. `read` and `write` are the numeric channels in the order of the line."""
+    """The meaning of a record's numbers. `read` and `write` are the numeric channels in the order of the line."""
 
     read: tuple[str, ...]
     write: tuple[str, ...]
@@ -118,7 +118,7 @@ def request(address: int, letter: str, body: str = "") -> bytes:
 
 
 def write_body(layout: Layout, record: Record, *, temperature_c: float, start: bool, start_channel: int) -> str:
-    """The body of `$aaE`: everything as the record has it, except temperature and start."""
+    """The body of `$aaE`: the values of the record, except temperature and start."""
     values = [
         temperature_c if name == layout.temperature else record.numbers[layout.nominal(name)] for name in layout.write
     ]
@@ -127,7 +127,7 @@ def write_body(layout: Layout, record: Record, *, temperature_c: float, start: b
 
 
 def parse_record(frame: bytes, layout: Layout, digital_channels: int = 32) -> Record:
-    """Raises `FramingError` unless count of numbers, their form and the digital channels all fit the layout."""
+    """Raises `FramingError` unless the numbers and the digital channels match the layout."""
     fields = frame.decode("ascii", "replace").strip().split(" ")
     *numbers, digital = fields
     if (
@@ -146,7 +146,7 @@ def parse_description(text: str, temperature_channel: str = "") -> Layout:
     """The layout from the answer to `$aa?`.
 
     Old firmware separates `DO00 DO01`, new firmware joins them and breaks lines within a name: all blanks and line
-    breaks of a template go before the names are looked for.
+    breaks of a template are removed before the search for names.
 
     Raises:
         FramingError: no templates, or no temperature channel with its range.
@@ -195,7 +195,7 @@ def open_exchange(transport: Transport, clock: Clock, config: WeissConfig) -> Ex
 
 
 class WeissChamber(ChamberDriver[WeissConfig]):
-    """Role `Chamber`. Knows its layout from the first call that needs it."""
+    """Role `Chamber`. The first call that needs the layout reads it."""
 
     def __init__(self, exchange: Exchange, config: WeissConfig) -> None:
         super().__init__(exchange, config)
@@ -243,7 +243,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             with self._exchange.alone():
                 self._require_newest(order)
                 if amiss:
-                    # From where it began: it may be on its way at full speed.
+                    # Begin at the first temperature: the chamber may be moving at full speed.
                     self._write(start_c, start=True)
                 warming = temperature_c >= start_c
                 self._tell(temperature_c, rate if warming else 0.0, 0.0 if warming else rate, start=True)
@@ -275,16 +275,16 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             else:
                 with self._exchange.alone():
                     self._exchange.write(self._request("?"))
-                    # There is no end mark: the first byte has the reply's time, then silence ends the text.
-                    heard = self._exchange.transport.read(config.reply_timeout_s)
-                    heard += self._exchange.transport.drain(config.description_silence_s, longest_s=10.0)
-                if not heard:
+                    # There is no end mark: the first byte has the reply's time-out, then silence ends the text.
+                    received = self._exchange.transport.read(config.reply_timeout_s)
+                    received += self._exchange.transport.drain(config.description_silence_s, longest_s=10.0)
+                if not received:
                     raise ReplyTimeout(
                         f"The chamber at {self._exchange.transport.url} did not describe itself ($aa?). Check address, "
                         "baud rate and cable; if it has a fixed layout, write read_layout and write_layout in the rig "
                         "file."
                     )
-                self._known = parse_description(heard.decode("ascii", "replace"), config.temperature_channel)
+                self._known = parse_description(received.decode("ascii", "replace"), config.temperature_channel)
         return self._known
 
     def _record(self) -> Record:
@@ -306,7 +306,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         return record.numbers[layout.nominal(layout.temperature)]
 
     def _write(self, temperature_c: float, *, start: bool) -> None:
-        """A set point without a gradient: an old one stays active until it is overwritten."""
+        """Set a temperature without a gradient: an old gradient stays active until it is overwritten."""
         channel = self._config.start_channel
 
         def shows(now: Record) -> bool:
@@ -326,20 +326,20 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         layout, channel = self._layout(), self._config.start_channel
         self._acknowledged("U", " ".join(map(value_text, (up, down, 0.0, 0.0))))
         if not (up or down or self._acknowledges):
-            # That a gradient was taken off shows only where the set point has far to go.
+            # The removal of a gradient shows only at a large step of the set point.
             self._acknowledged("U", " ".join(map(value_text, (up, down, 0.0, 0.0))))
         body = write_body(layout, self._record(), temperature_c=temperature_c, start=start, start_channel=channel)
         self._acknowledged("E", body)
 
     def _require_newest(self, order: int) -> None:
-        """A ramp that is still being watched gives way at once to whatever the chamber is told next."""
+        """Any other command ends the watch on a ramp's beginning at once."""
         if self._orders != order:
             raise NotVerified("The chamber was told something else before its ramp had begun.")
 
     def _amiss(self, order: int, begins: tuple[float, float] | None, target_c: float, rate_k_per_min: float) -> str:
-        """Watch the nominal value until it has moved as it should: then empty; else what is wrong.
+        """Watch the nominal value until it has moved as expected: an empty text; else the deviation.
 
-        `begins`: when it was told, and its value then. Of a chamber that stood nobody knows it before it runs.
+        `begins`: the time of the command, and the value then, which is unknown before a chamber runs.
         """
         sent_s, channel = self._clock.now(), self._config.start_channel
         until_s = sent_s + 60.0 * (_MOVED_K + _HIDDEN_K) / rate_k_per_min + 3.0 * self._config.min_interval_s
@@ -363,8 +363,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             self._clock.sleep(1.0)
 
     def _acknowledged(self, letter: str, body: str) -> None:
-        """Send a command, again where a chamber that acknowledges did not. `0` and silence are both consent; what the
-        chamber then shows decides."""
+        """Send a command, again where an acknowledgement is missing that this chamber sends. `0` and silence both mean
+        consent; the read-back decides."""
 
         def parse(frame: bytes) -> None:
             text = frame.decode("ascii", "replace").strip()

@@ -8,8 +8,8 @@ Positions are microsteps; microsteps a turn come from `limit.cycle.dist`, or fro
 for devices without that setting.
 
 Unverified on real hardware: `velocity_factor` and `acceleration_factor` (data value per microstep/s and microstep/s²;
-time a known move at commissioning); the exact effect of `set comm.checksum 1`: the driver asks for it and
-then demands a check sum of every reply if it was granted and the next reply carries one (`reply_checksum` tells).
+time a known move at commissioning); the exact effect of `set comm.checksum 1`: the driver sends it, and requires a
+check sum in every reply if it was accepted and the next reply has one (see `reply_checksum`).
 Rates are not read from the device (see `base.MeanRate`).
 
 Firmware 6 calls its identity `deviceid`, firmware 7 `device.id`. Settings outlive a session: they are set only where
@@ -28,7 +28,7 @@ from ..request_reply import Exchange, NotThisReply, command_and_verify
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
-from .base import ExchangeDriver, MeanRate
+from .base import ExchangeDriver, MeanRate, Unwatched
 
 WARNINGS = {
     "FF": "critical system error",
@@ -132,7 +132,7 @@ def open_exchange(transport: Transport, clock: Clock, config: ZaberConfig) -> Ex
     return Exchange(transport, LineFramer(), clock, "The Zaber stage", config.reply_timeout_s)
 
 
-class ZaberAxis(ExchangeDriver[ZaberConfig]):
+class ZaberAxis(ExchangeDriver[ZaberConfig], Unwatched):
     """Role `MotionAxis`. Several axes of one chain share an exchange."""
 
     def __init__(self, exchange: Exchange, config: ZaberConfig) -> None:
@@ -144,7 +144,7 @@ class ZaberAxis(ExchangeDriver[ZaberConfig]):
         self.settings = KeptSettings(self._setting, self._set)
 
     def identify(self) -> Identity:
-        # Not every stage has each of them; what they were is put back when the driver goes.
+        # Not every stage has each of them; they are restored at the end.
         for name, value in (("comm.checksum", "1"), ("comm.alert", "0"), ("knob.enable", "0")):
             with suppress(Rejected):
                 self.settings.change(name, value)
@@ -213,15 +213,9 @@ class ZaberAxis(ExchangeDriver[ZaberConfig]):
         self._start(f"move vel {round(rate_dps * self._config.direction * self._velocity_data())}")
 
     def stop(self) -> None:
-        # A stop does no harm twice: it may be repeated without looking.
+        # A stop is harmless when repeated: no read-back is needed before it.
         self._ask("stop")
         self._until_idle(self._config.stop_timeout_s, "stopping")
-
-    def arm_watchdog(self) -> None:
-        """These stages have no watchdog."""
-
-    def heartbeat(self) -> None:
-        """These stages have no watchdog."""
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self._ask("stop")
@@ -234,7 +228,7 @@ class ZaberAxis(ExchangeDriver[ZaberConfig]):
         return SafeReport(policy.value, not reading.moving, f"idle at {reading.position_deg:.4f} deg, {state}")
 
     def _ask(self, words: str, *, axis: int | None = None) -> Reply:
-        """Every command of this driver says where to be and not how to change: it does no harm twice."""
+        """Send a command. All commands of this driver are absolute, hence harmless when repeated."""
         config = self._config
         number = self._config.axis if axis is None else axis
 
@@ -314,7 +308,7 @@ class ZaberAxis(ExchangeDriver[ZaberConfig]):
 
 
 def _axis_of(setting: str) -> int | None:
-    """Settings of the whole device are asked of its axis 0; None: of the rig file's axis."""
+    """A setting: of the whole device with axis 0, of the rig file's axis with None."""
     return 0 if setting.startswith(("comm.", "knob.", "device", "system.", "version")) else None
 
 

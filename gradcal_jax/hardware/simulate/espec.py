@@ -1,7 +1,7 @@
 """A simulated ESPEC P-300 chamber: the peer of `drivers.espec`, written from the protocol.
 
 Strict: it does not answer before CR LF, refuses set points outside its alarm limits, refuses program commands when no
-program runs, and changes its state only after its `OK`. With `echo_off` it keeps silent, as an EHS with that setting.
+program runs, and changes its state only after its `OK`. With `echo_off` it is silent, as an EHS with that setting.
 """
 
 import re
@@ -56,12 +56,12 @@ class SimulatedEspec:
         return replies
 
     def raise_alarm(self, code: int) -> None:
-        """The chamber protects itself: it stops conditioning and shows the code."""
+        """Raise an alarm: the chamber stops conditioning and shows the code."""
         self.alarms.append(code)
         self._enter("OFF")
 
     def reboot(self) -> None:
-        """Power cut and back: off, at its constant set point's default, with nothing running."""
+        """Power cut and back: off, at the default set point, no program."""
         self._buffer = b""
         self._program_end_s = None
         self._enter("OFF")
@@ -93,7 +93,7 @@ class SimulatedEspec:
         return answer.replace(",", ", ") if self.options.blanks else answer
 
     def _command(self, text: str) -> str:
-        """Obey, and return an empty refusal; or refuse and change nothing."""
+        """Execute a command and return an empty text; or return a refusal and change nothing."""
         if (match := re.fullmatch(r"TEMP,\s*(.+)", text)) is not None:
             return self._temperature(match[1])
         if (match := re.fullmatch(r"MODE,\s*(OFF|STANDBY|CONSTANT)", text)) is not None:

@@ -1,10 +1,10 @@
 """A whole simulated laboratory for a recipe: chamber, table and one sensor, on ports of their own, with hidden truth.
 
-The chamber is an ESPEC, the table a chain of Zaber stages (or a gimbal and a person who turns it and types its angles,
-where the spec's table is driven by hand), the sensor a STIM300. What the calibration is to find is
-drawn by the seed from the spec's priors, the noise from its error model; a flat prior draws something typical. A single
-table axis lies east to west, where the Earth's rate does not show along it; with several axes the Earth stands still.
-The sensor's mounting is perfect and its structure is the spec's: what a `discrepancy` allows for is not drawn.
+The chamber is an ESPEC, the table a chain of Zaber stages (or, where the spec's table is driven by hand, a gimbal with
+an operator who turns it and types its angles), the sensor a STIM300. The seed draws the true parameters from the spec's
+priors and the noise from its error model; for a flat prior typical values. A single table axis points east, where the
+Earth's rate has no component; with several axes the Earth's rate is zero. The sensor's mounting is perfect and its
+structure is the spec's: a `discrepancy` is not drawn.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ from .zaber import SimulatedZaber
 
 _EAST: Final[Triple] = (1.0, 0.0, 0.0)
 _ALONG: Final[dict[Axis, Triple]] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-# Turns the sensor so that this axis of it lies east.
+# Mountings that point this axis of the sensor east.
 _MOUNTED: Final[dict[Axis, tuple[Triple, Triple, Triple]]] = {
     "x": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
     "y": ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
@@ -42,24 +42,24 @@ _TYPICAL_BIAS_DPS: Final = 0.02
 _TYPICAL_SCALE: Final = 1000e-6
 _SLIPS: Final = 0.02
 _SENSOR_NAME: Final = "unit1"
-# Bits/s. 2000 datagrams/s of rates, forces and temperatures are more than the usual line carries with any to spare.
+# Bits/s. 2000 datagrams/s of rates, forces and temperatures leave no margin on the usual line.
 _BAUDRATE: Final = 921_600
 _BAUDRATE_AT_FULL_RATE: Final = 1_843_200
-# A plan may use all of the travel that it is allowed: the cable's hard end lies this far beyond.
+# A plan may use all of its allowed travel: the cable's hard end is this far beyond.
 _BEYOND_DEG: Final = 2.0
 
 
 @dataclass(frozen=True)
 class HiddenTruth:
-    """What the calibration is to find: coefficients of the spec's bases (monomials where they are polynomials), in
-    deg/s and as ratios, `(3, nT)` and `(3, nT, nω)` by sensor axis."""
+    """The true parameters: coefficients of the spec's bases (monomials for polynomials), in deg/s and as ratios,
+    `(3, nT)` and `(3, nT, nω)` by sensor axis."""
 
     sensor: SensorTruth
     axis: AxisTruth
 
     def tables(self, axes: tuple[Axis, ...]) -> dict[str, Any]:
         """For a file: the paper's names of coefficients, SI, by sensor axis."""
-        found: dict[str, Any] = {}
+        tables: dict[str, Any] = {}
         for axis in axes:
             row = AXES.index(axis)
             bias = {f"a{k}": float(np.radians(v)) for k, v in enumerate(self.sensor.bias_dps[row])}
@@ -68,8 +68,8 @@ class HiddenTruth:
                 for cold, values in enumerate(self.sensor.scale_factor[row])
                 for rate, value in enumerate(values)
             }
-            found[axis] = bias | scale | {"gradient": float(np.radians(self.sensor.gradient_deg_per_k[row]))}
-        return found | {"sample_clock_error": self.sensor.clock_error}
+            tables[axis] = bias | scale | {"gradient": float(np.radians(self.sensor.gradient_deg_per_k[row]))}
+        return tables | {"sample_clock_error": self.sensor.clock_error}
 
 
 def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
@@ -125,16 +125,16 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
 
 def _processes(sensor: Sensor) -> tuple[Process, ...]:
     deg = 180.0 / np.pi
-    found = processes_of(sensor.drift, sensor.scale_factor_instability, deg)
+    processes = processes_of(sensor.drift, sensor.scale_factor_instability, deg)
     if (error := sensor.temperature_error) is not None:
         lasts = np.inf if error.correlation_time is None else float(error.correlation_time)
         gains = (float(error.bias_slope or 0.0) * deg, float(error.scale_factor_slope or 0.0))
-        found += (Process(float(error.standard_deviation), float(lasts), *gains),)
-    return found
+        processes += (Process(float(error.standard_deviation), float(lasts), *gains),)
+    return processes
 
 
 def processes_of(drift: Sequence[Any], instability: Sequence[Any] = (), unit: float = 1.0) -> tuple[Process, ...]:
-    """Of a spec's drifts, in a unit of which so many are its SI unit, and of what its scale factor does."""
+    """The processes of a spec's drifts (`unit`: how many of their unit are one SI unit) and scale-factor errors."""
     biases = (Process(float(d.standard_deviation) * unit, float(d.correlation_time), 1.0) for d in drift)
     scales = (Process(float(d.standard_deviation), float(d.correlation_time), 0.0, 1.0) for d in instability)
     return (*biases, *scales)
@@ -161,7 +161,7 @@ def rate_truth(section: Any) -> TruthBasis:
 
 
 class OnPorts:
-    """Simulated devices on ports, which are open while inside; `rig` is the rig file."""
+    """Context with simulated devices on open ports; `rig` is the rig file."""
 
     ports: list[SimulatedPort]
     rig: RigFile
@@ -235,12 +235,12 @@ class SimulatedLab(OnPorts):
         self.rig = lab_rig(at_chamber, axes, {_SENSOR_NAME: at_imu}, sample_rate_hz)
 
     def truths(self) -> dict[str, Any]:
-        """For a file: what the calibration is to find."""
+        """The true parameters, for a file."""
         return self.truth.tables(self.axes)
 
 
 def chain_of(plants: list[AxisPlant], clock: Clock, travel_deg: Sequence[float | None]) -> SimulatedZaber:
-    """Stages, each with its travel each way from zero."""
+    """A chain of stages; travel in degrees each way from zero."""
     chain = SimulatedZaber(plants, clock)
     for stage, travel in zip(chain.stages, travel_deg, strict=True):
         if travel is not None:
@@ -250,16 +250,16 @@ def chain_of(plants: list[AxisPlant], clock: Clock, travel_deg: Sequence[float |
 
 
 def axis_tables(name: str, port: str, number: int, says: Any, by_hand: bool) -> dict[str, Any]:
-    """A simulated axis as a rig file has it: a stage on a chain, or one that a person turns. `says`: the spec's."""
+    """The rig file's table of a simulated axis: a stage on a chain, or turned by hand. `says`: the spec's."""
     limits = {"max_rate": str(says.max_rate), "max_acceleration": str(says.max_acceleration)}
     if by_hand and not np.isinf(float(says.travel)):
         limits["travel"] = str(says.travel)
-    found = {"name": name, "driver": "operator" if by_hand else "zaber", "port": port, "safe": "hold"}
-    return found | {"gravity_loaded": False, "options": limits if by_hand else {"device": number, **limits}}
+    device = {"name": name, "driver": "operator" if by_hand else "zaber", "port": port, "safe": "hold"}
+    return device | {"gravity_loaded": False, "options": limits if by_hand else {"device": number, **limits}}
 
 
 def unit_options(sample_rate_hz: float, burst_s: float) -> Stim300Options:
-    """Of a simulated unit whose bytes reach the computer every `burst_s`."""
+    """The options of a simulated unit whose bytes reach the computer every `burst_s`."""
     line = _BAUDRATE if sample_rate_hz < RATES_HZ[-1] else _BAUDRATE_AT_FULL_RATE
     return Stim300Options(baudrate=line, rate_code=RATES_HZ.index(sample_rate_hz), burst_s=burst_s)
 
@@ -271,7 +271,8 @@ def lab_rig(
     sample_rate_hz: float,
     at_person: str | None = None,
 ) -> RigFile:
-    """The rig file of simulated devices; `units`: names and ports. `at_person`: where somebody hangs them anew."""
+    """The rig file of simulated devices; `units`: names and ports. `at_person`: the port of the operator who hangs
+    them anew."""
     options = {"sample_rate": f"{sample_rate_hz:g} Hz", "baudrate": unit_options(sample_rate_hz, 0.0).baudrate}
     tables: dict[str, Any] = {
         "format": "gradcal-rig/1",
@@ -284,7 +285,7 @@ def lab_rig(
 
 
 def chamber_truth(chamber: Chamber, lag_s: float, room_c: float) -> ChamberTruth:
-    """A chamber that keeps what the spec's does, with some to spare."""
+    """A chamber that follows the spec's limits with a margin."""
     return ChamberTruth(
         start_c=room_c,
         ambient_c=room_c,

@@ -1,9 +1,8 @@
-"""A simulated person at a terminal, who turns a gimbal: the peer of `drivers.operator`, reading what a person reads.
+"""A simulated operator at a terminal, who turns a gimbal: the peer of `drivers.operator`, parsing its questions.
 
-Asked to hang the units anew, tells `hang` the number of the mounting and presses Enter when that is done.
-
-Takes a while to react, turns unevenly, misses the mark by a little, reads the dial (to its digits) when it stands, and
-types what it shows. Slips of the keyboard come as often as asked; when asked again the person looks and types it right.
+The operator reacts after a while, turns unevenly, misses the mark by a little, reads the dial (to its digits) when it
+stands, and types its angle. `slips` is the rate of typing errors; the answer to a repeated question is right. Asked to
+hang the units anew, the operator calls `hang` with the number of the mounting and presses Enter.
 """
 
 import re
@@ -25,7 +24,7 @@ _HANGS_S = 120.0
 
 @dataclass
 class OperatorOptions:
-    """`slips`: the share of answers that are mistyped. `digits` behind the point of the dial, in degrees."""
+    """`slips`: the fraction of mistyped answers. `digits`: decimals of the dial, in degrees."""
 
     reaction_s: float = 1.5
     reading_s: float = 2.0
@@ -39,7 +38,7 @@ class OperatorOptions:
 
 
 class SimulatedOperator:
-    """One person for all axes of a gimbal, by name."""
+    """One operator for all axes of a gimbal, by name."""
 
     def __init__(
         self,
@@ -107,7 +106,7 @@ class SimulatedOperator:
         elif zero := _ZERO.match(line):
             plant = self._plants[zero[1]]
             nearest = 360.0 * round(plant.state(now)[0] / 360.0)
-            # Whoever begins anew takes the angle for zero, whatever turns are behind.
+            # At the zero mark the angle becomes zero, without whole turns.
             plant.set_zero(now, plant.state(now)[0] - nearest)
             self._turn(zero[1], 0.0, now + options.reaction_s, now + options.reaction_s + _HOME_S)
         elif again := _AGAIN.match(line):

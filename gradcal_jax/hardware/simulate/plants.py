@@ -1,6 +1,6 @@
-"""Physics behind the simulated devices: a chamber with a load, and a rotary axis. NumPy only.
+"""Physics of the simulated devices: a chamber with a load, and a rotary axis. NumPy only.
 
-Both are asked for their state at a time and advance themselves to it; time never goes back.
+A query for the state at a time advances the plant to it; time never goes back.
 """
 
 import math
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class ChamberTruth:
-    """A chamber as it is. Rates in K/min, as its data sheet has them; first-order air, first-order load."""
+    """True properties of a chamber. Rates in K/min, as in its data sheet; first-order air, first-order load."""
 
     start_c: float = 23.0
     ambient_c: float = 23.0
@@ -41,7 +41,7 @@ class ChamberPlant:
         self._lock = threading.RLock()
 
     def command(self, now_s: float, *, target_c: float, gradient_k_per_min: float | None = None) -> None:
-        """New target; with a gradient the set point moves there from where it is, else it jumps."""
+        """New target; with a gradient the set point moves there continuously, else it jumps."""
         with self._lock:
             self.advance(now_s)
             self._target_c = target_c
@@ -50,7 +50,7 @@ class ChamberPlant:
                 self._set_point_c = target_c
 
     def move_set_point(self, now_s: float, set_point_c: float) -> None:
-        """Where a following gradient starts."""
+        """The set point at which a following gradient starts."""
         with self._lock:
             self.advance(now_s)
             self._set_point_c = set_point_c
@@ -71,7 +71,7 @@ class ChamberPlant:
             return self._load_c
 
     def set_point_c(self, now_s: float) -> float:
-        """The set point that the controller works to now."""
+        """The controller's present set point."""
         with self._lock:
             self.advance(now_s)
             return self._set_point_c
@@ -115,14 +115,14 @@ _PIECES_BY_HAND = 24
 
 @dataclass(frozen=True)
 class AxisTruth:
-    """A rotary axis as it is. Travel in degrees each way from zero, None: endless.
+    """True properties of a rotary axis. Travel in degrees each way from zero, None: endless.
 
     The encoder reads the true angle plus a repeatable error (`harmonics`: order, cosine and sine part in deg) plus an
-    offset drawn at every standstill plus white noise; each reading is of an instant that is off by `timing_error_s`,
-    one sigma.
+    offset drawn at every standstill plus white noise; the time of each reading has an error of `timing_error_s`, one
+    sigma.
 
-    A constant rate is held to `rate_accuracy`, relative, drawn for each rate that is told, and the encoder does not see
-    it: it counts at the rate that was told, and from where that has led to until the axis is homed.
+    A constant rate has a relative error of `rate_accuracy`, drawn for each command, which the encoder does not see: it
+    counts at the commanded rate, and keeps the difference in angle until the axis is homed.
     """
 
     lowest_deg: float | None = None
@@ -144,10 +144,10 @@ class _Phase:
 
 
 class AxisPlant:
-    """Piecewise constant acceleration: what a motion controller with a trapezoid makes.
+    """Piecewise constant acceleration, as by a motion controller with trapezoids.
 
-    What the sensor was told of the motion stays true: a command that was held up, by a busy computer, takes effect from
-    where the sensor's samples have got to.
+    Motion that the sensor has sampled does not change: a command that a busy computer delayed takes effect after the
+    sensor's last sample.
     """
 
     def __init__(self, truth: AxisTruth | None = None, start_s: float = 0.0) -> None:
@@ -156,20 +156,20 @@ class AxisPlant:
         self._phases = [_Phase(start_s, 0.0, 0.0, 0.0)]
         self._table: NDArray[np.float64] | None = None
         self._offset_deg = 0.0
-        # Of the last spin: where it began, how much too far the axis had turned by then, and its share of too much.
+        # The last spin: its start, the excess angle by then, and the fraction of excess.
         self._spun = (0.0, 0.0, 0.0)
-        self._told_s = -math.inf
+        self._known_until_s = -math.inf
         self._lock = threading.RLock()
 
     def position(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """True angle, deg, unwrapped: `(n,) -> (n,)`."""
         with self._lock:
             if self._table is None:
-                # The last phases are enough: whoever asks is not further behind than the moves of a minute.
+                # The last phases are enough: no query is further behind than the moves of a minute.
                 recent = self._phases[-60:]
                 self._table = np.array([(p.start_s, p.position_deg, p.rate_dps, p.acceleration_dps2) for p in recent])
             table = self._table
-            self._told_s = max(self._told_s, float(times_s[-1]))
+            self._known_until_s = max(self._known_until_s, float(times_s[-1]))
         row = table[np.clip(np.searchsorted(table[:, 0], times_s, side="right") - 1, 0, None)]
         after = np.maximum(times_s - row[:, 0], 0.0)
         return row[:, 1] + row[:, 2] * after + 0.5 * row[:, 3] * after**2
@@ -186,7 +186,7 @@ class AxisPlant:
         return now_s < self._phases[-1].start_s or self._phases[-1].rate_dps != 0.0
 
     def reading(self, now_s: float) -> float:
-        """What the encoder says, deg."""
+        """The encoder's reading, deg."""
         truth = self.truth
         late_s = truth.timing_error_s * float(self._random.standard_normal()) if truth.timing_error_s else 0.0
         position, _ = self.state(now_s - late_s)
@@ -199,7 +199,7 @@ class AxisPlant:
         )
 
     def set_zero(self, now_s: float, position_deg: float = 0.0) -> None:
-        """Stand still at `position_deg` from now on (homing found the reference)."""
+        """Stand still at `position_deg` from now on (the end of homing)."""
         with self._lock:
             self._phases = [_Phase(now_s, position_deg, 0.0, 0.0)]
             self._table = None
@@ -208,19 +208,19 @@ class AxisPlant:
     def spin(self, now_s: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Go to a constant rate and stay there; with rate 0 a controlled stop."""
         with self._lock:
-            now_s = max(now_s, self._told_s)
+            now_s = max(now_s, self._known_until_s)
             position, rate = self.state(now_s)
             phases = self._change(now_s, position, rate, self._held(position, rate_dps), acceleration_dps2)
             self._replace(now_s, self._within_travel(phases))
 
     def move_to(self, now_s: float, target_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        """Trapezoid (or triangle) to an angle; what still moves is stopped first."""
+        """Trapezoid (or triangle) to an angle; a motion under way is stopped first."""
         self.move_through(now_s, ((target_deg, rate_dps, acceleration_dps2),))
 
     def move_through(self, now_s: float, legs: Sequence[tuple[float, float, float]]) -> None:
         """Trapezoids to one angle after the other, each with its rate and acceleration."""
         with self._lock:
-            now_s = max(now_s, self._told_s)
+            now_s = max(now_s, self._known_until_s)
             position, rate = self.state(now_s)
             phases = self._change(now_s, position, rate, 0.0, legs[0][2])
             for target_deg, rate_dps, acceleration_dps2 in legs:
@@ -243,15 +243,15 @@ class AxisPlant:
 
     @property
     def ends_s(self) -> float:
-        """When what it was told last has been done."""
+        """The end of the last command."""
         return self._phases[-1].start_s
 
     def turn_by_hand(self, now_s: float, target_deg: float, duration_s: float, unevenness: float) -> None:
-        """A slow and uneven turn from standstill: the plans' own shape, in pieces of constant acceleration."""
+        """A slow and uneven turn from standstill: the plans' shape "hand", in pieces of constant acceleration."""
         with self._lock:
-            now_s = max(now_s, self._told_s)
+            now_s = max(now_s, self._known_until_s)
             start, _ = self.state(now_s)
-            # Rates at the knots whose straight lines between them turn exactly as far as asked.
+            # Rates at the knots, linear in between, whose integral is exactly the turn.
             knots = np.linspace(0.0, 1.0, _PIECES_BY_HAND + 1)
             rates = 0.5 * (1.0 - np.cos(2.0 * np.pi * knots)) * (1.0 + unevenness * np.sin(6.0 * np.pi * knots))
             piece = duration_s / _PIECES_BY_HAND
@@ -264,14 +264,14 @@ class AxisPlant:
             ]
             self._replace(now_s, [*phases, _Phase(now_s + duration_s, target_deg, 0.0, 0.0)])
 
-    def _held(self, position_deg: float, told_dps: float) -> float:
-        """The rate that the axis goes to when it is told one."""
-        error = self.truth.rate_accuracy * float(self._random.standard_normal()) if told_dps else 0.0
+    def _held(self, position_deg: float, rate_dps: float) -> float:
+        """The true rate for a commanded one."""
+        error = self.truth.rate_accuracy * float(self._random.standard_normal()) if rate_dps else 0.0
         self._spun = (position_deg, self._too_far(position_deg), error / (1.0 + error))
-        return told_dps * (1.0 + error)
+        return rate_dps * (1.0 + error)
 
     def _too_far(self, position_deg: float) -> float:
-        """How much farther an axis that spins has turned than its encoder says, deg."""
+        """The true angle of a spinning axis less the encoder's, deg."""
         began_deg, before_deg, share = self._spun
         return before_deg + share * (position_deg - began_deg)
 
@@ -286,7 +286,7 @@ class AxisPlant:
         return [_Phase(now_s, position, rate, slope), _Phase(now_s + duration, end, wanted, 0.0)]
 
     def _within_travel(self, phases: list[_Phase]) -> list[_Phase]:
-        """Where an endless spin would leave the travel, it ends at the limit, hard."""
+        """A spin that would leave the travel ends abruptly at the limit."""
         last = phases[-1]
         limit = self.truth.highest_deg if last.rate_dps > 0.0 else self.truth.lowest_deg
         if last.rate_dps != 0.0 and limit is not None:

@@ -1,11 +1,11 @@
 """The other end of a serial line: a pseudo-terminal (Linux, macOS) or a TCP port, with a simulated device behind it.
 
-A device is a class with `receive(data) -> replies`; one that speaks by itself has `next_emission_s()` and `emit()` too.
-The port keeps its own descriptor of the terminal's other side open, because reading a terminal that nobody has open is
-an error; a host that does not read does not stop it: it drops bytes and counts them, as a UART does. A terminal holds
-some twenty kilobytes, so a burst of more (a device that was held up itself) is given a moment to be fetched.
+A device is a class with `receive(data) -> replies`; a device that sends by itself also has `next_emission_s()` and
+`emit()`. The port keeps its own descriptor of the terminal's other side open, because reading a terminal without one is
+an error. If the host does not read, the port drops bytes and counts them, as a UART does. A terminal holds some twenty
+kilobytes, so a larger burst (of a device that was delayed) waits a moment for the host.
 
-A terminal knows no baud rate: a wrong one cannot be simulated here.
+A terminal has no baud rate: a wrong one cannot be simulated.
 """
 
 import os
@@ -29,21 +29,21 @@ if sys.platform != "win32":
 _TO_FETCH_S = 0.2
 
 Spoils = Callable[[bytes], list[bytes]]
-"""What arrives in the place of a message."""
+"""The bytes that arrive in place of a message."""
 
 
 class SimulatedDevice(Protocol):
-    """A device that answers. `receive` takes bytes as they come, in any pieces, and returns whole messages."""
+    """A device that answers. `receive` takes bytes in pieces of any size, and returns whole messages."""
 
     def receive(self, data: bytes) -> list[bytes]: ...
 
 
 @runtime_checkable
 class StreamingDevice(SimulatedDevice, Protocol):
-    """A device that also speaks by itself."""
+    """A device that also sends by itself."""
 
     def next_emission_s(self) -> float | None:
-        """When, on the run's clock, it speaks next; None while it is silent."""
+        """The time of its next message, on the run's clock; None while it is silent."""
         ...
 
     def emit(self, now_s: float) -> list[bytes]:
@@ -54,8 +54,8 @@ class StreamingDevice(SimulatedDevice, Protocol):
 class SimulatedPort:
     """Serves a device at `url` from `open` to `close`. Also a context manager.
 
-    `on_socket` serves TCP on this computer (the only way on Windows); else a pseudo-terminal under a lasting name, so
-    that `unplug` and `replug` mean what they say.
+    `on_socket` serves TCP on this computer (the only way on Windows); else a pseudo-terminal under a lasting name,
+    which allows `unplug` and `replug`.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class SimulatedPort:
     ) -> None:
         self.device = device
         self.faults, self.commands = faults, commands
-        """Of what the device says, and of what it hears; None: everything arrives as it is."""
+        """Changes to the bytes from and to the device; None: they arrive unchanged."""
         self.lost_bytes = 0
         self._clock = clock
         self._on_socket = on_socket or sys.platform == "win32"
@@ -119,7 +119,7 @@ class SimulatedPort:
         self.close()
 
     def unplug(self) -> None:
-        """The cable is out: the host's port is gone, and so is its name, or another's port would answer to it."""
+        """Pull the cable: the host's port is gone, and its name too, so that no other port answers to it."""
         self._link.change(attached=False)
         if not self._on_socket:
             Path(self.url).unlink(missing_ok=True)
@@ -130,7 +130,7 @@ class SimulatedPort:
             self._plug_in()
 
     def say(self, message: bytes) -> None:
-        """Something that nobody asked for: an alert, line noise."""
+        """Send unsolicited bytes: an alert, line noise."""
         self._send(message)
 
     def _plug_in(self) -> None:
@@ -162,18 +162,18 @@ class SimulatedPort:
                 time.sleep(0.01)
             if not data:
                 continue
-            for heard in self.commands(data) if self.commands is not None else [data]:
+            for message in self.commands(data) if self.commands is not None else [data]:
                 with self._device_lock:
-                    replies = self.device.receive(heard)
+                    replies = self.device.receive(message)
                 for reply in replies:
                     self._deliver(reply)
             if isinstance(self.device, StreamingDevice):
                 self._speak_up(self.device)
-            # Handled only now: virtual time waits until the command has had its effect and its reply is out.
+            # Only now is the message counted as handled: virtual time waits for its effect and reply.
             self._link.change(to_device=-len(data))
 
     def _speak_up(self, device: StreamingDevice) -> None:
-        """Virtual time must not run on before one that was silent has begun to wait for what it says next."""
+        """Hold virtual time until a device that was silent waits for its next message."""
         self._heeded.clear()
         self._speaks.set()
         while not self._stop.is_set():
@@ -205,7 +205,7 @@ class SimulatedPort:
             return b""
         ready, _, _ = select.select([master], [], [], 0.05)
         with self._send_lock:
-            # Unplugged meanwhile, its number may be another file's by now, whose bytes are not ours to take.
+            # After unplugging, the descriptor's number may belong to another file.
             return os.read(master, 4096) if ready and self._master == master else b""
 
     def _speak(self) -> None:
@@ -246,13 +246,13 @@ class SimulatedPort:
                     self._connection.sendall(unsent)
                     unsent = b""
             except OSError:
-                pass  # full (nobody reads) or gone: the bytes are lost, as on a line
+                pass  # full (the host does not read) or gone: the bytes are lost, as on a line
             if unsent:
                 self.lost_bytes += len(unsent)
                 self._link.change(to_host=-len(unsent))
 
     def _write(self, data: bytes) -> int:
-        """How much the terminal took. Raises `BlockingIOError` where it is full and nobody fetches anything."""
+        """The number of bytes written. Raises `BlockingIOError` where the terminal is full and is not read."""
         try:
             count = os.write(self._master, data)
         except BlockingIOError:

@@ -1,4 +1,4 @@
-"""A gyro triad with hidden true parameters: the whole error model of the source, in NumPy.
+"""A gyro triad with hidden true parameters: the complete error model of the source, in NumPy.
 
     measured = ω + B(T) + k·dT/dt + turn-on + Σ drifts + (M(T, ω) + residual)·ω + random walks
 
@@ -58,7 +58,7 @@ class Process:
 
 
 class Drifts:
-    """What Gauss–Markov processes of three axes do from sample to sample."""
+    """Gauss–Markov processes of three axes, advanced from sample to sample."""
 
     def __init__(self, processes: Sequence[Process], random: np.random.Generator) -> None:
         self._sigmas = np.array([process.sigma for process in processes])
@@ -86,7 +86,7 @@ class Drifts:
 
 @dataclass(frozen=True)
 class SensorTruth:
-    """What the calibration is to find, and the noise it has to find it through. One row per sensor axis.
+    """The true parameters, and the noise. One row per sensor axis.
 
     bias_dps       (3, nT)      coefficients of B, deg/s
     scale_factor   (3, nT, nω)  coefficients of M, ratio; row index power of temperature, column power of rate
@@ -111,7 +111,7 @@ class SensorTruth:
 
 @dataclass(frozen=True)
 class Mounting:
-    """How the sensor sits on the table and the table in the lab."""
+    """The mounting of the sensor on the table, and of the table in the lab."""
 
     axes: tuple[Triple, ...] = ((0.0, 0.0, 1.0),)
     mounting: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -130,13 +130,13 @@ class SensorSamples:
 
 
 class SampledSensor(ABC):
-    """Samples one after the other, by a clock of its own; the same seed gives the same samples however many are asked
-    for at once. A sensor says in `take` what they are."""
+    """Consecutive samples by the unit's own clock; the same seed gives the same samples in blocks of any size. A
+    subclass gives their values in `take`."""
 
     clock_error: float
 
     def restart(self, now_s: float, sample_rate_hz: float) -> None:
-        """From now on samples at this rate of the unit's clock, which runs fast by the clock error."""
+        """Sample at this rate of the unit's clock from now on, which runs fast by the clock error."""
         self._start_s, self._taken = now_s, 0
         self.true_period_s = 1.0 / sample_rate_hz / (1.0 + self.clock_error)
 
@@ -150,11 +150,11 @@ class SampledSensor(ABC):
         return self._start_s + (self._taken + ahead) * self.true_period_s
 
     def due(self, now_s: float) -> int:
-        """How many samples are complete and not yet taken."""
+        """The number of complete samples not yet taken."""
         return max(0, int((now_s - self._start_s) / self.true_period_s + 1e-6) - self._taken)
 
     def ends_of(self, count: int) -> NDArray[np.float64]:
-        """`(count + 1,)`: true times between which the next samples lie, which are taken now."""
+        """`(count + 1,)`: the true times at the ends of the next samples, which count as taken."""
         ends = self._start_s + (self._taken + np.arange(count + 1.0)) * self.true_period_s
         self._taken += count
         return ends
@@ -231,7 +231,7 @@ class SimulatedSensor(SampledSensor):
         up[:, 2] = 1.0
         for direction, plant in zip(self._mounting.axes, self._axes, strict=True):
             axis = np.array(direction)
-            # What is fixed outside, as the frame that the axis carries sees it.
+            # Vectors of the outer frame, in the frame that the axis carries.
             fixed = np.einsum("kni,nij->knj", fixed, turn_about(axis, np.radians(plant.position(middles))))
             earth, up, turning = fixed
             turning += np.diff(plant.position(ends))[:, None] / self.true_period_s * axis

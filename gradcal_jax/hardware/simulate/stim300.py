@@ -1,10 +1,10 @@
-"""A simulated STIM300: the peer of `drivers.stim300`, written from the data sheet's description.
+"""A simulated STIM300: the peer of `drivers.stim300`, written from the data sheet.
 
 After power-on it sends its part number, serial number and configuration, then Normal Mode, in which the start-up bit is
-set for the first second. A special datagram *replaces* the normal one whose turn it is. Datagrams that do not fit the
-line's bit rate are lost silently, as in the real unit. Utility Mode answers with checks and status codes.
+set for the first second. A special datagram *replaces* the next normal one. Datagrams beyond the line's bit rate are
+lost silently, as in the real unit. Utility Mode answers with checks and status codes.
 
-Of the special datagrams only identifier, length and CRC are true to the unit, not their contents.
+Special datagrams have the real identifier, length and CRC, but not the real contents.
 """
 
 import re
@@ -19,7 +19,8 @@ from ..clock import Clock
 from .sensor import SampledSensor, SensorSamples
 
 RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
-# Identifier and bytes that the CRC counts but nobody sends, by the code of `$sd`; contents follow from the code.
+# Identifier, and number of bytes that the CRC includes and the line does not, by the code of `$sd`, which also gives
+# the contents.
 _KINDS = {
     0: (0x90, 2, ""),
     1: (0x91, 0, "a"),
@@ -48,12 +49,12 @@ class Stim300Options:
 
 
 class SimulatedStim300:
-    """One unit; `sensor` gives its samples. `options.burst_s` is how often bytes reach the host's driver."""
+    """One unit; `sensor` gives its samples. `options.burst_s` is the time between bursts of bytes to the host."""
 
     def __init__(self, sensor: SampledSensor, clock: Clock, options: Stim300Options | None = None) -> None:
         self.options = options or Stim300Options()
         self.sensor = sensor
-        # Of datagrams: made ("normal"), lost on a slow line ("overrun"), replaced by special ones ("special").
+        # Counts of datagrams: sent ("normal"), lost on a slow line ("overrun"), replaced by special ones ("special").
         self.counters: Counter[str] = Counter()
         self._clock = clock
         self._buffer = b""
@@ -61,7 +62,7 @@ class SimulatedStim300:
         self.reboot()
 
     def reboot(self) -> None:
-        """Power on: unsaved settings are gone, the start-up datagrams come first."""
+        """Power on: unsaved settings are lost, the start-up datagrams come first."""
         options = self.options
         self._mode = "normal"
         self._buffer = b""
@@ -146,7 +147,7 @@ class SimulatedStim300:
         return messages
 
     def _fits_line(self, index: int, length: int) -> bool:
-        """Of more datagrams than the line carries, every so many is lost."""
+        """Datagrams beyond the line's capacity are lost, evenly spaced."""
         share = self.options.baudrate / (10.0 * length * self._rate_hz())
         return share >= 1.0 or int((index + 1) * share) > int(index * share)
 
@@ -206,7 +207,7 @@ def _reply(name: str, status: int, data: str = "") -> bytes:
 
 
 def _int24(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """(n, 3) numbers -> (n, 9) big-endian bytes of the nearest 24-bit integers, held at the ends of the range."""
+    """(n, 3) numbers -> (n, 9) big-endian bytes of the nearest 24-bit integers, clipped to the range."""
     whole = np.clip(np.rint(values), -(2**23), 2**23 - 1).astype(">i4")
     return np.ascontiguousarray(whole).view(np.uint8).reshape(-1, 3, 4)[:, :, 1:].reshape(-1, 9)
 

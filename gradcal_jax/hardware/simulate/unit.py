@@ -1,18 +1,18 @@
-"""A whole unit, three gyros and three accelerometers, on nested axes that are not as they were drawn.
+"""A whole unit, three gyros and three accelerometers, on nested axes with errors of orthogonality and mounting.
 
 Attitude is a product of rotation matrices, body to East-North-Up, outermost stage first, every angle finite:
 
     base (tilt, azimuth) · axis 1 · (its non-orthogonality to axis 2) · axis 2 · … · mounting · (mounting's error)
 
-The unit turns at the Earth's rate and at those of the axes, and feels what holds it up. Its gyros and accelerometers
-sit off the point where the axes meet, some millimetres apart, so they feel the turning, too. Of every sample the mean
-over its interval is said, through the sensors' own errors (IEEE 1431, 1293):
+The unit turns at the Earth's rate and at those of the axes, and senses the reaction to gravity. Its gyros and
+accelerometers are off the intersection of the axes, some millimetres apart, so that they also sense the acceleration by
+rotation. Each sample is the mean over its interval, with the sensors' own errors (IEEE 1431, 1293):
 
     gyro           ω_i + B(T) + M(T, ω_i)ω_i + Σ m_ij(T)ω_j + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + drift + walks
     accelerometer  f_i + b(T) + s(T)f_i + Σ m_ij(T)f_j + k(T)f_i² + h(T)f_i³ + a(T)|f_i| + Σ c_jl(T)f_j f_l + drift
                    + walk
 
-Units are SI here (rad/s, m/s², °C), unlike the rest of this room.
+Units are SI here (rad/s, m/s², °C), unlike in the rest of this package.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from .sensor import Drifts, Process, SampledSensor, SensorSamples, TruthBasis, V
 
 EARTH_RATE = 7.292115e-5
 _STANDARD_GRAVITY = 9.80665  # m/s² in the g of SensorSamples
-# Of a sample: within each the attitude is taken in the middle, and rates are exact means.
+# Parts of a sample: the attitude is that at the middle of each, and rates are exact means.
 _PARTS = 3
 Matrix = NDArray[np.float64]
 Kind = Literal["gyro", "accelerometer"]
@@ -36,7 +36,7 @@ Kind = Literal["gyro", "accelerometer"]
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Functions of temperature, `values` `(3, k, nT)`: by sensor axis, and by what it multiplies."""
+    """Functions of temperature, `values` `(3, k, nT)`: by sensor axis, and by the factor of each."""
 
     values: NDArray[np.float64]
     basis: TruthBasis
@@ -59,8 +59,8 @@ class ScaleFactors:
 class TriadTruth:
     """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s.
 
-    `misalignment`: what multiplies the other two inputs (its own: zero). `force`, `force_squared`: what multiplies the
-    specific force, of gyros. `second`, `third`, `asymmetry`, `cross` (xy, xz, yz): of accelerometers.
+    `misalignment`: factors of the other two inputs (its own: zero). `force`, `force_squared`: factors of the specific
+    force, of gyros. `second`, `third`, `asymmetry`, `cross` (xy, xz, yz): of accelerometers.
     """
 
     bias: Coefficients
@@ -79,9 +79,8 @@ class TriadTruth:
 
 @dataclass(frozen=True)
 class TableTruth:
-    """How the table stands and its axes lie, rad. `axes` outermost first, each in the frame that the one outside it
-    carries while all stand at zero. `mountings`: body to the innermost axis's frame, as they are.
-    """
+    """True attitudes of the table and its axes, rad. `axes` outermost first, each in the frame that the next outer axis
+    carries while all are at zero. `mountings`: true attitudes, body to the innermost axis's frame."""
 
     axes: tuple[tuple[float, ...], ...]
     latitude: float
@@ -93,16 +92,15 @@ class TableTruth:
 
 @dataclass
 class Hanging:
-    """Which of its mountings the units on a table have now, from 0; whoever hangs them anew changes it."""
+    """The present mounting of the units on a table, from 0; the operator changes it."""
 
     mounting: int = 0
 
 
 @dataclass(frozen=True)
 class UnitTruth:
-    """A unit's errors. `lever`, `gyro_lever`: of the accelerometers and gyros from where the axes meet, m, in the body.
-    `names`: its hidden parameters as a calibration names them.
-    """
+    """A unit's errors. `lever`, `gyro_lever`: of the accelerometers and gyros from the intersection of the axes, m, in
+    the body. `names`: the hidden parameters, by their names in a calibration."""
 
     gyro: TriadTruth | None
     accelerometer: TriadTruth | None
@@ -150,23 +148,23 @@ class SimulatedUnit(SampledSensor):
         edges = np.interp(shares, np.arange(count + 1.0), ends)
         rate, force = self._motion(edges)
         temperature = self._chamber.load_at((edges[1:] + edges[:-1]) / 2.0)
-        said: dict[Kind, Vectors] = {"gyro": nan, "accelerometer": nan}
+        output: dict[Kind, Vectors] = {"gyro": nan, "accelerometer": nan}
         for kind, triad in self._triads():
             lever = self.truth.gyro_lever if kind == "gyro" else self.truth.lever
             felt = force + _at_lever(np.array(lever), rate, edges)
             noise, own = self._noise(kind, triad, count), rate if kind == "gyro" else felt
             mean = own.reshape(count, _PARTS, 3).mean(axis=1)
             ideal = _gyro(triad, rate, felt, temperature) if kind == "gyro" else _felt(triad, felt, temperature)
-            said[kind] = ideal.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
+            output[kind] = ideal.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
         return SensorSamples(
             ends[1:],
-            np.degrees(said["gyro"]),
-            said["accelerometer"] / _STANDARD_GRAVITY,
+            np.degrees(output["gyro"]),
+            output["accelerometer"] / _STANDARD_GRAVITY,
             self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0),
         )
 
     def _noise(self, kind: Kind, triad: TriadTruth, count: int) -> tuple[Vectors, Vectors]:
-        """What is added, and what the scale factor is off by, of every sample: `(count, 3)` each."""
+        """The additive error and the scale-factor error of every sample: `(count, 3)` each."""
         dt = self.true_period_s
         draws = self._random.standard_normal((count, 3, 2 + len(triad.drifts)))
         drift, unsteady = self._drifts[kind].take(draws[..., 2:], dt)
@@ -194,31 +192,31 @@ class SimulatedUnit(SampledSensor):
 
 
 def _at_lever(lever: Vectors, rate: Vectors, edges: NDArray[np.float64]) -> Vectors:
-    """What turning adds to the specific force: ω × (ω × r) + ω̇ × r."""
+    """The acceleration by rotation in the specific force: ω × (ω × r) + ω̇ × r."""
     middles = (edges[1:] + edges[:-1]) / 2.0
     return np.cross(rate, np.cross(rate, lever)) + np.cross(np.gradient(rate, middles, axis=0), lever)
 
 
 def _gyro(truth: TriadTruth, rate: Vectors, force: Vectors, temperature: NDArray[np.float64]) -> Vectors:
-    said = rate + truth.bias.at(temperature)[..., 0]
+    output = rate + truth.bias.at(temperature)[..., 0]
     if isinstance(truth.scale, ScaleFactors):
         of_rate = truth.scale.rate(np.degrees(rate).ravel()).reshape(*rate.shape, -1)
         factor = np.einsum("nt,naw,atw->na", truth.scale.temperature(temperature), of_rate, truth.scale.values)
-        said += factor * rate
+        output += factor * rate
     for coefficients, seen in ((truth.misalignment, rate), (truth.force, force), (truth.force_squared, force**2)):
         if coefficients is not None:
-            said += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
-    return said
+            output += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
+    return output
 
 
 def _felt(truth: TriadTruth, force: Vectors, temperature: NDArray[np.float64]) -> Vectors:
-    said = force + truth.bias.at(temperature)[..., 0]
+    output = force + truth.bias.at(temperature)[..., 0]
     own = ((truth.scale, force), (truth.second, force**2), (truth.third, force**3), (truth.asymmetry, np.abs(force)))
     for coefficients, seen in own:
         if isinstance(coefficients, Coefficients):
-            said += coefficients.at(temperature)[..., 0] * seen
+            output += coefficients.at(temperature)[..., 0] * seen
     pairs = force[:, [0, 0, 1]] * force[:, [1, 2, 2]]
     for coefficients, seen in ((truth.misalignment, force), (truth.cross, pairs)):
         if coefficients is not None:
-            said += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
-    return said
+            output += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
+    return output

@@ -1,10 +1,10 @@
 """A simulated laboratory for the recipe of a whole unit: chamber, a table of nested axes, one or several units.
 
-What the calibration is to find is drawn by the seed from the spec's priors: each unit's own coefficients, and what all
-share, how the base stands and its axes lie, harmonics of the encoders, the mountings. A flat prior draws something
-typical. The accelerometers sit a few centimetres off the axes and feel it. With the frame of the "table axes" the unit
-hangs exactly as its mounting says: that is how the frame is defined. Where the plan turns axes by hand a person does;
-one hangs the units anew where there are several mountings.
+The seed draws the true parameters from the spec's priors: each unit's own coefficients, and the common ones, attitudes
+of base and axes, harmonics of the encoders, the mountings; for a flat prior typical values. The accelerometers are a
+few centimetres off the axes and sense it. With the frame "table axes" the unit's mounting has no error, by definition
+of the frame. A simulated operator turns the axes that the plan turns by hand, and hangs the units anew where there are
+several mountings.
 """
 
 import itertools
@@ -46,11 +46,11 @@ from .unit import (
 
 _XYZ: Final = "xyz"
 _PAIRS: Final = ("xy", "xz", "yz")
-# Of a unit from where the axes meet, and of its gyros from its accelerometers.
+# Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
 _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
 _CONSTANT: Final = TruthBasis()
-# Of what has a flat prior, SI: something typical.
+# Typical sizes for flat priors, SI.
 _TYPICAL: Final = {
     "bias": np.radians(0.02),
     "scale_factor": 1e-3,
@@ -63,12 +63,12 @@ _TYPICAL: Final = {
 }
 
 
-class _Names:
-    """Draws coefficients and keeps them by the names that the calibration gives them."""
+class _Draws:
+    """Draws coefficients and keeps them by their names in the calibration."""
 
     def __init__(self, random: np.random.Generator) -> None:
         self.random = random
-        self.found: dict[str, float] = {}
+        self.values: dict[str, float] = {}
 
     def draw(
         self,
@@ -80,7 +80,7 @@ class _Names:
         *,
         counted: bool = False,
     ) -> Coefficients | None:
-        """`symbols`: of each sensor axis what its coefficients are called, "" for one that is none."""
+        """`symbols`: names of the coefficients by sensor axis, "" for none."""
         if section is None:
             return None
         basis = _CONSTANT if section.temperature is None else temperature_truth(section.temperature)
@@ -94,12 +94,12 @@ class _Names:
                     continue
                 for power, value in enumerate(values[row, column]):
                     ending = ordinal(basis, power) if count > 1 or counted else ""
-                    self.found[f"{kind}_{_XYZ[row]}.{symbol}{ending}"] = float(value)
+                    self.values[f"{kind}_{_XYZ[row]}.{symbol}{ending}"] = float(value)
         return Coefficients(values, basis)
 
 
 def ordinal(basis: TruthBasis, number: int) -> str:
-    """How the calibration counts a basis's functions."""
+    """The number of a basis function in the calibration's names."""
     return {"polynomial": "", "b-spline": "_spline", "bins": "_bin"}[basis.kind] + str(number)
 
 
@@ -107,21 +107,21 @@ def _others(symbol: str) -> list[list[str]]:
     return [["" if a == b else f"{symbol}_{b}" for b in _XYZ] for a in _XYZ]
 
 
-def _gyro(triad: GyroTriad, names: _Names) -> TriadTruth:
+def _gyro(triad: GyroTriad, draws: _Draws) -> TriadTruth:
     axes, all_three = triad.axes, [[*_XYZ]] * 3
-    bias = names.draw("gyro", triad.bias, "bias", [["a"]] * 3, axes, counted=True)
+    bias = draws.draw("gyro", triad.bias, "bias", [["a"]] * 3, axes, counted=True)
     assert bias is not None
     scale = None
     if (section := triad.scale_factor) is not None:
         of_t, of_w = temperature_truth(section.temperature), rate_truth(section.rate)
         size = _TYPICAL["scale_factor"] if section.prior is None else float(section.prior)
-        values = size * names.random.standard_normal((3, section.temperature.size, section.rate.size))
+        values = size * draws.random.standard_normal((3, section.temperature.size, section.rate.size))
         powers = of_t.kind == of_w.kind == "polynomial" and max(values.shape[1:]) <= 10
         for row, axis in enumerate(_XYZ):
             for i, j in itertools.product(*map(range, values.shape[1:])):
                 symbol = f"b{j}{i}" if powers else f"b{ordinal(of_w, j)}_{ordinal(of_t, i)}"
                 if axis in axes:
-                    names.found[f"gyro_{axis}.{symbol}"] = float(values[row, i, j])
+                    draws.values[f"gyro_{axis}.{symbol}"] = float(values[row, i, j])
         scale = ScaleFactors(values, of_t, of_w)
     force = [[f"g_{a}" for a in row] for row in all_three]
     squares = [[f"gg_{a}" for a in row] for row in all_three]
@@ -131,17 +131,17 @@ def _gyro(triad: GyroTriad, names: _Names) -> TriadTruth:
         walk=float(triad.rate_random_walk or 0.0),
         drifts=processes_of(triad.drift, triad.scale_factor_instability),
         scale=scale,
-        misalignment=names.draw("gyro", triad.misalignment, "misalignment", _others("m"), axes),
-        force=names.draw("gyro", triad.g_sensitivity, "g_sensitivity", force, axes),
-        force_squared=names.draw("gyro", triad.g_squared, "g_squared", squares, axes),
+        misalignment=draws.draw("gyro", triad.misalignment, "misalignment", _others("m"), axes),
+        force=draws.draw("gyro", triad.g_sensitivity, "g_sensitivity", force, axes),
+        force_squared=draws.draw("gyro", triad.g_squared, "g_squared", squares, axes),
     )
 
 
-def _accelerometer(triad: AccelerometerTriad, names: _Names) -> TriadTruth:
+def _accelerometer(triad: AccelerometerTriad, draws: _Draws) -> TriadTruth:
     axes, kind = triad.axes, "accelerometer"
 
     def own(section: Any, typical: str, symbol: str) -> Coefficients | None:
-        return names.draw(kind, section, typical, [[symbol]] * 3, axes)
+        return draws.draw(kind, section, typical, [[symbol]] * 3, axes)
 
     bias = own(triad.bias, "force_bias", "a")
     assert bias is not None
@@ -150,30 +150,30 @@ def _accelerometer(triad: AccelerometerTriad, names: _Names) -> TriadTruth:
         white=float(triad.velocity_random_walk),
         drifts=processes_of(triad.drift),
         scale=own(triad.scale_factor, "scale_factor", "s"),
-        misalignment=names.draw(kind, triad.misalignment, "misalignment", _others("m"), axes),
+        misalignment=draws.draw(kind, triad.misalignment, "misalignment", _others("m"), axes),
         second=own(triad.second_order, "second_order", "k2"),
         third=own(triad.third_order, "third_order", "k3"),
         asymmetry=own(triad.asymmetry, "scale_factor", "asymmetry"),
-        cross=names.draw(kind, triad.cross_coupling, "second_order", [[f"k_{p}" for p in _PAIRS]] * 3, axes),
+        cross=draws.draw(kind, triad.cross_coupling, "second_order", [[f"k_{p}" for p in _PAIRS]] * 3, axes),
     )
 
 
 def draw_unit_truth(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
-    """The hidden parameters of the unit of this number, in its `names` as the calibration has them, SI."""
-    names = _Names(np.random.default_rng([seed, number, 20261]))
+    """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI."""
+    draws = _Draws(np.random.default_rng([seed, number, 20261]))
     sensor = spec.sensor
-    gyro = None if sensor.gyro is None else _gyro(sensor.gyro, names)
-    accelerometer = None if sensor.accelerometer is None else _accelerometer(sensor.accelerometer, names)
-    lever = _LEVER_M * names.random.standard_normal(3)
+    gyro = None if sensor.gyro is None else _gyro(sensor.gyro, draws)
+    accelerometer = None if sensor.accelerometer is None else _accelerometer(sensor.accelerometer, draws)
+    lever = _LEVER_M * draws.random.standard_normal(3)
     clock = 0.0
     if sensor.sample_clock_error:
-        clock = names.found["sample_clock"] = float(sensor.sample_clock_error) * float(names.random.standard_normal())
-    of_gyros = lever + _APART_M * names.random.standard_normal(3)
-    return UnitTruth(gyro, accelerometer, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, names.found)
+        clock = draws.values["sample_clock"] = float(sensor.sample_clock_error) * float(draws.random.standard_normal())
+    of_gyros = lever + _APART_M * draws.random.standard_normal(3)
+    return UnitTruth(gyro, accelerometer, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, draws.values)
 
 
 def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:
-    """How the table stands, its encoders, and what of that the calibration finds, by its names there, SI."""
+    """The table's attitude and encoders, and those of its parameters that are in the calibration, by name, SI."""
     random = np.random.default_rng([seed, 20262])
     rig, named = spec.rig, dict[str, float]()
     table, site = rig.table, rig.site
@@ -194,7 +194,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
         waves: list[tuple[int, float, float]] = []
         for harmonic in axis.angle.harmonics:
             size, order = float(harmonic.amplitude), harmonic.order
-            # The calibration says how far the axis stands beyond its reading, the encoder reads the opposite.
+            # The calibration's sign is true angle less reading, the encoder's the opposite.
             cosine = draw(size, f"angle_{axis.name}_cos{order}")
             sine = draw(size, f"angle_{axis.name}_sin{order}")
             waves.append((order, -float(np.degrees(cosine)), -float(np.degrees(sine))))
@@ -230,7 +230,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
 class SimulatedUnitLab(OnPorts):
     """The laboratory for one recipe's spec, with `units` units on the table. A context manager; `rig` is its rig file.
 
-    `mounting`: how the units hang when it begins, from 0. `burst_s` is how often a unit's bytes reach the computer.
+    `mounting`: the first mounting, from 0. `burst_s` is the time between bursts of a unit's bytes to the computer.
     """
 
     def __init__(
@@ -283,7 +283,7 @@ class SimulatedUnitLab(OnPorts):
         self.rig = lab_rig(at_chamber, tables, dict(zip(self.units, others, strict=False)), sample_rate_hz, at_person)
 
     def truths(self) -> dict[str, Any]:
-        """For a file: what the calibrations are to find, by its names there, SI."""
+        """The true parameters by their names in the calibrations, SI, for a file."""
         units = {name: unit.truth.names for name, unit in self.units.items()}
         return {"installation": self._installation, "units": units}
 

@@ -1,10 +1,10 @@
 """A virtual clock that skips the waiting, for runs on simulated devices.
 
-The time stands still while any party works and jumps to the next wake-up when all parties wait and no byte is on its
-way between a driver and a simulated device. A run of hours then takes as long as its computing, with the same code, the
-same bytes and the same order of events. Time-outs of a serial line are never virtual: a driver gives up after real
-seconds. It holds the time still until its line has been silent for a moment; from then on virtual time passes as fast
-as the real one: a device that does not answer stops nobody else.
+The time stands still while any party works and jumps to the next wake-up when all parties wait and no byte is under way
+between a driver and a simulated device. A run of hours then takes as long as its computation, with the same code, the
+same bytes and the same order of events. Time-outs of a serial line are never virtual: they are in real seconds. A
+waiting driver holds the time until its line has been silent for a moment; from then on virtual time passes at the real
+rate, so that a device that does not answer stops no other party.
 """
 
 import heapq
@@ -37,9 +37,9 @@ class _Account:
             if attached is not None:
                 self.attached, self.abandoned, self.to_device, self.to_host = attached, False, 0, 0
             elif self.attached:
-                # A line that was re-opened meets answers to bytes that it no longer counts: never below zero.
+                # A reopened line may receive answers to bytes that are no longer counted: never below zero.
                 self.to_device = max(0, self.to_device + to_device)
-                # What a device says to a line that nobody reads counts for nothing.
+                # Bytes from a device to a line that is not read do not count.
                 self.to_host = max(0, self.to_host + (0 if self.abandoned and not host_is_there else to_host))
                 self.abandoned = self.abandoned and not host_is_there
             self.unread_since = None
@@ -49,11 +49,11 @@ class _Account:
 class VirtualClock:
     """Time that advances only when every party waits on it and every line is quiet.
 
-    A thread that must hold the time while it works says so with `party()`. A line whose bytes nobody fetches for
-    `patience_s` real seconds (an open port that no driver reads; on a busy computer any reader may be a second late) no
-    longer holds the time until the host uses it again.
+    A thread that must hold the time while it works uses `party()`. A line whose bytes are not read for `patience_s`
+    real seconds (an open port that no driver reads; on a busy computer any reader may be a second late) no longer holds
+    the time until the host uses it again.
 
-    `speed` limits the pace to that many virtual seconds a real second; without it time runs as fast as it can.
+    `speed` limits the rate to that many virtual seconds per real second; without it time runs as fast as possible.
     """
 
     def __init__(self, start_s: float = 0.0, *, speed: float | None = None, patience_s: float = 1.5) -> None:
@@ -93,7 +93,7 @@ class VirtualClock:
             with self.lock:
                 self._forget_unread_bytes()
                 self.advance_if_all_wait()
-        # Whoever was woken counts as working from the instant of waking, before its thread has run.
+        # A woken thread counts as working from the time of waking, before it has run.
         if not member:
             with self.lock:
                 self._working -= 1
@@ -155,7 +155,7 @@ class VirtualClock:
                     self._real_waiters -= 1
 
     def _pace(self) -> None:
-        """Wakes the sleepers in time for as long as somebody waits on a silent line."""
+        """Wakes the sleepers in time, as long as a party waits on a silent line."""
         while True:
             with self.lock:
                 if not self._real_waiters:
@@ -169,7 +169,7 @@ class VirtualClock:
             return self._accounts.setdefault(url, _Account(self))
 
     def advance_if_all_wait(self) -> None:
-        """Wake the next sleepers when nobody works and no byte is on its way. The caller holds `lock`."""
+        """Wake the next sleepers when no party works and no byte is under way. The caller holds `lock`."""
         if self._working or not self._sleepers:
             return
         if any(account.attached and (account.to_device or account.to_host) for account in self._accounts.values()):

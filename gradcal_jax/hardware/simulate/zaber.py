@@ -1,6 +1,6 @@
 """Simulated Zaber rotary stages on one chain: the peer of `drivers.zaber`, written from the protocol.
 
-Strict: a command with a wrong check sum is ignored, a message id comes back when one was sent, check sums are added to
+Strict: a command with a wrong check sum is ignored, a message id is returned when one was sent, check sums are added to
 replies after `set comm.checksum 1`, absolute moves are refused with `WR` before homing, everything that moves is
 refused while `FF` or `FH` is up, and infos or alerts may come between (`chatter`).
 """
@@ -38,7 +38,7 @@ class _Stage:
 
 
 class SimulatedZaber:
-    """Devices 1, 2, … with one axis each, one plant a device."""
+    """Devices 1, 2, … with one axis and one plant each."""
 
     def __init__(self, plants: list[AxisPlant], clock: Clock, options: ZaberOptions | None = None) -> None:
         self.options = options or ZaberOptions()
@@ -85,7 +85,7 @@ class SimulatedZaber:
             stage.plant.set_zero(now, stage.plant.state(now)[0])
 
     def reboot(self) -> None:
-        """Power cut: stands still, reference lost, settings of communication as at power-on."""
+        """Power cut: standstill, reference lost, communication settings as at power-on."""
         self._buffer, self._checksums = b"", False
         now = self._clock.now()
         for stage in self.stages:
@@ -110,7 +110,7 @@ class SimulatedZaber:
             if not 1 <= address <= len(self.stages):
                 continue
             stage = self.stages[address - 1]
-            # One instant for the whole reply: a position read while the axis turned never comes with "IDLE".
+            # One time for the whole reply: a position read while the axis turned never comes with "IDLE".
             now = self._clock.now()
             accepted, data = (False, "BADAXIS") if axis > 1 else self._obey(stage, words, now)
             state = "BUSY" if self._busy(stage, now) else "IDLE"

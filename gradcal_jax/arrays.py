@@ -109,7 +109,7 @@ def scanned(step: Callable[[Carry, Any], tuple[Carry, Any]], start: Carry, over:
 
 def running_sum(values: Any) -> Any:
     """Sums of all rows up to and including each one."""
-    return np.cumsum(values, axis=0) if namespace(values) is np else machine.running_sum(values)
+    return np.cumsum(values, axis=0) if namespace(values) is np else machine.running_sum_of_rows(values)
 
 
 def size_class(count: int) -> int:

@@ -119,8 +119,8 @@ def _model(spec: Spec, processes: Processes) -> SensorModel:
         float(table.rate_accuracy or 0.0),
     )
     return model.gyro_model(
-        None if sensor.bias is None else map_of(sensor.bias, float(sensor.turn_on_bias or 0.0)),
-        None if sensor.scale_factor is None else map_of(sensor.scale_factor),
+        None if sensor.bias is None else section_map(sensor.bias, float(sensor.turn_on_bias or 0.0)),
+        None if sensor.scale_factor is None else section_map(sensor.scale_factor),
         float(sensor.angle_random_walk),
         processes,
         reference,
@@ -138,7 +138,7 @@ def basis(section) -> model.Basis:
     return model.Bins(tuple(float(e) for e in section.edges))
 
 
-def map_of(section: Bias | ScaleFactor, turn_on_std: float = 0.0) -> Map:
+def section_map(section: Bias | ScaleFactor, turn_on_std: float = 0.0) -> Map:
     """`B(T)` or `M(T, ω)` with its priors, from a spec. The constant of a bias *is* this run's turn-on bias, so their
     priors add."""
     beyond, rate, degree = section.discrepancy, None, 0

@@ -207,7 +207,7 @@ def words(channel: UnitChannel, several: bool = False) -> list[str]:
     unseen = unobservable_combinations(channel.estimate.known[0], channel.model)
     sentences += [f"{where}the data say nothing of {combination}" for combination in unseen]
     if tests.fit.degrees > 0:
-        sentences += [where + sentence for sentence in of_noise(tests, not tests.fit.passed, "sensor")]
+        sentences += [where + sentence for sentence in noise_sentences(tests, not tests.fit.passed, "sensor")]
     if not tests.whiteness.passed:
         sentences.append(f"{where}the residuals are not white: the spec's noise does not explain their correlation")
     sentences += [where + structure_in_words(test) for test in channel.structure if test.noticed]
@@ -222,7 +222,7 @@ def words(channel: UnitChannel, several: bool = False) -> list[str]:
     return sentences
 
 
-def of_noise(tests: Consistency, larger: bool, what: str) -> list[str]:
+def noise_sentences(tests: Consistency, larger: bool, what: str) -> list[str]:
     """A sentence where the residuals are `larger`, or far smaller, than the spec's noise says."""
     if larger:
         return [

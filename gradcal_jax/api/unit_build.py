@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax import model, trajectory
-from gradcal_jax.api.build import basis, chamber_programme, map_of, or_infinite, slow_processes
+from gradcal_jax.api.build import basis, chamber_programme, or_infinite, section_map, slow_processes
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
@@ -130,7 +130,7 @@ def _sensor_model(triad: GyroTriad | AccelerometerTriad, axis: str) -> model.Sen
         rows, white = _OF_ACCELEROMETER, triad.velocity_random_walk
     else:
         rows, white = _OF_GYRO, triad.angle_random_walk
-        maps = [map_of(section) for section in (triad.bias, triad.scale_factor) if section is not None]
+        maps = [section_map(section) for section in (triad.bias, triad.scale_factor) if section is not None]
     terms: list[Term] = list(maps)
     for key, over, signals, name, symbol, unit in rows:
         if (section := getattr(triad, key)) is not None:

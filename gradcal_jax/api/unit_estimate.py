@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax.api.calibration import excess_of, of_noise
+from gradcal_jax.api.calibration import excess_of, noise_sentences
 from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of, random_walks, section_of
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import bridged_temperature, of_host_clock, time_of, usable_rows
@@ -331,7 +331,7 @@ def _words(report: UnitReport, solution: UnitEstimate) -> list[str]:
             f"the estimate has not converged: its last step is {solution.moved:.2g} of its standard deviations; "
             "the table differs from the spec by more than small angles"
         )
-    sentences += of_noise(tests, tests.fit.probability < rare and tests.noise_scale > 1.0, "unit")
+    sentences += noise_sentences(tests, tests.fit.probability < rare and tests.noise_scale > 1.0, "unit")
     for name, (size, white) in report.channels.items():
         where = name.replace("_", " ")
         if size.probability < rare:

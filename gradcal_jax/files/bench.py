@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal, cast
 from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax.files.bases import increasing
-from gradcal_jax.files.problems import Problem, repeated
+from gradcal_jax.files.problems import Problem, repeated_names
 from gradcal_jax.files.quantity import (
     Angle,
     Count,
@@ -56,7 +56,7 @@ class AngleReference(Section):
     @model_validator(mode="after")
     def _once_each(self) -> "AngleReference":
         message = "this order stands above already: give one amplitude for each order"
-        refuse(*repeated("harmonics", "order", [str(harmonic.order) for harmonic in self.harmonics], message))
+        refuse(*repeated_names("harmonics", "order", [str(harmonic.order) for harmonic in self.harmonics], message))
         return self
 
 
@@ -260,7 +260,7 @@ class UnitTable(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> "UnitTable":
-        problems = repeated("axis", "name", [axis.name for axis in self.axis], "two axes have this name")
+        problems = repeated_names("axis", "name", [axis.name for axis in self.axis], "two axes have this name")
         if self.axis[-1].orthogonality:
             message = "is told to the next axis inside, and there is none; leave it out of the innermost one"
             problems.append(

@@ -36,7 +36,7 @@ from pydantic import Field, model_validator
 from gradcal_jax.files.changes import patched, tables_of
 from gradcal_jax.files.document import parsed, read_text
 from gradcal_jax.files.mission import missions_from
-from gradcal_jax.files.problems import Problem, SpecError, repeated
+from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.spec import Spec, spec_of
@@ -110,7 +110,7 @@ class CatalogueFile(Section):
         for kind in kinds:
             names = [slug(entry.name) for entry in getattr(self, kind)]
             count *= len(names)
-            problems += repeated(kind, "name", names, "another one is called this, or nearly this")
+            problems += repeated_names(kind, "name", names, "another one is called this, or nearly this")
         if count > MOST_CASES:
             problems.append(Problem((), f"makes {count} recipes; at most {MOST_CASES}"))
         refuse(*problems)

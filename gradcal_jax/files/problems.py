@@ -122,7 +122,7 @@ def hint(word: object, known: Iterable[str], otherwise: str = "") -> str:
     return otherwise if close is None else f'; nearest: "{close}"'
 
 
-def repeated(of: str, name: str, values: Sequence[str], message: str) -> list[Problem]:
+def repeated_names(of: str, name: str, values: Sequence[str], message: str) -> list[Problem]:
     """A problem for the `name` of every entry `of` which has the value of one before it."""
     return [Problem((of, i, name), message, value) for i, value in enumerate(values) if value in values[:i]]
 

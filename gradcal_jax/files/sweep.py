@@ -33,7 +33,7 @@ from gradcal_jax.files import presets
 from gradcal_jax.files.changes import any_spec_of, changed, split_key
 from gradcal_jax.files.document import parsed, read_text, read_toml
 from gradcal_jax.files.mission import missions_from
-from gradcal_jax.files.problems import Problem, SpecError, repeated
+from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Count, Text, Whole
 from gradcal_jax.files.recipe import is_recipe, recipe_of, spec_inside
 from gradcal_jax.files.section import Section, refuse
@@ -248,7 +248,7 @@ class SweepFile(Section):
     @model_validator(mode="after")
     def _distinct(self) -> "SweepFile":
         message = 'two axes are called this; give one of them another "name"'
-        problems = repeated("axis", "name", [axis.label for axis in self.axis], message)
+        problems = repeated_names("axis", "name", [axis.label for axis in self.axis], message)
         seen: set[str] = set()
         for i, axis in enumerate(self.axis):
             for key in axis.changes:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 
 from .clock import Clock
 from .errors import HardwareError
-from .journal import record_of
+from .journal import event_fields
 from .roles import AxisLimits, AxisReading, DrawnAxis, MotionAxis
 from .track import AxisCommand
 
@@ -238,14 +238,14 @@ class AxisControl:
             axis.stop()
             self._spinning.discard(name)
             self._turning[name] = began
-        self._event("move", at_once=False, step=step, began_s=began, **record_of(move))
+        self._event("move", at_once=False, step=step, began_s=began, **event_fields(move))
 
     def _read(self, name: str) -> AxisReading:
         before, reading = self.newest.get(name), self._axes[name].read()
         self.newest[name] = reading
         # An unknown angle is no reading, and a typed angle is one reading however often it is read.
         if not math.isnan(reading.position_deg) and before != reading:
-            self._event("angle", at_once=False, axis=name, **record_of(reading))
+            self._event("angle", at_once=False, axis=name, **event_fields(reading))
         if not reading.moving:
             self._turning.pop(name, None)
             planned_s = self._planned_end_s.pop(name, math.inf)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from .clock import Clock
 from .errors import Disconnected, HardwareError
-from .journal import JournalFull, record_of
+from .journal import JournalFull, event_fields
 from .roles import ChamberReading, TemperatureChamber
 from .track import Course, Stable
 
@@ -188,7 +188,7 @@ class ChamberControl:
                     reading = self.chamber.read()
                     self.heard(reading)
                     failures = 0
-                    self._event("chamber", at_once=False, **record_of(reading))
+                    self._event("chamber", at_once=False, **event_fields(reading))
                 except HardwareError as problem:
                     failures += 1
                     self._event("chamber not read", quietly=True, problem=str(problem))

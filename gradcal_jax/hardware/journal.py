@@ -307,7 +307,7 @@ def json_of(item: Any) -> Any:
     return None if isinstance(item, float) and not math.isfinite(item) else item
 
 
-def record_of(value: Any) -> dict[str, Any]:
+def event_fields(value: Any) -> dict[str, Any]:
     """A dataclass for JSON; its `name` is that of a device."""
     fields = {name: json_of(getattr(value, name)) for name in value.__dataclass_fields__}
     if "name" in fields:

@@ -30,7 +30,7 @@ from .chamber_control import ChamberControl
 from .clock import Clock
 from .errors import HardwareError, LimitExceeded
 from .interlocks import Interlocks, Situation, standard_rules
-from .journal import Journal, JournalFull, record_of
+from .journal import Journal, JournalFull, event_fields
 from .losses import ExecutedStep, SampleLosses, StepNotDone
 from .roles import AxisReading, ChamberReading, MotionAxis
 from .safety import SafeOutcome, make_safe, put_back
@@ -215,11 +215,11 @@ class Runner:
         for name, entry, device in self.bench.devices():
             identity = device.identify()
             require_identity(name, entry, identity)
-            self._event("identity", device=name, **record_of(identity))
+            self._event("identity", device=name, **event_fields(identity))
             if isinstance(entry, ImuDevice):
                 unit = self.bench.imus[name]
                 settings = unit.configure()
-                self._event("configuration", device=name, **record_of(settings))
+                self._event("configuration", device=name, **event_fields(settings))
                 self._losses[name] = SampleLosses(unit.decoder(), settings.sample_rate_hz)
         if problems := self.dry_run():
             raise LimitExceeded("The run was not started. " + " ".join(problems))
@@ -569,7 +569,7 @@ class Runner:
         self._event("ending", quietly=True, exit_status=status, reason=reason)
         outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s, before_chamber=waits))
         for outcome in outcomes:
-            self._event("made safe", quietly=True, **record_of(outcome))
+            self._event("made safe", quietly=True, **event_fields(outcome))
         good = all(outcome.verified for outcome in outcomes)
         self._enter(RunState.SAFE if good else RunState.FAILED, quietly=True)
         return outcomes

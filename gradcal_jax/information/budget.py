@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.information.by_reading import Readings, of_noise
+from gradcal_jax.information.by_reading import Readings, noise_cotangents
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.posterior import LeastSquares, Posterior, noise_of_sums
 from gradcal_jax.information.residual import Contrasts, Statistic
@@ -51,7 +51,7 @@ def noise_shares(
     steps: NoiseSteps, readings: Readings, of_gram: np.ndarray, sources: Mapping[str, NoiseSteps]
 ) -> dict[str, float]:
     """`∂r/∂ln σ` of each of `sources`, given by its part of the noise. `readings`: of all columns."""
-    covariance, variance, initial = of_noise(steps, readings, of_gram)
+    covariance, variance, initial = noise_cotangents(steps, readings, of_gram)
 
     def of(part: NoiseSteps) -> float:
         pairs = (covariance, part.covariance), (variance, part.reading_variance), (initial, part.initial)

@@ -45,7 +45,7 @@ def filter_readings(
     return Readings(rows, gain, per_std, mean, covariance)
 
 
-def of_noise(
+def noise_cotangents(
     steps: NoiseSteps, readings: Readings, of_gram: Float[np.ndarray, "p p"]
 ) -> tuple[Float[np.ndarray, "N n n"], Float[np.ndarray, " N"], Float[np.ndarray, "n n"]]:
     """Derivatives with respect to the covariance of every step, the variance of every reading and the initial

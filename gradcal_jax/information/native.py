@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from gradcal_jax.arrays import AnyArray
 from gradcal_jax.information.noise_steps import NoiseSteps
-from gradcal_jax.machine import Compiled, NotCompiled, call, compiled, double_or_single, is_at_hand
+from gradcal_jax.machine import CompiledSource, NotCompiled, call, compiled, double_or_single, is_at_hand
 
 _SOURCE = Path(__file__).with_name("filter.cc")
 # Number of readings that NumPy filters in about half the compiler's time.
@@ -41,7 +41,7 @@ class Native(NamedTuple):
     Each raises `NotCompiled` where the compiler failed.
     """
 
-    code: Compiled
+    code: CompiledSource
 
     def whiten(
         self,
@@ -111,7 +111,7 @@ def native(steps: NoiseSteps, *others: Array) -> Native | None:
     return None if work is None else Native(work)
 
 
-def begin_filter(states: int, real: str = "double") -> Compiled | None:
+def begin_filter(states: int, real: str = "double") -> CompiledSource | None:
     """Start compilation of the filter for a number of states; None without a compiler."""
     return compiled(_SOURCE, *_definitions(states, real), symbols=("gradcal_filter", "gradcal_pull"), what="the filter")
 

@@ -51,7 +51,7 @@ class Library(NamedTuple):
     names: tuple[str, ...]
 
 
-class Compiled(NamedTuple):
+class CompiledSource(NamedTuple):
     """The functions of a source whose compilation may still be running."""
 
     work: "Future[Library]"
@@ -79,7 +79,7 @@ def double_or_single(*arrays) -> str | None:
     return _REAL.get(kinds.pop()) if len(kinds) == 1 else None
 
 
-def compiled(source: Path, *definitions: str, symbols: tuple[str, ...], what: str) -> Compiled | None:
+def compiled(source: Path, *definitions: str, symbols: tuple[str, ...], what: str) -> CompiledSource | None:
     """Start compilation of a source, once; None without a compiler."""
     if os.environ.get("GRADCAL_NATIVE") == "0" or os.name != "posix":
         return None
@@ -88,9 +88,13 @@ def compiled(source: Path, *definitions: str, symbols: tuple[str, ...], what: st
 
 
 @functools.cache
-def _begun(source: Path, definitions: tuple[str, ...], symbols: tuple[str, ...], what: str) -> Compiled | None:
+def _begun(source: Path, definitions: tuple[str, ...], symbols: tuple[str, ...], what: str) -> CompiledSource | None:
     command = compiler()
-    return None if command is None else Compiled(_BESIDE.submit(_library, command, source, definitions, symbols), what)
+    return (
+        None
+        if command is None
+        else CompiledSource(_BESIDE.submit(_library, command, source, definitions, symbols), what)
+    )
 
 
 def call(name: str, shapes, arguments) -> list[Array]:

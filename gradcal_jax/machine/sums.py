@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from gradcal_jax.formulas import legendre
 from gradcal_jax.machine.by_platform import by_platform, like, linear_with_transpose
-from gradcal_jax.machine.compiled import Compiled, call, compiled, double_or_single
+from gradcal_jax.machine.compiled import CompiledSource, call, compiled, double_or_single
 
 _SOURCE = Path(__file__).with_name("sums.cc")
 # Largest number of polynomials, as in `sums.cc`.
@@ -85,7 +85,7 @@ def _pulled_by_xla(nodes: list[Array], of_sums: Array) -> list[Array]:
     return list(jax.vjp(partial(_sums_by_xla, _Sizes(*of_sums.shape[-2:])), *nodes)[1](of_sums))
 
 
-def running_sum(values: Float[Array, " N *c"]) -> Float[Array, " N *c"]:
+def running_sum_of_rows(values: Float[Array, " N *c"]) -> Float[Array, " N *c"]:
     """Sums of all rows up to and including each one."""
     if values.shape[0] < _FEW or not values.size or _code(values) is None:
         return _running_by_xla(values)
@@ -117,12 +117,12 @@ def _running_natively(symbol: str, values: Array) -> Array:
     return jnp.reshape(call(_name(symbol, values), [flat.shape], [flat])[0], values.shape)
 
 
-def _code(*arrays: Array) -> Compiled | None:
+def _code(*arrays: Array) -> CompiledSource | None:
     real = double_or_single(*arrays)
     return begin_sums(real) if real else None
 
 
-def begin_sums(real: str = "double") -> Compiled | None:
+def begin_sums(real: str = "double") -> CompiledSource | None:
     """Start compilation of these sums, which every prediction needs; None without a compiler."""
     return compiled(_SOURCE, f"-DREAL={real}", symbols=_SYMBOLS, what="the sums of columns")
 

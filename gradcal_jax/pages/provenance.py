@@ -39,7 +39,7 @@ def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> lis
     return rows
 
 
-def provenance_of(sources: Sources) -> list[tuple[str, str]]:
+def provenance_rows(sources: Sources) -> list[tuple[str, str]]:
     """Fingerprints, versions, seeds and names of files."""
     rows: list[tuple[str, str]] = []
     recipe, calibration, run = sources.recipe, sources.calibration or sources.unit_calibration, sources.run

@@ -8,7 +8,7 @@ from gradcal_jax.files.calibration import AxisCalibration
 from gradcal_jax.files.unit_calibration import UnitCalibration
 from gradcal_jax.pages.applying import ExampleFact, ExportFact, example_of, exports_of
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_of, parameters
-from gradcal_jax.pages.provenance import assumed_noise, provenance_of
+from gradcal_jax.pages.provenance import assumed_noise, provenance_rows
 from gradcal_jax.pages.requirements import MapFact, RequirementFact, hidden_by_structure, requirements_of
 from gradcal_jax.pages.run_history import RunHistory, history_of
 from gradcal_jax.pages.sources import Sources
@@ -82,7 +82,7 @@ def report_data_of(sources: Sources) -> ReportData:
         exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
         assumed=tuple(assumed_noise(recipe, calibration)),
         history=history,
-        provenance=tuple(provenance_of(sources)),
+        provenance=tuple(provenance_rows(sources)),
         notes=tuple(dict.fromkeys(notes)),
         maps=tuple(maps),
     )

@@ -17,7 +17,7 @@ from gradcal_jax.pages.coefficients import ParameterFact, agreement, parameter_f
 from gradcal_jax.pages.figures import Picture, picture, picture_key
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.plain_text import times_text
-from gradcal_jax.pages.provenance import provenance_of
+from gradcal_jax.pages.provenance import provenance_rows
 from gradcal_jax.pages.report_data import AxisFact, ReportData, axis_fact
 from gradcal_jax.pages.requirements import RequirementFact, fact_of, result_alone
 from gradcal_jax.pages.run_history import history_of
@@ -58,7 +58,7 @@ def unit_report_data(sources: Sources) -> ReportData:
         exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
         assumed=() if spec is None else tuple(_assumed(spec)),
         history=history,
-        provenance=(*provenance_of(sources), ("versions", ", ".join(map(" ".join, versions)))),
+        provenance=(*provenance_rows(sources), ("versions", ", ".join(map(" ".join, versions)))),
         notes=tuple(notes),
         maps=(),
     )

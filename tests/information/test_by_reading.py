@@ -11,7 +11,7 @@ import pytest
 
 from gradcal_jax import machine
 from gradcal_jax.information import NoiseSteps, adjoint, whiten_from
-from gradcal_jax.information.by_reading import filter_readings, of_noise
+from gradcal_jax.information.by_reading import filter_readings, noise_cotangents
 from gradcal_jax.information.whitening import FilterState, block_length
 
 
@@ -59,7 +59,7 @@ def test_rows_state_and_derivative_are_those_of_the_blocks(sizes):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GRADCAL_NATIVE", "0")
         wanted = jax.grad(weighed, (0, 1, 2))(known[0].covariance, known[0].reading_variance, known[0].initial)
-    for mine, theirs in zip(of_noise(steps, found, weights), wanted, strict=True):
+    for mine, theirs in zip(noise_cotangents(steps, found, weights), wanted, strict=True):
         assert_close((mine + mine.swapaxes(-1, -2)) / 2 if mine.ndim > 1 else mine, theirs)
 
 

@@ -120,7 +120,8 @@ def _stretched(plan: Schedule, by: dict) -> Schedule:
     if plan.rates:
         time = by[_INTEGRATION]
         held = plan.duration * jnp.where(jnp.arange(len(plan.duration)) > 0, time, 1.0)
-        longer = programme.durations + (jnp.sum(held) - jnp.sum(plan.duration)) * (programme.durations > 0.0)
+        more = jnp.sum(held) - jnp.sum(plan.duration)
+        longer = programme.durations + jnp.where(programme.durations > 0.0, more, 0.0)
         return eqx.tree_at(lambda p: (p.duration, p.programme.durations), plan, (held, longer))
     time, rate = by[_TIME], by.get(_RATES, 1.0)
     of = lambda p: (p.duration, p.ramp, p.peak_rate, p.programme.durations, p.programme.slopes)  # noqa: E731

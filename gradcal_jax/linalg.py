@@ -36,9 +36,6 @@ def triangular_factor(rows: Float[AnyArray, "n p"]) -> Float[AnyArray, "p p"]:
             first = np.zeros((p, p))
         diagonal = np.diagonal(first)
         if np.min(diagonal, initial=np.inf) > _SOUND * np.max(diagonal, initial=0.0):
-            inverse = scipy.linalg.solve_triangular(first, np.eye(p), check_finite=False)
-            if np.sum(first**2) * np.sum(inverse**2) < _WELL_CONDITIONED:
-                return first
             orthogonal = scipy.linalg.solve_triangular(first, rows.T, trans=1, check_finite=False)
             return np.linalg.cholesky(orthogonal @ orthogonal.T).T @ first
     factor = np.linalg.qr(np.concatenate([rows, np.zeros((max(0, p - n), p))]), mode="r")

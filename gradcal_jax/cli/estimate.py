@@ -72,24 +72,52 @@ def estimate(
 
     The exit status is 1 where a target is missed, something cannot be observed, or the data contradict the model.
 
-    Parameters ---------- more For a whole unit in several mountings on the table: the logs of the other mountings, in
-    the spec's order. spec The spec: noise, table and maps of the sensor. The motion is read from the log itself. recipe
-    The recipe that was run, in the place of its spec. output Write the calibration here; with several units, one file
-    each, with the unit's name in the file's. axis Which axis; may be repeated. Those of the spec, without it. unit
-    Which unit; may be repeated. All, without it. table_axis The axis of the table that turns the sensor's. earth_rate
-    The Earth rate along the sensor's axis, such as "10.4 deg/h"; it is taken off. latitude In the place of
-    --earth-rate, for an axis that points straight up. lag The lag of the maps behind the measured temperature: a time,
-    or "fit". smoothness The smoothness of bins and B-splines: "spec", or "auto": the one at which the data are most
-    probable. robust Give readings that the model cannot explain less weight (Huber), and list them. clock The clock
-    over which rates are integrated: "sensor", or "host" (the computer's). read_every Spacing of the readings while the
-    table stands. neighbours Also without a structure: moves of one rate within, say, "5 K" taken together, beside the
-    map's values. temperature The temperature of a log without a thermometer, such as "23 degC". gravity The gravity at
-    the place, such as "9.80665 m/s^2": calibrate three accelerometers and three gyros by it alone, without table and
-    spec. The unit lay still in some twenty positions in all directions, and was turned by hand between them; readings
-    may be raw counts. parameters Write the bias over temperature here too, as parameters of the flight controller (PX4,
-    ArduPilot) whose log this is. points The point map of a table of points (gradcal-points/1), in the place of a log:
-    its columns of temperature, rate of the table, output and standard deviation; see gradcal new point-map. plot Draw
-    the fit into this file (.png, .svg, .pdf).
+    Parameters
+    ----------
+    more
+        For a whole unit in several mountings on the table: the logs of the other mountings, in the spec's order.
+    spec
+        The spec: noise, table and maps of the sensor. The motion is read from the log itself.
+    recipe
+        The recipe that was run, in the place of its spec.
+    output
+        Write the calibration here; with several units, one file each, with the unit's name in the file's.
+    axis
+        Which axis; may be repeated. Those of the spec, without it.
+    unit
+        Which unit; may be repeated. All, without it.
+    table_axis
+        The axis of the table that turns the sensor's.
+    earth_rate
+        The Earth rate along the sensor's axis, such as "10.4 deg/h"; it is taken off.
+    latitude
+        In the place of --earth-rate, for an axis that points straight up.
+    lag
+        The lag of the maps behind the measured temperature: a time, or "fit".
+    smoothness
+        The smoothness of bins and B-splines: "spec", or "auto": the one at which the data are most probable.
+    robust
+        Give readings that the model cannot explain less weight (Huber), and list them.
+    clock
+        The clock over which rates are integrated: "sensor", or "host" (the computer's).
+    read_every
+        Spacing of the readings while the table stands.
+    neighbours
+        Also without a structure: moves of one rate within, say, "5 K" taken together, beside the map's values.
+    temperature
+        The temperature of a log without a thermometer, such as "23 degC".
+    gravity
+        The gravity at the place, such as "9.80665 m/s^2": calibrate three accelerometers and three gyros by it alone,
+        without table and spec. The unit lay still in some twenty positions in all directions, and was turned by hand
+        between them; readings may be raw counts.
+    parameters
+        Write the bias over temperature here too, as parameters of the flight controller (PX4, ArduPilot) whose log this
+        is.
+    points
+        The point map of a table of points (gradcal-points/1), in the place of a log: its columns of temperature, rate
+        of the table, output and standard deviation; see gradcal new point-map.
+    plot
+        Draw the fit into this file (.png, .svg, .pdf).
     """
     from gradcal_jax.files.unit_spec import UnitSpec
 

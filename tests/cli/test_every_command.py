@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -97,6 +98,14 @@ print(json.dumps(slow))
 def test_whatever_prints_numbers_prints_them_as_json_too(command, capsys):
     assert main([command, "--help"]) == 0
     assert ("--json" in capsys.readouterr().out) == (command not in WITHOUT_NUMBERS)
+
+
+@pytest.mark.parametrize("command", [*ARGUMENTS, "log turns", "rig new", "rig protocols"])
+def test_the_help_says_what_every_argument_and_option_is(command, capsys):
+    assert main([*command.split(), "--help"]) == 0
+    lines = re.findall(r"^  (?:-|[A-Z]{2}).*", capsys.readouterr().out, re.MULTILINE)
+    assert lines
+    assert [line for line in lines if not re.search(r": [^\[\s]", line)] == []
 
 
 def test_check_gives_its_numbers_as_json(tmp_path, capsys):

@@ -49,23 +49,43 @@ def test_a_block_of_the_user_before_the_data_is_none_of_our_business(sound, tmp_
     xarray.testing.assert_identical(load_netcdf(tmp_path / "block.nc"), load_netcdf(sound))
 
 
-def test_reading_without_end_is_ended(sound):
+@pytest.fixture(scope="module")
+def foreign(sound):
+    """The same file as another program writes it, which is tried in another process first."""
+    path = sound.with_name("foreign.nc")
+    with xarray.open_dataset(sound, engine="h5netcdf", decode_times=False) as contents:
+        contents.to_netcdf(path, engine="h5netcdf")
+    return path
+
+
+def test_bytes_as_they_were_written_are_read_at_once_and_others_are_tried_first(sound, foreign, tmp_path, monkeypatch):
+    expected = load_netcdf(foreign)
+    monkeypatch.setattr(sys, "executable", "no such program")
+    xarray.testing.assert_identical(load_netcdf(sound), expected)
+    content = sound.read_bytes()
+    for wrong in (content[:-1], content[:-1] + b"x", content[:2000] + b"x" + content[2001:], b"x" + content):
+        (tmp_path / "wrong.nc").write_bytes(wrong)
+        with pytest.raises((FileNotFoundError, NetcdfError)):
+            load_netcdf(tmp_path / "wrong.nc")
+
+
+def test_reading_without_end_is_ended(foreign):
     with pytest.raises(NetcdfError, match="comes to no end"):
-        load_netcdf(sound, trial_s=-1.0)  # no time at all: what a reading that does not end always runs into
+        load_netcdf(foreign, trial_s=-1.0)  # no time at all: what a reading that does not end always runs into
 
 
 @pytest.mark.parametrize(
     ("does", "sentence"),
     [("kill -SEGV $$", "does not survive it .signal 11"), ("exit 3", "could not run")],
 )
-def test_a_library_that_dies_takes_nobody_with_it(sound, tmp_path, monkeypatch, does, sentence):
+def test_a_library_that_dies_takes_nobody_with_it(foreign, tmp_path, monkeypatch, does, sentence):
     """A crash of HDF5 cannot be ordered; that of the process that tries the file can."""
     program = tmp_path / "python"
     program.write_text(f"#!/bin/sh\n{does}\n")
     program.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(program))
     with pytest.raises(NetcdfError, match=sentence):
-        load_netcdf(sound)
+        load_netcdf(foreign)
 
 
 def test_some_wrong_bytes_give_a_log_or_a_sentence(sound, tmp_path):

@@ -16,23 +16,10 @@ from ...files.sensor import AccelerometerTriad, GyroTriad
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from ..pose import turn_by
-from .espec import EspecOptions, SimulatedEspec
-from .lab import (
-    OnPorts,
-    axis_tables,
-    chain_of,
-    chamber_truth,
-    lab_rig,
-    processes_of,
-    rate_truth,
-    temperature_truth,
-    unit_options,
-)
+from .lab import Laboratory, basis_truth, processes_of
 from .operator import OperatorOptions, SimulatedOperator
-from .plants import AxisPlant, AxisTruth, ChamberPlant
-from .port import SimulatedPort
+from .plants import AxisPlant, AxisTruth
 from .sensor import TruthBasis
-from .stim300 import SimulatedStim300
 from .unit import (
     Coefficients,
     Hanging,
@@ -83,7 +70,7 @@ class _Draws:
         """`symbols`: names of the coefficients by sensor axis, "" for none."""
         if section is None:
             return None
-        basis = _CONSTANT if section.temperature is None else temperature_truth(section.temperature)
+        basis = _CONSTANT if section.temperature is None else basis_truth(section.temperature)
         count = 1 if section.temperature is None else section.temperature.size
         size = _TYPICAL[typical] if section.prior is None else float(section.prior)
         values = size * self.random.standard_normal((3, len(symbols[0]), count))
@@ -113,7 +100,7 @@ def _gyro(triad: GyroTriad, draws: _Draws) -> TriadTruth:
     assert bias is not None
     scale = None
     if (section := triad.scale_factor) is not None:
-        of_t, of_w = temperature_truth(section.temperature), rate_truth(section.rate)
+        of_t, of_w = basis_truth(section.temperature), basis_truth(section.rate, "deg/s")
         size = _TYPICAL["scale_factor"] if section.prior is None else float(section.prior)
         values = size * draws.random.standard_normal((3, section.temperature.size, section.rate.size))
         powers = of_t.kind == of_w.kind == "polynomial" and max(values.shape[1:]) <= 10
@@ -227,7 +214,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
     return truth, encoders, named
 
 
-class SimulatedUnitLab(OnPorts):
+class SimulatedUnitLab(Laboratory):
     """The laboratory for one recipe's spec, with `units` units on the table. A context manager; `rig` is its rig file.
 
     `mounting`: the first mounting, from 0. `burst_s` is the time between bursts of a unit's bytes to the computer.
@@ -245,10 +232,10 @@ class SimulatedUnitLab(OnPorts):
         burst_s: float = 0.5,
         room_c: float = 23.0,
     ) -> None:
-        now, chamber = clock.now(), spec.rig.chamber
+        super().__init__(spec.rig.chamber, spec.sensor.thermal_lag, room_c, clock)
+        now, table = clock.now(), spec.rig.table
         truth, encoders, self._installation = draw_table(spec, seed)
-        self.table_truth, self.hanging = truth, Hanging(mounting)
-        self.chamber_plant = ChamberPlant(chamber_truth(chamber, float(spec.sensor.thermal_lag or 0.0), room_c), now)
+        self.hanging = Hanging(mounting)
         self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
         self.units: dict[str, SimulatedUnit] = {
             f"unit{number}": SimulatedUnit(
@@ -263,24 +250,18 @@ class SimulatedUnitLab(OnPorts):
             )
             for number in range(1, units + 1)
         }
-        cold, hot = (float(end) for end in chamber.range)
-        self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
-        axes = spec.rig.table.axis
-        plants = dict(zip((axis.name for axis in axes), self.axis_plants, strict=True))
-        by_hand = any(step.move.shape == "hand" for step in spec.schedule.steps)
-        person = SimulatedOperator(plants, clock, OperatorOptions(seed=seed), hang=self._hang)
-        self.person = person
-        stages = chain_of(self.axis_plants, clock, [encoder.highest_deg for encoder in encoders])
-        options = unit_options(sample_rate_hz, burst_s)
-        self.imus = {name: SimulatedStim300(unit, clock, options) for name, unit in self.units.items()}
-        several = len(spec.rig.table.mounting) > 1
-        devices = [self.chamber, person if by_hand else stages, *self.imus.values()]
-        devices += [person] if several and not by_hand else []
-        self.ports = [SimulatedPort(device, clock) for device in devices]
-        at_chamber, at_table, *others = (port.url for port in self.ports)
-        tables = [axis_tables(axis.name, at_table, number, axis, by_hand) for number, axis in enumerate(axes, start=1)]
-        at_person = others[-1] if several and not by_hand else None
-        self.rig = lab_rig(at_chamber, tables, dict(zip(self.units, others, strict=False)), sample_rate_hz, at_person)
+        axes = {axis.name: axis for axis in table.axis}
+        plants = dict(zip(axes, self.axis_plants, strict=True))
+        operator = SimulatedOperator(plants, clock, OperatorOptions(seed=seed), hang=self._hang)
+        self._connect(
+            axes,
+            operator,
+            self.units,
+            by_hand=any(step.move.shape == "hand" for step in spec.schedule.steps),
+            hangs=len(table.mounting) > 1,
+            sample_rate_hz=sample_rate_hz,
+            burst_s=burst_s,
+        )
 
     def truths(self) -> dict[str, Any]:
         """The true parameters by their names in the calibrations, SI, for a file."""

@@ -21,8 +21,8 @@ from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth
 from .sensor import TruthBasis
 from .unit import (
-    Coefficients,
-    Hanging,
+    ErrorTerm,
+    Kind,
     Matrix,
     ScaleFactors,
     SimulatedUnit,
@@ -32,11 +32,9 @@ from .unit import (
 )
 
 _XYZ: Final = "xyz"
-_PAIRS: Final = ("xy", "xz", "yz")
 # Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
 _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
-_CONSTANT: Final = TruthBasis()
 # Typical sizes for flat priors, SI.
 _TYPICAL: Final = {
     "bias": np.radians(0.02),
@@ -50,39 +48,27 @@ _TYPICAL: Final = {
 }
 
 
-class _Draws:
-    """Draws coefficients and keeps them by their names in the calibration."""
-
-    def __init__(self, random: np.random.Generator) -> None:
-        self.random = random
-        self.values: dict[str, float] = {}
-
-    def draw(
-        self,
-        kind: str,
-        section: Any,
-        typical: str,
-        symbols: list[list[str]],
-        axes: tuple[str, ...],
-        *,
-        counted: bool = False,
-    ) -> Coefficients | None:
-        """`symbols`: names of the coefficients by sensor axis, "" for none."""
-        if section is None:
-            return None
-        basis = _CONSTANT if section.temperature is None else basis_truth(section.temperature)
-        count = 1 if section.temperature is None else section.temperature.size
-        size = _TYPICAL[typical] if section.prior is None else float(section.prior)
-        values = size * self.random.standard_normal((3, len(symbols[0]), count))
-        for row, own in enumerate(symbols):
-            for column, symbol in enumerate(own):
-                if not symbol or _XYZ[row] not in axes:
-                    values[row, column] = 0.0
-                    continue
-                for power, value in enumerate(values[row, column]):
-                    ending = ordinal(basis, power) if count > 1 or counted else ""
-                    self.values[f"{kind}_{_XYZ[row]}.{symbol}{ending}"] = float(value)
-        return Coefficients(values, basis)
+_OTHERS: Final = [["" if a == b else f"m_{b}" for b in _XYZ] for a in _XYZ]
+# The errors of each kind of sensor, in the order of their draws: section of the spec, typical size, factors, and names
+# of the coefficients by sensor axis, "" for none. The scale factor of gyros is M(T, ω).
+_ERRORS: Final[dict[Kind, tuple[tuple[str, str, str, list[list[str]]], ...]]] = {
+    "gyro": (
+        ("bias", "bias", "one", [["a"]] * 3),
+        ("scale_factor", "scale_factor", "", []),
+        ("misalignment", "misalignment", "inputs", _OTHERS),
+        ("g_sensitivity", "g_sensitivity", "force", [[f"g_{a}" for a in _XYZ]] * 3),
+        ("g_squared", "g_squared", "force squared", [[f"gg_{a}" for a in _XYZ]] * 3),
+    ),
+    "accelerometer": (
+        ("bias", "force_bias", "one", [["a"]] * 3),
+        ("scale_factor", "scale_factor", "own", [["s"]] * 3),
+        ("misalignment", "misalignment", "inputs", _OTHERS),
+        ("second_order", "second_order", "own squared", [["k2"]] * 3),
+        ("third_order", "third_order", "own cubed", [["k3"]] * 3),
+        ("asymmetry", "scale_factor", "own size", [["asymmetry"]] * 3),
+        ("cross_coupling", "second_order", "products", [["k_xy", "k_xz", "k_yz"]] * 3),
+    ),
+}
 
 
 def ordinal(basis: TruthBasis, number: int) -> str:
@@ -90,73 +76,69 @@ def ordinal(basis: TruthBasis, number: int) -> str:
     return {"polynomial": "", "b-spline": "_spline", "bins": "_bin"}[basis.kind] + str(number)
 
 
-def _others(symbol: str) -> list[list[str]]:
-    return [["" if a == b else f"{symbol}_{b}" for b in _XYZ] for a in _XYZ]
+class _Draws:
+    """Draws coefficients and keeps them by their names in the calibration."""
 
+    def __init__(self, random: np.random.Generator) -> None:
+        self.random = random
+        self.values: dict[str, float] = {}
 
-def _gyro(triad: GyroTriad, draws: _Draws) -> TriadTruth:
-    axes, all_three = triad.axes, [[*_XYZ]] * 3
-    bias = draws.draw("gyro", triad.bias, "bias", [["a"]] * 3, axes, counted=True)
-    assert bias is not None
-    scale = None
-    if (section := triad.scale_factor) is not None:
+    def triad(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> TriadTruth:
+        errors: list[ErrorTerm | ScaleFactors] = []
+        for name, typical, factors, symbols in _ERRORS[kind]:
+            section: Any = getattr(triad, name)
+            if section is not None:
+                size = _TYPICAL[typical] if section.prior is None else float(section.prior)
+                if factors:
+                    errors.append(self._term(kind, section, size, factors, symbols, triad.axes))
+                else:
+                    errors.append(self._scale_factors(section, size, triad.axes))
+        if isinstance(triad, GyroTriad):
+            drifts = processes_of(triad.drift, triad.scale_factor_instability)
+            noise = float(triad.angle_random_walk), float(triad.rate_random_walk or 0.0)
+            return TriadTruth(tuple(errors), *noise, drifts)
+        return TriadTruth(tuple(errors), float(triad.velocity_random_walk), drifts=processes_of(triad.drift))
+
+    def _term(
+        self, kind: Kind, section: Any, size: float, factors: str, symbols: list[list[str]], axes: tuple[str, ...]
+    ) -> ErrorTerm:
+        basis, count = TruthBasis(), 1
+        if section.temperature is not None:
+            basis, count = basis_truth(section.temperature), section.temperature.size
+        values = size * self.random.standard_normal((3, len(symbols[0]), count))
+        # A gyro's bias is numbered also where it is constant.
+        counted = count > 1 or (kind, factors) == ("gyro", "one")
+        for row, column, power in np.ndindex(values.shape):
+            if symbols[row][column] and _XYZ[row] in axes:
+                ending = ordinal(basis, power) if counted else ""
+                self.values[f"{kind}_{_XYZ[row]}.{symbols[row][column]}{ending}"] = float(values[row, column, power])
+            else:
+                values[row, column, power] = 0.0
+        return ErrorTerm(values, basis, factors)
+
+    def _scale_factors(self, section: Any, size: float, axes: tuple[str, ...]) -> ScaleFactors:
         of_t, of_w = basis_truth(section.temperature), basis_truth(section.rate, "deg/s")
-        size = _TYPICAL["scale_factor"] if section.prior is None else float(section.prior)
-        values = size * draws.random.standard_normal((3, section.temperature.size, section.rate.size))
+        values = size * self.random.standard_normal((3, section.temperature.size, section.rate.size))
         powers = of_t.kind == of_w.kind == "polynomial" and max(values.shape[1:]) <= 10
-        for row, axis in enumerate(_XYZ):
-            for i, j in itertools.product(*map(range, values.shape[1:])):
-                symbol = f"b{j}{i}" if powers else f"b{ordinal(of_w, j)}_{ordinal(of_t, i)}"
-                if axis in axes:
-                    draws.values[f"gyro_{axis}.{symbol}"] = float(values[row, i, j])
-        scale = ScaleFactors(values, of_t, of_w)
-    force = [[f"g_{a}" for a in row] for row in all_three]
-    squares = [[f"gg_{a}" for a in row] for row in all_three]
-    return TriadTruth(
-        bias=bias,
-        white=float(triad.angle_random_walk),
-        walk=float(triad.rate_random_walk or 0.0),
-        drifts=processes_of(triad.drift, triad.scale_factor_instability),
-        scale=scale,
-        misalignment=draws.draw("gyro", triad.misalignment, "misalignment", _others("m"), axes),
-        force=draws.draw("gyro", triad.g_sensitivity, "g_sensitivity", force, axes),
-        force_squared=draws.draw("gyro", triad.g_squared, "g_squared", squares, axes),
-    )
-
-
-def _accelerometer(triad: AccelerometerTriad, draws: _Draws) -> TriadTruth:
-    axes, kind = triad.axes, "accelerometer"
-
-    def own(section: Any, typical: str, symbol: str) -> Coefficients | None:
-        return draws.draw(kind, section, typical, [[symbol]] * 3, axes)
-
-    bias = own(triad.bias, "force_bias", "a")
-    assert bias is not None
-    return TriadTruth(
-        bias=bias,
-        white=float(triad.velocity_random_walk),
-        drifts=processes_of(triad.drift),
-        scale=own(triad.scale_factor, "scale_factor", "s"),
-        misalignment=draws.draw(kind, triad.misalignment, "misalignment", _others("m"), axes),
-        second=own(triad.second_order, "second_order", "k2"),
-        third=own(triad.third_order, "third_order", "k3"),
-        asymmetry=own(triad.asymmetry, "scale_factor", "asymmetry"),
-        cross=draws.draw(kind, triad.cross_coupling, "second_order", [[f"k_{p}" for p in _PAIRS]] * 3, axes),
-    )
+        for row, i, j in np.ndindex(values.shape):
+            symbol = f"b{j}{i}" if powers else f"b{ordinal(of_w, j)}_{ordinal(of_t, i)}"
+            if _XYZ[row] in axes:
+                self.values[f"gyro_{_XYZ[row]}.{symbol}"] = float(values[row, i, j])
+        return ScaleFactors(values, of_t, of_w)
 
 
 def draw_unit_truth(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
     """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI."""
     draws = _Draws(np.random.default_rng([seed, number, 20261]))
     sensor = spec.sensor
-    gyro = None if sensor.gyro is None else _gyro(sensor.gyro, draws)
-    accelerometer = None if sensor.accelerometer is None else _accelerometer(sensor.accelerometer, draws)
+    both: dict[Kind, Any] = {"gyro": sensor.gyro, "accelerometer": sensor.accelerometer}
+    triads: dict[Kind, TriadTruth] = {k: draws.triad(k, triad) for k, triad in both.items() if triad is not None}
     lever = _LEVER_M * draws.random.standard_normal(3)
     clock = 0.0
     if sensor.sample_clock_error:
         clock = draws.values["sample_clock"] = float(sensor.sample_clock_error) * float(draws.random.standard_normal())
     of_gyros = lever + _APART_M * draws.random.standard_normal(3)
-    return UnitTruth(gyro, accelerometer, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, draws.values)
+    return UnitTruth(triads, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, draws.values)
 
 
 def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:
@@ -235,7 +217,6 @@ class SimulatedUnitLab(Laboratory):
         super().__init__(spec.rig.chamber, spec.sensor.thermal_lag, room_c, clock)
         now, table = clock.now(), spec.rig.table
         truth, encoders, self._installation = draw_table(spec, seed)
-        self.hanging = Hanging(mounting)
         self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
         self.units: dict[str, SimulatedUnit] = {
             f"unit{number}": SimulatedUnit(
@@ -245,7 +226,7 @@ class SimulatedUnitLab(Laboratory):
                 self.axis_plants,
                 sample_rate_hz=sample_rate_hz,
                 seed=64 * seed + number,
-                hanging=self.hanging,
+                mounting=mounting,
                 start_s=now,
             )
             for number in range(1, units + 1)
@@ -269,4 +250,5 @@ class SimulatedUnitLab(Laboratory):
         return {"installation": self._installation, "units": units}
 
     def _hang(self, number: int) -> None:
-        self.hanging.mounting = number - 1
+        for unit in self.units.values():
+            unit.mounting = number - 1

@@ -4,13 +4,14 @@ The readings are compared with the recipe's own course of the air (`Expected`), 
 command and does nothing would agree with its own set point.
 """
 
-import itertools
 import math
 import threading
 from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
+
+import numpy as np
 
 from .clock import Clock
 from .errors import Disconnected, HardwareError
@@ -67,12 +68,8 @@ class Expected:
         return min(inside), max(inside)
 
     def _at(self, time_s: float) -> float:
-        if time_s <= self._knots[0][0]:
-            return self._knots[0][1]
-        for (t0, a), (t1, b) in itertools.pairwise(self._knots):
-            if time_s < t1:
-                return a + (b - a) * (time_s - t0) / (t1 - t0)
-        return self._knots[-1][1]
+        times_s, values_c = zip(*self._knots, strict=True)
+        return float(np.interp(time_s, times_s, values_c))
 
 
 class ChamberControl:
@@ -213,11 +210,8 @@ class ChamberControl:
         """The newest temperature, if it has been stable for the required time; else None."""
         with self._lock:
             readings = list(self._history)
-        lowest = highest = temperature_c
-        for place in range(len(readings) - 1, -1, -1):
-            time_s, value = readings[place]
-            if place == len(readings) - 1:
-                lowest = highest = value
+        lowest, highest = math.inf, -math.inf
+        for time_s, value in reversed(readings):
             lowest, highest = min(lowest, value), max(highest, value)
             if abs(value - temperature_c) > wanted.band_k or highest - lowest > wanted.band_k:
                 return None

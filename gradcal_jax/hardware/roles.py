@@ -5,6 +5,7 @@ fields everywhere. Units are in the names: temperatures in °C (`_c`), angles in
 (`_dps`).
 """
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol, runtime_checkable
@@ -112,6 +113,12 @@ class AxisLimits:
     resolution_deg: float
     hardware_watchdog: bool
     by_hand: bool = False
+
+    @property
+    def travel_deg(self) -> tuple[float, float]:
+        """The ends of the travel, infinite where there are none."""
+        lowest = -math.inf if self.lowest_deg is None else self.lowest_deg
+        return lowest, math.inf if self.highest_deg is None else self.highest_deg
 
 
 @dataclass(frozen=True)

@@ -138,25 +138,16 @@ class Stim300Decoder:
                 self._buffer = self._buffer[good * stride :]
                 if self._line_end is None:
                     continue
-            if good == whole:
-                # The remaining bytes may already be known not to be a datagram of this kind.
-                if self._buffer and self._buffer[0] != self._locked and not self._skip_special(stride):
-                    if self._buffer[0] in SPECIAL_LENGTHS and len(self._buffer) < 48 + stride:
-                        break
-                    self._unlock()
-                    continue
-                if len(self._buffer) < stride:
-                    break
-            elif not self._skip_special(stride):
+            # The remaining bytes may already be known not to be a datagram of this kind.
+            astray = good < whole or (bool(self._buffer) and self._buffer[0] != self._locked)
+            if astray and not self._skip_special(stride):
                 if self._buffer[0] in SPECIAL_LENGTHS and len(self._buffer) < 48 + stride:
                     break
-                self._unlock()
+                self._locked = None
+                self._drop(1)
+            elif good == whole and len(self._buffer) < stride:
+                break
         return join(batches)
-
-    def _unlock(self) -> None:
-        self._locked, self._disturbed = None, True
-        self._buffer = self._buffer[1:]
-        self.bad_bytes += 1
 
     def _lock(self) -> bool:
         """Find the next sound datagram. False when more bytes are needed to decide."""

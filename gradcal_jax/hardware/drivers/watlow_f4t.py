@@ -16,10 +16,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..clock import Clock
-from ..errors import FramingError, LimitExceeded, Rejected, printable
+from ..errors import FramingError, Rejected, printable
 from ..framing import ModbusTcpFramer
 from ..request_reply import Exchange, NotThisReply, command_and_verify
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
+from ..roles import ChamberLimits, ChamberReading, Identity
 from ..transport import Transport
 from .base import ChamberDriver
 from .watlow_f4 import exception_of
@@ -116,6 +116,11 @@ def open_exchange(transport: Transport, clock: Clock, config: WatlowF4TConfig) -
 class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
     """Role `Chamber`."""
 
+    _BOUNDS = (
+        "the controller's set point limits {low:g} to {high:g} degC. Change the plan, or the limits at the "
+        "controller's setup page."
+    )
+
     def __init__(self, exchange: Exchange, config: WatlowF4TConfig) -> None:
         super().__init__(exchange, config)
         self._number = 0
@@ -166,21 +171,15 @@ class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
     def standby(self) -> None:
         self._condition(False)
 
-    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
-        wanted = ambient_c if policy is ChamberSafe.AMBIENT else self._float(PROCESS_VALUE)
-        return min(max(wanted, self._float(LOWEST)), self._float(HIGHEST))
+    def _air_c(self) -> float:
+        return self._float(PROCESS_VALUE)
 
     def _evidence(self, reading: ChamberReading) -> str:
         return f"{reading.mode}, set point {reading.setpoint_c:g} degC"
 
     def _begin(self, temperature_c: float) -> None:
         """The preconditions of a set point: it is allowed, no profile runs, and the loop is on."""
-        low, high = self._float(LOWEST), self._float(HIGHEST)
-        if not low <= temperature_c <= high:
-            raise LimitExceeded(
-                f"{temperature_c:.1f} degC lies outside the controller's set point limits {low:g} to {high:g} degC. "
-                "Change the plan, or the limits at the controller's setup page."
-            )
+        self._check(temperature_c)
         if self._words(PROFILE_STATE)[0] in _PROFILES:
             ended = lambda: self._words(PROFILE_STATE)[0]  # noqa: E731
             self._shown(PROFILE_ACTION, (TERMINATE,), "The profile's end", ended, lambda v: v not in _PROFILES)

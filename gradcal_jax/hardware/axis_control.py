@@ -11,6 +11,7 @@ rate. The allowed rate of an axis (`allowed`) follows from its commands, and `in
 import math
 from collections.abc import Callable, Mapping
 
+from .chamber_control import Tell
 from .clock import Clock
 from .errors import HardwareError
 from .journal import event_fields
@@ -28,8 +29,6 @@ _OFF_GOAL_DEG = 1.0
 _OFF_RATE, _OFF_RATE_DPS = 0.1, 3.0
 _OFF_READINGS = 3
 
-Tell = Callable[..., None]
-"""Writes an event: its name and what belongs to it."""
 Draw = Callable[[Mapping[str, float]], str]
 """How a unit stands when the axes are at these angles, deg."""
 

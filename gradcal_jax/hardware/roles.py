@@ -6,6 +6,7 @@ fields everywhere. Units are in the names: temperatures in °C (`_c`), angles in
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol, runtime_checkable
@@ -14,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .settings import KeptSettings
+
+STANDARD_GRAVITY = 9.80665  # m/s² in one g of every data sheet here
 
 
 @dataclass(frozen=True)
@@ -216,6 +219,25 @@ class ImuBatch:
 
     def __len__(self) -> int:
         return self.host_time_s.shape[0]
+
+
+def join(batches: Sequence[ImuBatch]) -> ImuBatch:
+    """One batch of several; an empty one of none."""
+    if not batches:
+        return ImuBatch(
+            host_time_s=np.zeros(0),
+            device_time_s=np.zeros(0),
+            gyro_dps=np.zeros((0, 3)),
+            acceleration_g=np.zeros((0, 3)),
+            temperature_c=np.zeros((0, 3)),
+            raw_gyro=np.zeros((0, 3), np.int32),
+            status=np.zeros(0, np.int64),
+            gap_before=np.zeros(0, np.int64),
+            disturbed=np.zeros(0, np.bool_),
+            restarted=np.zeros(0, np.bool_),
+        )
+    names = ImuBatch.__dataclass_fields__
+    return ImuBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names})
 
 
 class ImuDecoder(Protocol):

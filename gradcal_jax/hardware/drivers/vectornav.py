@@ -28,11 +28,10 @@ from ..clock import Clock
 from ..errors import ChecksumError, NotVerified, Rejected, printable
 from ..framing import LengthFramer
 from ..request_reply import Exchange, NotThisReply
-from ..roles import Identity, ImuBatch, ImuSettings
+from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, join
 from ..settings import KeptSettings
 from ..transport import Transport
 from .base import ImuDriver
-from .imu_common import STANDARD_GRAVITY, join
 
 ERRORS = {
     1: "hard fault",

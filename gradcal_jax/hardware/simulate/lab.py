@@ -30,14 +30,10 @@ from .sensor import Mounting, Process, SampledSensor, SensorTruth, SimulatedSens
 from .stim300 import RATES_HZ, SimulatedStim300, Stim300Options
 from .zaber import SimulatedZaber
 
-_EAST: Final[Triple] = (1.0, 0.0, 0.0)
-_ALONG: Final[dict[Axis, Triple]] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+_ALONG: Final[dict[Axis, Triple]] = {"x": _X, "y": _Y, "z": _Z}
 # Mountings that point this axis of the sensor east.
-_MOUNTED: Final[dict[Axis, tuple[Triple, Triple, Triple]]] = {
-    "x": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    "y": ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-    "z": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)),
-}
+_MOUNTED: Final[dict[Axis, tuple[Triple, Triple, Triple]]] = {"x": (_X, _Y, _Z), "y": (_Z, _X, _Y), "z": (_Y, _Z, _X)}
 _TYPICAL_BIAS_DPS: Final = 0.02
 _TYPICAL_SCALE: Final = 1000e-6
 _SLIPS: Final = 0.02
@@ -264,7 +260,7 @@ class SimulatedLab(Laboratory):
         ]
         several = len(self.axes) > 1
         mounting = Mounting(
-            axes=tuple(_ALONG[axis] for axis in self.axes) if several else (_EAST,),
+            axes=tuple(_ALONG[axis] for axis in self.axes) if several else (_ALONG["x"],),
             mounting=_MOUNTED["x"] if several else _MOUNTED[self.axes[0]],
             **({"earth_rate_dps": 0.0} if several else {}),
         )

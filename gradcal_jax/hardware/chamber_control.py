@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from .clock import Clock
+from .clock import Clock, holding
 from .errors import Disconnected, HardwareError
 from .journal import JournalFull, event_fields
 from .roles import ChamberReading, TemperatureChamber
@@ -97,13 +97,8 @@ class ChamberControl:
     @contextmanager
     def _alone(self) -> Generator[bool, None, None]:
         """Exclusive access to the chamber; whether commands are still allowed."""
-        if not self._telling.acquire(blocking=False):
-            with self._clock.aside():
-                self._telling.acquire()
-        try:
+        with holding(self._telling, self._clock):
             yield not self._ended
-        finally:
-            self._telling.release()
 
     def hold(self, temperature_c: float) -> None:
         """Condition at a temperature, unless the chamber does so already."""

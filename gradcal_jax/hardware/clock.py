@@ -4,8 +4,10 @@ All waiting for chambers and tables is on a `Clock`, never by `time.sleep`. `Rea
 `simulate.virtual_clock`, for simulated devices only, skips the waiting.
 """
 
+import threading
 import time
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Generator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Protocol
 
 # Linux's monotonic clock stops while the computer sleeps and the devices continue; this one does not stop.
@@ -14,6 +16,19 @@ _RUNS_ON = getattr(time, "CLOCK_BOOTTIME", None)
 
 def _running_s() -> float:
     return time.monotonic() if _RUNS_ON is None else time.clock_gettime(_RUNS_ON)
+
+
+@contextmanager
+def holding(lock: threading.RLock, clock: "Clock") -> Generator[None, None, None]:
+    """Context that holds a lock. Waiting for it does not hold virtual time, because the thread that has the lock may
+    have to wait on the clock."""
+    if not lock.acquire(blocking=False):
+        with clock.aside():
+            lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 class Link:

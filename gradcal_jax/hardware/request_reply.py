@@ -7,11 +7,11 @@ repeated, commands are not (their driver reads back instead).
 
 import threading
 import time
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import TypeVar
 
-from .clock import Clock
+from .clock import Clock, holding
 from .errors import ChecksumError, FramingError, NotVerified, ReplyTimeout, printable
 from .framing import Framer
 from .transport import Transport
@@ -53,17 +53,9 @@ class Exchange:
         self._next_request_s = -float("inf")
         self._lock = threading.RLock()
 
-    @contextmanager
-    def alone(self) -> Generator[None, None, None]:
-        """Context with exclusive use of this line. Waiting for it does not hold virtual time, because the thread that
-        has the line may have to wait on the clock."""
-        if not self._lock.acquire(blocking=False):
-            with self.clock.aside():
-                self._lock.acquire()
-        try:
-            yield
-        finally:
-            self._lock.release()
+    def alone(self) -> AbstractContextManager[None]:
+        """Context with exclusive use of this line."""
+        return holding(self._lock, self.clock)
 
     def query(
         self,

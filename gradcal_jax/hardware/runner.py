@@ -139,9 +139,8 @@ class Runner:
         self.state = RunState.IDLE
         self._requests: deque[tuple[Request, str]] = deque()
         self._pause_first = False
-        self._chamber: ChamberControl | None = None
-        if self.bench.chamber is not None:
-            self._chamber = ChamberControl(self.bench.chamber, self.clock, self._event)
+        chamber = self.bench.chamber
+        self._chamber = None if chamber is None else ChamberControl(chamber, self.clock, self._event)
         latest_s, alone = self.interlocks.limits.latest_s, not self.bench.imus
         self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, self._drawn, keep_track=alone)
         self._imu_heard_s: dict[str, float] = {}

@@ -175,11 +175,8 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
         """Like `read`, with the clock's time of arrival."""
         try:
             self._set_timeout(timeout_s)
-            if self._silent and timeout_s > 0.0:
-                with self._clock.real_pace():
-                    data: bytes = self._port.read(1)
-            else:
-                data = self._port.read(1)
+            with self._clock.real_pace() if self._silent and timeout_s > 0.0 else contextlib.nullcontext():
+                data: bytes = self._port.read(1)
             self._silent = not data
             if data:
                 if self._is_socket:

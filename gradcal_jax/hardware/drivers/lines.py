@@ -17,7 +17,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, Literal
 
 from ... import units
@@ -48,6 +48,7 @@ _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _SETTLED_K = 2.0
 _POLL_S = 0.05
 _STOPS_AGAIN_S = 1.0
+_pattern = cache(reply_pattern)
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ class Codec:
         if not text.isprintable():
             raise FramingError(f"{self._protocol.title} answered {printable(frame)!r}, which is no text. Baud rate?")
         refusal = self._protocol.line.refusal
-        if refusal is not None and (match := reply_pattern(refusal).fullmatch(text)) is not None:
+        if refusal is not None and (match := _pattern(refusal).fullmatch(text)) is not None:
             code = match.groupdict().get("code", text)
             raise Rejected(f"{self._protocol.title} refuses: {text!r}. See its manual.", code=code, text=text)
         return text
@@ -142,7 +143,6 @@ class _Spoken(ExchangeDriver[LinesConfig]):
         super().__init__(exchange, config)
         self._protocol, self._title = config.described, config.described.title
         self._codec = Codec(config.described)
-        self._patterns: dict[str, re.Pattern[str]] = {}
 
     def identify(self) -> Identity:
         known = self._read("model", "serial", "firmware")
@@ -171,24 +171,19 @@ class _Spoken(ExchangeDriver[LinesConfig]):
                 # Devices do not refuse queries: it was damaged on its way, and is repeated.
                 raise FramingError(str(refused)) from None
             for reply in question.reply:
-                if (match := self._pattern(reply).fullmatch(text)) is not None:
+                if (match := _pattern(reply).fullmatch(text)) is not None:
                     fields.update(match.groupdict())
                     break
             else:
                 if question.last is None:
                     raise FramingError(f"{self._title} answered {question.send!r} by {text!r}. Is it that device?")
-            if question.last is not None and self._pattern(question.last).fullmatch(text) is None:
+            if question.last is not None and _pattern(question.last).fullmatch(text) is None:
                 raise NotThisReply
             if missing := set(question.fields) - set(fields):
                 raise FramingError(f"The reply to {question.send!r} has no {', '.join(sorted(missing))}.")
             return fields
 
         return self._exchange.query(self._codec.message(question.send, bare=question.bare), parse)
-
-    def _pattern(self, template: str) -> re.Pattern[str]:
-        if template not in self._patterns:
-            self._patterns[template] = reply_pattern(template)
-        return self._patterns[template]
 
     def _tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
         """Send the lines of a command; returns its values as text."""
@@ -201,7 +196,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
             if not command.reply:
                 self._exchange.write(message, pause_after_s=float(self._protocol.line.pause_after_command))
                 continue
-            reply = self._pattern(command.reply[min(number, len(command.reply) - 1)])
+            reply = _pattern(command.reply[min(number, len(command.reply) - 1)])
             self._exchange.query(
                 message,
                 lambda frame, text=text, reply=reply: self._acknowledged(frame, text, reply),

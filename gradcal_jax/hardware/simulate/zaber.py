@@ -45,7 +45,6 @@ class SimulatedZaber:
         self._clock = clock
         self._buffer = b""
         self._checksums = False
-        self.ignored_lines = 0
         turn = self.options.microsteps_per_turn
         self.stages = [_Stage(plant) for plant in plants]
         for number, stage in enumerate(self.stages):
@@ -69,11 +68,8 @@ class SimulatedZaber:
         replies: list[bytes] = []
         while (end := self._buffer.find(b"\n")) >= 0:
             line, self._buffer = self._buffer[:end].rstrip(b"\r"), self._buffer[end + 1 :]
-            start = line.rfind(b"/")
-            if start < 0:
-                self.ignored_lines += 1
-                continue
-            replies += self._line(line[start:])
+            if (start := line.rfind(b"/")) >= 0:
+                replies += self._line(line[start:])
         return replies
 
     def fault(self, flag: str, device: int = 1) -> None:
@@ -96,7 +92,6 @@ class SimulatedZaber:
     def _line(self, line: bytes) -> list[bytes]:
         if len(line) > 3 and line[-3:-2] == b":":
             if line[-2:] != b"%02X" % lrc_zaber(line[1:-3]):
-                self.ignored_lines += 1
                 return []
             line = line[:-3]
         match = _COMMAND.fullmatch(line.decode("latin-1"))

@@ -99,12 +99,10 @@ class SimulatedZaber:
         device, axis = int(match[1] or 0), int(match[2] or 0)
         number = "" if match[3] is None else f" {int(match[3]):02d}"
         words = match[4].strip()
-        chosen = range(1, len(self.stages) + 1) if device == 0 else [device]
         replies: list[bytes] = []
-        for address in chosen:
-            if not 1 <= address <= len(self.stages):
+        for address, stage in enumerate(self.stages, start=1):
+            if device not in (0, address):
                 continue
-            stage = self.stages[address - 1]
             # One time for the whole reply: a position read while the axis turned never comes with "IDLE".
             now = self._clock.now()
             accepted, data = (False, "BADAXIS") if axis > 1 else self._obey(stage, words, now)

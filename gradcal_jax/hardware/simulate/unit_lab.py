@@ -20,53 +20,31 @@ from .lab import Laboratory, basis_truth, processes_of
 from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth
 from .sensor import TruthBasis
-from .unit import (
-    ErrorTerm,
-    Kind,
-    Matrix,
-    ScaleFactors,
-    SimulatedUnit,
-    TableTruth,
-    TriadTruth,
-    UnitTruth,
-)
+from .unit import ErrorTerm, Kind, Matrix, ScaleFactors, SimulatedUnit, TableTruth, TriadTruth, UnitTruth
 
 _XYZ: Final = "xyz"
 # Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
 _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
-# Typical sizes for flat priors, SI.
-_TYPICAL: Final = {
-    "bias": np.radians(0.02),
-    "scale_factor": 1e-3,
-    "misalignment": 1e-3,
-    "g_sensitivity": np.radians(10.0) / 3600.0 / 9.8,
-    "g_squared": np.radians(0.1) / 3600.0 / 9.8**2,
-    "force_bias": 5e-3 * 9.8,
-    "second_order": 1e-4 / 9.8,
-    "third_order": 1e-5 / 9.8**2,
-}
-
-
 _OTHERS: Final = [["" if a == b else f"m_{b}" for b in _XYZ] for a in _XYZ]
-# The errors of each kind of sensor, in the order of their draws: section of the spec, typical size, factors, and names
-# of the coefficients by sensor axis, "" for none. The scale factor of gyros is M(T, ω).
-_ERRORS: Final[dict[Kind, tuple[tuple[str, str, str, list[list[str]]], ...]]] = {
+# The errors of each kind of sensor, in the order of their draws: section of the spec, size for a flat prior (SI),
+# factors, and names of the coefficients by sensor axis, "" for none. The scale factor of gyros is M(T, ω).
+_ERRORS: Final[dict[Kind, tuple[tuple[str, float, str, list[list[str]]], ...]]] = {
     "gyro": (
-        ("bias", "bias", "one", [["a"]] * 3),
-        ("scale_factor", "scale_factor", "", []),
-        ("misalignment", "misalignment", "inputs", _OTHERS),
-        ("g_sensitivity", "g_sensitivity", "force", [[f"g_{a}" for a in _XYZ]] * 3),
-        ("g_squared", "g_squared", "force squared", [[f"gg_{a}" for a in _XYZ]] * 3),
+        ("bias", np.radians(0.02), "one", [["a"]] * 3),
+        ("scale_factor", 1e-3, "", []),
+        ("misalignment", 1e-3, "inputs", _OTHERS),
+        ("g_sensitivity", np.radians(10.0) / 3600.0 / 9.8, "force", [[f"g_{a}" for a in _XYZ]] * 3),
+        ("g_squared", np.radians(0.1) / 3600.0 / 9.8**2, "force squared", [[f"gg_{a}" for a in _XYZ]] * 3),
     ),
     "accelerometer": (
-        ("bias", "force_bias", "one", [["a"]] * 3),
-        ("scale_factor", "scale_factor", "own", [["s"]] * 3),
-        ("misalignment", "misalignment", "inputs", _OTHERS),
-        ("second_order", "second_order", "own squared", [["k2"]] * 3),
-        ("third_order", "third_order", "own cubed", [["k3"]] * 3),
-        ("asymmetry", "scale_factor", "own size", [["asymmetry"]] * 3),
-        ("cross_coupling", "second_order", "products", [["k_xy", "k_xz", "k_yz"]] * 3),
+        ("bias", 5e-3 * 9.8, "one", [["a"]] * 3),
+        ("scale_factor", 1e-3, "own", [["s"]] * 3),
+        ("misalignment", 1e-3, "inputs", _OTHERS),
+        ("second_order", 1e-4 / 9.8, "own squared", [["k2"]] * 3),
+        ("third_order", 1e-5 / 9.8**2, "own cubed", [["k3"]] * 3),
+        ("asymmetry", 1e-3, "own size", [["asymmetry"]] * 3),
+        ("cross_coupling", 1e-4 / 9.8, "products", [["k_xy", "k_xz", "k_yz"]] * 3),
     ),
 }
 
@@ -88,7 +66,7 @@ class _Draws:
         for name, typical, factors, symbols in _ERRORS[kind]:
             section: Any = getattr(triad, name)
             if section is not None:
-                size = _TYPICAL[typical] if section.prior is None else float(section.prior)
+                size = typical if section.prior is None else float(section.prior)
                 if factors:
                     errors.append(self._term(kind, section, size, factors, symbols, triad.axes))
                 else:

@@ -27,10 +27,9 @@ from ..files.log import Finding, Log, Reason
 from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
 from ..files.unit_spec import UnitSpec
-from ..hardware.drivers.imu_common import STANDARD_GRAVITY, join
 from ..hardware.errors import HardwareError
 from ..hardware.journal import Chunk, Event, JournalContents
-from ..hardware.roles import ImuBatch, ImuDecoder
+from ..hardware.roles import STANDARD_GRAVITY, ImuBatch, ImuDecoder, join
 from ..hardware.run_folder import SESSION, RunFolder, exit_status, rig_as_run
 from ..hardware.setup import config_of, driver_of
 from ..hardware.stretches import breaks_off

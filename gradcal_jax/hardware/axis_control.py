@@ -11,6 +11,7 @@ rate. The allowed rate of an axis (`allowed`) follows from its commands, and `in
 import math
 from collections.abc import Callable, Mapping
 
+from .chamber_control import Tell
 from .clock import Clock
 from .errors import HardwareError
 from .journal import event_fields
@@ -28,8 +29,6 @@ _OFF_GOAL_DEG = 1.0
 _OFF_RATE, _OFF_RATE_DPS = 0.1, 3.0
 _OFF_READINGS = 3
 
-Tell = Callable[..., None]
-"""Writes an event: its name and what belongs to it."""
 Draw = Callable[[Mapping[str, float]], str]
 """How a unit stands when the axes are at these angles, deg."""
 
@@ -101,9 +100,8 @@ class AxisControl:
         """Bring axes to the starting angles of a step that does not follow another at once."""
         for name, position in start_deg.items():
             limits = self._limits_of(name)
-            endless = limits.lowest_deg is None and limits.highest_deg is None
             # An endless axis has no cable to wind up: the angle within one turn suffices.
-            goal = position % 360.0 if endless else position
+            goal = position % 360.0 if limits.travel_deg == (-math.inf, math.inf) else position
             if not self._stands_at(name, goal):
                 rate, acceleration = min(limits.max_rate_dps, 60.0), min(limits.max_acceleration_dps2, 60.0)
                 goes = AxisCommand(0.0, name, "go", position_deg=goal, rate_dps=rate, acceleration_dps2=acceleration)
@@ -222,11 +220,12 @@ class AxisControl:
             axis.move_to(goal, move.rate_dps, move.acceleration_dps2)
             self._goal_deg[name] = goal
             self._spinning.discard(name)
-            self._turning[name] = began + (move.duration_s if move.kind == "turn" else 0.0)
-            if name not in self._by_hand:
-                self._due_end_s[name] = self._turning[name] if move.kind == "turn" else math.inf
+            ends_s = began + (move.duration_s if move.kind == "turn" else 0.0)
             if name in self._by_hand:
-                self._planned_end_s[name], self._turning[name] = self._turning[name], began
+                self._planned_end_s[name], self._turning[name] = ends_s, began
+            else:
+                self._turning[name] = ends_s
+                self._due_end_s[name] = ends_s if move.kind == "turn" else math.inf
         elif move.kind == "spin":
             axis.spin(move.rate_dps, move.acceleration_dps2)
             self._spinning.add(name)

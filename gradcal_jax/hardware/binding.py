@@ -8,7 +8,7 @@ angles count from the axes' zeros, and the axes go to each stretch's starting an
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from ..files.recipe import Recipe
 from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove
@@ -30,22 +30,20 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
     `HardwareError` where an axis is missing.
     """
     names = _names(recipe, axes)
-    segments = recipe.chamber.programme
     blocks = {block.begins_with: block for block in recipe.motion}
+    stretches: list[tuple[MotionBlock | None, list[ChamberSegment]]] = []
+    for segment in recipe.chamber.programme:
+        block = blocks.get(segment.name)
+        if block is None and segment.used and stretches and stretches[-1][0] is not None:
+            stretches[-1][1].append(segment)
+        else:
+            stretches.append((block, [segment]))
     steps: list[TrackStep] = []
-    place = 0
-    while place < len(segments):
-        segment = segments[place]
-        if segment.name not in blocks:
-            steps.append(_unused(segment, recipe.stability, first=not steps))
-            place += 1
-            continue
-        last = place
-        while last + 1 < len(segments) and segments[last + 1].used and segments[last + 1].name not in blocks:
-            last += 1
-        stretch = segments[place : last + 1]
-        steps += _stretch(blocks[segment.name], stretch, recipe.stability, names, first=not steps)
-        place = last + 1
+    for block, segments in stretches:
+        if block is None:
+            steps.append(_unused(segments[0], recipe.stability, first=not steps))
+        else:
+            steps += _stretch(block, segments, recipe.stability, names, first=not steps)
     return Track(tuple(steps))
 
 
@@ -119,11 +117,8 @@ def _stretch(
     for number, piece in enumerate(pieces):
         end = piece.start_s + piece.duration_s
         target = [course for course in knees if course.start_s <= piece.start_s + 1e-6][-1]
-        later = tuple(
-            Course(course.start_s - piece.start_s, course.temperature_c, course.ramp_k_per_min)
-            for course in knees
-            if piece.start_s - 1e-6 <= course.start_s < end - 1e-6
-        )
+        inside = [course for course in knees if piece.start_s - 1e-6 <= course.start_s < end - 1e-6]
+        later = tuple(replace(course, start_s=course.start_s - piece.start_s) for course in inside)
         steps.append(
             TrackStep(
                 piece.name,

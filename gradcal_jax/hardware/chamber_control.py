@@ -1,18 +1,18 @@
 """The chamber in a run: its commands, its readings, and when its temperature counts as stable.
 
-The readings are compared with the recipe's own course of the air (`Expected`), because a chamber that accepts every
+The readings are compared with the recipe's own course of the air (`expected`), because a chamber that accepts every
 command and does nothing would agree with its own set point.
 """
 
-import itertools
 import math
 import threading
 from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
-from .clock import Clock
+import numpy as np
+
+from .clock import Clock, holding
 from .errors import Disconnected, HardwareError
 from .journal import JournalFull, event_fields
 from .roles import ChamberReading, TemperatureChamber
@@ -26,18 +26,8 @@ Tell = Callable[..., None]
 """Writes an event: its name and what belongs to it."""
 
 
-@dataclass(frozen=True)
-class _SoftRamp:
-    """A ramp by set points of the runner, for a controller without ramps."""
-
-    began_s: float
-    start_c: float
-    target_c: float
-    slope_k_per_s: float
-
-
-class Expected:
-    """The recipe's temperature of the air over time, linear between knots; constant after the last."""
+class AirCourse:
+    """A temperature of the air over time, linear between knots; constant after the last."""
 
     def __init__(self) -> None:
         self._knots: tuple[tuple[float, float], ...] = ()
@@ -53,7 +43,7 @@ class Expected:
         """A ramp from the course's temperature at that time, if that is known."""
         if not self._knots:
             return
-        start_c = self._at(from_s)
+        start_c = self.at(from_s)
         before = tuple(knot for knot in self._knots[-_KNOTS:] if knot[0] < from_s)
         reached_s = from_s + abs(target_c - start_c) / k_per_min * 60.0
         self._knots = (*before, (from_s, start_c), (reached_s, target_c))
@@ -63,16 +53,12 @@ class Expected:
         if not self._knots:
             return None
         inside = [value for time_s, value in self._knots if now_s - lag_s < time_s < now_s]
-        inside += [self._at(now_s - lag_s), self._at(now_s)]
+        inside += [self.at(now_s - lag_s), self.at(now_s)]
         return min(inside), max(inside)
 
-    def _at(self, time_s: float) -> float:
-        if time_s <= self._knots[0][0]:
-            return self._knots[0][1]
-        for (t0, a), (t1, b) in itertools.pairwise(self._knots):
-            if time_s < t1:
-                return a + (b - a) * (time_s - t0) / (t1 - t0)
-        return self._knots[-1][1]
+    def at(self, time_s: float) -> float:
+        times_s, values_c = zip(*self._knots, strict=True)
+        return float(np.interp(time_s, times_s, values_c))
 
 
 class ChamberControl:
@@ -86,10 +72,11 @@ class ChamberControl:
         self._telling = threading.RLock()
         self._ended = False
         self._history: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
-        self._soft: _SoftRamp | None = None
+        # A ramp by set points of the runner, for a controller without ramps, and its end.
+        self._soft: tuple[AirCourse, float] | None = None
         self._next_soft_s = 0.0
         self._held_c: float | None = None
-        self.expected = Expected()
+        self.expected = AirCourse()
         self.newest: ChamberReading | None = None
 
     def heard(self, reading: ChamberReading) -> None:
@@ -110,13 +97,8 @@ class ChamberControl:
     @contextmanager
     def _alone(self) -> Generator[bool, None, None]:
         """Exclusive access to the chamber; whether commands are still allowed."""
-        if not self._telling.acquire(blocking=False):
-            with self._clock.aside():
-                self._telling.acquire()
-        try:
+        with holding(self._telling, self._clock):
             yield not self._ended
-        finally:
-            self._telling.release()
 
     def hold(self, temperature_c: float) -> None:
         """Condition at a temperature, unless the chamber does so already."""
@@ -151,10 +133,11 @@ class ChamberControl:
                 rate = self.chamber.ramp(course.temperature_c, course.ramp_k_per_min)
                 self._event("chamber told", **command, k_per_min=rate)
                 return
-            start = self.chamber.read().setpoint_c
-            slope = math.copysign(course.ramp_k_per_min / 60.0, course.temperature_c - start)
+            soft, start_c = AirCourse(), self.chamber.read().setpoint_c
             self._next_soft_s = self._clock.now()
-            self._soft = _SoftRamp(self._next_soft_s, start, course.temperature_c, slope)
+            soft.stands(self._next_soft_s, start_c)
+            soft.ramps(self._next_soft_s, course.temperature_c, course.ramp_k_per_min)
+            self._soft = soft, course.temperature_c
             self._event("chamber told", **command, k_per_min=course.ramp_k_per_min, by="steps of the runner")
 
     def step_soft_ramp(self) -> None:
@@ -165,14 +148,14 @@ class ChamberControl:
                     self._step_soft_ramp()
 
     def _step_soft_ramp(self) -> None:
-        ramp, now = self._soft, self._clock.now()
-        if ramp is None or now < self._next_soft_s:
+        now = self._clock.now()
+        if self._soft is None or now < self._next_soft_s:
             return
-        reached = ramp.start_c + ramp.slope_k_per_s * (now - ramp.began_s)
-        reached = min(reached, ramp.target_c) if ramp.slope_k_per_s > 0.0 else max(reached, ramp.target_c)
-        self.chamber.hold(reached)
-        if reached == ramp.target_c:
-            self._soft, self._held_c = None, ramp.target_c
+        ramp, target_c = self._soft
+        reached_c = ramp.at(now)
+        self.chamber.hold(reached_c)
+        if reached_c == target_c:
+            self._soft, self._held_c = None, target_c
         self._next_soft_s = now + _SOFT_STEP_S
 
     def watch(self, every_s: float, watching: threading.Event, failed: Callable[[str], None]) -> None:
@@ -213,11 +196,8 @@ class ChamberControl:
         """The newest temperature, if it has been stable for the required time; else None."""
         with self._lock:
             readings = list(self._history)
-        lowest = highest = temperature_c
-        for place in range(len(readings) - 1, -1, -1):
-            time_s, value = readings[place]
-            if place == len(readings) - 1:
-                lowest = highest = value
+        lowest, highest = math.inf, -math.inf
+        for time_s, value in reversed(readings):
             lowest, highest = min(lowest, value), max(highest, value)
             if abs(value - temperature_c) > wanted.band_k or highest - lowest > wanted.band_k:
                 return None

@@ -4,8 +4,10 @@ All waiting for chambers and tables is on a `Clock`, never by `time.sleep`. `Rea
 `simulate.virtual_clock`, for simulated devices only, skips the waiting.
 """
 
+import threading
 import time
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Generator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Protocol
 
 # Linux's monotonic clock stops while the computer sleeps and the devices continue; this one does not stop.
@@ -16,14 +18,27 @@ def _running_s() -> float:
     return time.monotonic() if _RUNS_ON is None else time.clock_gettime(_RUNS_ON)
 
 
-class Link(Protocol):
-    """Accounts for the bytes on their way over one line, so that virtual time does not overtake them."""
+@contextmanager
+def holding(lock: threading.RLock, clock: "Clock") -> Generator[None, None, None]:
+    """Context that holds a lock. Waiting for it does not hold virtual time, because the thread that has the lock may
+    have to wait on the clock."""
+    if not lock.acquire(blocking=False):
+        with clock.aside():
+            lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+class Link:
+    """Accounts for the bytes on their way over one line, so that virtual time does not overtake them. On real time
+    there is nothing to account for."""
 
     def change(
         self, *, to_device: int = 0, to_host: int = 0, attached: bool | None = None, host_is_there: bool = False
     ) -> None:
         """Add to the bytes under way (negative: they arrived), or note that the host opened or left the line."""
-        ...
 
 
 class Clock(Protocol):
@@ -54,13 +69,6 @@ class Clock(Protocol):
     def link(self, url: str) -> Link: ...
 
 
-class _NoAccount:
-    """A link on real time: nothing to account for."""
-
-    def change(self, **_: object) -> None:
-        pass
-
-
 class RealClock:
     """The computer's monotonic clock: steps of the wall clock do not change it, and it includes the computer's sleep.
 
@@ -69,7 +77,7 @@ class RealClock:
     """
 
     def __init__(self, *, speed: float = 1.0) -> None:
-        self._link = _NoAccount()
+        self._link = Link()
         self._speed = speed
 
     def now(self) -> float:

@@ -58,10 +58,6 @@ class Rejected(HardwareError):
 class DeviceFault(HardwareError):
     """The device reports an alarm, a limit, an emergency stop or a failed self-test."""
 
-    def __init__(self, message: str, *, codes: tuple[str, ...] = ()) -> None:
-        Exception.__init__(self, message)
-        self.codes = codes
-
 
 class NotVerified(HardwareError):
     """A command was sent, and the read-back shows that it did not take effect."""

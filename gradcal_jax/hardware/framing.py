@@ -5,7 +5,6 @@ of a single device (datagrams, packets) are beside its codec; this module has th
 """
 
 from abc import ABC, abstractmethod
-from typing import Protocol
 
 from .checksums import crc16_modbus
 
@@ -13,20 +12,8 @@ from .checksums import crc16_modbus
 _SHORTEST_TCP, _LONGEST_TCP = 3, 254
 
 
-class Framer(Protocol):
-    """Cuts a stream into frames."""
-
-    def push(self, data: bytes) -> list[bytes]:
-        """Take the next bytes; return the frames that are now complete."""
-        ...
-
-    def reset(self) -> None:
-        """Drop an unfinished frame, after a time-out or when a port is opened again."""
-        ...
-
-
-class BufferedFramer:
-    """The base of all framers; `pending` are the bytes of the unfinished frame."""
+class Framer(ABC):
+    """Cuts a stream into frames; `pending` are the bytes of the unfinished frame."""
 
     def __init__(self) -> None:
         self._buffer: bytes = b""
@@ -35,11 +22,16 @@ class BufferedFramer:
     def pending(self) -> bytes:
         return self._buffer
 
+    @abstractmethod
+    def push(self, data: bytes) -> list[bytes]:
+        """Take the next bytes; return the frames that are now complete."""
+
     def reset(self) -> None:
+        """Drop an unfinished frame, after a time-out or when a port is opened again."""
         self._buffer = b""
 
 
-class LineFramer(BufferedFramer):
+class LineFramer(Framer):
     """Text lines that end at `terminator`, which is not part of the frame; None: at CR, LF or both, for devices where
     this is a setting. Empty lines are dropped, unless `keep_empty`.
 
@@ -68,7 +60,7 @@ class LineFramer(BufferedFramer):
         return [line for line in lines if (line or self._keep_empty) and len(line) <= self._longest]
 
 
-class LengthFramer(BufferedFramer, ABC):
+class LengthFramer(Framer):
     """Frames whose head gives their length. Bytes where no frame begins are noise: dropped one by one, and counted."""
 
     def __init__(self) -> None:

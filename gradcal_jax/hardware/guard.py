@@ -20,8 +20,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Generator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -151,17 +151,12 @@ class Guard:
             self._input.write(line.encode() + b"\n")
 
 
-@contextmanager
-def guarded(folder: Path) -> Generator[Guard, None, None]:
+def guarded(folder: Path) -> closing[Guard]:
     """Context in which a guard watches this process. The guard ignores Ctrl-C, which the run handles.
 
     The ports must be opened inside and closed before the end: then the guard can take over.
     """
-    guard = Guard(folder)
-    try:
-        yield guard
-    finally:
-        guard.close()
+    return closing(Guard(folder))
 
 
 # ------------------------------------------------------------------------------------------------- the guard's process

@@ -24,6 +24,7 @@ import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -101,7 +102,7 @@ class JournalContents:
                 yield record
 
 
-class Journal:
+class Journal(AbstractContextManager["Journal"]):
     """Append to a journal file, from any thread."""
 
     def __init__(self, path: Path, *, sync_every_s: float = 1.0) -> None:
@@ -159,9 +160,6 @@ class Journal:
             self._closing = True
             self._change.notify_all()
         self._writer.join()
-
-    def __enter__(self) -> "Journal":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -1,12 +1,11 @@
 """The attitude of a whole unit as a drawing in text for the operator: which of its axes point where."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.recipe import Recipe
 from ..files.unit_spec import UnitSpec
 
 Numbers = NDArray[np.float64]
@@ -16,15 +15,8 @@ _NAMED: Final = np.sin(np.radians(22.5))
 _WORLD: Final = {"up": (0.0, 0.0, 1.0), "east": (1.0, 0.0, 0.0), "north": (0.0, 1.0, 0.0)}
 
 
-def drawing_of(recipe: Recipe) -> Callable[[Mapping[str, float], int], str] | None:
-    """The drawing of a unit at angles (deg) of its table's axes, by name, in a mounting (its number, from 1); None for
-    a recipe that is not of a whole unit."""
-    spec = recipe.spec
-    return (lambda angles, mounting: drawn(spec, angles, mounting)) if isinstance(spec, UnitSpec) else None
-
-
 def drawn(spec: UnitSpec, angles_deg: Mapping[str, float], mounting: int) -> str:
-    """Seen from the south:
+    """A unit at these angles of its table's axes, by name, in a mounting (its number, from 1), seen from the south:
 
     ``  up: body +z``
     ``  |  north: body between +y and -x``

@@ -7,16 +7,21 @@ repeated, commands are not (their driver reads back instead).
 
 import threading
 import time
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import TypeVar
 
-from .clock import Clock
+from .clock import Clock, holding
 from .errors import ChecksumError, FramingError, NotVerified, ReplyTimeout, printable
 from .framing import Framer
 from .transport import Transport
 
 Reply = TypeVar("Reply")
+
+# The silence (real time) that ends a disturbed conversation.
+_SETTLE_S = 0.05
+_TRIES = 3
+_BETWEEN_LOOKS_S = 0.2
 
 
 class NotThisReply(Exception):
@@ -27,7 +32,7 @@ class Exchange:
     """One conversation at a time on a port. Thread-safe; several devices of one port share one exchange.
 
     `min_interval_s` is the device's least time between the starts of two requests, on the run's clock;
-    `reply_timeout_s` is real time; `settle_s` is the silence (real time) that ends a disturbed conversation.
+    `reply_timeout_s` is real time.
     """
 
     def __init__(
@@ -38,9 +43,6 @@ class Exchange:
         device: str,
         reply_timeout_s: float,
         min_interval_s: float = 0.0,
-        *,
-        settle_s: float = 0.05,
-        tries: int = 3,
     ) -> None:
         self.transport = transport
         self.clock = clock
@@ -48,22 +50,12 @@ class Exchange:
         self._framer = framer
         self._reply_timeout_s = reply_timeout_s
         self._min_interval_s = min_interval_s
-        self._settle_s = settle_s
-        self._tries = tries
         self._next_request_s = -float("inf")
         self._lock = threading.RLock()
 
-    @contextmanager
-    def alone(self) -> Generator[None, None, None]:
-        """Context with exclusive use of this line. Waiting for it does not hold virtual time, because the thread that
-        has the line may have to wait on the clock."""
-        if not self._lock.acquire(blocking=False):
-            with self.clock.aside():
-                self._lock.acquire()
-        try:
-            yield
-        finally:
-            self._lock.release()
+    def alone(self) -> AbstractContextManager[None]:
+        """Context with exclusive use of this line."""
+        return holding(self._lock, self.clock)
 
     def query(
         self,
@@ -81,16 +73,16 @@ class Exchange:
         usual interval to the next request.
         """
         with self.alone():
-            tries = self._tries if repeat else 1
+            tries = _TRIES if repeat else 1
             for attempt in range(1, tries + 1):
                 try:
                     reply = self._once(request, parse, reply_timeout_s or self._reply_timeout_s, pause_after_s)
                     if attempt > 1:
                         # The reply was a late one to an earlier try, and the one to this try is still to come.
-                        self.transport.drain(self._settle_s)
+                        self.transport.drain(_SETTLE_S)
                     return reply
                 except (ReplyTimeout, FramingError):
-                    self.transport.drain(self._settle_s)
+                    self.transport.drain(_SETTLE_S)
                     if attempt == tries:
                         raise
             raise AssertionError("unreachable: the last try returns or raises")
@@ -152,32 +144,30 @@ def command_and_verify(
     *,
     what: str,
     clock: Clock,
-    tries: int = 3,
-    pause_s: float = 0.2,
     looks: int = 3,
 ) -> Reply:
     """Command, then read back until the read-back shows it; no other function repeats a command.
 
-    `send` is repeated only after `looks` read-backs, `pause_s` of the run's clock apart, have shown that it did not
+    `send` is repeated only after `looks` read-backs, some time of the run's clock apart, have shown that it did not
     take effect: a lost acknowledgement alone repeats nothing. A refusal by the device is raised at once.
 
     Raises:
-        NotVerified: after `tries` commands the read-back still differs; `what` names the command for the message.
+        NotVerified: after three commands the read-back still differs; `what` names the command for the message.
     """
     seen: Reply | None = None
     unanswered = ""
-    for _ in range(tries):
+    for _ in range(_TRIES):
         try:
             send()
         except (ReplyTimeout, FramingError) as problem:
             unanswered = f" ({problem})"
         for look in range(looks):
             if look:
-                clock.sleep(pause_s)
+                clock.sleep(_BETWEEN_LOOKS_S)
             seen = read()
             if shows(seen):
                 return seen
     raise NotVerified(
-        f"{what} was sent {tries} times and the read-back still says {seen!r}{unanswered}. "
+        f"{what} was sent {_TRIES} times and the read-back still says {seen!r}{unanswered}. "
         "Look at the device's own display: it may be in local mode, locked, or limited."
     )

@@ -5,6 +5,8 @@ fields everywhere. Units are in the names: temperatures in °C (`_c`), angles in
 (`_dps`).
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol, runtime_checkable
@@ -13,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .settings import KeptSettings
+
+STANDARD_GRAVITY = 9.80665  # m/s² in one g of every data sheet here
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,12 @@ class AxisLimits:
     hardware_watchdog: bool
     by_hand: bool = False
 
+    @property
+    def travel_deg(self) -> tuple[float, float]:
+        """The ends of the travel, infinite where there are none."""
+        lowest = -math.inf if self.lowest_deg is None else self.lowest_deg
+        return lowest, math.inf if self.highest_deg is None else self.highest_deg
+
 
 @dataclass(frozen=True)
 class AxisReading:
@@ -209,6 +219,25 @@ class ImuBatch:
 
     def __len__(self) -> int:
         return self.host_time_s.shape[0]
+
+
+def join(batches: Sequence[ImuBatch]) -> ImuBatch:
+    """One batch of several; an empty one of none."""
+    if not batches:
+        return ImuBatch(
+            host_time_s=np.zeros(0),
+            device_time_s=np.zeros(0),
+            gyro_dps=np.zeros((0, 3)),
+            acceleration_g=np.zeros((0, 3)),
+            temperature_c=np.zeros((0, 3)),
+            raw_gyro=np.zeros((0, 3), np.int32),
+            status=np.zeros(0, np.int64),
+            gap_before=np.zeros(0, np.int64),
+            disturbed=np.zeros(0, np.bool_),
+            restarted=np.zeros(0, np.bool_),
+        )
+    names = ImuBatch.__dataclass_fields__
+    return ImuBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names})
 
 
 class ImuDecoder(Protocol):

@@ -24,8 +24,9 @@ from ..files.rig import RigFile, read_rig, rig_of
 from ..files.writing import write_toml, write_whole
 from .binding import track_of
 from .errors import HardwareError, WrongIdentity
-from .journal import Event, Journal, JournalContents, read_journal
+from .journal import Journal, JournalContents, read_journal
 from .setup import Bench, check_rig
+from .track import Track
 
 FORMAT: Final = "gradcal-run/1"
 SESSION: Final = "session"
@@ -68,6 +69,10 @@ class RunFolder:
         if not isinstance(notes, dict) or notes.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
             raise RunFolderError(f"{self.path} holds no {FORMAT}; it may be of another version.")
         return notes  # pyright: ignore[reportUnknownVariableType]
+
+    def track(self, recipe: Recipe | None = None) -> Track:
+        """The track of the newest recipe, or of another one, on the run's rig."""
+        return track_of(recipe or self.recipe(), [axis.name for axis in self.rig().axis])
 
     def contents(self) -> JournalContents:
         """The journal as far as it is sound."""
@@ -165,13 +170,8 @@ def mounting_of(contents: JournalContents) -> int:
 
 def exit_status(contents: JournalContents) -> str:
     """The last session's exit status: "success", "stopped", "aborted", or "lost" where the journal has no end."""
-    status = "lost"
-    for event in contents.events:
-        if event.name == SESSION:
-            status = "lost"
-        elif event.name == "end":
-            status = str(event.data.get("exit_status", "lost"))
-    return status
+    ends = [event for event in contents.events if event.name in (SESSION, "end")]
+    return str(ends[-1].data.get("exit_status", "lost")) if ends and ends[-1].name == "end" else "lost"
 
 
 def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
@@ -219,10 +219,8 @@ def _differences(then: Any, now: Any, key: str = "") -> list[str]:
 
 def require_same_devices(bench: Bench, contents: JournalContents) -> None:
     """Compare the devices with those at the beginning of the run. Raises `WrongIdentity`."""
-    known: dict[str, Event] = {}
-    for event in contents.events:
-        if event.name == "identity":
-            known.setdefault(str(event.data["device"]), event)
+    # Of several sessions the first counts.
+    known = {str(event.data["device"]): event for event in reversed(contents.events) if event.name == "identity"}
     for report in check_rig(bench):
         if report.problem:
             raise HardwareError(report.problem)

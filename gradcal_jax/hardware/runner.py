@@ -139,9 +139,8 @@ class Runner:
         self.state = RunState.IDLE
         self._requests: deque[tuple[Request, str]] = deque()
         self._pause_first = False
-        self._chamber: ChamberControl | None = None
-        if self.bench.chamber is not None:
-            self._chamber = ChamberControl(self.bench.chamber, self.clock, self._event)
+        chamber = self.bench.chamber
+        self._chamber = None if chamber is None else ChamberControl(chamber, self.clock, self._event)
         latest_s, alone = self.interlocks.limits.latest_s, not self.bench.imus
         self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, self._drawn, keep_track=alone)
         self._imu_heard_s: dict[str, float] = {}
@@ -433,9 +432,7 @@ class Runner:
         ready = step.ready or (step.again if again else None)
         chamber, at_c = self._chamber, step.begins_c
         if chamber is not None and at_c is not None and ready is not None:
-            chamber.expected.unknown()
-            chamber.hold(at_c)
-            self._await(step, chamber, at_c, ready)
+            self._stabilise(step, chamber, at_c, ready)
             chamber.expected.stands(self.clock.now(), at_c)
         if chamber is not None and step.temperature_c is not None:
             course = Course(0.0, step.temperature_c, step.ramp_k_per_min)
@@ -451,9 +448,7 @@ class Runner:
         self._axes.go_to_start(step.name, dict.fromkeys(step.start_deg, 0.0), self._duties)
         ready = step.again or step.ready
         if chamber is not None and ready is not None:
-            chamber.expected.unknown()
-            chamber.hold(_FOR_HANDS_C)
-            self._await(step, chamber, _FOR_HANDS_C, ready)
+            self._stabilise(step, chamber, _FOR_HANDS_C, ready)
         console.ask(f"hang the units so: {step.hang}; press Enter when they hang:")
         try:
             while console.answer() is None:
@@ -464,7 +459,9 @@ class Runner:
         self.mounting = step.mounting
         self._event("hung", step=step.name, mounting=step.mounting, how=step.hang)
 
-    def _await(self, step: TrackStep, chamber: ChamberControl, at_c: float, ready: Stable) -> None:
+    def _stabilise(self, step: TrackStep, chamber: ChamberControl, at_c: float, ready: Stable) -> None:
+        chamber.expected.unknown()
+        chamber.hold(at_c)
         began = self.clock.now()
         while (value := chamber.stable_at(at_c, ready)) is None:
             self._duties()

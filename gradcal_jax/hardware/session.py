@@ -14,13 +14,14 @@ from functools import partial
 from types import FrameType
 
 from ..files.rig import RigFile
+from ..files.unit_spec import UnitSpec
 from .binding import track_of
 from .clock import Clock
 from .errors import HardwareError
 from .guard import BEAT_S, Guard, guarded
 from .interlocks import InterlockLimits, Interlocks, standard_rules
 from .journal import Journal, Recorder
-from .pose import drawing_of
+from .pose import drawn
 from .run_folder import RunFolder, begin_session, mounting_of, require_same_devices, sessions
 from .runner import Runner, RunProgress, RunResult, RunState
 from .setup import open_rig
@@ -99,7 +100,7 @@ def run_session(
             wait_when_paused=wait_when_paused,
             first_step=first_step,
             mounting=0 if resumed is None else mounting_of(resumed),
-            draw=drawing_of(recipe),
+            draw=partial(drawn, recipe.spec) if isinstance(recipe.spec, UnitSpec) else None,
         )
         if with_runner is not None:
             with_runner(runner)

@@ -10,7 +10,7 @@ import importlib
 import types
 import typing
 from collections.abc import Callable, Collection, Mapping
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from typing import Any, Final, Literal
@@ -241,7 +241,7 @@ def _devices(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], Device]]:
 
 
 @dataclass
-class Bench:
+class Bench(AbstractContextManager["Bench"]):
     """The open devices of a rig. Closing it closes every port; it does not make anything safe (see `safety`)."""
 
     rig: RigFile
@@ -267,9 +267,6 @@ class Bench:
 
     def close(self) -> None:
         self._ports.close()
-
-    def __enter__(self) -> "Bench":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 from ..files.recipe import Recipe
 from ..files.writing import write_toml, write_whole
-from .binding import track_of
 from .journal import Event, JournalContents
 from .run_folder import SESSION, RunFolder, RunFolderError, exit_status, prepare_resume, steps_done
 from .track import Track
@@ -81,7 +80,7 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
 
 def stretches_of(folder: RunFolder) -> list[StretchDone]:
     """The completed stretches of a run's newest recipe."""
-    return stretches_done(folder.contents(), track_of(folder.recipe(), _axes(folder)), len(folder.recipes()) - 1)
+    return stretches_done(folder.contents(), folder.track(), len(folder.recipes()) - 1)
 
 
 def goes_on_at(folder: RunFolder) -> float:
@@ -89,8 +88,7 @@ def goes_on_at(folder: RunFolder) -> float:
     contents, done = folder.contents(), stretches_of(folder)
     if done and exit_status(contents) == "lost":
         return done[-1].end_s
-    steps = track_of(folder.recipe(), _axes(folder)).steps
-    return sum(step.duration_s for step in steps[: steps_done(contents, len(folder.recipes()) - 1)])
+    return sum(step.duration_s for step in folder.track().steps[: steps_done(contents, len(folder.recipes()) - 1)])
 
 
 def _until(part: StretchDone, end_s: float) -> StretchDone:
@@ -112,14 +110,10 @@ def adopt(folder: RunFolder, recipe: Recipe) -> None:
             f"The recipe does not go on from where the run in {folder.path} stands: make it by "
             f"`gradcal replan {folder.path}`."
         )
-    track_of(recipe, _axes(folder))
+    folder.track(recipe)
     names = folder.recipes()
     name = f"recipe-{len(names) + 1}.toml"
     write_toml(recipe, folder.path / name)
     # Atomic: until this file is there, the run uses the recipe before.
     notes = folder.notes() | {"recipe": recipe.fingerprint, "recipes": [*names, name]}
     write_whole(folder.path / "run.json", json.dumps(notes, indent=2) + "\n")
-
-
-def _axes(folder: RunFolder) -> list[str]:
-    return [axis.name for axis in folder.rig().axis]

@@ -57,8 +57,7 @@ class StatusFile:
 
     def show(self, progress: RunProgress) -> None:
         """The progress of the run."""
-        status = asdict(progress)
-        self._put({**status, "state": progress.state.value})
+        self._put({**asdict(progress), "state": progress.state.value})
 
     def end(self, result: RunResult) -> None:
         """How the run ended."""

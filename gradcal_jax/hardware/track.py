@@ -186,8 +186,7 @@ def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str
         problems.append(
             f"accelerates at {move.acceleration_dps2:g} deg/s²; it accepts up to {limits.max_acceleration_dps2:g}."
         )
-    lowest = -math.inf if limits.lowest_deg is None else limits.lowest_deg
-    highest = math.inf if limits.highest_deg is None else limits.highest_deg
+    lowest, highest = limits.travel_deg
     if move.kind in ("go", "turn") and not lowest - 1e-6 <= goal <= highest + 1e-6:
         problems.append(f"goes to {goal:g} deg; its travel is {lowest:g} to {highest:g} deg.")
     if move.kind == "spin" and limits.by_hand:

@@ -28,6 +28,7 @@ else:
 
 Parity = Literal["N", "E", "O"]
 _MOST = 65536  # bytes read at once
+_WRITE_TIMEOUT_S = 2.0
 
 
 class PortLock:
@@ -96,7 +97,7 @@ def _share(handle: int, mode: int) -> None:
         os.fchmod(handle, mode)
 
 
-class Transport:
+class Transport(contextlib.AbstractContextManager["Transport"]):
     """Bytes to and from one port.
 
     `url` is a device path, `COM3`, or any URL of `serial.serial_for_url`, such as `socket://192.168.0.7:10001`.
@@ -114,7 +115,6 @@ class Transport:
         parity: Parity = "N",
         stopbits: int = 1,
         terminator: bytes = b"",
-        write_timeout_s: float = 2.0,
         recorder: Recorder | None = None,
     ) -> None:
         self.url = url
@@ -125,7 +125,7 @@ class Transport:
         try:
             port: Any = serial.serial_for_url(url, do_not_open=True)
             port.baudrate, port.bytesize, port.parity, port.stopbits = baudrate, bytesize, parity, stopbits
-            port.timeout, port.write_timeout = 0.1, write_timeout_s
+            port.timeout, port.write_timeout = 0.1, _WRITE_TIMEOUT_S
             if "://" not in url:
                 port.exclusive = True
             port.open()
@@ -160,7 +160,7 @@ class Transport:
             self._port.write(data)
         except serial.SerialTimeoutException:
             raise Disconnected(
-                f"The port {self.url} takes no bytes: {len(data)} waited {self._port.write_timeout} s to be written. "
+                f"The port {self.url} takes no bytes: {len(data)} waited {_WRITE_TIMEOUT_S} s to be written. "
                 "Check flow control and that the device is on."
             ) from None
         except (serial.SerialException, OSError, TypeError) as problem:
@@ -175,11 +175,8 @@ class Transport:
         """Like `read`, with the clock's time of arrival."""
         try:
             self._set_timeout(timeout_s)
-            if self._silent and timeout_s > 0.0:
-                with self._clock.real_pace():
-                    data: bytes = self._port.read(1)
-            else:
-                data = self._port.read(1)
+            with self._clock.real_pace() if self._silent and timeout_s > 0.0 else contextlib.nullcontext():
+                data: bytes = self._port.read(1)
             self._silent = not data
             if data:
                 if self._is_socket:
@@ -217,9 +214,6 @@ class Transport:
         with contextlib.suppress(serial.SerialException, OSError):
             self._port.close()
         self._lock.release()
-
-    def __enter__(self) -> "Transport":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

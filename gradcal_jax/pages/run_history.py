@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.journal import Event
 from gradcal_jax.hardware.run_folder import SESSION, RunFolder, exit_status, sessions, steps_done
 from gradcal_jax.hardware.track import AxisCommand
@@ -115,7 +114,7 @@ def history_of(folder: RunFolder) -> RunHistory:
 
 def _plan_clock(folder: RunFolder, events: list[tuple[float, Event]]) -> Callable[[float], float]:
     """The plan's time as a function of the run's: parallel within a step; negative before the first step."""
-    steps = track_of(folder.recipe(), [axis.name for axis in folder.rig().axis]).steps
+    steps = folder.track().steps
     planned = np.concatenate([[0.0], np.cumsum([step.duration_s for step in steps])])
     begun = [
         (time - event.time_s + float(event.data["begins_s"]), int(event.data["number"]))

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from gradcal_jax.decoding.counter_wraps import Doubt, wraps_resolved
 from gradcal_jax.hardware import checksums
-from gradcal_jax.hardware.drivers.imu_common import GapCounter, join
-from gradcal_jax.hardware.drivers.stim300_datagrams import Stim300Decoder
-from gradcal_jax.hardware.roles import ImuBatch
+from gradcal_jax.hardware.drivers.stim300_datagrams import GapCounter, Stim300Decoder
+from gradcal_jax.hardware.roles import ImuBatch, join
 
 SAMPLE_S = 0.008
 ROUND = 16

@@ -23,7 +23,6 @@ from simulated_devices.odrive import ODriveOptions, SimulatedODrive
 
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers import odrive
-from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.drivers.lines import LinesConfig
 from gradcal_jax.hardware.drivers.odrive import ODriveConfig
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config, Stim300Stream
@@ -40,7 +39,7 @@ from gradcal_jax.hardware.errors import (
     Rejected,
     ReplyTimeout,
 )
-from gradcal_jax.hardware.roles import AxisSafe, ImuBatch, ImuStream, MotionAxis
+from gradcal_jax.hardware.roles import AxisSafe, ImuBatch, ImuStream, MotionAxis, join
 from gradcal_jax.hardware.setup import DRIVERS
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort

@@ -8,8 +8,8 @@ import pytest
 from hardware_bench import sensor_on_table, stim300_bench
 
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
+from gradcal_jax.hardware.roles import join
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, Mounting, Process, SensorTruth, TruthBasis
 from gradcal_jax.hardware.simulate.stim300 import Stim300Options

@@ -25,11 +25,11 @@ from simulated_devices.faults import FAULTS, Faults
 
 from gradcal_jax.hardware import checksums
 from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, watlow_f4, weiss, zaber
-from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.drivers.stim300_datagrams import Stim300Decoder
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, NotVerified
 from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer
 from gradcal_jax.hardware.request_reply import NotThisReply
+from gradcal_jax.hardware.roles import join
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 HERE = "tests/hardware/test_faults_in_figures.py"

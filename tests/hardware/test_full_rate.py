@@ -32,8 +32,8 @@ from gradcal_jax.files.rig import read_rig, rig_of
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.journal import Journal, read_journal
+from gradcal_jax.hardware.roles import join
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import DRIVERS, config_of, open_rig

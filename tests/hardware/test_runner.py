@@ -15,10 +15,9 @@ from hardware_bench import Rig
 from simulated_devices.faults import Faults
 
 from gradcal_jax.decoding.clockmap import fit_clock
-from gradcal_jax.hardware.drivers.imu_common import join
 from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
-from gradcal_jax.hardware.roles import ChamberLimits
+from gradcal_jax.hardware.roles import ChamberLimits, join
 from gradcal_jax.hardware.runner import WAYS, Runner, RunProgress, RunState
 from gradcal_jax.hardware.session import signals_to
 from gradcal_jax.hardware.setup import open_rig

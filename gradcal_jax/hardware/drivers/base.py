@@ -4,8 +4,9 @@ from abc import ABC, abstractmethod
 from collections import deque
 from typing import Generic, TypeVar
 
+from ..errors import LimitExceeded
 from ..request_reply import Exchange
-from ..roles import ChamberReading, ChamberSafe, SafeReport
+from ..roles import ChamberLimits, ChamberReading, ChamberSafe, SafeReport
 
 Config = TypeVar("Config")
 _OVER_S = 0.4
@@ -35,6 +36,12 @@ class ImuDriver(ExchangeDriver[Config]):
 class ChamberDriver(ExchangeDriver[Config], ABC):
     """A chamber, whose safe state is verified by its read-back."""
 
+    _BOUNDS: str
+    """What the limits `low` and `high` of a set point are, and what to do about them."""
+
+    @abstractmethod
+    def limits(self) -> ChamberLimits: ...
+
     @abstractmethod
     def read(self) -> ChamberReading: ...
 
@@ -45,8 +52,14 @@ class ChamberDriver(ExchangeDriver[Config], ABC):
     def standby(self) -> None: ...
 
     @abstractmethod
-    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
-        """The set point of a policy that holds the chamber, °C, within its limits."""
+    def _air_c(self) -> float: ...
+
+    def _check(self, temperature_c: float) -> None:
+        limits = self.limits()
+        if not limits.lowest_c <= temperature_c <= limits.highest_c:
+            device = self._exchange.device
+            bounds = self._BOUNDS.format(low=limits.lowest_c, high=limits.highest_c, device=device)
+            raise LimitExceeded(f"{temperature_c:.1f} degC lies outside {bounds}")
 
     def _evidence(self, reading: ChamberReading) -> str:
         return f"mode {reading.mode}, set point {reading.setpoint_c} degC"
@@ -55,7 +68,9 @@ class ChamberDriver(ExchangeDriver[Config], ABC):
         if policy is ChamberSafe.STANDBY:
             self.standby()
         else:
-            self.hold(self._kept_c(policy, ambient_c))
+            limits = self.limits()
+            wanted_c = self._air_c() if policy is ChamberSafe.HOLD else ambient_c
+            self.hold(min(max(wanted_c, limits.lowest_c), limits.highest_c))
         reading = self.read()
         verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
         return SafeReport(policy.value, verified, self._evidence(reading))

@@ -19,7 +19,7 @@ from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, Rejected, ReplyTimeout, printable
 from ..framing import LineFramer
 from ..request_reply import Exchange, NotThisReply, command_and_verify
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
+from ..roles import ChamberLimits, ChamberReading, Identity
 from ..transport import Transport
 from .base import ChamberDriver
 
@@ -151,6 +151,8 @@ def open_exchange(transport: Transport, clock: Clock, config: EspecConfig) -> Ex
 class EspecChamber(ChamberDriver[EspecConfig]):
     """Role `Chamber`. One decimal everywhere; a hardware ramp is a remote one-step program of whole minutes."""
 
+    _BOUNDS = "the chamber's alarm limits {low} to {high} degC. Change the plan, or the limits at the chamber's panel."
+
     def identify(self) -> Identity:
         try:
             controller, highest = self._ask("TYPE?", parse_type)
@@ -179,7 +181,7 @@ class EspecChamber(ChamberDriver[EspecConfig]):
         )
 
     def hold(self, temperature_c: float) -> None:
-        self._check(temperature_c)
+        self._check(round(temperature_c, 1))
         text = f"{temperature_c:.1f}"
         if self._mode() in _PROGRAM:
             self._set_mode("CONSTANT")
@@ -198,7 +200,7 @@ class EspecChamber(ChamberDriver[EspecConfig]):
             raise Rejected("Hardware ramps are switched off for this chamber in the rig file.")
         if not rate_k_per_min > 0.0:
             raise LimitExceeded(f"A ramp of {rate_k_per_min} K/min goes nowhere; give a rate above zero.")
-        self._check(temperature_c)
+        self._check(round(temperature_c, 1))
         now = self._ask("TEMP?", parse_temperatures)
         mode = self._mode()
         if mode in _PROGRAM:
@@ -226,17 +228,8 @@ class EspecChamber(ChamberDriver[EspecConfig]):
     def standby(self) -> None:
         self._set_mode("STANDBY")
 
-    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
-        now = self._ask("TEMP?", parse_temperatures)
-        return min(max(now.measured_c if policy is ChamberSafe.HOLD else ambient_c, now.low_c), now.high_c)
-
-    def _check(self, temperature_c: float) -> None:
-        limits = self.limits()
-        if not limits.lowest_c <= round(temperature_c, 1) <= limits.highest_c:
-            raise LimitExceeded(
-                f"{temperature_c:.1f} degC lies outside the chamber's alarm limits {limits.lowest_c} to "
-                f"{limits.highest_c} degC. Change the plan, or the limits at the chamber's panel."
-            )
+    def _air_c(self) -> float:
+        return self._ask("TEMP?", parse_temperatures).measured_c
 
     def _mode(self) -> str:
         return self._ask("MODE?,DETAIL" if self._config.detailed_mode else "MODE?", parse_mode)

@@ -17,7 +17,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, Literal
 
 from ... import units
@@ -36,7 +36,7 @@ from ..errors import (
 )
 from ..framing import LineFramer
 from ..request_reply import Exchange, NotThisReply, command_and_verify
-from ..roles import AxisLimits, AxisReading, AxisSafe, ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..roles import AxisLimits, AxisReading, AxisSafe, ChamberLimits, ChamberReading, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
 from .base import ChamberDriver, ExchangeDriver, MeanRate, Unwatched
@@ -48,6 +48,7 @@ _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _SETTLED_K = 2.0
 _POLL_S = 0.05
 _STOPS_AGAIN_S = 1.0
+_pattern = cache(reply_pattern)
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ class Codec:
         if not text.isprintable():
             raise FramingError(f"{self._protocol.title} answered {printable(frame)!r}, which is no text. Baud rate?")
         refusal = self._protocol.line.refusal
-        if refusal is not None and (match := reply_pattern(refusal).fullmatch(text)) is not None:
+        if refusal is not None and (match := _pattern(refusal).fullmatch(text)) is not None:
             code = match.groupdict().get("code", text)
             raise Rejected(f"{self._protocol.title} refuses: {text!r}. See its manual.", code=code, text=text)
         return text
@@ -140,17 +141,16 @@ class _Spoken(ExchangeDriver[LinesConfig]):
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         super().__init__(exchange, config)
-        self._protocol = config.described
+        self._protocol, self._title = config.described, config.described.title
         self._codec = Codec(config.described)
-        self._patterns: dict[str, re.Pattern[str]] = {}
 
     def identify(self) -> Identity:
         known = self._read("model", "serial", "firmware")
         needed = self._read(*(need.field for need in self._protocol.require))
         for need in self._protocol.require:
             if not any(needed[need.field] == text or _same_number(needed[need.field], text) for text in need.equals):
-                raise Rejected(f"{self._protocol.title} says {need.field} = {needed[need.field]}: {need.why}.")
-        model = f"{self._protocol.title} {known.get('model', '')}".strip()
+                raise Rejected(f"{self._title} says {need.field} = {needed[need.field]}: {need.why}.")
+        model = f"{self._title} {known.get('model', '')}".strip()
         return Identity("lines", model, known.get("serial", ""), known.get("firmware", ""))
 
     def _read(self, *names: str) -> Texts:
@@ -171,25 +171,19 @@ class _Spoken(ExchangeDriver[LinesConfig]):
                 # Devices do not refuse queries: it was damaged on its way, and is repeated.
                 raise FramingError(str(refused)) from None
             for reply in question.reply:
-                if (match := self._pattern(reply).fullmatch(text)) is not None:
+                if (match := _pattern(reply).fullmatch(text)) is not None:
                     fields.update(match.groupdict())
                     break
             else:
                 if question.last is None:
-                    title = self._protocol.title
-                    raise FramingError(f"{title} answered {question.send!r} by {text!r}. Is it that device?")
-            if question.last is not None and self._pattern(question.last).fullmatch(text) is None:
+                    raise FramingError(f"{self._title} answered {question.send!r} by {text!r}. Is it that device?")
+            if question.last is not None and _pattern(question.last).fullmatch(text) is None:
                 raise NotThisReply
             if missing := set(question.fields) - set(fields):
                 raise FramingError(f"The reply to {question.send!r} has no {', '.join(sorted(missing))}.")
             return fields
 
         return self._exchange.query(self._codec.message(question.send, bare=question.bare), parse)
-
-    def _pattern(self, template: str) -> re.Pattern[str]:
-        if template not in self._patterns:
-            self._patterns[template] = reply_pattern(template)
-        return self._patterns[template]
 
     def _tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
         """Send the lines of a command; returns its values as text."""
@@ -202,7 +196,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
             if not command.reply:
                 self._exchange.write(message, pause_after_s=float(self._protocol.line.pause_after_command))
                 continue
-            reply = self._pattern(command.reply[min(number, len(command.reply) - 1)])
+            reply = _pattern(command.reply[min(number, len(command.reply) - 1)])
             self._exchange.query(
                 message,
                 lambda frame, text=text, reply=reply: self._acknowledged(frame, text, reply),
@@ -215,8 +209,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
     def _acknowledged(self, frame: bytes, text: str, reply: re.Pattern[str]) -> None:
         received = self._codec.text(frame)
         if reply.fullmatch(received) is None:
-            title = self._protocol.title
-            raise FramingError(f"{title} acknowledged {text!r} by {received!r}, which is another's reply.")
+            raise FramingError(f"{self._title} acknowledged {text!r} by {received!r}, which is another's reply.")
 
     def _tell_shown(self, name: str, values: Mapping[str, float], shown_by: tuple[str, ...]) -> Texts:
         """Send a value until the device shows it; returns the value shown."""
@@ -237,7 +230,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
                 lambda: self._tell(name),
                 lambda: self._read(*names),
                 lambda texts: self._is(state, texts) is on,
-                what=f"{self._protocol.title} {name}",
+                what=f"{self._title} {name}",
                 clock=self._clock,
             )
 
@@ -248,7 +241,7 @@ class _Spoken(ExchangeDriver[LinesConfig]):
         try:
             return condition.holds(texts[condition.field])
         except ValueError:
-            raise FramingError(f"{self._protocol.title} says {condition.field} = {texts[condition.field]!r}.") from None
+            raise FramingError(f"{self._title} says {condition.field} = {texts[condition.field]!r}.") from None
 
     def _asks_of(self, *states: str) -> list[str]:
         return [self._protocol.state[name].field for name in states if name in self._protocol.state]
@@ -263,6 +256,8 @@ def _same_number(left: str, right: str) -> bool:
 
 class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
     """Role `Chamber`."""
+
+    _BOUNDS = "{low:g} to {high:g} degC, the limits in the protocol of {device}. Change the plan."
 
     def limits(self) -> ChamberLimits:
         known = self._protocol.limits
@@ -294,11 +289,10 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         if "ramp" not in self._protocol.tell:
-            title = self._protocol.title
-            raise Rejected(f"The protocol of {title} has no ramps: it is ramped by steps of its set point.")
+            raise Rejected(f"The protocol of {self._title} has no ramps: it is ramped by steps of its set point.")
         limits = self.limits()
         if not max(limits.slowest_ramp_k_per_min, 1e-9) <= rate_k_per_min <= limits.fastest_ramp_k_per_min:
-            raise LimitExceeded(f"{rate_k_per_min:g} K/min lies outside what {self._protocol.title} can do.")
+            raise LimitExceeded(f"{rate_k_per_min:g} K/min lies outside what {self._title} can do.")
         self._check(temperature_c)
         now = self.read()
         if not now.conditioning or abs(now.setpoint_c - now.air_c) >= _SETTLED_K:
@@ -315,10 +309,8 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
         self._switch("off", "conditioning", False)
         self._free_ramp()
 
-    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
-        limits = self.limits()
-        wanted = self.read().air_c if policy is ChamberSafe.HOLD else ambient_c
-        return min(max(wanted, limits.lowest_c), limits.highest_c)
+    def _air_c(self) -> float:
+        return self.read().air_c
 
     def _go_to(self, temperature_c: float) -> None:
         value = {"setpoint": units.convert(temperature_c, "degC", self._protocol.units.temperature)}
@@ -336,9 +328,7 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
     def _celsius(self, text: str) -> float:
         value = units.convert(float(text), self._protocol.units.temperature, "degC")
         if not _LOWEST_PLAUSIBLE_C <= value <= _HIGHEST_PLAUSIBLE_C:
-            raise FramingError(
-                f"{self._protocol.title} reports {value} degC, which is not plausible. Check line and sensor."
-            )
+            raise FramingError(f"{self._title} reports {value} degC, which is not plausible. Check line and sensor.")
         return value
 
     def _ramp_step(self) -> float:
@@ -348,14 +338,6 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
             return 0.0
         decimals = len(formatted(command.send[0], {"ramp": 1.0})[1]["ramp"].partition(".")[2])
         return units.convert(10.0**-decimals, self._protocol.units.ramp, "K/min")
-
-    def _check(self, temperature_c: float) -> None:
-        limits = self.limits()
-        if not limits.lowest_c <= temperature_c <= limits.highest_c:
-            raise LimitExceeded(
-                f"{temperature_c:.1f} degC lies outside {limits.lowest_c:g} to {limits.highest_c:g} degC, the limits "
-                f"in the protocol of {self._protocol.title}. Change the plan."
-            )
 
 
 class LinesAxis(_Spoken, Unwatched):
@@ -407,13 +389,12 @@ class LinesAxis(_Spoken, Unwatched):
         self._tell("home")
         reading = self._until_still(self._config.home_timeout_s)
         if reading.faults:
-            raise DeviceFault(f"The axis did not find its reference: {reading.faults[0]}.", codes=reading.faults)
+            raise DeviceFault(f"The axis did not find its reference: {reading.faults[0]}.")
         self._referenced = True
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         limits = self._check(rate_dps, acceleration_dps2)
-        lowest = -math.inf if limits.lowest_deg is None else limits.lowest_deg
-        highest = math.inf if limits.highest_deg is None else limits.highest_deg
+        lowest, highest = limits.travel_deg
         if not lowest - 1e-9 <= position_deg <= highest + 1e-9:
             raise LimitExceeded(f"{position_deg:g} deg lies outside the travel {lowest:g} to {highest:g} deg.")
         self._require_ready(referenced=True)
@@ -433,7 +414,7 @@ class LinesAxis(_Spoken, Unwatched):
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
         if "spin" not in self._protocol.tell:
-            raise Rejected(f"The protocol of {self._protocol.title} has no constant rates: make turns of them.")
+            raise Rejected(f"The protocol of {self._title} has no constant rates: make turns of them.")
         self._check(abs(rate_dps), acceleration_dps2)
         self._require_ready(referenced=False)
         shown_by = self._protocol.tell["spin"].shown_by
@@ -478,8 +459,7 @@ class LinesAxis(_Spoken, Unwatched):
         self.stop()
         if policy is AxisSafe.UNPOWER:
             if "off" not in self._protocol.tell:
-                title = self._protocol.title
-                raise Rejected(f"The protocol of {title} cannot unpower it; choose the safe policy 'hold'.")
+                raise Rejected(f"The protocol of {self._title} cannot unpower it; choose the safe policy 'hold'.")
             self._switch("off", "powered", False)
         reading = self.read()
         state = "; ".join(reading.faults) or "no faults"
@@ -508,7 +488,7 @@ class LinesAxis(_Spoken, Unwatched):
         reading = self.read()
         if reading.faults or (referenced and not reading.referenced):
             why = ", ".join(reading.faults) or "it has no reference"
-            raise DeviceFault(f"The axis cannot be moved: {why}. Home it first.", codes=reading.faults)
+            raise DeviceFault(f"The axis cannot be moved: {why}. Home it first.")
         self._power_on()
 
     def _power_on(self) -> None:

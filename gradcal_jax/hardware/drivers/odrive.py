@@ -226,7 +226,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
             self._tell(f"w axis{self._config.motor}.requested_state {self._config.home_state}")
             self._wait_for_state(IDLE, self._config.home_timeout_s, "homing")
         if faults := self.read().faults:
-            raise DeviceFault(f"The axis has no valid reference: {', '.join(faults)}.", codes=faults)
+            raise DeviceFault(f"The axis has no valid reference: {', '.join(faults)}.")
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         config = self._config
@@ -257,7 +257,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
     def stop(self) -> None:
         self._brake()
         if faults := self._faults():
-            raise DeviceFault(f"The axis reports {', '.join(faults)} after stopping.", codes=faults)
+            raise DeviceFault(f"The axis reports {', '.join(faults)} after stopping.")
 
     def heartbeat(self) -> None:
         if self._config.watchdog_s > 0.0:
@@ -341,7 +341,6 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
         if self._faults():
             raise DeviceFault(
                 f"The controller reports {', '.join(faults)}, also after its errors were cleared. See to the cause.",
-                codes=faults,
             )
         self._cleared = faults
 

@@ -6,14 +6,14 @@ CRC is right, stays locked while CRCs are right, and advances by one byte after 
 """
 
 import zlib
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..checksums import BIT_REVERSED
-from ..roles import ImuBatch
-from .imu_common import STANDARD_GRAVITY, GapCounter, join
+from ..roles import STANDARD_GRAVITY, ImuBatch, join
 
 INTERNAL_RATE_HZ = 2000
 _MODULUS = 256  # of the counter of internal samples
@@ -29,6 +29,7 @@ CONTENTS = (
     ((True, True, True), 0xA7, 0xF7, 0xAF),
 )
 SPECIAL_LENGTHS = {0xB1: 20, 0xB3: 22, 0xB5: 20, 0xB7: 22, 0xBC: 26, 0xBD: 28, 0xD1: 40, 0xD2: 42, 0xBE: 21, 0xBF: 23}
+_ARRIVALS = 256  # remembered, for the quickest of them
 START_UP = 0x40  # status bit of a cluster that is not valid yet
 _ACCELERATION_BITS = {2: 21, 5: 20, 10: 19, 30: 18, 80: 16}
 _INCREMENT_BITS = {5: 23, 10: 22, 30: 21, 80: 19}
@@ -72,6 +73,41 @@ def _int24(columns: NDArray[np.uint8]) -> NDArray[np.int32]:
     wide = columns.astype(np.int32).reshape(-1, 3, 3)
     value = wide[..., 0] << 16 | wide[..., 1] << 8 | wide[..., 2]
     return np.where(value >= 1 << 23, value - (1 << 24), value).astype(np.int32)
+
+
+class GapCounter:
+    """Unwraps a sample counter and says how many samples are missing before each one.
+
+    A counter that wraps after `modulus` samples cannot show the loss of a whole number of wraps by itself. After a
+    disturbance of the stream the host's clock gives the number of wraps; without one, a late chunk is only late. The
+    host's clock is compared with the quickest of the recent arrivals, because a busy computer stamps bytes late.
+
+    This uses the past only, and is right where the chunk after a disturbance is later than the quickest of the
+    `_ARRIVALS` before it by less than half a wrap. A log uses the later samples, too (`decoding.counter_wraps`).
+    """
+
+    def __init__(self, *, step: int, modulus: int, ticks_per_s: float) -> None:
+        self._step, self._modulus, self._ticks_per_s = step, modulus, ticks_per_s
+        self._count = 0
+        self._last_raw: int | None = None
+        self._offsets_s: deque[float] = deque(maxlen=_ARRIVALS)
+
+    def push(
+        self, raw: NDArray[np.int64], host_time_s: float, *, disturbed: bool
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Unwrapped counts and gaps of samples that came together; `disturbed`: bytes were lost before the first."""
+        previous = raw[0] - self._step if self._last_raw is None else self._last_raw
+        delta = np.mod(np.diff(raw, prepend=previous), self._modulus)
+        delta[delta == 0] = self._modulus
+        if disturbed and self._offsets_s:
+            # The last sample has waited least: the counter's value when the host has it.
+            now = (host_time_s - min(self._offsets_s)) * self._ticks_per_s
+            lost = (now - float(self._count + delta.sum())) / self._modulus
+            delta[0] += self._modulus * max(0, round(lost))
+        counts = self._count + np.cumsum(delta)
+        self._count, self._last_raw = int(counts[-1]), int(raw[-1])
+        self._offsets_s.append(host_time_s - self._count / self._ticks_per_s)
+        return counts, delta // self._step - 1
 
 
 class Stim300Decoder:
@@ -138,25 +174,16 @@ class Stim300Decoder:
                 self._buffer = self._buffer[good * stride :]
                 if self._line_end is None:
                     continue
-            if good == whole:
-                # The remaining bytes may already be known not to be a datagram of this kind.
-                if self._buffer and self._buffer[0] != self._locked and not self._skip_special(stride):
-                    if self._buffer[0] in SPECIAL_LENGTHS and len(self._buffer) < 48 + stride:
-                        break
-                    self._unlock()
-                    continue
-                if len(self._buffer) < stride:
-                    break
-            elif not self._skip_special(stride):
+            # The remaining bytes may already be known not to be a datagram of this kind.
+            astray = good < whole or (bool(self._buffer) and self._buffer[0] != self._locked)
+            if astray and not self._skip_special(stride):
                 if self._buffer[0] in SPECIAL_LENGTHS and len(self._buffer) < 48 + stride:
                     break
-                self._unlock()
+                self._locked = None
+                self._drop(1)
+            elif good == whole and len(self._buffer) < stride:
+                break
         return join(batches)
-
-    def _unlock(self) -> None:
-        self._locked, self._disturbed = None, True
-        self._buffer = self._buffer[1:]
-        self.bad_bytes += 1
 
     def _lock(self) -> bool:
         """Find the next sound datagram. False when more bytes are needed to decide."""

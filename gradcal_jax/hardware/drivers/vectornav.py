@@ -28,11 +28,10 @@ from ..clock import Clock
 from ..errors import ChecksumError, NotVerified, Rejected, printable
 from ..framing import LengthFramer
 from ..request_reply import Exchange, NotThisReply
-from ..roles import Identity, ImuBatch, ImuSettings
+from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, join
 from ..settings import KeptSettings
 from ..transport import Transport
 from .base import ImuDriver
-from .imu_common import STANDARD_GRAVITY, join
 
 ERRORS = {
     1: "hard fault",
@@ -228,21 +227,19 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
             Exchange(transport, VectorNavFramer(), clock, "The VectorNav unit", config.reply_timeout_s), config
         )
         self.settings = KeptSettings(
-            lambda name: ",".join(self._read(int(name))),
-            lambda name, value: self._write(int(name), value),
-            lambda shown, wanted: _same(shown.split(","), wanted.split(",")),
+            lambda name: self._read(int(name)), lambda name, value: self._write(int(name), value), _same
         )
 
     def identify(self) -> Identity:
-        model, hardware, serial, firmware = (",".join(self._read(register)) for register in (1, 2, 3, 4))
+        model, hardware, serial, firmware = map(self._read, (1, 2, 3, 4))
         return Identity("vectornav", model, serial, firmware, {"hardware": hardware})
 
     def configure(self) -> ImuSettings:
         self.stop()
-        registers = {f"{register:02d}": ",".join(self._read(register)) for register in (1, 2, 3, 4, 5, 30)}
+        registers = {f"{register:02d}": self._read(register) for register in (1, 2, 3, 4, 5, 30)}
         if self._config.output == "ascii":
             self.settings.change("7", f"{self._config.sample_rate_hz:g}")
-        registers |= {f"{register:02d}": ",".join(self._read(register)) for register in (6, 7, 75)}
+        registers |= {f"{register:02d}": self._read(register) for register in (6, 7, 75)}
         return ImuSettings(self._config.sample_rate_hz, 0, registers)
 
     def start(self) -> None:
@@ -258,7 +255,7 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
         for register in ("76", "77"):
             # The unit does not have this output.
             with suppress(Rejected):
-                self.settings.change(register, ",".join(["0", *self._read(int(register))[1:]]))
+                self.settings.change(register, ",".join(["0", *self._read(int(register)).split(",")[1:]]))
 
     def decoder(self) -> VectorNavDecoder:
         return decoder_of(self._config, {})
@@ -266,30 +263,29 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
     def _binary_output(self, port: int) -> str:
         return f"{port},{round(self._config.base_rate_hz / self._config.sample_rate_hz)},05,0001,001C"
 
-    def _ask(self, words: str, header: list[str]) -> list[str]:
-        def parse(frame: bytes) -> list[str]:
+    def _ask(self, words: str, header: list[str]) -> str:
+        def parse(frame: bytes) -> str:
             if frame[0] == _SYNC:
                 raise NotThisReply
             fields = parse_line(frame)
             if [fields[0], *(field.lstrip("0") for field in fields[1 : len(header)])] != header:
                 raise NotThisReply
-            return fields[len(header) :]
+            return ",".join(fields[len(header) :])
 
         return self._exchange.query(request(words), parse)
 
-    def _read(self, register: int) -> list[str]:
+    def _read(self, register: int) -> str:
         return self._ask(f"VNRRG,{register:02d}", ["VNRRG", str(register)])
 
     def _write(self, register: int, values: str) -> None:
         """Registers are idempotent: writing again after a lost reply is harmless; the read-back decides."""
         self._ask(f"VNWRG,{register:02d},{values}", ["VNWRG", str(register)])
         shown = self._read(register)
-        if not _same(shown, values.split(",")):
-            raise NotVerified(f"Register {register} got {values} and reports {','.join(shown)}.")
+        if not _same(shown, values):
+            raise NotVerified(f"Register {register} got {values} and reports {shown}.")
 
 
-def _same(shown: list[str], wanted: list[str]) -> bool:
+def _same(shown: str, wanted: str) -> bool:
     """Equal except for leading zeros; a unit may append fields of its other ports."""
-    return len(shown) >= len(wanted) and all(
-        (a.lstrip("0") or "0") == (b.lstrip("0") or "0") for a, b in zip(shown, wanted, strict=False)
-    )
+    seen, asked = ([field.lstrip("0") or "0" for field in text.split(",")] for text in (shown, wanted))
+    return seen[: len(asked)] == asked

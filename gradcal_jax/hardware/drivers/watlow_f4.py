@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 from ..checksums import crc16_modbus
 from ..clock import Clock
-from ..errors import ChecksumError, FramingError, LimitExceeded, Rejected, printable
+from ..errors import ChecksumError, FramingError, Rejected, printable
 from ..framing import ModbusReplyFramer
 from ..request_reply import Exchange, NotThisReply, command_and_verify
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
+from ..roles import ChamberLimits, ChamberReading, Identity
 from ..transport import Transport
 from .base import ChamberDriver
 
@@ -119,6 +119,11 @@ def open_exchange(transport: Transport, clock: Clock, config: WatlowF4Config) ->
 class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):
     """Role `Chamber`."""
 
+    _BOUNDS = (
+        "the controller's set point limits {low} to {high} degC. Change the plan, or the limits at the controller's "
+        "setup page."
+    )
+
     def __init__(self, exchange: Exchange, config: WatlowF4Config) -> None:
         super().__init__(exchange, config)
         self._decimals: dict[int, int] = {}
@@ -127,17 +132,20 @@ class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):
         (unit,) = self._read(UNITS)
         if unit != 1:
             raise Rejected("The controller is set to degrees Fahrenheit. Set it to Celsius at its setup page.")
-        low, high = self._range()
-        details = {"decimals of input 1": str(self._places(1)), "set point range": f"{low} to {high} degC"}
+        limits = self.limits()
+        range_c = f"{limits.lowest_c} to {limits.highest_c} degC"
+        details = {"decimals of input 1": str(self._places(1)), "set point range": range_c}
         (model,) = self._read(self._config.model_register)
         return Identity("watlow_f4", f"model register {model}", details=details)
 
     def limits(self) -> ChamberLimits:
-        low, high = self._range()
-        return ChamberLimits(low, high, 10.0 ** -self._places(1), hardware_ramp=False)
+        low, high = self._read(SET_POINT_LOW, 2)
+        places = self._places(1)
+        range_c = with_decimals(low, places), with_decimals(high, places)
+        return ChamberLimits(*range_c, 10.0**-places, hardware_ramp=False)
 
     def read(self) -> ChamberReading:
-        air = self._temperature(PROCESS_VALUE[1], 1)
+        air = self._air_c()
         time_s = self._clock.now()
         (status,) = self._read(STATUS)
         set_point = self._temperature(PROFILE_SET_POINT if status in (2, 3) else SET_POINT, 1)
@@ -155,12 +163,7 @@ class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):
         return ChamberReading(time_s, air, product_c, set_point, mode, conditioning, alarms)
 
     def hold(self, temperature_c: float) -> None:
-        low, high = self._range()
-        if not low <= temperature_c <= high:
-            raise LimitExceeded(
-                f"{temperature_c:.1f} degC lies outside the controller's set point limits {low} to {high} degC. "
-                "Change the plan, or the limits at the controller's setup page."
-            )
+        self._check(temperature_c)
         if self._read(STATUS)[0] in (2, 3):
             self._write_shown(TERMINATE, 1, "The end of the running profile", STATUS, lambda value: value in (0, 1))
         raw = unscaled(temperature_c, self._places(1))
@@ -179,10 +182,8 @@ class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):
             )
         self._condition(False)
 
-    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
-        low, high = self._range()
-        wanted = ambient_c if policy is ChamberSafe.AMBIENT else self._temperature(PROCESS_VALUE[1], 1)
-        return min(max(wanted, low), high)
+    def _air_c(self) -> float:
+        return self._temperature(PROCESS_VALUE[1], 1)
 
     def _evidence(self, reading: ChamberReading) -> str:
         state = "conditioning" if reading.conditioning else "conditioning off"
@@ -214,11 +215,6 @@ class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):
 
     def _temperature(self, register: int, sensor: int) -> float:
         return with_decimals(self._read(register)[0], self._places(sensor))
-
-    def _range(self) -> tuple[float, float]:
-        low, high = self._read(SET_POINT_LOW, 2)
-        places = self._places(1)
-        return with_decimals(low, places), with_decimals(high, places)
 
     def _event_register(self) -> int:
         return 2000 + 10 * (self._config.conditioning_event - 1)

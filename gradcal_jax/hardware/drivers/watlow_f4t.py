@@ -14,12 +14,13 @@ interface. Unverified on real hardware: that a ramp begins at the set point in f
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from ..clock import Clock
-from ..errors import FramingError, LimitExceeded, Rejected, printable
+from ..errors import FramingError, Rejected, printable
 from ..framing import ModbusTcpFramer
 from ..request_reply import Exchange, NotThisReply, command_and_verify
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
+from ..roles import ChamberLimits, ChamberReading, Identity
 from ..transport import Transport
 from .base import ChamberDriver
 from .watlow_f4 import exception_of
@@ -116,42 +117,45 @@ def open_exchange(transport: Transport, clock: Clock, config: WatlowF4TConfig) -
 class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
     """Role `Chamber`."""
 
+    _BOUNDS = (
+        "the controller's set point limits {low:g} to {high:g} degC. Change the plan, or the limits at the "
+        "controller's setup page."
+    )
+
     def __init__(self, exchange: Exchange, config: WatlowF4TConfig) -> None:
         super().__init__(exchange, config)
         self._number = 0
         self._above = 160 * (config.loop - 1)
 
     def identify(self) -> Identity:
-        (unit,) = self._words(UNITS)
-        if unit != CELSIUS:
+        if self._word(UNITS) != CELSIUS:
             raise Rejected("The controller's Ethernet units are not Celsius. Set them to Celsius at its setup page.")
         part = "".join(chr(word & 0xFF) for word in self._words(PART_NUMBER, 15) if word & 0xFF).strip()
         low, high = self._words(SERIAL_NUMBER, 2)
-        range_c = f"{self._float(LOWEST):g} to {self._float(HIGHEST):g} degC"
-        firmware = str(self._words(FIRMWARE)[0])
-        return Identity("watlow_f4t", part, str(high << 16 | low), firmware, {"set point range": range_c})
+        details = {"set point range": f"{self._float(LOWEST):g} to {self._float(HIGHEST):g} degC"}
+        return Identity("watlow_f4t", part, str(high << 16 | low), str(self._word(FIRMWARE)), details)
 
     def limits(self) -> ChamberLimits:
         range_c = self._float(LOWEST), self._float(HIGHEST)
         return ChamberLimits(*range_c, _FINEST_K, True, _SLOWEST_K_PER_MIN, _FASTEST_K_PER_MIN)
 
     def read(self) -> ChamberReading:
-        air = self._float(PROCESS_VALUE)
+        air = self._air_c()
         time_s = self._clock.now()
-        mode, profile = self._words(MODE_IN_FORCE + self._above)[0], self._words(PROFILE_STATE)[0]
+        mode, profile = self._word(MODE_IN_FORCE + self._above), self._word(PROFILE_STATE)
         alarms = tuple(
             f"alarm {number + 1}"
             for number in range(self._config.alarms)
-            if self._words(_ALARM + _EACH_ALARM * number)[0] not in _SILENT
+            if self._word(_ALARM + _EACH_ALARM * number) not in _SILENT
         )
         event = self._config.conditioning_event
-        runs = mode != OFF and (not event or self._words(EVENTS[event - 1])[0] == ON)
+        runs = mode != OFF and (not event or self._word(EVENTS[event - 1]) == ON)
         shown = _PROFILES.get(profile) or _MODES.get(mode, f"mode {mode}")
         return ChamberReading(time_s, air, None, self._float(IN_FORCE), shown, runs, alarms)
 
     def hold(self, temperature_c: float) -> None:
         self._begin(temperature_c)
-        if self._words(RAMP_ACTION + self._above)[0] in (RAMP_AT_SET_POINT, RAMP_ALWAYS):
+        if self._word(RAMP_ACTION + self._above) in (RAMP_AT_SET_POINT, RAMP_ALWAYS):
             self._write_word(RAMP_ACTION + self._above, OFF, "No ramp to the set point")
         self._write_float(SET_POINT, temperature_c, "The set point", IN_FORCE)
 
@@ -166,47 +170,40 @@ class WatlowF4TChamber(ChamberDriver[WatlowF4TConfig]):
     def standby(self) -> None:
         self._condition(False)
 
-    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
-        wanted = ambient_c if policy is ChamberSafe.AMBIENT else self._float(PROCESS_VALUE)
-        return min(max(wanted, self._float(LOWEST)), self._float(HIGHEST))
+    def _air_c(self) -> float:
+        return self._float(PROCESS_VALUE)
 
     def _evidence(self, reading: ChamberReading) -> str:
         return f"{reading.mode}, set point {reading.setpoint_c:g} degC"
 
     def _begin(self, temperature_c: float) -> None:
         """The preconditions of a set point: it is allowed, no profile runs, and the loop is on."""
-        low, high = self._float(LOWEST), self._float(HIGHEST)
-        if not low <= temperature_c <= high:
-            raise LimitExceeded(
-                f"{temperature_c:.1f} degC lies outside the controller's set point limits {low:g} to {high:g} degC. "
-                "Change the plan, or the limits at the controller's setup page."
-            )
-        if self._words(PROFILE_STATE)[0] in _PROFILES:
-            ended = lambda: self._words(PROFILE_STATE)[0]  # noqa: E731
-            self._shown(PROFILE_ACTION, (TERMINATE,), "The profile's end", ended, lambda v: v not in _PROFILES)
+        self._check(temperature_c)
+        state = partial(self._word, PROFILE_STATE)
+        if state() in _PROFILES:
+            self._shown(PROFILE_ACTION, (TERMINATE,), "The profile's end", state, lambda v: v not in _PROFILES)
         self._condition(True)
 
     def _condition(self, on: bool) -> None:
-        mode, event = MODE + self._above, self._config.conditioning_event
-        state = "on (set points are ignored while it is off)" if on else "off"
-        if event:
-            register = EVENTS[event - 1]
-            self._write_word(register, ON if on else OFF, f"Conditioning {'on' if on else 'off'}")
-        if on is (self._words(MODE_IN_FORCE + self._above)[0] == AUTO):
-            return
-        in_force = lambda: self._words(MODE_IN_FORCE + self._above)[0]  # noqa: E731
-        wanted = AUTO if on else OFF
-        self._shown(mode, (wanted,), f"The control loop {state}", in_force, lambda value: value == wanted)
+        if event := self._config.conditioning_event:
+            self._write_word(EVENTS[event - 1], ON if on else OFF, f"Conditioning {'on' if on else 'off'}")
+        wanted, mode = AUTO if on else OFF, partial(self._word, MODE_IN_FORCE + self._above)
+        if on is not (mode() == AUTO):
+            what = f"The control loop {'on (set points are ignored while it is off)' if on else 'off'}"
+            self._shown(MODE + self._above, (wanted,), what, mode, lambda value: value == wanted)
 
     def _words(self, register: int, count: int = 1) -> tuple[int, ...]:
         sent = self._message(read_body(register, count))
         return self._exchange.query(sent, lambda frame: parse_words(frame, sent, count))
 
+    def _word(self, register: int) -> int:
+        return self._words(register)[0]
+
     def _float(self, register: int) -> float:
         return float_of(self._words(register + self._above, 2))
 
     def _write_word(self, register: int, value: int, what: str) -> None:
-        self._shown(register, (value,), what, lambda: self._words(register)[0], lambda shown: shown == value)
+        self._shown(register, (value,), what, lambda: self._word(register), lambda shown: shown == value)
 
     def _write_float(self, register: int, value: float, what: str, shown_in: int) -> None:
         words, register = words_of(value), register + self._above

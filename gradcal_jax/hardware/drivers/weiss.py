@@ -26,7 +26,7 @@ from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
 from ..framing import LineFramer
 from ..request_reply import Exchange, NotThisReply, command_and_verify
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
+from ..roles import ChamberLimits, ChamberReading, Identity
 from ..transport import Transport
 from .base import ChamberDriver
 
@@ -197,6 +197,8 @@ def open_exchange(transport: Transport, clock: Clock, config: WeissConfig) -> Ex
 class WeissChamber(ChamberDriver[WeissConfig]):
     """Role `Chamber`. The first call that needs the layout reads it."""
 
+    _BOUNDS = "the chamber's range {low} to {high} degC. Change the plan."
+
     def __init__(self, exchange: Exchange, config: WeissConfig) -> None:
         super().__init__(exchange, config)
         self._known: Layout | None = None
@@ -214,12 +216,12 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         )
 
     def read(self) -> ChamberReading:
-        layout, record = self._layout(), self._record()
+        record = self._record()
         time_s = self._clock.now()
         product = self._config.product_channel
         running = record.digital[self._config.start_channel] == "1"
-        air_c, setpoint_c = (record.numbers[at(layout.temperature)] for at in (layout.actual, layout.nominal))
-        product_c = record.numbers[layout.actual(product)] if product else None
+        air_c, setpoint_c = self._actual(record), self._nominal(record)
+        product_c = record.numbers[self._layout().actual(product)] if product else None
         mode = "RUN" if running else "STOP"
         return ChamberReading(time_s, air_c, product_c, setpoint_c, mode, running, self._faults())
 
@@ -260,10 +262,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         self._orders += 1
         self._write(self._nominal(self._record()), start=False)
 
-    def _kept_c(self, policy: ChamberSafe, ambient_c: float) -> float:
-        layout = self._layout()
-        here = self._record().numbers[layout.actual(layout.temperature)]
-        return min(max(here if policy is ChamberSafe.HOLD else ambient_c, layout.lowest_c), layout.highest_c)
+    def _air_c(self) -> float:
+        return self._actual(self._record())
 
     def _layout(self) -> Layout:
         if self._known is None:
@@ -294,7 +294,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             if frame.strip() == b"0":
                 raise NotThisReply  # a late acknowledgement
             record = parse_record(frame, layout, self._config.digital_channels)
-            here = record.numbers[layout.actual(layout.temperature)]
+            here = self._actual(record)
             if not LOWEST_PLAUSIBLE_C <= here <= HIGHEST_PLAUSIBLE_C:
                 raise FramingError(f"The chamber reports {here} degC, which is not plausible. Check line and layout.")
             return record
@@ -304,6 +304,10 @@ class WeissChamber(ChamberDriver[WeissConfig]):
     def _nominal(self, record: Record) -> float:
         layout = self._layout()
         return record.numbers[layout.nominal(layout.temperature)]
+
+    def _actual(self, record: Record) -> float:
+        layout = self._layout()
+        return record.numbers[layout.actual(layout.temperature)]
 
     def _write(self, temperature_c: float, *, start: bool) -> None:
         """Set a temperature without a gradient: an old gradient stays active until it is overwritten."""
@@ -351,8 +355,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
                 return "it is not started"
             arrived = abs(nominal - target_c) < 0.05
             if begins is None:
-                layout = self._layout()
-                begins = (now_s, record.numbers[layout.actual(layout.temperature)] if arrived else nominal)
+                begins = (now_s, self._actual(record) if arrived else nominal)
             moved, took_s = abs(nominal - begins[1]), now_s - begins[0]
             if moved > 1.5 * rate_k_per_min * took_s / 60.0 + _HIDDEN_K:
                 return f"its nominal value moved {moved:.1f} K in {took_s:.0f} s"
@@ -389,14 +392,6 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             return ()
         text = self._exchange.query(self._request("F"), lambda frame: frame.decode("ascii", "replace").strip())
         return () if text in ("", "0") else (text,)
-
-    def _check(self, temperature_c: float) -> None:
-        layout = self._layout()
-        if not layout.lowest_c <= temperature_c <= layout.highest_c:
-            raise LimitExceeded(
-                f"{temperature_c:.1f} degC lies outside the chamber's range {layout.lowest_c} to {layout.highest_c} "
-                "degC. Change the plan."
-            )
 
     def _request(self, letter: str, body: str = "") -> bytes:
         return request(self._config.address, letter, body)

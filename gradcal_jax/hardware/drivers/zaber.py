@@ -185,21 +185,16 @@ class ZaberAxis(ExchangeDriver[ZaberConfig], Unwatched):
         self._ask("home")
         reading = self._until_idle(self._config.home_timeout_s, "homing")
         if not reading.referenced:
-            raise DeviceFault("The axis stopped without finding its reference. Look at the stage.", codes=("WR",))
+            raise DeviceFault("The axis stopped without finding its reference. Look at the stage.")
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        limits = self.limits()
-        if (limits.lowest_deg is not None and position_deg < limits.lowest_deg - 1e-9) or (
-            limits.highest_deg is not None and position_deg > limits.highest_deg + 1e-9
-        ):
-            raise LimitExceeded(
-                f"{position_deg:g} deg lies outside the travel {limits.lowest_deg:g} to {limits.highest_deg:g} deg."
-            )
+        lowest, highest = self.limits().travel_deg
+        if not lowest - 1e-9 <= position_deg <= highest + 1e-9:
+            raise LimitExceeded(f"{position_deg:g} deg lies outside the travel {lowest:g} to {highest:g} deg.")
         reading = self.read()
         if reading.faults or not reading.referenced:
             raise DeviceFault(
                 f"The axis cannot go to an angle: {', '.join(reading.faults) or 'it has no reference'}. Home it first.",
-                codes=reading.faults,
             )
         self._check_rate(rate_dps)
         self.settings.change("maxspeed", str(round(rate_dps * self._velocity_data())))
@@ -303,7 +298,7 @@ class ZaberAxis(ExchangeDriver[ZaberConfig], Unwatched):
                 raise NotVerified(f"The axis is still moving after {timeout_s:g} s of {doing}. Look at the stage.")
             self._clock.sleep(self._config.poll_s)
         if raise_faults and reading.faults:
-            raise DeviceFault(f"The axis reports {', '.join(reading.faults)} after {doing}.", codes=reading.faults)
+            raise DeviceFault(f"The axis reports {', '.join(reading.faults)} after {doing}.")
         return reading
 
 

@@ -7,14 +7,14 @@ Earth's rate has no component; with several axes the Earth's rate is zero. The s
 structure is the spec's: a `discrepancy` is not drawn.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
 import numpy as np
 
 from ...files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
-from ...files.bench import Chamber
+from ...files.bench import Chamber, Table, TableAxis
 from ...files.moves import AXES, Axis
 from ...files.rig import RigFile, rig_of
 from ...files.sensor import Sensor
@@ -26,18 +26,14 @@ from .espec import EspecOptions, SimulatedEspec
 from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from .port import SimulatedPort
-from .sensor import Mounting, Process, SensorTruth, SimulatedSensor, Triple, TruthBasis
+from .sensor import Mounting, Process, SampledSensor, SensorTruth, SimulatedSensor, Triple, TruthBasis
 from .stim300 import RATES_HZ, SimulatedStim300, Stim300Options
 from .zaber import SimulatedZaber
 
-_EAST: Final[Triple] = (1.0, 0.0, 0.0)
-_ALONG: Final[dict[Axis, Triple]] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+_ALONG: Final[dict[Axis, Triple]] = {"x": _X, "y": _Y, "z": _Z}
 # Mountings that point this axis of the sensor east.
-_MOUNTED: Final[dict[Axis, tuple[Triple, Triple, Triple]]] = {
-    "x": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    "y": ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-    "z": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)),
-}
+_MOUNTED: Final[dict[Axis, tuple[Triple, Triple, Triple]]] = {"x": (_X, _Y, _Z), "y": (_Z, _X, _Y), "z": (_Y, _Z, _X)}
 _TYPICAL_BIAS_DPS: Final = 0.02
 _TYPICAL_SCALE: Final = 1000e-6
 _SLIPS: Final = 0.02
@@ -79,13 +75,13 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
     deg = 180.0 / np.pi
     bias_basis, bias = TruthBasis(), np.zeros((3, 1))
     if sensor.bias is not None:
-        bias_basis = temperature_truth(sensor.bias.temperature)
+        bias_basis = basis_truth(sensor.bias.temperature)
         size = _TYPICAL_BIAS_DPS if sensor.bias.prior is None else float(sensor.bias.prior) * deg
         bias = size * random.standard_normal((3, sensor.bias.temperature.size))
     bias[:, 0] += float(sensor.turn_on_bias or 0.0) * deg * random.standard_normal(3)
     temperature_basis, rate_basis, scale = TruthBasis(), TruthBasis(), np.zeros((3, 1, 1))
     if (section := sensor.scale_factor) is not None:
-        temperature_basis, rate_basis = temperature_truth(section.temperature), rate_truth(section.rate)
+        temperature_basis, rate_basis = basis_truth(section.temperature), basis_truth(section.rate, "deg/s")
         size = _TYPICAL_SCALE if section.prior is None else float(section.prior)
         scale = size * random.standard_normal((3, section.temperature.size, section.rate.size))
     gradient = np.zeros(3)
@@ -140,31 +136,74 @@ def processes_of(drift: Sequence[Any], instability: Sequence[Any] = (), unit: fl
     return (*biases, *scales)
 
 
-def temperature_truth(section: Any) -> TruthBasis:
-    if isinstance(section, TemperaturePolynomial):
-        return TruthBasis("polynomial", section.degree, float(section.centre), float(section.scale))
-    if isinstance(section, TemperatureSpline):
-        return TruthBasis("b-spline", section.degree, knots=tuple(float(k) for k in section.knots))
-    return TruthBasis("bins", knots=tuple(float(e) for e in section.edges))
+def basis_truth(section: Any, unit: str = "") -> TruthBasis:
+    """A spec's basis of temperatures (°C), or of rates in a unit."""
 
+    def numbers(*values: Any) -> tuple[float, ...]:
+        return tuple(to_unit(float(value), unit) if unit else float(value) for value in values)
 
-def rate_truth(section: Any) -> TruthBasis:
-    def dps(values: tuple[Any, ...]) -> tuple[float, ...]:
-        return tuple(to_unit(float(value), "deg/s") for value in values)
-
-    if isinstance(section, RatePolynomial):
-        centre, scale = dps((section.centre, section.scale))
+    if isinstance(section, (TemperaturePolynomial, RatePolynomial)):
+        centre, scale = numbers(section.centre, section.scale)
         return TruthBasis("polynomial", section.degree, centre, scale)
-    if isinstance(section, RateSpline):
-        return TruthBasis("b-spline", section.degree, knots=dps(section.knots))
-    return TruthBasis("bins", knots=dps(section.edges))
+    if isinstance(section, (TemperatureSpline, RateSpline)):
+        return TruthBasis("b-spline", section.degree, knots=numbers(*section.knots))
+    return TruthBasis("bins", knots=numbers(*section.edges))
 
 
-class OnPorts:
-    """Context with simulated devices on open ports; `rig` is the rig file."""
+class Laboratory:
+    """Chamber, table and units, each on a port of its own. A context manager; `rig` is the rig file."""
 
-    ports: list[SimulatedPort]
+    axis_plants: list[AxisPlant]
     rig: RigFile
+
+    def __init__(self, chamber: Chamber, thermal_lag: Any, room_c: float, clock: Clock) -> None:
+        truth = ChamberTruth(
+            start_c=room_c,
+            ambient_c=room_c,
+            # A margin beyond the spec's limits.
+            heating_k_per_min=1.2 * 60.0 * float(chamber.max_heating),
+            cooling_k_per_min=1.2 * 60.0 * float(chamber.max_cooling),
+            load_time_constant_s=max(float(thermal_lag or 0.0), 1.0),
+        )
+        self._clock = clock
+        self.chamber_plant = ChamberPlant(truth, clock.now())
+        cold, hot = (float(end) for end in chamber.range)
+        self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
+
+    def _connect(
+        self,
+        axes: Mapping[str, Table | TableAxis],
+        operator: SimulatedOperator,
+        sensors: Mapping[str, SampledSensor],
+        *,
+        by_hand: bool,
+        hangs: bool = False,
+        sample_rate_hz: float,
+        burst_s: float,
+    ) -> None:
+        """Make the ports and the rig file. The operator has a port where axes are turned `by_hand`, by the limits of
+        the spec's `axes`, or where the operator `hangs` the units anew."""
+        baudrate = _BAUDRATE if sample_rate_hz < RATES_HZ[-1] else _BAUDRATE_AT_FULL_RATE
+        options = Stim300Options(baudrate=baudrate, rate_code=RATES_HZ.index(sample_rate_hz), burst_s=burst_s)
+        self.imus = {name: SimulatedStim300(sensor, self._clock, options) for name, sensor in sensors.items()}
+        self.table: SimulatedZaber | SimulatedOperator
+        self.table = operator if by_hand else _chain_of(self.axis_plants, self._clock, axes.values())
+        devices = [self.chamber, self.table, *self.imus.values(), *([operator] if hangs and not by_hand else [])]
+        self.ports = [SimulatedPort(device, self._clock) for device in devices]
+        at_chamber, at_table, *others = (port.url for port in self.ports)
+        settings = {"sample_rate": f"{sample_rate_hz:g} Hz", "baudrate": baudrate}
+        units = [
+            {"name": name, "driver": "stim300", "port": port, "options": settings}
+            for name, port in zip(sensors, others, strict=False)
+        ]
+        tables: dict[str, Any] = {
+            "format": "gradcal-rig/1",
+            "title": "simulated laboratory",
+            "chamber": {"driver": "espec", "port": at_chamber, "safe": "standby"},
+            "axis": [_axis_table(*axis, at_table, i, by_hand) for i, axis in enumerate(axes.items(), start=1)],
+            "imu": units,
+        }
+        self.rig = rig_of(tables | ({"operator": {"port": others[-1]}} if len(others) > len(sensors) else {}))
 
     def __enter__(self) -> Self:
         for port in self.ports:
@@ -176,7 +215,25 @@ class OnPorts:
             port.close()
 
 
-class SimulatedLab(OnPorts):
+def _chain_of(plants: list[AxisPlant], clock: Clock, axes: Iterable[Table | TableAxis]) -> SimulatedZaber:
+    chain = SimulatedZaber(plants, clock)
+    for stage, says in zip(chain.stages, axes, strict=True):
+        if not np.isinf(travel := float(says.travel)):
+            reach = round(float(np.degrees(travel)) / 360.0 * stage.settings["limit.cycle.dist"])
+            stage.settings |= {"limit.min": -reach, "limit.max": reach}
+    return chain
+
+
+def _axis_table(name: str, says: Table | TableAxis, port: str, number: int, by_hand: bool) -> dict[str, Any]:
+    """The rig file's table of an axis: a stage on a chain, or turned by hand."""
+    limits = {"max_rate": str(says.max_rate), "max_acceleration": str(says.max_acceleration)}
+    if by_hand and not np.isinf(float(says.travel)):
+        limits["travel"] = str(says.travel)
+    device = {"name": name, "driver": "operator" if by_hand else "zaber", "port": port, "safe": "hold"}
+    return device | {"gravity_loaded": False, "options": limits if by_hand else {"device": number, **limits}}
+
+
+class SimulatedLab(Laboratory):
     """The laboratory for one recipe's spec. A context manager; `rig` is its rig file.
 
     `burst_s` is how often the sensor's bytes reach the computer; a longer one costs less time. `room_c` is where the
@@ -193,19 +250,17 @@ class SimulatedLab(OnPorts):
         burst_s: float = 0.5,
         room_c: float = 23.0,
     ) -> None:
+        super().__init__(spec.rig.chamber, spec.sensor.thermal_lag, room_c, clock)
         self.truth = draw_truth(spec, seed)
-        now = clock.now()
-        table, chamber = spec.rig.table, spec.rig.chamber
+        now, table = clock.now(), spec.rig.table
         self.axes = _axes(spec)
-        lag_s = float(spec.sensor.thermal_lag or 0.0)
-        self.chamber_plant = ChamberPlant(chamber_truth(chamber, lag_s, room_c), now)
         axis = self.truth.axis
         self.axis_plants = [
             AxisPlant(replace(axis, seed=16 * axis.seed + number), now) for number in range(1, len(self.axes) + 1)
         ]
         several = len(self.axes) > 1
         mounting = Mounting(
-            axes=tuple(_ALONG[axis] for axis in self.axes) if several else (_EAST,),
+            axes=tuple(_ALONG[axis] for axis in self.axes) if several else (_ALONG["x"],),
             mounting=_MOUNTED["x"] if several else _MOUNTED[self.axes[0]],
             **({"earth_rate_dps": 0.0} if several else {}),
         )
@@ -218,81 +273,21 @@ class SimulatedLab(OnPorts):
             seed=seed + 1,
             start_s=now,
         )
-        cold, hot = (float(end) for end in chamber.range)
-        limited = None if np.isinf(float(table.travel)) else float(np.degrees(float(table.travel)))
-        self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
-        self.table: SimulatedZaber | SimulatedOperator
-        if table.drive == "hand":
-            plants = dict(zip(map(str, self.axes), self.axis_plants, strict=True))
-            self.table = SimulatedOperator(plants, clock, OperatorOptions(seed=seed, slips=_SLIPS))
-        else:
-            self.table = chain_of(self.axis_plants, clock, [limited] * len(self.axes))
-        self.imu = SimulatedStim300(self.sensor, clock, unit_options(sample_rate_hz, burst_s))
-        self.ports = [SimulatedPort(device, clock) for device in (self.chamber, self.table, self.imu)]
-        at_chamber, at_table, at_imu = (port.url for port in self.ports)
-        by_hand = isinstance(self.table, SimulatedOperator)
-        axes = [axis_tables(axis, at_table, number, table, by_hand) for number, axis in enumerate(self.axes, start=1)]
-        self.rig = lab_rig(at_chamber, axes, {_SENSOR_NAME: at_imu}, sample_rate_hz)
+        plants = dict(zip(map(str, self.axes), self.axis_plants, strict=True))
+        operator = SimulatedOperator(plants, clock, OperatorOptions(seed=seed, slips=_SLIPS))
+        self._connect(
+            dict.fromkeys(self.axes, table),
+            operator,
+            {_SENSOR_NAME: self.sensor},
+            by_hand=table.drive == "hand",
+            sample_rate_hz=sample_rate_hz,
+            burst_s=burst_s,
+        )
+        (self.imu,) = self.imus.values()
 
     def truths(self) -> dict[str, Any]:
         """The true parameters, for a file."""
         return self.truth.tables(self.axes)
-
-
-def chain_of(plants: list[AxisPlant], clock: Clock, travel_deg: Sequence[float | None]) -> SimulatedZaber:
-    """A chain of stages; travel in degrees each way from zero."""
-    chain = SimulatedZaber(plants, clock)
-    for stage, travel in zip(chain.stages, travel_deg, strict=True):
-        if travel is not None:
-            reach = round(travel / 360.0 * stage.settings["limit.cycle.dist"])
-            stage.settings |= {"limit.min": -reach, "limit.max": reach}
-    return chain
-
-
-def axis_tables(name: str, port: str, number: int, says: Any, by_hand: bool) -> dict[str, Any]:
-    """The rig file's table of a simulated axis: a stage on a chain, or turned by hand. `says`: the spec's."""
-    limits = {"max_rate": str(says.max_rate), "max_acceleration": str(says.max_acceleration)}
-    if by_hand and not np.isinf(float(says.travel)):
-        limits["travel"] = str(says.travel)
-    device = {"name": name, "driver": "operator" if by_hand else "zaber", "port": port, "safe": "hold"}
-    return device | {"gravity_loaded": False, "options": limits if by_hand else {"device": number, **limits}}
-
-
-def unit_options(sample_rate_hz: float, burst_s: float) -> Stim300Options:
-    """The options of a simulated unit whose bytes reach the computer every `burst_s`."""
-    line = _BAUDRATE if sample_rate_hz < RATES_HZ[-1] else _BAUDRATE_AT_FULL_RATE
-    return Stim300Options(baudrate=line, rate_code=RATES_HZ.index(sample_rate_hz), burst_s=burst_s)
-
-
-def lab_rig(
-    at_chamber: str,
-    axes: list[dict[str, Any]],
-    units: dict[str, str],
-    sample_rate_hz: float,
-    at_person: str | None = None,
-) -> RigFile:
-    """The rig file of simulated devices; `units`: names and ports. `at_person`: the port of the operator who hangs
-    them anew."""
-    options = {"sample_rate": f"{sample_rate_hz:g} Hz", "baudrate": unit_options(sample_rate_hz, 0.0).baudrate}
-    tables: dict[str, Any] = {
-        "format": "gradcal-rig/1",
-        "title": "simulated laboratory",
-        "chamber": {"driver": "espec", "port": at_chamber, "safe": "standby"},
-        "axis": axes,
-        "imu": [{"name": n, "driver": "stim300", "port": port, "options": options} for n, port in units.items()],
-    }
-    return rig_of(tables if at_person is None else tables | {"operator": {"port": at_person}})
-
-
-def chamber_truth(chamber: Chamber, lag_s: float, room_c: float) -> ChamberTruth:
-    """A chamber that follows the spec's limits with a margin."""
-    return ChamberTruth(
-        start_c=room_c,
-        ambient_c=room_c,
-        heating_k_per_min=1.2 * 60.0 * float(chamber.max_heating),
-        cooling_k_per_min=1.2 * 60.0 * float(chamber.max_cooling),
-        load_time_constant_s=max(lag_s, 1.0),
-    )
 
 
 def _axes(spec: Spec) -> tuple[Axis, ...]:

@@ -105,8 +105,6 @@ class SensorTruth:
     temperature_basis: TruthBasis = TruthBasis()
     rate_basis: TruthBasis = TruthBasis()
     clock_error: float = 0.0
-    temperature_noise_c: float = 0.0
-    acceleration_noise_g: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -134,29 +132,26 @@ class SampledSensor(ABC):
     subclass gives their values in `take`."""
 
     clock_error: float
+    taken: int
+    """Samples since the last restart."""
 
     def restart(self, now_s: float, sample_rate_hz: float) -> None:
         """Sample at this rate of the unit's clock from now on, which runs fast by the clock error."""
-        self._start_s, self._taken = now_s, 0
+        self._start_s, self.taken = now_s, 0
         self.true_period_s = 1.0 / sample_rate_hz / (1.0 + self.clock_error)
-
-    @property
-    def taken(self) -> int:
-        """Samples since the last restart."""
-        return self._taken
 
     def next_time_s(self, ahead: int = 1) -> float:
         """True time at which the sample `ahead` from now is complete."""
-        return self._start_s + (self._taken + ahead) * self.true_period_s
+        return self._start_s + (self.taken + ahead) * self.true_period_s
 
     def due(self, now_s: float) -> int:
         """The number of complete samples not yet taken."""
-        return max(0, int((now_s - self._start_s) / self.true_period_s + 1e-6) - self._taken)
+        return max(0, int((now_s - self._start_s) / self.true_period_s + 1e-6) - self.taken)
 
     def ends_of(self, count: int) -> NDArray[np.float64]:
         """`(count + 1,)`: the true times at the ends of the next samples, which count as taken."""
-        ends = self._start_s + (self._taken + np.arange(count + 1.0)) * self.true_period_s
-        self._taken += count
+        ends = self._start_s + (self.taken + np.arange(count + 1.0)) * self.true_period_s
+        self.taken += count
         return ends
 
     @abstractmethod
@@ -198,6 +193,7 @@ class SimulatedSensor(SampledSensor):
         rates, up = self._motion(ends, middles)
         temperature = self._chamber.load_at(middles) if count else np.zeros(0)
         processes = len(truth.processes)
+        # Four of the draws have no use; without them a seed would give other samples than it did.
         draws = self._random.standard_normal((count, 7 + 3 * processes))
         drift, unsteady = self._drifts.take(draws[:, 7:].reshape(count, 3, processes), self.true_period_s)
         bias = truth.bias_basis(temperature) @ self._bias.T + self.turn_on_dps + drift
@@ -215,12 +211,7 @@ class SimulatedSensor(SampledSensor):
         factor = factor + unsteady
         walk = truth.angle_random_walk_deg_sqrt_s / self.true_period_s**0.5 * draws[:, :3]
         error = bias + factor * rates + walk
-        return SensorSamples(
-            ends[1:],
-            rates + error,
-            up + truth.acceleration_noise_g * draws[:, 3:6],
-            temperature + truth.temperature_noise_c * draws[:, 6],
-        )
+        return SensorSamples(ends[1:], rates + error, up, temperature)
 
     def _motion(self, ends: NDArray[np.float64], middles: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
         """Mean inertial rate (deg/s) and up-vector in the sensor's frame, `(n, 3)` each."""

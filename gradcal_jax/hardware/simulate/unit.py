@@ -15,9 +15,9 @@ rotation. Each sample is the mean over its interval, with the sensors' own error
 Units are SI here (rad/s, m/s², °C), unlike in the rest of this package.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,48 +33,56 @@ _PARTS = 3
 Matrix = NDArray[np.float64]
 Kind = Literal["gyro", "accelerometer"]
 
+FACTORS: Final[Mapping[str, Callable[[Vectors, Vectors], NDArray[np.float64]]]] = {
+    "one": lambda own, force: np.ones((len(own), 1, 1)),
+    "own": lambda own, force: own[..., None],
+    "own squared": lambda own, force: own[..., None] ** 2,
+    "own cubed": lambda own, force: own[..., None] ** 3,
+    "own size": lambda own, force: np.abs(own)[..., None],
+    "inputs": lambda own, force: own[:, None],
+    "force": lambda own, force: force[:, None],
+    "force squared": lambda own, force: force[:, None] ** 2,
+    "products": lambda own, force: (force[:, [0, 0, 1]] * force[:, [1, 2, 2]])[:, None],
+}
+"""The factors of an error: of the inputs of three sensors and the specific force, `(n, 3)` each, `(n, 3 or 1, k)`: by
+sensor axis, or the same for all. The products are xy, xz and yz."""
+
 
 @dataclass(frozen=True)
-class Coefficients:
-    """Functions of temperature, `values` `(3, k, nT)`: by sensor axis, and by the factor of each."""
+class ErrorTerm:
+    """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis."""
 
     values: NDArray[np.float64]
     basis: TruthBasis
+    factors: str
 
-    def at(self, temperature_c: NDArray[np.float64]) -> NDArray[np.float64]:
-        """`(n,) -> (n, 3, k)`."""
-        return np.einsum("nt,akt->nak", self.basis(temperature_c), self.values)
+    def __call__(self, own: Vectors, force: Vectors, temperature_c: NDArray[np.float64]) -> Vectors:
+        coefficients = np.einsum("nt,akt->nak", self.basis(temperature_c), self.values)
+        factors = np.broadcast_to(FACTORS[self.factors](own, force), coefficients.shape)
+        return np.einsum("nak,nak->na", coefficients, factors)
 
 
 @dataclass(frozen=True)
 class ScaleFactors:
-    """M(T, ω), `values` `(3, nT, nω)`; ω in deg/s in its basis."""
+    """M(T, ω), `values` `(3, nT, nω)`, of gyros; ω in deg/s in its basis."""
 
     values: NDArray[np.float64]
     temperature: TruthBasis
     rate: TruthBasis
 
+    def __call__(self, own: Vectors, force: Vectors, temperature_c: NDArray[np.float64]) -> Vectors:
+        of_rate = self.rate(np.degrees(own).ravel()).reshape(*own.shape, -1)
+        return np.einsum("nt,naw,atw->na", self.temperature(temperature_c), of_rate, self.values) * own
+
 
 @dataclass(frozen=True)
 class TriadTruth:
-    """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s.
+    """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s."""
 
-    `misalignment`: factors of the other two inputs (its own: zero). `force`, `force_squared`: factors of the specific
-    force, of gyros. `second`, `third`, `asymmetry`, `cross` (xy, xz, yz): of accelerometers.
-    """
-
-    bias: Coefficients
+    errors: tuple[ErrorTerm | ScaleFactors, ...]
     white: float
     walk: float = 0.0
     drifts: tuple[Process, ...] = ()
-    scale: ScaleFactors | Coefficients | None = None
-    misalignment: Coefficients | None = None
-    force: Coefficients | None = None
-    force_squared: Coefficients | None = None
-    second: Coefficients | None = None
-    third: Coefficients | None = None
-    asymmetry: Coefficients | None = None
-    cross: Coefficients | None = None
 
 
 @dataclass(frozen=True)
@@ -90,20 +98,12 @@ class TableTruth:
     mountings: tuple[Matrix, ...] = (np.eye(3),)
 
 
-@dataclass
-class Hanging:
-    """The present mounting of the units on a table, from 0; the operator changes it."""
-
-    mounting: int = 0
-
-
 @dataclass(frozen=True)
 class UnitTruth:
     """A unit's errors. `lever`, `gyro_lever`: of the accelerometers and gyros from the intersection of the axes, m, in
     the body. `names`: the hidden parameters, by their names in a calibration."""
 
-    gyro: TriadTruth | None
-    accelerometer: TriadTruth | None
+    triads: Mapping[Kind, TriadTruth]
     lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
     gyro_lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
     clock_error: float = 0.0
@@ -111,7 +111,7 @@ class UnitTruth:
 
 
 class SimulatedUnit(SampledSensor):
-    """One unit on a table that others may share."""
+    """One unit on a table that others may share. `mounting`: the present one, from 0; the operator changes it."""
 
     def __init__(
         self,
@@ -122,22 +122,18 @@ class SimulatedUnit(SampledSensor):
         *,
         sample_rate_hz: float,
         seed: int,
-        hanging: Hanging | None = None,
+        mounting: int = 0,
         start_s: float = 0.0,
     ) -> None:
         if len(axes) != len(table.axes):
             raise ValueError(f"the table has {len(table.axes)} axes and {len(axes)} are given; give as many.")
-        self.truth, self.table, self.hanging = truth, table, hanging or Hanging()
+        self.truth, self.table, self.mounting = truth, table, mounting
         self.clock_error = truth.clock_error
         self._chamber, self._axes = chamber, tuple(axes)
         self._random = np.random.default_rng([seed, 20263])
         self._walked: dict[Kind, Vectors] = {"gyro": np.zeros(3), "accelerometer": np.zeros(3)}
-        self._drifts = {kind: Drifts(triad.drifts, self._random) for kind, triad in self._triads()}
+        self._drifts = {kind: Drifts(triad.drifts, self._random) for kind, triad in truth.triads.items()}
         self.restart(start_s, sample_rate_hz)
-
-    def _triads(self) -> list[tuple[Kind, TriadTruth]]:
-        both: dict[Kind, TriadTruth | None] = {"gyro": self.truth.gyro, "accelerometer": self.truth.accelerometer}
-        return [(kind, triad) for kind, triad in both.items() if triad is not None]
 
     def take(self, count: int) -> SensorSamples:
         ends = self.ends_of(count)
@@ -149,13 +145,15 @@ class SimulatedUnit(SampledSensor):
         rate, force = self._motion(edges)
         temperature = self._chamber.load_at((edges[1:] + edges[:-1]) / 2.0)
         output: dict[Kind, Vectors] = {"gyro": nan, "accelerometer": nan}
-        for kind, triad in self._triads():
+        for kind, triad in self.truth.triads.items():
             lever = self.truth.gyro_lever if kind == "gyro" else self.truth.lever
             felt = force + _at_lever(np.array(lever), rate, edges)
             noise, own = self._noise(kind, triad, count), rate if kind == "gyro" else felt
             mean = own.reshape(count, _PARTS, 3).mean(axis=1)
-            ideal = _gyro(triad, rate, felt, temperature) if kind == "gyro" else _felt(triad, felt, temperature)
-            output[kind] = ideal.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
+            sensed = own
+            for error in triad.errors:
+                sensed = sensed + error(own, felt, temperature)
+            output[kind] = sensed.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
         return SensorSamples(
             ends[1:],
             np.degrees(output["gyro"]),
@@ -186,7 +184,7 @@ class SimulatedUnit(SampledSensor):
             if l + 1 < len(table.axes):
                 off = table.orthogonality[l] * np.cross(np.array(table.axes[l + 1]), direction)
                 attitude = attitude @ turn_by(off)
-        attitude = attitude @ table.mountings[self.hanging.mounting]
+        attitude = attitude @ table.mountings[self.mounting]
         earth = EARTH_RATE * np.array([0.0, np.cos(table.latitude), np.sin(table.latitude)])
         return np.einsum("nij,ni->nj", attitude, turning + earth), table.gravity * attitude[:, 2]
 
@@ -195,28 +193,3 @@ def _at_lever(lever: Vectors, rate: Vectors, edges: NDArray[np.float64]) -> Vect
     """The acceleration by rotation in the specific force: ω × (ω × r) + ω̇ × r."""
     middles = (edges[1:] + edges[:-1]) / 2.0
     return np.cross(rate, np.cross(rate, lever)) + np.cross(np.gradient(rate, middles, axis=0), lever)
-
-
-def _gyro(truth: TriadTruth, rate: Vectors, force: Vectors, temperature: NDArray[np.float64]) -> Vectors:
-    output = rate + truth.bias.at(temperature)[..., 0]
-    if isinstance(truth.scale, ScaleFactors):
-        of_rate = truth.scale.rate(np.degrees(rate).ravel()).reshape(*rate.shape, -1)
-        factor = np.einsum("nt,naw,atw->na", truth.scale.temperature(temperature), of_rate, truth.scale.values)
-        output += factor * rate
-    for coefficients, seen in ((truth.misalignment, rate), (truth.force, force), (truth.force_squared, force**2)):
-        if coefficients is not None:
-            output += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
-    return output
-
-
-def _felt(truth: TriadTruth, force: Vectors, temperature: NDArray[np.float64]) -> Vectors:
-    output = force + truth.bias.at(temperature)[..., 0]
-    own = ((truth.scale, force), (truth.second, force**2), (truth.third, force**3), (truth.asymmetry, np.abs(force)))
-    for coefficients, seen in own:
-        if isinstance(coefficients, Coefficients):
-            output += coefficients.at(temperature)[..., 0] * seen
-    pairs = force[:, [0, 0, 1]] * force[:, [1, 2, 2]]
-    for coefficients, seen in ((truth.misalignment, force), (truth.cross, pairs)):
-        if coefficients is not None:
-            output += np.einsum("nak,nk->na", coefficients.at(temperature), seen)
-    return output

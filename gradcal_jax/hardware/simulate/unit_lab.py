@@ -16,51 +16,42 @@ from ...files.sensor import AccelerometerTriad, GyroTriad
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from ..pose import turn_by
-from .espec import EspecOptions, SimulatedEspec
-from .lab import (
-    OnPorts,
-    axis_tables,
-    chain_of,
-    chamber_truth,
-    lab_rig,
-    processes_of,
-    rate_truth,
-    temperature_truth,
-    unit_options,
-)
+from .lab import Laboratory, basis_truth, processes_of
 from .operator import OperatorOptions, SimulatedOperator
-from .plants import AxisPlant, AxisTruth, ChamberPlant
-from .port import SimulatedPort
+from .plants import AxisPlant, AxisTruth
 from .sensor import TruthBasis
-from .stim300 import SimulatedStim300
-from .unit import (
-    Coefficients,
-    Hanging,
-    Matrix,
-    ScaleFactors,
-    SimulatedUnit,
-    TableTruth,
-    TriadTruth,
-    UnitTruth,
-)
+from .unit import ErrorTerm, Kind, Matrix, ScaleFactors, SimulatedUnit, TableTruth, TriadTruth, UnitTruth
 
 _XYZ: Final = "xyz"
-_PAIRS: Final = ("xy", "xz", "yz")
 # Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
 _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
-_CONSTANT: Final = TruthBasis()
-# Typical sizes for flat priors, SI.
-_TYPICAL: Final = {
-    "bias": np.radians(0.02),
-    "scale_factor": 1e-3,
-    "misalignment": 1e-3,
-    "g_sensitivity": np.radians(10.0) / 3600.0 / 9.8,
-    "g_squared": np.radians(0.1) / 3600.0 / 9.8**2,
-    "force_bias": 5e-3 * 9.8,
-    "second_order": 1e-4 / 9.8,
-    "third_order": 1e-5 / 9.8**2,
+_OTHERS: Final = [["" if a == b else f"m_{b}" for b in _XYZ] for a in _XYZ]
+# The errors of each kind of sensor, in the order of their draws: section of the spec, size for a flat prior (SI),
+# factors, and names of the coefficients by sensor axis, "" for none. The scale factor of gyros is M(T, ω).
+_ERRORS: Final[dict[Kind, tuple[tuple[str, float, str, list[list[str]]], ...]]] = {
+    "gyro": (
+        ("bias", np.radians(0.02), "one", [["a"]] * 3),
+        ("scale_factor", 1e-3, "", []),
+        ("misalignment", 1e-3, "inputs", _OTHERS),
+        ("g_sensitivity", np.radians(10.0) / 3600.0 / 9.8, "force", [[f"g_{a}" for a in _XYZ]] * 3),
+        ("g_squared", np.radians(0.1) / 3600.0 / 9.8**2, "force squared", [[f"gg_{a}" for a in _XYZ]] * 3),
+    ),
+    "accelerometer": (
+        ("bias", 5e-3 * 9.8, "one", [["a"]] * 3),
+        ("scale_factor", 1e-3, "own", [["s"]] * 3),
+        ("misalignment", 1e-3, "inputs", _OTHERS),
+        ("second_order", 1e-4 / 9.8, "own squared", [["k2"]] * 3),
+        ("third_order", 1e-5 / 9.8**2, "own cubed", [["k3"]] * 3),
+        ("asymmetry", 1e-3, "own size", [["asymmetry"]] * 3),
+        ("cross_coupling", 1e-4 / 9.8, "products", [["k_xy", "k_xz", "k_yz"]] * 3),
+    ),
 }
+
+
+def ordinal(basis: TruthBasis, number: int) -> str:
+    """The number of a basis function in the calibration's names."""
+    return {"polynomial": "", "b-spline": "_spline", "bins": "_bin"}[basis.kind] + str(number)
 
 
 class _Draws:
@@ -70,106 +61,62 @@ class _Draws:
         self.random = random
         self.values: dict[str, float] = {}
 
-    def draw(
-        self,
-        kind: str,
-        section: Any,
-        typical: str,
-        symbols: list[list[str]],
-        axes: tuple[str, ...],
-        *,
-        counted: bool = False,
-    ) -> Coefficients | None:
-        """`symbols`: names of the coefficients by sensor axis, "" for none."""
-        if section is None:
-            return None
-        basis = _CONSTANT if section.temperature is None else temperature_truth(section.temperature)
-        count = 1 if section.temperature is None else section.temperature.size
-        size = _TYPICAL[typical] if section.prior is None else float(section.prior)
+    def triad(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> TriadTruth:
+        errors: list[ErrorTerm | ScaleFactors] = []
+        for name, typical, factors, symbols in _ERRORS[kind]:
+            section: Any = getattr(triad, name)
+            if section is not None:
+                size = typical if section.prior is None else float(section.prior)
+                if factors:
+                    errors.append(self._term(kind, section, size, factors, symbols, triad.axes))
+                else:
+                    errors.append(self._scale_factors(section, size, triad.axes))
+        if isinstance(triad, GyroTriad):
+            drifts = processes_of(triad.drift, triad.scale_factor_instability)
+            noise = float(triad.angle_random_walk), float(triad.rate_random_walk or 0.0)
+            return TriadTruth(tuple(errors), *noise, drifts)
+        return TriadTruth(tuple(errors), float(triad.velocity_random_walk), drifts=processes_of(triad.drift))
+
+    def _term(
+        self, kind: Kind, section: Any, size: float, factors: str, symbols: list[list[str]], axes: tuple[str, ...]
+    ) -> ErrorTerm:
+        basis, count = TruthBasis(), 1
+        if section.temperature is not None:
+            basis, count = basis_truth(section.temperature), section.temperature.size
         values = size * self.random.standard_normal((3, len(symbols[0]), count))
-        for row, own in enumerate(symbols):
-            for column, symbol in enumerate(own):
-                if not symbol or _XYZ[row] not in axes:
-                    values[row, column] = 0.0
-                    continue
-                for power, value in enumerate(values[row, column]):
-                    ending = ordinal(basis, power) if count > 1 or counted else ""
-                    self.values[f"{kind}_{_XYZ[row]}.{symbol}{ending}"] = float(value)
-        return Coefficients(values, basis)
+        # A gyro's bias is numbered also where it is constant.
+        counted = count > 1 or (kind, factors) == ("gyro", "one")
+        for row, column, power in np.ndindex(values.shape):
+            if symbols[row][column] and _XYZ[row] in axes:
+                ending = ordinal(basis, power) if counted else ""
+                self.values[f"{kind}_{_XYZ[row]}.{symbols[row][column]}{ending}"] = float(values[row, column, power])
+            else:
+                values[row, column, power] = 0.0
+        return ErrorTerm(values, basis, factors)
 
-
-def ordinal(basis: TruthBasis, number: int) -> str:
-    """The number of a basis function in the calibration's names."""
-    return {"polynomial": "", "b-spline": "_spline", "bins": "_bin"}[basis.kind] + str(number)
-
-
-def _others(symbol: str) -> list[list[str]]:
-    return [["" if a == b else f"{symbol}_{b}" for b in _XYZ] for a in _XYZ]
-
-
-def _gyro(triad: GyroTriad, draws: _Draws) -> TriadTruth:
-    axes, all_three = triad.axes, [[*_XYZ]] * 3
-    bias = draws.draw("gyro", triad.bias, "bias", [["a"]] * 3, axes, counted=True)
-    assert bias is not None
-    scale = None
-    if (section := triad.scale_factor) is not None:
-        of_t, of_w = temperature_truth(section.temperature), rate_truth(section.rate)
-        size = _TYPICAL["scale_factor"] if section.prior is None else float(section.prior)
-        values = size * draws.random.standard_normal((3, section.temperature.size, section.rate.size))
+    def _scale_factors(self, section: Any, size: float, axes: tuple[str, ...]) -> ScaleFactors:
+        of_t, of_w = basis_truth(section.temperature), basis_truth(section.rate, "deg/s")
+        values = size * self.random.standard_normal((3, section.temperature.size, section.rate.size))
         powers = of_t.kind == of_w.kind == "polynomial" and max(values.shape[1:]) <= 10
-        for row, axis in enumerate(_XYZ):
-            for i, j in itertools.product(*map(range, values.shape[1:])):
-                symbol = f"b{j}{i}" if powers else f"b{ordinal(of_w, j)}_{ordinal(of_t, i)}"
-                if axis in axes:
-                    draws.values[f"gyro_{axis}.{symbol}"] = float(values[row, i, j])
-        scale = ScaleFactors(values, of_t, of_w)
-    force = [[f"g_{a}" for a in row] for row in all_three]
-    squares = [[f"gg_{a}" for a in row] for row in all_three]
-    return TriadTruth(
-        bias=bias,
-        white=float(triad.angle_random_walk),
-        walk=float(triad.rate_random_walk or 0.0),
-        drifts=processes_of(triad.drift, triad.scale_factor_instability),
-        scale=scale,
-        misalignment=draws.draw("gyro", triad.misalignment, "misalignment", _others("m"), axes),
-        force=draws.draw("gyro", triad.g_sensitivity, "g_sensitivity", force, axes),
-        force_squared=draws.draw("gyro", triad.g_squared, "g_squared", squares, axes),
-    )
-
-
-def _accelerometer(triad: AccelerometerTriad, draws: _Draws) -> TriadTruth:
-    axes, kind = triad.axes, "accelerometer"
-
-    def own(section: Any, typical: str, symbol: str) -> Coefficients | None:
-        return draws.draw(kind, section, typical, [[symbol]] * 3, axes)
-
-    bias = own(triad.bias, "force_bias", "a")
-    assert bias is not None
-    return TriadTruth(
-        bias=bias,
-        white=float(triad.velocity_random_walk),
-        drifts=processes_of(triad.drift),
-        scale=own(triad.scale_factor, "scale_factor", "s"),
-        misalignment=draws.draw(kind, triad.misalignment, "misalignment", _others("m"), axes),
-        second=own(triad.second_order, "second_order", "k2"),
-        third=own(triad.third_order, "third_order", "k3"),
-        asymmetry=own(triad.asymmetry, "scale_factor", "asymmetry"),
-        cross=draws.draw(kind, triad.cross_coupling, "second_order", [[f"k_{p}" for p in _PAIRS]] * 3, axes),
-    )
+        for row, i, j in np.ndindex(values.shape):
+            symbol = f"b{j}{i}" if powers else f"b{ordinal(of_w, j)}_{ordinal(of_t, i)}"
+            if _XYZ[row] in axes:
+                self.values[f"gyro_{_XYZ[row]}.{symbol}"] = float(values[row, i, j])
+        return ScaleFactors(values, of_t, of_w)
 
 
 def draw_unit_truth(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
     """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI."""
     draws = _Draws(np.random.default_rng([seed, number, 20261]))
     sensor = spec.sensor
-    gyro = None if sensor.gyro is None else _gyro(sensor.gyro, draws)
-    accelerometer = None if sensor.accelerometer is None else _accelerometer(sensor.accelerometer, draws)
+    both: dict[Kind, Any] = {"gyro": sensor.gyro, "accelerometer": sensor.accelerometer}
+    triads: dict[Kind, TriadTruth] = {k: draws.triad(k, triad) for k, triad in both.items() if triad is not None}
     lever = _LEVER_M * draws.random.standard_normal(3)
     clock = 0.0
     if sensor.sample_clock_error:
         clock = draws.values["sample_clock"] = float(sensor.sample_clock_error) * float(draws.random.standard_normal())
     of_gyros = lever + _APART_M * draws.random.standard_normal(3)
-    return UnitTruth(gyro, accelerometer, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, draws.values)
+    return UnitTruth(triads, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, draws.values)
 
 
 def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:
@@ -227,7 +174,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
     return truth, encoders, named
 
 
-class SimulatedUnitLab(OnPorts):
+class SimulatedUnitLab(Laboratory):
     """The laboratory for one recipe's spec, with `units` units on the table. A context manager; `rig` is its rig file.
 
     `mounting`: the first mounting, from 0. `burst_s` is the time between bursts of a unit's bytes to the computer.
@@ -245,10 +192,9 @@ class SimulatedUnitLab(OnPorts):
         burst_s: float = 0.5,
         room_c: float = 23.0,
     ) -> None:
-        now, chamber = clock.now(), spec.rig.chamber
+        super().__init__(spec.rig.chamber, spec.sensor.thermal_lag, room_c, clock)
+        now, table = clock.now(), spec.rig.table
         truth, encoders, self._installation = draw_table(spec, seed)
-        self.table_truth, self.hanging = truth, Hanging(mounting)
-        self.chamber_plant = ChamberPlant(chamber_truth(chamber, float(spec.sensor.thermal_lag or 0.0), room_c), now)
         self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
         self.units: dict[str, SimulatedUnit] = {
             f"unit{number}": SimulatedUnit(
@@ -258,29 +204,23 @@ class SimulatedUnitLab(OnPorts):
                 self.axis_plants,
                 sample_rate_hz=sample_rate_hz,
                 seed=64 * seed + number,
-                hanging=self.hanging,
+                mounting=mounting,
                 start_s=now,
             )
             for number in range(1, units + 1)
         }
-        cold, hot = (float(end) for end in chamber.range)
-        self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
-        axes = spec.rig.table.axis
-        plants = dict(zip((axis.name for axis in axes), self.axis_plants, strict=True))
-        by_hand = any(step.move.shape == "hand" for step in spec.schedule.steps)
-        person = SimulatedOperator(plants, clock, OperatorOptions(seed=seed), hang=self._hang)
-        self.person = person
-        stages = chain_of(self.axis_plants, clock, [encoder.highest_deg for encoder in encoders])
-        options = unit_options(sample_rate_hz, burst_s)
-        self.imus = {name: SimulatedStim300(unit, clock, options) for name, unit in self.units.items()}
-        several = len(spec.rig.table.mounting) > 1
-        devices = [self.chamber, person if by_hand else stages, *self.imus.values()]
-        devices += [person] if several and not by_hand else []
-        self.ports = [SimulatedPort(device, clock) for device in devices]
-        at_chamber, at_table, *others = (port.url for port in self.ports)
-        tables = [axis_tables(axis.name, at_table, number, axis, by_hand) for number, axis in enumerate(axes, start=1)]
-        at_person = others[-1] if several and not by_hand else None
-        self.rig = lab_rig(at_chamber, tables, dict(zip(self.units, others, strict=False)), sample_rate_hz, at_person)
+        axes = {axis.name: axis for axis in table.axis}
+        plants = dict(zip(axes, self.axis_plants, strict=True))
+        operator = SimulatedOperator(plants, clock, OperatorOptions(seed=seed), hang=self._hang)
+        self._connect(
+            axes,
+            operator,
+            self.units,
+            by_hand=any(step.move.shape == "hand" for step in spec.schedule.steps),
+            hangs=len(table.mounting) > 1,
+            sample_rate_hz=sample_rate_hz,
+            burst_s=burst_s,
+        )
 
     def truths(self) -> dict[str, Any]:
         """The true parameters by their names in the calibrations, SI, for a file."""
@@ -288,4 +228,5 @@ class SimulatedUnitLab(OnPorts):
         return {"installation": self._installation, "units": units}
 
     def _hang(self, number: int) -> None:
-        self.hanging.mounting = number - 1
+        for unit in self.units.values():
+            unit.mounting = number - 1

@@ -19,7 +19,7 @@ from ..clock import Link
 _PACE_S = 0.005
 
 
-class _Account:
+class _Account(Link):
     """Bytes written and not yet handled, each way, of one line; guarded by the clock's lock."""
 
     def __init__(self, clock: "VirtualClock") -> None:

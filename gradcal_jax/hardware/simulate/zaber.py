@@ -45,7 +45,6 @@ class SimulatedZaber:
         self._clock = clock
         self._buffer = b""
         self._checksums = False
-        self.ignored_lines = 0
         turn = self.options.microsteps_per_turn
         self.stages = [_Stage(plant) for plant in plants]
         for number, stage in enumerate(self.stages):
@@ -69,11 +68,8 @@ class SimulatedZaber:
         replies: list[bytes] = []
         while (end := self._buffer.find(b"\n")) >= 0:
             line, self._buffer = self._buffer[:end].rstrip(b"\r"), self._buffer[end + 1 :]
-            start = line.rfind(b"/")
-            if start < 0:
-                self.ignored_lines += 1
-                continue
-            replies += self._line(line[start:])
+            if (start := line.rfind(b"/")) >= 0:
+                replies += self._line(line[start:])
         return replies
 
     def fault(self, flag: str, device: int = 1) -> None:
@@ -96,7 +92,6 @@ class SimulatedZaber:
     def _line(self, line: bytes) -> list[bytes]:
         if len(line) > 3 and line[-3:-2] == b":":
             if line[-2:] != b"%02X" % lrc_zaber(line[1:-3]):
-                self.ignored_lines += 1
                 return []
             line = line[:-3]
         match = _COMMAND.fullmatch(line.decode("latin-1"))
@@ -104,12 +99,10 @@ class SimulatedZaber:
         device, axis = int(match[1] or 0), int(match[2] or 0)
         number = "" if match[3] is None else f" {int(match[3]):02d}"
         words = match[4].strip()
-        chosen = range(1, len(self.stages) + 1) if device == 0 else [device]
         replies: list[bytes] = []
-        for address in chosen:
-            if not 1 <= address <= len(self.stages):
+        for address, stage in enumerate(self.stages, start=1):
+            if device not in (0, address):
                 continue
-            stage = self.stages[address - 1]
             # One time for the whole reply: a position read while the axis turned never comes with "IDLE".
             now = self._clock.now()
             accepted, data = (False, "BADAXIS") if axis > 1 else self._obey(stage, words, now)

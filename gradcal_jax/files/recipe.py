@@ -7,13 +7,13 @@ has all that a runner needs of it.
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, cast
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from gradcal_jax.files.changes import any_spec_of
+from gradcal_jax.files.changes import any_spec_of, differences
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
@@ -112,9 +112,14 @@ class Recipe(Section):
     @model_validator(mode="after")
     def _of_one_piece(self) -> "Recipe":
         chamber, motion = tracks_of(self.spec)
-        problems = _differences(chamber.model_dump(mode="json"), self.chamber.model_dump(mode="json"), ("chamber",))
-        written, expected = ([block.model_dump(mode="json") for block in blocks] for blocks in (self.motion, motion))
-        problems += _differences(expected, written, ("motion",))
+        expected, written = (
+            {"chamber": track.model_dump(mode="json"), "motion": [block.model_dump(mode="json") for block in blocks]}
+            for track, blocks in ((chamber, motion), (self.chamber, self.motion))
+        )
+        message = (
+            "does not follow from the spec inside the recipe; change the plan in the spec and make the recipe anew"
+        )
+        problems = [Problem(key, message, value) for key, _, value in differences(expected, written, ())]
         refuse(*problems[:5])
         return self
 
@@ -136,23 +141,6 @@ class Recipe(Section):
         tables = self.model_dump(mode="json", exclude_unset=True)
         text = json.dumps(tables, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
         return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _differences(expected: Any, written: Any, key: tuple[str | int, ...]) -> list[Problem]:
-    if expected == written:
-        return []
-    entries: Iterable[tuple[str | int, Any, Any]] | None = None
-    if isinstance(expected, dict) and isinstance(written, dict):
-        one, other = cast("dict[str, Any]", expected), cast("dict[str, Any]", written)
-        entries = ((name, value, other.get(name)) for name, value in one.items())
-    elif isinstance(expected, list) and isinstance(written, list):
-        rows, others = cast("list[Any]", expected), cast("list[Any]", written)
-        if len(rows) == len(others):
-            entries = ((place, row, others[place]) for place, row in enumerate(rows))
-    if entries is not None:
-        return [problem for name, one, other in entries for problem in _differences(one, other, (*key, name))]
-    message = "does not follow from the spec inside the recipe; change the plan in the spec and make the recipe anew"
-    return [Problem(key, message, cast("object", written))]
 
 
 def read_recipe(path: str | Path) -> Recipe:

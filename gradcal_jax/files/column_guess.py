@@ -7,32 +7,10 @@ from typing import Final
 
 import numpy as np
 
+from gradcal_jax.files import presets
 from gradcal_jax.files.log import LogError
 
-EXAMPLE: Final = """\
-format      = "gradcal-columns/1"
-name        = "SN-1"                          # of the sensor; its serial number
-# What each column means. (number - zero) × scale is the value in the unit.
-time        = { column = "t", unit = "ms" }   # or leave it out and give: sample_rate = "100 Hz"
-temperature = { column = "temp", unit = "degC" }          # leave it out where there is none
-# full_scale = "500 deg/s"                    # where rates saturate
-
-[rate]                                        # one line for each axis of the gyro
-x = { column = "gx", unit = "deg/s" }
-y = { column = "gy", unit = "deg/s" }
-z = { column = "gz", unit = "deg/s", scale = 0.0305 }     # counts: deg/s per count
-
-# [force]                                     # of its accelerometers: +1 g along an axis that points up at rest
-# x = { column = "ax", unit = "m/s^2" }
-
-# [table_angle]                               # of a rate table, where it was recorded
-# inner = { column = "angle", unit = "deg" }
-
-[csv]                                         # only where it is not ",", ".", and a header
-delimiter = ","                               # ";", "tab" or "whitespace"; header = false: columns are numbered from 0
-# decimal  = ","
-# encoding = "latin-1"
-"""
+EXAMPLE: Final = presets.template("columns.toml")
 
 _TIME: Final = re.compile(r"(time|stamp|timestamp|t)(?:[ _\-(\[]*(ns|us|µs|ms|s|sec|seconds))?[)\]]*", re.IGNORECASE)
 _TEMPERATURE: Final = re.compile(r"(temp|temperature|t)(?:[ _\-(\[]*(?:deg|°)?[ _]?(c|f))?[)\]]*", re.IGNORECASE)

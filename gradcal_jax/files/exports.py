@@ -415,7 +415,7 @@ def list_text(values: Floats) -> str:
 
 
 def _c_header(calibration: Calibration, options: Mapping[str, Any]) -> Export:
-    text, errors = c_header.header_text(calibration, options["left_out"])
+    text, errors = c_header.axes_header(calibration, options["left_out"])
     losses = tuple(Loss(*error) for error in errors)
     notes = [note for axis in calibration.axis for note in _lost_terms(axis)]
     return Export(text, losses, (*notes, "float32, no allocation, sensor's own axes in the order of the header"))

@@ -19,6 +19,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from gradcal_jax.files import presets
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.log import Floats, LogError
 from gradcal_jax.files.quantity import Flag
@@ -27,19 +28,7 @@ from gradcal_jax.files.tables import Name, RateColumn, Source, TemperatureColumn
 
 FORMAT: Final = "gradcal-points/1"
 
-EXAMPLE: Final = """\
-format         = "gradcal-points/1"
-name           = "SN-1"                       # of the sensor; its serial number
-axis           = "x"
-# What each column means, a row a point. (number - zero) × scale is the value in the unit.
-temperature    = { column = "temp", unit = "degC" }
-reference_rate = { column = "table", unit = "deg/s" }
-output         = { column = "gyro", unit = "deg/s" }      # counts: scale = 0.0305, in deg/s per count
-# sigma        = { column = "std", unit = "deg/s" }       # of the output (a mean's); without it the spec's noise counts
-
-[csv]                                         # only where it is not ",", ".", and a header
-delimiter = ","                               # ";", "tab" or "whitespace"
-"""
+EXAMPLE: Final = presets.template("points.toml")
 
 
 class PointMap(Section):

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
+from gradcal_jax.files import presets
 from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem
@@ -247,68 +248,5 @@ def rig_of(document: Mapping[str, Any], source: str = "") -> RigFile:
     return model_of(RigFile, document, FORMAT, source, lambda _: ())
 
 
-TEMPLATE: Final = """\
-format = "gradcal-rig/1"
-title  = "my bench"
-
-# The devices and their ports. A port is a device path, COM3, or a URL such as socket://192.168.0.7:10001.
-# `gradcal rig check` reads everything back from the devices.
-
-[chamber]
-driver  = "espec"            # espec, weiss, watlow_f4, watlow_f4t, or lines with a protocol (see gradcal rig protocols)
-port    = "/dev/ttyUSB0"
-safe    = "standby"          # when a run ends badly: standby, hold or ambient
-ambient = "23 degC"
-lag     = "5 min"            # in a run the air may be so far behind its course,
-band    = "3 K"              # and so far beside it
-# [chamber.options]          # what the driver leaves open; see its documentation
-# baudrate = 19200
-
-[[axis]]                     # outermost first
-name           = "table"
-driver         = "zaber"     # zaber or odrive; or operator: turned by hand (see below)
-port           = "/dev/ttyUSB1"
-safe           = "hold"      # hold, controlled stop or unpower
-gravity_loaded = false       # true: it moves by itself without power
-[axis.options]
-max_rate         = "300 deg/s"
-max_acceleration = "300 deg/s^2"
-
-# A gimbal that is moved by hand: `gradcal run` asks for each turn where it was started, and for the angle afterwards.
-# [[axis]]
-# name           = "gimbal"
-# driver         = "operator"
-# port           = "terminal"
-# safe           = "hold"
-# gravity_loaded = false
-# options        = { max_rate = "120 deg/s", travel = "1080 deg", unit = "deg" }   # unit: of a bare number
-# encoder        = { driver = "odrive", port = "/dev/ttyUSB3" }   # read instead of typed; its motor is left alone
-
-[[imu]]
-name   = "unit1"
-driver = "stim300"           # stim300 or vectornav
-port   = "/dev/ttyUSB2"
-# serial_number = "N25582405002002"   # refuse any other unit
-[imu.options]
-sample_rate = "125 Hz"
-
-# What to call where a run pauses by itself or ends badly; the reason is put behind it.
-# [alarm]
-# command = ["notify-send", "gradcal"]
-
-# Where the operator is asked to hang a whole unit anew, if its spec has several mountings; else where the run started.
-# [operator]
-# port = "/dev/ttyUSB4"
-
-# For `gradcal report --certificate`: who signs, and what the values are traced to.
-# [laboratory]
-# name     = "Calibration laboratory"
-# country  = "DE"
-# operator = "A. Person"
-# [[reference]]
-# device      = "encoder"    # table, encoder, chamber, thermometer or clock
-# identity    = "RON 905, 12345"
-# certificate = "K-2026-17"
-# due         = "2027-06-30"
-"""
+TEMPLATE: Final = presets.template("rig.toml")
 """What `gradcal rig new` writes: a commented rig to be edited."""

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.files import exports, unit_c_header
+from gradcal_jax.files import c_header, exports
 from gradcal_jax.files.bases import TemperaturePolynomial
 from gradcal_jax.files.calibration import AxisCalibration, BiasMap, Calibration, ScaleFactorMap
 from gradcal_jax.files.exports import Export, Loss
@@ -331,7 +331,7 @@ def _matrices(calibration: UnitCalibration, options: Mapping[str, Any]) -> Expor
 
 
 def _c_header(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
-    text, errors = unit_c_header.write_unit(calibration)
+    text, errors = c_header.unit_header(calibration)
     losses = tuple(Loss(*error) for error in errors)
     lag = [] if calibration.thermal_lag is None else [f"the thermal lag of {calibration.thermal_lag} is not carried"]
     return Export(text, losses, (*lag, "float32, no allocation, no division; all axes in the calibration's frame"))

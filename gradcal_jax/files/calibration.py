@@ -297,7 +297,7 @@ def write_calibration(calibration: Calibration, path: str | Path) -> None:
 
     Errors: `OSError` where it cannot be written.
     """
-    write_toml(calibration, path, header=_HEADER + (_SIMULATED if calibration.simulated else ""))
+    write_toml(calibration, path, header=_HEADER + (SIMULATED if calibration.simulated else ""))
 
 
 _HEADER: Final = """\
@@ -306,4 +306,4 @@ The calibration of one unit. Apply it with `gradcal apply`, check it with `gradc
 a{k}: rad/s, times the k-th power of (T - centre)/scale, in B.
 b{j}{i}: ratio, times the j-th power of (rate - centre)/scale and the i-th of the temperature's, in M.
 Numbers without a unit are SI: rad, s, degC."""
-_SIMULATED: Final = "\nSIMULATED: made from simulated data, of no real unit."
+SIMULATED: Final = "\nSIMULATED: made from simulated data, of no real unit."

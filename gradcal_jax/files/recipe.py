@@ -15,8 +15,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax.files.changes import any_spec_of, differences
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import from_text, model_of, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
@@ -153,32 +152,34 @@ def read_recipe(path: str | Path) -> Recipe:
 
 def spec_in(path: str | Path) -> Spec:
     """The spec of one axis in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
-    text = read_text(path)
-    with missions_from(Path(path).parent), with_lines(text):
-        document = read_toml(text, str(path))
-        return spec_inside(document, str(path)) if is_recipe(document) else spec_of(document, str(path))
+    with missions_from(Path(path).parent):
+        return from_text(axis_spec_of, read_text(path), str(path))
 
 
-def spec_inside(document: Mapping[str, Any], source: str = "") -> Spec:
-    """The spec of one axis inside the tables of a recipe. Raises `SpecError` where it is of a whole unit."""
+def any_spec_in(path: str | Path) -> Spec | UnitSpec:
+    """As `spec_in`, and the spec of a whole unit, too."""
+    with missions_from(Path(path).parent):
+        return from_text(spec_or_recipes_of, read_text(path), str(path))
+
+
+def axis_spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
+    """The spec of one axis from the tables of a spec or recipe. Raises `SpecError` where it is of a whole unit."""
+    if not is_recipe(document):
+        return spec_of(document, source)
     try:
         return recipe_of(document, source).axis_spec
     except SpecError as error:
         raise SpecError(error.problems, source) from None
 
 
-def any_spec_in(path: str | Path) -> Spec | UnitSpec:
-    """As `spec_in`, and the spec of a whole unit, too."""
-    text = read_text(path)
-    with missions_from(Path(path).parent), with_lines(text):
-        document = read_toml(text, str(path))
-        return recipe_of(document, str(path)).spec if is_recipe(document) else any_spec_of(document, str(path))
+def spec_or_recipes_of(document: Mapping[str, Any], source: str = "") -> Spec | UnitSpec:
+    """The spec of one axis or of a whole unit from the tables of a spec or recipe. Raises `SpecError`."""
+    return recipe_of(document, source).spec if is_recipe(document) else any_spec_of(document, source)
 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:
     """A recipe from the text of a TOML file; `source` names it in messages. Raises `SpecError`."""
-    with with_lines(text):
-        return recipe_of(read_toml(text, source), source)
+    return from_text(recipe_of, text, source)
 
 
 def recipe_of(document: Mapping[str, Any], source: str = "") -> Recipe:

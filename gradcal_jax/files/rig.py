@@ -13,8 +13,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from gradcal_jax.files import presets
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import from_text, model_of, read_text
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import Flag, PositiveTemperatureDifference, Quantity, Temperature, Text, Time
 from gradcal_jax.files.section import Section, refuse
@@ -239,8 +238,7 @@ def read_rig(path: str | Path) -> RigFile:
 
 def parse_rig(text: str, source: str = "") -> RigFile:
     """A rig from the text of a TOML file; `source` names it in messages. Raises `SpecError`."""
-    with with_lines(text):
-        return rig_of(read_toml(text, source), source)
+    return from_text(rig_of, text, source)
 
 
 def rig_of(document: Mapping[str, Any], source: str = "") -> RigFile:

@@ -11,8 +11,7 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from gradcal_jax.files.bench import Rig
 from gradcal_jax.files.checks import between_sections
 from gradcal_jax.files.design import Design
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import from_text, model_of, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.plan import GradientPlan, Plan, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError
@@ -140,8 +139,7 @@ def parse_spec(text: str, source: str = "") -> Spec:
 
     Errors: `SpecError`, as `read_spec`.
     """
-    with with_lines(text):
-        return spec_of(read_toml(text, source), source)
+    return from_text(spec_of, text, source)
 
 
 def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:

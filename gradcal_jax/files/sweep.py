@@ -30,14 +30,14 @@ from pydantic import Field, model_validator
 
 from gradcal_jax import units
 from gradcal_jax.files import presets
-from gradcal_jax.files.changes import any_spec_of, changed, split_key
+from gradcal_jax.files.changes import changed, split_key
 from gradcal_jax.files.document import parsed, read_text, read_toml
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Count, Text, Whole
-from gradcal_jax.files.recipe import is_recipe, recipe_of, spec_inside
+from gradcal_jax.files.recipe import axis_spec_of, spec_or_recipes_of
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.spec import Spec, spec_of
+from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
 FORMAT: Final = "gradcal-sweep/1"
@@ -293,7 +293,7 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     file = parsed(SweepFile, text, FORMAT, source)
     tables, place = _named(file.base, Path(folder), source)
     with missions_from(Path(place).parent):
-        base = recipe_of(tables, place).spec if is_recipe(tables) else any_spec_of(tables, place)
+        base = spec_or_recipes_of(tables, place)
     if isinstance(base, UnitSpec) and file.do == "optimise":
         raise SpecError([Problem(("do",), 'a whole unit is predicted in sweeps; expected "predict"', file.do)], source)
     try:
@@ -310,7 +310,7 @@ def named_spec(name: str, folder: Path, source: str = "") -> Spec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
     tables, place = _named(name, folder, source)
     with missions_from(Path(place).parent):
-        return spec_inside(tables, place) if is_recipe(tables) else spec_of(tables, place)
+        return axis_spec_of(tables, place)
 
 
 def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str]:

@@ -13,15 +13,8 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, model_validator
 
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
-from gradcal_jax.files.calibration import (
-    FORMAT,
-    Calibration,
-    Coefficients,
-    Covariance,
-    FitTest,
-)
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.calibration import FORMAT, SIMULATED, Calibration, Coefficients, Covariance, FitTest
+from gradcal_jax.files.document import from_text, model_of, read_text
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AngleRandomWalk,
@@ -222,10 +215,12 @@ class UnitCalibration(Section):
 
 def parse_any_calibration(text: str, source: str = "") -> Calibration | UnitCalibration:
     """The calibration of a gyro's axes, or of a whole unit, in a TOML text. Raises `SpecError` with every fault."""
-    with with_lines(text):
-        document = read_toml(text, source)
+
+    def of(document: dict[str, Any], _: str) -> Calibration | UnitCalibration:
         kind = UnitCalibration if document.get("quantity") == "unit" else Calibration
         return model_of(kind, document, FORMAT, source)
+
+    return from_text(of, text, source)
 
 
 def read_any_calibration(path: str | Path) -> Calibration | UnitCalibration:
@@ -241,7 +236,7 @@ def write_unit_calibration(calibration: UnitCalibration, path: str | Path) -> No
 
     Errors: `OSError` where it cannot be written.
     """
-    write_toml(calibration, path, header=_HEADER + (_SIMULATED if calibration.simulated else ""))
+    write_toml(calibration, path, header=_HEADER + (SIMULATED if calibration.simulated else ""))
 
 
 def expect_axes(calibration: Calibration | UnitCalibration, what: str) -> Calibration:
@@ -256,7 +251,6 @@ The calibration of a whole unit: three gyros, three accelerometers. Apply it wit
     measured = input + sum of map(T) * signals       rates in rad/s, specific force in m/s^2
 [[channel]] has the unit's own terms, [[table]] the estimated errors of the table.
 Numbers without a unit are SI: rad, s, m, degC."""
-_SIMULATED: Final = "\nSIMULATED: made from simulated data, of no real unit."
 
 
 def term_of(name: str, unit: str, signals: tuple[str, ...], coefficients: dict[str, float], **bases: Any):

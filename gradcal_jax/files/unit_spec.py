@@ -11,8 +11,7 @@ from pydantic import Field, model_validator
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.checks import course_within
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import from_text, model_of, read_text
 from gradcal_jax.files.problems import Problem, SpecError, hint, one_of
 from gradcal_jax.files.quantity import SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import (
@@ -198,8 +197,7 @@ def read_unit_spec(path: str | Path) -> UnitSpec:
 
 def parse_unit_spec(text: str, source: str = "") -> UnitSpec:
     """A unit's spec from the text of a TOML file; `source` names it in messages. Errors: `SpecError`."""
-    with with_lines(text):
-        return unit_spec_of(read_toml(text, source), source)
+    return from_text(unit_spec_of, text, source)
 
 
 def unit_spec_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:

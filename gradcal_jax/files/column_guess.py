@@ -24,6 +24,9 @@ _FORCE: Final = re.compile(
     r"(?:[ _\-(\[]*(m/s\^?2|m/s²|ms2|m_s2|mg|g))?[)\]]*",
     re.IGNORECASE,
 )
+# By what names are tried for, and in the order of a map.
+_KINDS: Final = {"rate": _RATE, "force": _FORCE, "time": _TIME, "temperature": _TEMPERATURE}
+_ORDER: Final = ("time", "temperature", "rate", "force")
 _UNITS: Final = {
     "m/s2": "m/s^2", "m/s²": "m/s^2", "ms2": "m/s^2", "m_s2": "m/s^2",
     "sec": "s", "seconds": "s", "µs": "us", "dps": "deg/s", "°/s": "deg/s", "deg_s": "deg/s", "rps": "rad/s",
@@ -48,25 +51,19 @@ def guess(path: Path) -> str | None:
     """A column map in TOML from the header of a text table (or the names in an .npz); None if that is not enough.
     Units without a hint in the name are ???, to be completed by the user."""
     names, delimiter = _names(path)
-    rates: dict[str, tuple[str, str]] = {}
-    forces: dict[str, tuple[str, str]] = {}
-    time = temperature = None
+    columns: dict[str, tuple[str, str]] = {}
     for name in names:
-        if (match := _RATE.fullmatch(name)) and match[1].lower() not in rates:
-            rates[match[1].lower()] = (name, _unit(match[2]))
-        elif (match := _FORCE.fullmatch(name)) and match[1].lower() not in forces:
-            forces[match[1].lower()] = (name, _unit(match[2]))
-        elif time is None and (match := _TIME.fullmatch(name)):
-            time = (name, _unit(match[2]))
-        elif temperature is None and (match := _TEMPERATURE.fullmatch(name)):
-            temperature = (name, _unit(match[2]))
-    if not rates:
+        for kind, pattern in _KINDS.items():
+            if match := pattern.fullmatch(name):
+                key = f"{kind}.{match[1].lower()}" if kind in ("rate", "force") else kind
+                if key not in columns:
+                    columns[key] = (name, _unit(match[2]))
+                    break
+    if not any(key.startswith("rate.") for key in columns):
         return None
-    lines = ['format = "gradcal-columns/1"']
-    lines += [_line("time", *time)] if time else ['sample_rate = "???"']
-    lines += [_line("temperature", *temperature)] if temperature else []
-    lines += [_line(f"rate.{axis}", *rates[axis]) for axis in sorted(rates)]
-    lines += [_line(f"force.{axis}", *forces[axis]) for axis in sorted(forces)]
+    lines = ['format = "gradcal-columns/1"', *([] if "time" in columns else ['sample_rate = "???"'])]
+    order = sorted(columns, key=lambda key: (_ORDER.index(key.split(".")[0]), key))
+    lines += [_line(key, *columns[key]) for key in order]
     if delimiter not in (None, ","):
         lines += ["[csv]", f'delimiter = "{delimiter}"']
     return "\n".join(lines)

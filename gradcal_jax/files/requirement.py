@@ -228,13 +228,14 @@ class _OverTemperature(_OfUnit):
     """Number of temperatures, ends included."""
     statistic: Over = "mean"
     """How the standard deviation of each element is summed up over temperature."""
+    quantity: Any
+    """What must be good."""
 
 
 class GyroBiasRequirement(_OverTemperature):
     """Bias of the gyros, over temperature."""
 
     quantity: Literal["gyro_bias"]
-    """What must be good."""
     target: PositiveRate | None = None
     """Limit on the standard deviation, which gives a verdict."""
 
@@ -263,11 +264,9 @@ class MisalignmentRequirement(_OverTemperature):
     """Misalignments of gyros or accelerometers."""
 
     quantity: Literal["gyro_misalignment", "accelerometer_misalignment"]
-    """What must be good."""
     relative_to: Literal["table", "case", "internal"] = "table"
     """The table's axes, the case (adds the mounting's accuracy), or the unit itself."""
     axis: Elements = "all"
-    """One element, the worst of them, or all (root mean square)."""
     target: PositiveAngle | None = None
     """Limit on the standard deviation, which gives a verdict."""
 
@@ -276,9 +275,7 @@ class SensitivityRequirement(_OverTemperature):
     """Drift of the gyros for a unit of specific force."""
 
     quantity: Literal["g_sensitivity"]
-    """What must be good."""
     axis: Elements = "all"
-    """One element, the worst of them, or all (root mean square)."""
     target: PositiveAccelerationSensitivity | None = None
     """Limit on the standard deviation, which gives a verdict."""
 
@@ -287,7 +284,6 @@ class AccelerometerBiasRequirement(_OverTemperature):
     """Bias of the accelerometers."""
 
     quantity: Literal["accelerometer_bias"]
-    """What must be good."""
     target: PositiveSpecificForce | None = None
     """Limit on the standard deviation, which gives a verdict."""
 
@@ -296,7 +292,6 @@ class AccelerometerScaleFactorRequirement(_OverTemperature):
     """Scale factor of the accelerometers."""
 
     quantity: Literal["accelerometer_scale_factor"]
-    """What must be good."""
     target: PositiveScaleFactor | None = None
     """Limit on the standard deviation, which gives a verdict."""
 
@@ -305,7 +300,6 @@ class SecondOrderRequirement(_OverTemperature):
     """K2 of the accelerometers."""
 
     quantity: Literal["second_order"]
-    """What must be good."""
     target: PositiveSecondOrder | None = None
     """Limit on the standard deviation, which gives a verdict."""
 

@@ -456,9 +456,13 @@ def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArra
         if not len(inside):
             result[begin:end] = np.nan
             continue
-        near = np.searchsorted((times[inside][1:] + times[inside][:-1]) / 2.0, host[begin:end])
-        result[begin:end] = values[inside][near]
+        result[begin:end] = _nearest(times[inside], values[inside], host[begin:end])
     return result
+
+
+def _nearest(times: Floats, values: Floats, at: Floats) -> Floats:
+    """Of the `values` at increasing `times` the nearest to each time of `at`."""
+    return values[np.searchsorted((times[1:] + times[:-1]) / 2.0, at)]
 
 
 def _own_course(
@@ -475,8 +479,7 @@ def _own_course(
         if first == last:
             continue
         low, middle, high = np.searchsorted(host, np.array([begin, float(times[first]), until]))
-        own = times[first:last]
-        result[middle:high] = values[first:last][np.searchsorted((own[1:] + own[:-1]) / 2.0, host[middle:high])]
+        result[middle:high] = _nearest(times[first:last], values[first:last], host[middle:high])
         move = commands[k].data if k >= 0 else {}
         if first == 0 or move.get("kind") not in ("go", "turn") or not move.get("acceleration_dps2"):
             continue

@@ -129,11 +129,17 @@ def range_temperatures(axis: AxisCalibration) -> Floats:
     return np.linspace(float(axis.valid_temperature[0]), float(axis.valid_temperature[1]), _GRID)
 
 
+def common_range(axes: Iterable[AxisCalibration]) -> tuple[float, float]:
+    """The temperatures that all axes cover, °C."""
+    lowest, highest = zip(*(axis.valid_temperature for axis in axes), strict=True)
+    return float(max(lowest)), float(min(highest))
+
+
 def _lost_scale_factor(axis: AxisCalibration, carried: Floats | float = 0.0) -> Loss | None:
     """The largest scale-factor error over the calibration's range after the correction by `carried`."""
     if axis.scale_factor is None:
         return None
-    slow, fast = float(axis.valid_rate[0]), float(axis.valid_rate[1])
+    slow, fast = axis.valid_rate
     temperature, rate = np.meshgrid(range_temperatures(axis), np.linspace(slow, fast, 61), indexing="ij")
     error = correction.scale_factor(axis, temperature.ravel(), rate.ravel()) - carried
     return Loss(axis.name, "scale factor", float(np.max(np.abs(error))) * PPM, "ppm")
@@ -187,8 +193,8 @@ def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     number = int(options["instance"])
     if not 1 <= number <= 3:
         raise ValueError(f"ArduPilot numbers its sensors 1 to 3, not {number}")
-    low = max(max(float(a.valid_temperature[0]) for a in triad.values()), -70.0)
-    high = min(min(float(a.valid_temperature[1]) for a in triad.values()), 80.0)
+    low, high = common_range(triad.values())
+    low, high = max(low, -70.0), min(high, 80.0)
     if high - low < 10.0:
         raise ValueError(f"ArduPilot needs a range of at least 10 K, and this calibration covers {low:g} … {high:g} °C")
     parameters = ardupilot_range(number, low, high) | ardupilot_bias(triad.values(), number, 0.5 * (low + high))
@@ -278,8 +284,7 @@ def _px4(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     number, identity = int(options["instance"]), options["device_id"]
     if not 0 <= number <= 3:
         raise ValueError(f"PX4 numbers its sensors 0 to 3, not {number}")
-    low = max(float(a.valid_temperature[0]) for a in triad.values())
-    high = min(float(a.valid_temperature[1]) for a in triad.values())
+    low, high = common_range(triad.values())
     if not high >= low:
         raise ValueError("the axes' temperature ranges do not overlap, and PX4 has one range for all of them")
     rows = px4_rows(triad.values(), "G", number, identity, low, high)
@@ -330,8 +335,7 @@ def px4_correction(
 
 def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     triad = _triad(calibration)
-    low = max(float(a.valid_temperature[0]) for a in triad.values())
-    high = min(float(a.valid_temperature[1]) for a in triad.values())
+    low, high = common_range(triad.values())
     at = one_temperature(options, (low, high), "Kalibr")
     gains: dict[str, float] = {}
     losses: list[Loss] = []

@@ -7,11 +7,11 @@ The coefficients are those of the paper: `a{k}` multiplies the k-th power of `(T
 their functions: `a_bin3`, `b_spline2_1`. Numbers without a unit are SI.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax.files.bases import RateBasis, RatePolynomial, TemperatureBasis, TemperaturePolynomial, increasing
 from gradcal_jax.files.document import parsed, read_text
@@ -28,7 +28,7 @@ from gradcal_jax.files.quantity import (
     Time,
     Whole,
 )
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.writing import write_toml
 
 FORMAT: Final = "gradcal-calibration/1"
@@ -44,10 +44,8 @@ class BiasMap(Section):
     coefficients: Coefficients
     """By name, rad/s."""
 
-    @model_validator(mode="after")
-    def _whole(self) -> "BiasMap":
-        refuse(*_mismatch(self.coefficients, bias_names(self.temperature)))
-        return self
+    def _problems(self) -> Iterable[Problem]:
+        return _mismatch(self.coefficients, bias_names(self.temperature))
 
 
 class ScaleFactorMap(Section):
@@ -60,10 +58,8 @@ class ScaleFactorMap(Section):
     coefficients: Coefficients
     """By name, a ratio."""
 
-    @model_validator(mode="after")
-    def _whole(self) -> "ScaleFactorMap":
-        refuse(*_mismatch(self.coefficients, scale_factor_names(self.temperature, self.rate)))
-        return self
+    def _problems(self) -> Iterable[Problem]:
+        return _mismatch(self.coefficients, scale_factor_names(self.temperature, self.rate))
 
 
 LOG_HASH: Final = "log_sha256"
@@ -78,14 +74,12 @@ class Covariance(Section):
     matrix: tuple[tuple[Number, ...], ...]
     """Their covariance, row by row, in their units."""
 
-    @model_validator(mode="after")
-    def _square(self) -> "Covariance":
+    def _problems(self) -> Iterator[Problem]:
         count = len(self.names)
         if len(self.matrix) != count or any(len(row) != count for row in self.matrix):
-            refuse(Problem(("matrix",), f"expected {count} rows of {count} numbers, as many as there are names"))
-        if any(self.matrix[i][i] < 0.0 for i in range(count)):
-            refuse(Problem(("matrix",), "a variance on its diagonal is negative"))
-        return self
+            yield Problem(("matrix",), f"expected {count} rows of {count} numbers, as many as there are names")
+        elif any(self.matrix[i][i] < 0.0 for i in range(count)):
+            yield Problem(("matrix",), "a variance on its diagonal is negative")
 
 
 class FitTest(Section):
@@ -136,21 +130,17 @@ class AxisCalibration(Section):
     unobservable: tuple[Text, ...] = ()
     """Combinations of coefficients that the data do not determine."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> "AxisCalibration":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         if self.bias is None and self.scale_factor is None:
-            problems.append(Problem((), 'holds nothing; give "bias", "scale_factor" or both'))
+            yield Problem((), 'holds nothing; give "bias", "scale_factor" or both')
         for key, span in (("valid_temperature", self.valid_temperature), ("valid_rate", self.valid_rate)):
-            problems += increasing(span, key) if span[0] != span[1] else []
+            yield from increasing(span, key) if span[0] != span[1] else []
         if self.covariance is not None:
             known = self.values()
             strange = [name for name in self.covariance.names if name not in known]
             if strange:
                 text = f"names coefficients that this axis does not have: {', '.join(strange[:5])}"
-                problems.append(Problem(("covariance", "names"), text))
-        refuse(*problems)
-        return self
+                yield Problem(("covariance", "names"), text)
 
     def values(self) -> dict[str, float]:
         """Every coefficient by name."""
@@ -229,12 +219,10 @@ class Calibration(Section):
     provenance: dict[str, Text] = Field(default_factory=dict)
     """Texts by name: versions, sources, the log's hash."""
 
-    @model_validator(mode="after")
-    def _distinct(self) -> "Calibration":
+    def _problems(self) -> Iterator[Problem]:
         names = [axis.name for axis in self.axis]
         if len(set(names)) < len(names):
-            refuse(Problem(("axis",), "two axes have the same name"))
-        return self
+            yield Problem(("axis",), "two axes have the same name")
 
     def axis_of(self, name: str) -> AxisCalibration:
         """The axis of that name. Raises `ValueError`."""

@@ -21,11 +21,11 @@ value cannot be read back is refused. The order and verification of commands are
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from gradcal_jax import units
 from gradcal_jax.files.document import model_of, read_toml
@@ -47,7 +47,7 @@ from gradcal_jax.files.quantity import (
     Time,
     Whole,
 )
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 
 FORMAT: Final = "gradcal-lines/1"
 _FIELD: Final = re.compile(r"\{([a-z_]*)(?::(text|char))?\}")
@@ -109,16 +109,14 @@ class DeviceUnits(Section):
     acceleration: Text = "deg/s^2"
     """Of accelerations."""
 
-    @model_validator(mode="after")
-    def _measure(self) -> "DeviceUnits":
+    def _problems(self) -> Iterator[Problem]:
         kinds = ("temperature", "temperature slope", "angle", "angular rate", "angular acceleration")
         for name, kind in zip(DeviceUnits.model_fields, kinds, strict=True):
             unit = getattr(self, name)
             try:
                 units.parse(f"1 {unit}", kind)
             except ValueError as problem:
-                refuse(Problem((name,), str(problem), unit))
-        return self
+                yield Problem((name,), str(problem), unit)
 
 
 class DeviceLimits(Section):
@@ -168,11 +166,9 @@ class LineQuestion(Section):
         fields = (match for reply in self.reply for match in _FIELD.finditer(reply))
         return {match[1]: match[2] or "number" for match in fields if match[1]}
 
-    @model_validator(mode="after")
-    def _ends(self) -> "LineQuestion":
+    def _problems(self) -> Iterator[Problem]:
         if len(self.reply) > 1 and self.last is None:
-            refuse(Problem(("last",), "this key is missing; it ends a reply of several lines", kind="missing"))
-        return self
+            yield Problem(("last",), "this key is missing; it ends a reply of several lines", kind="missing")
 
 
 class Command(Section):
@@ -208,14 +204,12 @@ class Condition(Section):
     below: Number | None = None
     """It is so where the field is a number below this."""
 
-    @model_validator(mode="after")
-    def _one(self) -> "Condition":
+    def _problems(self) -> Iterator[Problem]:
         if (
             sum(map(bool, (self.equals, self.not_equals, self.begins, self.bit is not None, self.below is not None)))
             != 1
         ):
-            refuse(Problem((), "give one of equals, not_equals, begins, bit and below"))
-        return self
+            yield Problem((), "give one of equals, not_equals, begins, bit and below")
 
     def holds(self, text: str) -> bool:
         """Whether the state holds, by the device's reply. An invalid number raises `ValueError`."""
@@ -263,10 +257,10 @@ class LineProtocol(Section):
     require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
     """How it must be set before anything is told to it."""
 
-    @model_validator(mode="after")
-    def _complete(self) -> "LineProtocol":
-        refuse(*self._missing(), *self._unreadable(), *self._badly_written())
-        return self
+    def _problems(self) -> Iterator[Problem]:
+        yield from self._missing()
+        yield from self._unreadable()
+        yield from self._badly_written()
 
     @property
     def fields(self) -> dict[str, str]:

@@ -18,6 +18,7 @@ duration are exact. The sign of the motion is that of `turn`; where the angle fo
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Final, Literal
 
@@ -91,11 +92,9 @@ class _Move(Section):
     read_every: Time | None = None
     """Spacing of readings from its start, in the place of one at the end."""
 
-    @model_validator(mode="after")
-    def _one_way_to_read(self) -> "_Move":
+    def _problems(self) -> Iterator[Problem]:
         if self.read is not None and self.read_every is not None:
-            refuse(Problem(("read_every",), 'cannot stand beside "read"; keep one of them', self.read_every.text))
-        return self
+            yield Problem(("read_every",), 'cannot stand beside "read"; keep one of them', self.read_every.text)
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """The move in SI, complete. Raises `SpecError`, keys relative to the move."""

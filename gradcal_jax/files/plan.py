@@ -10,9 +10,10 @@ The temperature of a gradient plan is written in one of three ways:
 * `programme`, a list of soaks, ramps and steps, of which the first is a soak with `at`.
 """
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
+from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
@@ -98,11 +99,9 @@ class OtherAxes(Section):
     read_every: Time | None = None
     """Spacing of these readings; absent: as in the first rest of the cycle that has one."""
 
-    @model_validator(mode="after")
-    def _reading(self) -> "OtherAxes":
+    def _problems(self) -> Iterator[Problem]:
         if self.read_every is not None and not self.read:
-            refuse(Problem(("read_every",), 'has no effect without "read = true"', self.read_every.text))
-        return self
+            yield Problem(("read_every",), 'has no effect without "read = true"', self.read_every.text)
 
 
 class Cycle(Section):
@@ -210,10 +209,9 @@ class GradientPlan(ChamberCourse):
     cycle: Cycle | None = None
     """Motion that repeats during the ramp; absent: the axis stands."""
 
-    @model_validator(mode="after")
-    def _complete(self) -> "GradientPlan":
-        refuse(*self.course_problems(with_cycle=self.cycle is not None), *self._reading_problems())
-        return self
+    def _problems(self) -> Iterator[Problem]:
+        yield from self.course_problems(with_cycle=self.cycle is not None)
+        yield from self._reading_problems()
 
     def _reading_problems(self) -> list[Problem]:
         if self.cycle is None and self.read_every is None:
@@ -243,15 +241,11 @@ class StandardPlan(Section):
     points: Literal["one run", "independent"] = "one run"
     """Whether the points share clock, turn-on bias, drifts and walks ("one run"), or draw all anew (the paper)."""
 
-    @model_validator(mode="after")
-    def _distinct(self) -> "StandardPlan":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         for i in range(1, len(self.temperatures)):
             if self.temperatures[i] == self.temperatures[i - 1]:
                 message = "repeats the entry before it; lengthen the integration instead"
-                problems.append(Problem(("temperatures", i), message, self.temperatures[i].text))
-        refuse(*problems)
-        return self
+                yield Problem(("temperatures", i), message, self.temperatures[i].text)
 
 
 Plan = Annotated[GradientPlan | StandardPlan, chosen_by("method", {"gradient": GradientPlan, "standard": StandardPlan})]

@@ -7,11 +7,11 @@ has all that a runner needs of it.
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from gradcal_jax.files.changes import any_spec_of, differences
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
@@ -20,7 +20,7 @@ from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.rounding import ControllerSteps
-from gradcal_jax.files.section import Section, a_table, refuse
+from gradcal_jax.files.section import Section, a_table
 from gradcal_jax.files.spec import Spec, is_of_unit, of_one_axis, spec_of
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -108,8 +108,7 @@ class Recipe(Section):
     spec: Annotated[Spec | UnitSpec, BeforeValidator(_spec_inside)] = Field(title="gradcal-spec/1")
     """The spec whose plan these tracks are."""
 
-    @model_validator(mode="after")
-    def _of_one_piece(self) -> "Recipe":
+    def _problems(self) -> Iterable[Problem]:
         chamber, motion = tracks_of(self.spec)
         expected, written = (
             {"chamber": track.model_dump(mode="json"), "motion": [block.model_dump(mode="json") for block in blocks]}
@@ -118,9 +117,7 @@ class Recipe(Section):
         message = (
             "does not follow from the spec inside the recipe; change the plan in the spec and make the recipe anew"
         )
-        problems = [Problem(key, message, value) for key, _, value in differences(expected, written, ())]
-        refuse(*problems[:5])
-        return self
+        return [Problem(key, message, value) for key, _, value in differences(expected, written, ())][:5]
 
     @property
     def axis_spec(self) -> Spec:

@@ -6,17 +6,17 @@ serial library.
 
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from gradcal_jax.files import presets
 from gradcal_jax.files.document import from_text, model_of, read_text
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import Flag, PositiveTemperatureDifference, Quantity, Temperature, Text, Time
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 
 FORMAT: Final = "gradcal-rig/1"
 OPERATOR: Final = "operator"
@@ -97,22 +97,20 @@ class AxisDevice(Section):
     encoder: EncoderDevice | None = None
     """Device that reads the angle of an axis that is turned by hand."""
 
-    @model_validator(mode="after")
-    def _does_not_fall(self) -> "AxisDevice":
+    def _problems(self) -> Iterator[Problem]:
         by_hand = self.driver == OPERATOR
         if by_hand and self.gravity_loaded:
             message = "a person lets go of it now and then, and it would fall; expected false, or another driver"
-            refuse(Problem(("gravity_loaded",), message, "true"))
+            yield Problem(("gravity_loaded",), message, "true")
         if self.encoder is not None and not (by_hand and self.encoder.driver != OPERATOR):
             message = f'an encoder belongs to an axis whose driver is "{OPERATOR}", and has another one itself'
-            refuse(Problem(("encoder", "driver"), message, self.encoder.driver))
+            yield Problem(("encoder", "driver"), message, self.encoder.driver)
         if self.port == TERMINAL and not by_hand:
-            refuse(Problem(("port",), f'only the driver "{OPERATOR}" speaks with a terminal', self.port))
+            yield Problem(("port",), f'only the driver "{OPERATOR}" speaks with a terminal', self.port)
         if self.safe == "unpower" and self.gravity_loaded:
-            refuse(
-                Problem(("safe",), 'an axis that is loaded by gravity falls without power; expected "hold"', self.safe)
+            yield Problem(
+                ("safe",), 'an axis that is loaded by gravity falls without power; expected "hold"', self.safe
             )
-        return self
 
 
 class ImuDevice(Section):
@@ -192,12 +190,11 @@ class RigFile(Section):
     reference: Annotated[tuple[TraceableReference, ...], Field(max_length=20)] = ()
     """What a certificate's values are traced to."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> "RigFile":
-        refuse(*self._doubles(), *self._shared_ports())
+    def _problems(self) -> Iterator[Problem]:
+        yield from self._doubles()
+        yield from self._shared_ports()
         if self.chamber is None and not self.axis and not self.imu:
-            refuse(Problem((), "there is no device in this rig; expected [chamber], [[axis]] or [[imu]]"))
-        return self
+            yield Problem((), "there is no device in this rig; expected [chamber], [[axis]] or [[imu]]")
 
     def _doubles(self) -> list[Problem]:
         names = Counter([device.name for device in (*self.axis, *self.imu)])

@@ -27,9 +27,15 @@ class Section(BaseModel):
     @classmethod
     def _in_words(cls, value: Any, handler: Callable[[Any], Any]) -> Any:
         try:
-            return handler(value)
+            section = handler(value)
         except ValidationError as error:
             raise SpecError(with_spelling(from_validation(error), cls, value)) from None
+        refuse(*section._problems())
+        return section
+
+    def _problems(self) -> Iterable[Problem]:
+        """What is wrong between the keys of a table whose keys are right one by one; keys are relative to it."""
+        return ()
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -124,6 +130,6 @@ def refuse_misspelt(table: Mapping[str, object], known: Iterable[str]) -> None:
 
 
 def refuse(*problems: Problem) -> None:
-    """Raise the problems, if there are any. For the after-validators of sections; keys are relative to the section."""
+    """Raise the problems, if there are any; keys are relative to the section."""
     if problems:
         raise SpecError(problems)

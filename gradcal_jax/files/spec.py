@@ -1,12 +1,12 @@
 """gradcal-spec/1: sensor, rig, requirements, plan; the input of every command."""
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, cast
 
-from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, TypeAdapter, ValidationError
 
 from gradcal_jax.files.bench import Rig
 from gradcal_jax.files.checks import between_sections
@@ -18,7 +18,7 @@ from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.schedule import GradientSchedule, Schedule, gradient_schedule, standard_schedule
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import Sensor
 
 FORMAT: Final = "gradcal-spec/1"
@@ -62,22 +62,15 @@ class Spec(Section):
     design: Design | None = None
     """What `optimise` may change; no other command reads it."""
 
-    @model_validator(mode="after")
-    def _together(self) -> "Spec":
-        refuse(*between_sections(self.sensor, self.rig, self.requirement, self.plan, self.design), *self._done())
-        return self
-
-    def _done(self) -> list[Problem]:
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
+        yield from between_sections(self.sensor, self.rig, self.requirement, self.plan, self.design)
         if self.done and isinstance(self.plan, StandardPlan):
-            problems.append(Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone'))
+            yield Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone')
         for number, part in enumerate(self.done):
-            problems += [
-                p.under("done", number) for p in between_sections(self.sensor, self.rig, None, part.plan, None)
-            ]
+            for problem in between_sections(self.sensor, self.rig, None, part.plan, None):
+                yield problem.under("done", number)
             if part.end <= part.start:
-                problems.append(Problem(("done", number, "end"), "expected a time after its start", part.end.text))
-        return problems
+                yield Problem(("done", number, "end"), "expected a time after its start", part.end.text)
 
     @cached_property
     def schedule(self) -> Schedule:

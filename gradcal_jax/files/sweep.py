@@ -20,7 +20,7 @@ Nothing here draws or computes: `gradcal_jax.jobs` does.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import Context, Decimal
 from pathlib import Path
@@ -245,8 +245,7 @@ class SweepFile(Section):
     samples: Samples | None = None
     """Draws over all axes together; absent: a grid."""
 
-    @model_validator(mode="after")
-    def _distinct(self) -> "SweepFile":
+    def _problems(self) -> Iterable[Problem]:
         message = 'two axes are called this; give one of them another "name"'
         problems = repeated_names("axis", "name", [axis.label for axis in self.axis], message)
         seen: set[str] = set()
@@ -260,8 +259,7 @@ class SweepFile(Section):
                 problems.append(Problem(("axis", i, "count"), message, kind="missing"))
         if not problems and self.count > MOST_POINTS:
             problems.append(Problem(("axis",), f"makes {self.count} points; at most {MOST_POINTS}"))
-        refuse(*problems)
-        return self
+        return problems
 
     @property
     def count(self) -> int:

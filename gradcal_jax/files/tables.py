@@ -8,13 +8,13 @@ import array
 import csv
 import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, TextIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, field_validator
 
 from gradcal_jax import units
 from gradcal_jax.files.log import Floats, LogError
@@ -22,7 +22,7 @@ from gradcal_jax.files.matlab_file import read_matlab
 from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.problems import Problem, instead
 from gradcal_jax.files.quantity import Flag, Number, Text, Whole
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 
 Array = NDArray[Any]
 Name = Annotated[Text, Field(max_length=100)]
@@ -142,11 +142,9 @@ class TextTable(Section):
             raise ValueError('expected the name of an encoding, such as "utf-8", "latin-1" or "utf-16"') from None
         return value
 
-    @model_validator(mode="after")
-    def _apart(self) -> "TextTable":
+    def _problems(self) -> Iterator[Problem]:
         if self.decimal == self.delimiter:
-            refuse(Problem(("delimiter",), 'a decimal comma needs another delimiter, such as ";" or "tab"'))
-        return self
+            yield Problem(("delimiter",), 'a decimal comma needs another delimiter, such as ";" or "tab"')
 
     @field_validator("delimiter")
     @classmethod

@@ -7,10 +7,11 @@ signals: none for a bias, "rate x" for a gyro x's scale factor, "force y" for a 
 true inputs, in the frame that the file names. Coefficients count powers of `(T − centre)/scale`, or functions.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import FORMAT, SIMULATED, Calibration, Coefficients, Covariance, FitTest
@@ -28,7 +29,7 @@ from gradcal_jax.files.quantity import (
     Time,
     VelocityRandomWalk,
 )
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import BodyAxis
 from gradcal_jax.files.writing import write_toml
 
@@ -56,18 +57,14 @@ class CalibratedTerm(Section):
     coefficients: Coefficients
     """By name, in SI; temperature slow, rate fast."""
 
-    @model_validator(mode="after")
-    def _whole(self) -> "CalibratedTerm":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         for k, signal in enumerate(self.signals):
             if signal not in SIGNALS and signal not in [f"|{known}|" for known in SIGNALS]:
                 message = 'is no signal; expected such as "rate x", "force z", "|force z|"'
-                problems.append(Problem(("signals", k), message, signal))
+                yield Problem(("signals", k), message, signal)
         if len(self.coefficients) != self.size:
             message = f"expected {self.size}, as many as the bases have functions"
-            problems.append(Problem(("coefficients",), message, len(self.coefficients)))
-        refuse(*problems)
-        return self
+            yield Problem(("coefficients",), message, len(self.coefficients))
 
     @property
     def size(self) -> int:
@@ -191,22 +188,18 @@ class UnitCalibration(Section):
     provenance: dict[str, Text] = Field(default_factory=dict)
     """Program, files and fingerprints of its origin."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> "UnitCalibration":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         names = [channel.name for channel in self.channel]
         if len(set(names)) < len(names):
-            problems.append(Problem(("channel",), "two channels are of one kind and axis"))
+            yield Problem(("channel",), "two channels are of one kind and axis")
         for key, (low, high) in (("valid_temperature", self.valid_temperature), ("valid_rate", self.valid_rate)):
             if low > high:
-                problems.append(Problem((key,), "the second must not be below the first", [str(low), str(high)]))
+                yield Problem((key,), "the second must not be below the first", [str(low), str(high)])
         if self.covariance is not None:
             known = {f"{c.name}.{name}" for c in self.channel for term in c.term for name in term.coefficients}
             if strange := [name for name in self.covariance.names if name not in known]:
                 text = f"names coefficients that no channel has: {', '.join(strange[:5])}"
-                problems.append(Problem(("covariance", "names"), text))
-        refuse(*problems)
-        return self
+                yield Problem(("covariance", "names"), text)
 
     def channel_of(self, kind: str, axis: str) -> CalibratedChannel | None:
         """The channel of that kind and axis, if it has one."""

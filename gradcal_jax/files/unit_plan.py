@@ -7,11 +7,11 @@ without shape and duration is a limit: a short turn does not reach it.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationError, model_serializer, model_validator
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationError, model_serializer
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
@@ -21,7 +21,7 @@ from gradcal_jax.files.plan import ChamberCourse
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
-from gradcal_jax.files.section import Section, a_table, refuse, refuse_misspelt
+from gradcal_jax.files.section import Section, a_table, refuse_misspelt
 
 _SLACK = 1e-6
 # Tolerance of a whole cycle, as a fraction, for the times of a journal.
@@ -58,15 +58,13 @@ class QuickTurn(Section):
     repeat: Count = 1
     """How often the move is made."""
 
-    @model_validator(mode="after")
-    def _turns(self) -> "QuickTurn":
+    def _problems(self) -> Iterator[Problem]:
         key = "turn" if self.turns is None else "turns"
         if self.turn is not None and self.turns is not None:
-            refuse(Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns))
-        if not self.angle or abs(self.angle) > _MOST:
+            yield Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns)
+        elif not self.angle or abs(self.angle) > _MOST:
             message = "must not be zero, nor beyond a million turns; a rest is written { rest = … }"
-            refuse(Problem((key,), message, self.turn or self.turns))
-        return self
+            yield Problem((key,), message, self.turn or self.turns)
 
     @property
     def angle(self) -> float:
@@ -150,10 +148,8 @@ class UnitPlan(ChamberCourse):
     cycle: UnitCycle
     """Motion that repeats."""
 
-    @model_validator(mode="after")
-    def _complete(self) -> "UnitPlan":
-        refuse(*self.course_problems(with_cycle=False))
-        return self
+    def _problems(self) -> Iterable[Problem]:
+        return self.course_problems(with_cycle=False)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.checks import course_within
@@ -22,7 +22,7 @@ from gradcal_jax.files.requirement import (
     UnitRequirement,
     UnitRequirements,
 )
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import UnitSensor
 from gradcal_jax.files.spec import FORMAT
 from gradcal_jax.files.unit_plan import UnitPlan, UnitSchedule, cycles_between, unit_schedule
@@ -63,11 +63,6 @@ class UnitSpec(Section):
     drifts."""
     design: UnitDesign | None = None
     """What `optimise` may change; no other command reads it."""
-
-    @model_validator(mode="after")
-    def _together(self) -> "UnitSpec":
-        refuse(*self._problems())
-        return self
 
     def _problems(self) -> list[Problem]:
         try:

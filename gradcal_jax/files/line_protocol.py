@@ -267,80 +267,73 @@ class LineProtocol(Section):
         """Every field that can be read -> the question that it is in."""
         return {field: name for name, question in self.ask.items() for field in question.fields}
 
-    def _missing(self) -> list[Problem]:
+    def _missing(self) -> Iterator[Problem]:
         role = _ROLES[self.role]
-        problems = [
+        yield from [
             Problem((table, name), f"this key is missing; a {self.role} needs it", kind="missing")
             for table, needed in (("tell", role.tells), ("state", role.states))
             for name in needed
             if name not in getattr(self, table)
         ]
-        problems += [
+        yield from [
             Problem(("ask",), f"no reply has the field {{{name}}}, which a {self.role} needs", kind="missing")
             for name in role.fields
             if name not in self.fields
         ]
-        problems += [
+        yield from [
             Problem(("limits", name), f"this key is missing; a {self.role} needs it", kind="missing")
             for name in role.limits
             if getattr(self.limits, name) is None
         ]
         if "ramp" in self.tell and self.limits.free_ramp is None:
             message = "this key is missing; a ramp must be taken off again"
-            problems.append(Problem(("limits", "free_ramp"), message, kind="missing"))
-        return problems
+            yield Problem(("limits", "free_ramp"), message, kind="missing")
 
-    def _unreadable(self) -> list[Problem]:
+    def _unreadable(self) -> Iterator[Problem]:
         """Problems of commands that cannot be read back, and of fields that no reply has."""
-        problems: list[Problem] = []
         for name, command in self.tell.items():
             key = ("tell", name)
             known = _ROLES[self.role].values
             if name not in known:
-                problems.append(Problem(key, f"a {self.role} is told {', '.join(known)}; {instead(name, known)}"))
+                yield Problem(key, f"a {self.role} is told {', '.join(known)}; {instead(name, known)}")
                 continue
             written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}
             if (name == "setpoint" or command.shown_by) and len(written) != 1:
-                problems.append(Problem((*key, "send"), "expected one value, written alike in all lines"))
+                yield Problem((*key, "send"), "expected one value, written alike in all lines")
             if wrong := {value for value, _ in written} - set(known[name]):
                 allowed = ", ".join(f"{{{value}}}" for value in known[name]) or "no values"
-                problems.append(
-                    Problem((*key, "send"), f"{{{sorted(wrong)[0]}}} is not known here; it takes {allowed}")
-                )
+                yield Problem((*key, "send"), f"{{{sorted(wrong)[0]}}} is not known here; it takes {allowed}")
             if command.reply and len(command.reply) not in (1, len(command.send)):
-                problems.append(Problem((*key, "reply"), f"expected one, or {len(command.send)}: one for each line"))
+                yield Problem((*key, "reply"), f"expected one, or {len(command.send)}: one for each line")
             if name in _SHOWN_BY_THEMSELVES and not command.shown_by:
                 message = "a set value that cannot be read back is not set: expected the fields of replies that show it"
-                problems.append(Problem((*key, "shown_by"), message, kind="missing"))
-            problems += [
+                yield Problem((*key, "shown_by"), message, kind="missing")
+            yield from [
                 Problem((*key, "shown_by"), f"no reply has the field {{{field}}}", field)
                 for field in command.shown_by
                 if field not in self.fields
             ]
         if "on" in self.tell and self.role == "axis" and "powered" not in self.state:
-            problems.append(Problem(("state", "powered"), "this key is missing; nothing else shows what tell.on did"))
+            yield Problem(("state", "powered"), "this key is missing; nothing else shows what tell.on did")
         for key, field in [
             *((("state", name, "field"), entry.field) for name, entry in self.state.items()),
             *((("require", index, "field"), entry.field) for index, entry in enumerate(self.require)),
         ]:
             if field not in self.fields:
-                problems.append(Problem(key, f"no reply has the field {{{field}}}", field))
-        return problems
+                yield Problem(key, f"no reply has the field {{{field}}}", field)
 
-    def _badly_written(self) -> list[Problem]:
-        problems: list[Problem] = []
+    def _badly_written(self) -> Iterator[Problem]:
         for name, question in self.ask.items():
             for key, template in (*(("reply", reply) for reply in question.reply), ("last", question.last or "")):
                 if problem := _problem_of_reply(template):
-                    problems.append(Problem(("ask", name, key), problem, template))
+                    yield Problem(("ask", name, key), problem, template)
         for name, command in self.tell.items():
             for send in command.send:
                 if {"{", "}"} & set(_VALUE.sub("", send)):
-                    problems.append(Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send))
+                    yield Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send)
         spoken = [*(q.send for q in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
         if any(ord(letter) > 255 for text in (*spoken, self.line.ends, self.line.reply_ends) for letter in text):
-            problems.append(Problem((), "only characters of one byte can be sent"))
-        return problems
+            yield Problem((), "only characters of one byte can be sent")
 
 
 class _Role:

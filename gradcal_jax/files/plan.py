@@ -164,37 +164,33 @@ class ChamberCourse(Section):
     programme: Annotated[tuple[ProgrammeItem, ...], Field(min_length=1, max_length=10_000)] | None = None
     """Soaks, ramps and steps one after the other, in the place of the keys above."""
 
-    def course_problems(self, *, with_cycle: bool) -> list[Problem]:
+    def course_problems(self, *, with_cycle: bool) -> Iterator[Problem]:
         """Problems of the course. `with_cycle`: whether there may be a slope for each cycle."""
-        problems: list[Problem] = []
         if self.programme is not None:
             for key in ("temperature", "gradient", "soak"):
                 if getattr(self, key) is not None:
-                    problems.append(Problem((key,), 'cannot stand beside "programme", which says it all'))
+                    yield Problem((key,), 'cannot stand beside "programme", which says it all')
             first = self.programme[0]
             if not isinstance(first, SoakItem) or first.at is None:
                 message = 'the first item must be a soak that says where it begins: { soak = "1 h", at = "-30 degC" }'
-                problems.append(Problem(("programme", 0), message))
+                yield Problem(("programme", 0), message)
             elif not any(item.used for item in self.programme):
-                problems.append(Problem(("programme",), "none of its items is used; there would be no data"))
-            return problems
-        for key in ("temperature", "gradient"):
-            if getattr(self, key) is None:
-                problems.append(Problem((key,), 'this key is missing (or give a "programme")', kind="missing"))
-        if problems:
-            return problems
-        assert self.temperature is not None
+                yield Problem(("programme",), "none of its items is used; there would be no data")
+            return
+        missing = [key for key in ("temperature", "gradient") if getattr(self, key) is None]
+        yield from (Problem((key,), 'this key is missing (or give a "programme")', kind="missing") for key in missing)
+        if self.temperature is None or missing:
+            return
         if isinstance(self.gradient, tuple):
             if not with_cycle:
-                problems.append(Problem(("gradient",), "a list has one slope for each cycle, and has no place here"))
+                yield Problem(("gradient",), "a list has one slope for each cycle, and has no place here")
             if len(self.temperature) == 2:
                 message = "with a list of gradients, the ramp ends where they take it; give the start alone"
-                problems.append(Problem(("temperature",), message, [t.text for t in self.temperature]))
+                yield Problem(("temperature",), message, [t.text for t in self.temperature])
         elif len(self.temperature) == 1:
-            problems.append(Problem(("temperature",), "expected [start, end]", [t.text for t in self.temperature]))
+            yield Problem(("temperature",), "expected [start, end]", [t.text for t in self.temperature])
         elif self.temperature[0] == self.temperature[1]:
-            problems.append(Problem(("temperature",), "start and end must differ", [t.text for t in self.temperature]))
-        return problems
+            yield Problem(("temperature",), "start and end must differ", [t.text for t in self.temperature])
 
 
 class GradientPlan(ChamberCourse):
@@ -211,16 +207,12 @@ class GradientPlan(ChamberCourse):
 
     def _problems(self) -> Iterator[Problem]:
         yield from self.course_problems(with_cycle=self.cycle is not None)
-        yield from self._reading_problems()
-
-    def _reading_problems(self) -> list[Problem]:
         if self.cycle is None and self.read_every is None:
             message = 'this key is missing: without a cycle it says how often the standing axis is read, such as "1 s"'
-            return [Problem(("read_every",), message, kind="missing")]
+            yield Problem(("read_every",), message, kind="missing")
         if self.cycle is not None and self.read_every is not None:
             message = "with a cycle, the moves say when the axis is read; leave this key out"
-            return [Problem(("read_every",), message, self.read_every.text)]
-        return []
+            yield Problem(("read_every",), message, self.read_every.text)
 
 
 class StandardPlan(Section):

@@ -21,7 +21,7 @@ from gradcal_jax.files.plan import ChamberCourse
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
-from gradcal_jax.files.section import Section, a_table, refuse_misspelt
+from gradcal_jax.files.section import Section, a_table, refuse, refuse_misspelt
 
 _SLACK = 1e-6
 # Tolerance of a whole cycle, as a fraction, for the times of a journal.
@@ -209,8 +209,7 @@ def cycles_between(schedule: UnitSchedule, start: float, end: float) -> UnitSche
 def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     """Resolve a unit's plan. Raises `SpecError` with all problems, keys relative to the plan."""
     steps, start, problems = _steps(plan.cycle, rig)
-    if problems:
-        raise SpecError(problems)
+    refuse(*problems)
     period = math.fsum(step.move.repeat * step.move.duration for step in steps)
     segments, stretches = programme_of(plan, rig.chamber, (period, period))
     mountings = len(rig.table.mounting)
@@ -226,7 +225,7 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     if sum(s.cycles for s in stretches) * len(steps) > 200_000:
         raise SpecError([Problem(("cycle",), "makes more than 200000 moves in all; lengthen its rests or turns")])
     schedule = UnitSchedule(segments, stretches, steps, start)
-    problems = _travel(schedule, rig)
+    problems = [*_travel(schedule, rig)]
     if len(stretches) > 1:
         ends = [
             math.fsum([angle, *(s.move.repeat * s.move.angle for s in steps if s.axis == k)])
@@ -234,8 +233,7 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
         ]
         names = [axis.name for axis in rig.table.axis]
         problems += _unclosed(ends, start, names, "it begins anew in every stretch of used data")
-    if problems:
-        raise SpecError(problems)
+    refuse(*problems)
     return schedule
 
 
@@ -370,23 +368,18 @@ def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None)
     )
 
 
-def _limits(move: ResolvedMove, axis: TableAxis) -> list[Problem]:
-    problems: list[Problem] = []
+def _limits(move: ResolvedMove, axis: TableAxis) -> Iterator[Problem]:
     if move.fastest > axis.max_rate * (1.0 + _SLACK):
         message = f'reaches {math.degrees(move.fastest):.5g} deg/s; axis "{axis.name}" goes up to {axis.max_rate}'
-        problems.append(Problem((), message, move.words))
+        yield Problem((), message, move.words)
     if move.peak_acceleration > axis.max_acceleration * (1.0 + _SLACK):
         reached = f"{math.degrees(move.peak_acceleration):.5g} deg/s^2"
-        problems.append(
-            Problem((), f'accelerates at {reached}; axis "{axis.name}": {axis.max_acceleration}', move.words)
-        )
-    return problems
+        yield Problem((), f'accelerates at {reached}; axis "{axis.name}": {axis.max_acceleration}', move.words)
 
 
-def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
+def _travel(schedule: UnitSchedule, rig: UnitRig) -> Iterator[Problem]:
     """Every axis must stay within its travel either way of zero, and outside forbidden angles, in every cycle."""
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
-    problems: list[Problem] = []
     for k, axis in enumerate(rig.table.axis):
         lowest, highest = axis.reach
         if math.isinf(highest):
@@ -412,9 +405,8 @@ def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
                     + (f" in cycle {first + 1} (each ends {math.degrees(net):.6g} deg further)" if first else "")
                     + f"; {free}"
                 )
-                problems.append(Problem(("cycle", "moves", where), message))
+                yield Problem(("cycle", "moves", where), message)
                 break
-    return problems
 
 
 def _beyond_drive(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:

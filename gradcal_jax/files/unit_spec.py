@@ -1,7 +1,7 @@
 """gradcal-spec/1 of a whole unit: `[sensor.gyro]` and `[sensor.accelerometer]` on a table of one to three axes."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -64,67 +64,65 @@ class UnitSpec(Section):
     design: UnitDesign | None = None
     """What `optimise` may change; no other command reads it."""
 
-    def _problems(self) -> list[Problem]:
+    def _problems(self) -> Iterator[Problem]:
         try:
             segments = self.schedule.segments
         except SpecError as error:
-            return [p.under("plan") for p in error.problems]
-        problems = [p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments)]
+            yield from (p.under("plan") for p in error.problems)
+            return
+        yield from (p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments))
         for number, part in enumerate(self.done):
             try:
                 several = len(unit_schedule(part.plan, self.rig).stretches) > 1
             except SpecError as error:
-                problems += [p.under("done", number, "plan") for p in error.problems]
+                yield from (p.under("done", number, "plan") for p in error.problems)
                 continue
             if several:
-                problems.append(Problem(("done", number, "plan"), "expected one stretch of used data, in one mounting"))
+                yield Problem(("done", number, "plan"), "expected one stretch of used data, in one mounting")
             if part.end <= part.start:
-                problems.append(Problem(("done", number, "end"), "expected a time after its start", part.end.text))
+                yield Problem(("done", number, "end"), "expected a time after its start", part.end.text)
         names = [r.name for r in self.requirement]
         for i, requirement in enumerate(self.requirement):
             if requirement.name in names[:i]:
-                problems.append(
-                    Problem(("requirement", i, "name"), "two requirements have this name", requirement.name)
-                )
+                yield Problem(("requirement", i, "name"), "two requirements have this name", requirement.name)
             wanted = _needs(requirement)
             missing = next((key for key in wanted if self._absent(key)), None)
             if missing is not None:
                 message = f"needs [sensor.{missing}], which the spec does not estimate"
-                problems.append(Problem(("requirement", i, "quantity"), message, requirement.quantity))
+                yield Problem(("requirement", i, "quantity"), message, requirement.quantity)
             elif absent := [f"{kind} {a}" for kind, a in _needed_axes(requirement) if a not in self._axes_of(kind)]:
                 message = f"needs {', '.join(absent)}, which the unit has not"
-                problems.append(Problem(("requirement", i, "quantity"), message, requirement.quantity))
+                yield Problem(("requirement", i, "quantity"), message, requirement.quantity)
             elif requirement.axis in ("x", "y", "z"):
                 triad = self.sensor.gyro if wanted[0].startswith("gyro") else self.sensor.accelerometer
                 assert triad is not None
                 if requirement.axis not in triad.axes:
-                    problems.append(Problem(("requirement", i, "axis"), "the unit has no such axis", requirement.axis))
+                    yield Problem(("requirement", i, "axis"), "the unit has no such axis", requirement.axis)
         accelerometer, frame = self.sensor.accelerometer, self.sensor.frame
         slow = 0.0 if accelerometer is None else float(accelerometer.read_on_moves_below or 0.0)
         read = any(step.axis < 0 or step.move.fastest <= slow for step in self.schedule.steps)
         if accelerometer is not None and not read:
             message = "never rests, where accelerometers are read; add { rest = … }"
-            problems.append(Problem(("plan", "cycle", "moves"), message))
+            yield Problem(("plan", "cycle", "moves"), message)
         turning = [float(step.move.fastest) for step in self.schedule.steps if step.axis >= 0]
         if accelerometer is not None and slow and turning and min(turning) > slow:
             message = f"has no effect: the slowest move reaches {math.degrees(min(turning)):.4g} deg/s; raise it, or "
             key = ("sensor", "accelerometer", "read_on_moves_below")
             limit = str(accelerometer.read_on_moves_below)
-            problems.append(Problem(key, message + "leave it out (and the lever arm)", limit))
+            yield Problem(key, message + "leave it out (and the lever arm)", limit)
         if self.design is not None and self.design.minimise not in (ALL, WORST, *names):
             ending = hint(self.design.minimise, [ALL, WORST, *names])
             message = f"expected {one_of([ALL, WORST])}, or a requirement's name{ending}"
-            problems.append(Problem(("design", "minimise"), message, self.design.minimise))
+            yield Problem(("design", "minimise"), message, self.design.minimise)
         several = len(self.rig.table.mounting) > 1
         if several and (frame is None or frame.fixed_by != "case"):
             message = 'with several mountings the frame is the case\'s; expected fixed_by = "case"'
-            problems.append(Problem(("sensor", "frame", "fixed_by"), message, frame and frame.fixed_by))
+            yield Problem(("sensor", "frame", "fixed_by"), message, frame and frame.fixed_by)
         if frame is not None and frame.fixed_by == "case":
             for i, mounting in enumerate(self.rig.table.mounting):
                 if not mounting.accuracy:
                     message = 'must be above zero: the frame is the case\'s (sensor.frame.fixed_by = "case")'
-                    problems.append(Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg"))
-        return problems
+                    yield Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg")
 
     def _axes_of(self, kind: str) -> tuple[str, ...]:
         triad = getattr(self.sensor, kind)

@@ -15,7 +15,7 @@ provenance. Where a run was resumed or a unit restarted, the computer's clock gi
 import itertools
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -598,9 +598,8 @@ def _findings(parts: Sequence[_Part]) -> tuple[Finding, ...]:
     return (*findings, *(one for there, one in others if there))
 
 
-def _findings_of_rounds(parts: Sequence[_Part]) -> list[Finding]:
+def _findings_of_rounds(parts: Sequence[_Part]) -> Iterator[Finding]:
     """Places with an uncertain number of missing samples: each kind with its first place."""
-    findings: list[Finding] = []
     for traced, kind in ((True, "gap of doubtful length"), (False, "stamps that come later")):
         places = [(part, *doubt) for part in parts for doubt in part.doubts if doubt[1].traced == traced]
         if places:
@@ -612,8 +611,7 @@ def _findings_of_rounds(parts: Sequence[_Part]) -> list[Finding]:
                 else f"in {len(places)} places {samples} samples or a multiple of it may be missing; none are counted"
             )
             where = f"the first {abs(first_s):.1f} s {'before' if first_s < 0.0 else 'after'} data begin: {first.why}"
-            findings.append(Finding(kind, "split" if traced else "keep", len(places), f"{message}; {where}"))
-    return findings
+            yield Finding(kind, "split" if traced else "keep", len(places), f"{message}; {where}")
 
 
 def _provenance(

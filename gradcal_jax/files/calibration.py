@@ -137,20 +137,16 @@ class AxisCalibration(Section):
             yield from increasing(span, key) if span[0] != span[1] else []
         if self.covariance is not None:
             known = self.values()
-            strange = [name for name in self.covariance.names if name not in known]
-            if strange:
+            if strange := [name for name in self.covariance.names if name not in known]:
                 text = f"names coefficients that this axis does not have: {', '.join(strange[:5])}"
                 yield Problem(("covariance", "names"), text)
 
     def values(self) -> dict[str, float]:
         """Every coefficient by name."""
-        result: dict[str, float] = {}
-        for part in (self.bias, self.scale_factor):
-            if part is not None:
-                result.update(part.coefficients)
-        if self.bias_temperature_gradient is not None:
-            result["bias_temperature_gradient"] = self.bias_temperature_gradient
-        return result
+        parts = [part.coefficients for part in (self.bias, self.scale_factor) if part is not None]
+        gradient = self.bias_temperature_gradient
+        own = {} if gradient is None else {"bias_temperature_gradient": gradient}
+        return {name: value for part in (*parts, own) for name, value in part.items()}
 
 
 class Result(Section):
@@ -226,11 +222,10 @@ class Calibration(Section):
 
     def axis_of(self, name: str) -> AxisCalibration:
         """The axis of that name. Raises `ValueError`."""
-        for axis in self.axis:
-            if axis.name == name:
-                return axis
-        known = ", ".join(axis.name for axis in self.axis)
-        raise ValueError(f"the calibration has no axis '{name}': it has {known}")
+        axes = {axis.name: axis for axis in self.axis}
+        if name not in axes:
+            raise ValueError(f"the calibration has no axis '{name}': it has {', '.join(axes)}")
+        return axes[name]
 
 
 def bias_names(temperature: TemperatureBasis) -> list[str]:
@@ -256,15 +251,11 @@ def _kind(basis: str) -> str:
     return {"b-spline": "spline", "bins": "bin"}[basis]
 
 
-def _mismatch(coefficients: Mapping[str, float], expected: list[str]) -> list[Problem]:
-    missing = [name for name in expected if name not in coefficients]
-    strange = [name for name in coefficients if name not in set(expected)]
-    problems: list[Problem] = []
-    if missing:
-        problems.append(Problem(("coefficients",), f"lacks {', '.join(missing[:8])}", kind="missing"))
-    if strange:
-        problems.append(Problem(("coefficients",), f"has {', '.join(strange[:8])}, which the basis does not"))
-    return problems
+def _mismatch(coefficients: Mapping[str, float], expected: list[str]) -> Iterator[Problem]:
+    if missing := [name for name in expected if name not in coefficients]:
+        yield Problem(("coefficients",), f"lacks {', '.join(missing[:8])}", kind="missing")
+    if strange := [name for name in coefficients if name not in set(expected)]:
+        yield Problem(("coefficients",), f"has {', '.join(strange[:8])}, which the basis does not")
 
 
 def read_calibration(path: str | Path) -> Calibration:

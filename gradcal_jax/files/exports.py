@@ -12,7 +12,7 @@ The formulas are from the targets' public sources; no export has been run on a f
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -145,16 +145,14 @@ def _lost_scale_factor(axis: AxisCalibration, carried: Floats | float = 0.0) -> 
     return Loss(axis.name, "scale factor", float(np.max(np.abs(error))) * PPM, "ppm")
 
 
-def _lost_terms(axis: AxisCalibration) -> list[str]:
-    notes: list[str] = []
+def _lost_terms(axis: AxisCalibration) -> Iterator[str]:
     if axis.bias_temperature_gradient is not None:
         per_k_min = abs(axis.bias_temperature_gradient) * DEG_PER_H / 60.0
-        notes.append(f"axis {axis.name}: the bias from dT/dt, {per_k_min:.3g} deg/h for each K/min, is not carried")
+        yield f"axis {axis.name}: the bias from dT/dt, {per_k_min:.3g} deg/h for each K/min, is not carried"
     if axis.thermal_lag is not None:
-        notes.append(f"axis {axis.name}: the thermal lag of {float(axis.thermal_lag):.3g} s is not carried")
+        yield f"axis {axis.name}: the thermal lag of {float(axis.thermal_lag):.3g} s is not carried"
     if axis.unobservable:
-        notes.append(f"axis {axis.name}: the data said nothing of {', '.join(axis.unobservable)}")
-    return notes
+        yield f"axis {axis.name}: the data said nothing of {', '.join(axis.unobservable)}"
 
 
 def _triad(calibration: Calibration) -> dict[str, AxisCalibration]:

@@ -18,16 +18,16 @@ duration are exact. The sign of the motion is that of `turn`; where the angle fo
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from gradcal_jax import formulas
 from gradcal_jax.files.problems import Problem, SpecError, one_of
 from gradcal_jax.files.quantity import Angle, Count, Flag, Number, Rate, Time
-from gradcal_jax.files.section import Section, a_table, choose, refuse, refuse_misspelt
+from gradcal_jax.files.section import Section, choose, read_by, refuse, refuse_misspelt
 
 Axis = Literal["x", "y", "z"]
 AXES: Final[tuple[Axis, ...]] = ("x", "y", "z")
@@ -428,7 +428,7 @@ class Hand(_Turn):
 
 Move = Annotated[
     Rest | CosineRamps | LinearRamps | HalfSine | RaisedCosine | Sinusoid | Spline | Hand,
-    BeforeValidator(lambda value: _choose_move(value)),
+    read_by(lambda table: _choose_move(table)),
 ]
 
 SHAPES: Final[dict[str, type[Section]]] = {
@@ -439,10 +439,7 @@ SHAPES: Final[dict[str, type[Section]]] = {
 }
 
 
-def _choose_move(value: object) -> object:
-    if isinstance(value, Section):
-        return value
-    table = a_table(value)
+def _choose_move(table: Mapping[str, object]) -> object:
     if "rest" in table:
         return Rest.model_validate(table)
     if "shape" not in table:

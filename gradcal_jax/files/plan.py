@@ -10,10 +10,10 @@ The temperature of a gradient plan is written in one of three ways:
 * `programme`, a list of soaks, ramps and steps, of which the first is a soak with `at`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
@@ -28,7 +28,7 @@ from gradcal_jax.files.quantity import (
     Temperature,
     Time,
 )
-from gradcal_jax.files.section import Section, a_table, chosen_by, refuse, refuse_misspelt
+from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
 
 
 class Soak(Section):
@@ -74,10 +74,7 @@ class StepItem(Section):
 _ITEMS: dict[str, type[Section]] = {"soak": SoakItem, "ramp_to": RampItem, "step_to": StepItem}
 
 
-def _choose_item(value: object) -> object:
-    if isinstance(value, Section):
-        return value
-    item = a_table(value)
+def _choose_item(item: Mapping[str, object]) -> object:
     kinds = [key for key in _ITEMS if key in item]
     if len(kinds) == 1:
         return _ITEMS[kinds[0]].model_validate(item)
@@ -86,7 +83,7 @@ def _choose_item(value: object) -> object:
     raise ValueError("expected one of { soak = …, at = … }, { ramp_to = …, rate = … } or { step_to = … }")
 
 
-ProgrammeItem = Annotated[SoakItem | RampItem | StepItem, BeforeValidator(_choose_item)]
+ProgrammeItem = Annotated[SoakItem | RampItem | StepItem, read_by(_choose_item)]
 
 
 class OtherAxes(Section):

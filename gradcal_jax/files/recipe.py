@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from gradcal_jax.files.changes import any_spec_of, differences
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
@@ -20,7 +20,7 @@ from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.rounding import ControllerSteps
-from gradcal_jax.files.section import Section, a_table
+from gradcal_jax.files.section import Section, read_by
 from gradcal_jax.files.spec import Spec, is_of_unit, of_one_axis, spec_of
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -71,10 +71,7 @@ class RecipeOrigin(Section):
     """Of the search."""
 
 
-def _spec_inside(value: object) -> Spec | UnitSpec:
-    if isinstance(value, Spec | UnitSpec):
-        return value
-    tables = a_table(value)
+def _spec_inside(tables: Mapping[str, object]) -> Spec | UnitSpec:
     return UnitSpec.model_validate(tables) if is_of_unit(tables) else Spec.model_validate(tables)
 
 
@@ -105,7 +102,7 @@ class Recipe(Section):
     """Residual of the rounded plan."""
     optimisation: dict[str, Any] | None = None
     """The optimiser's own record: objective, before, now, starts, limits."""
-    spec: Annotated[Spec | UnitSpec, BeforeValidator(_spec_inside)] = Field(title="gradcal-spec/1")
+    spec: Annotated[Spec | UnitSpec, read_by(_spec_inside)] = Field(title="gradcal-spec/1")
     """The spec whose plan these tracks are."""
 
     def _problems(self) -> Iterable[Problem]:

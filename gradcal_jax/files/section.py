@@ -96,23 +96,25 @@ def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: ob
     return [p for p in spelt if not (p.kind == "missing" and len(p.key) == 1 and p.key[0] in meant)]
 
 
-def choose(value: object, key: str, classes: Mapping[str, type[Section]]) -> object:
+def choose(table: Mapping[str, object], key: str, classes: Mapping[str, type[Section]]) -> object:
     """The table read by the class that its `key` names."""
-    if isinstance(value, Section):
-        return value
-    table = a_table(value)
     if key not in table:
         refuse_misspelt(table, [key])
         raise SpecError([Problem((key,), f"this key is missing; expected {one_of(classes)}", kind="missing")])
     name = table[key]
     if not isinstance(name, str) or name not in classes:
         raise SpecError([Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name)])
-    return classes[name].model_validate(value)
+    return classes[name].model_validate(table)
 
 
 def chosen_by(key: str, classes: Mapping[str, type[Section]]) -> BeforeValidator:
     """Marks a field that holds one of several tables: see `choose`."""
-    return BeforeValidator(lambda value: choose(value, key, classes))
+    return read_by(lambda table: choose(table, key, classes))
+
+
+def read_by(read: Callable[[Mapping[str, object]], object]) -> BeforeValidator:
+    """Marks a field that holds one of several tables: `read` takes a table of the file to the class that it is of."""
+    return BeforeValidator(lambda value: value if isinstance(value, Section) else read(a_table(value)))
 
 
 def a_table(value: object) -> Mapping[str, object]:

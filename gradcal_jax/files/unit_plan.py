@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationError, model_serializer
+from pydantic import Field, GetJsonSchemaHandler, ValidationError, model_serializer
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
@@ -21,7 +21,7 @@ from gradcal_jax.files.plan import ChamberCourse
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
-from gradcal_jax.files.section import Section, a_table, refuse, refuse_misspelt
+from gradcal_jax.files.section import Section, read_by, refuse, refuse_misspelt
 
 _SLACK = 1e-6
 # Tolerance of a whole cycle, as a fraction, for the times of a journal.
@@ -103,10 +103,8 @@ class AxisMove(Section):
         return {"anyOf": kinds}
 
 
-def _choose(value: object) -> object:
-    if isinstance(value, Section):
-        return value
-    table = dict(a_table(value))
+def _choose(whole: Mapping[str, object]) -> object:
+    table = dict(whole)
     if "pose" in table:
         return Pose.model_validate(table)
     axis = table.pop("axis", None)
@@ -116,7 +114,7 @@ def _choose(value: object) -> object:
             refuse_misspelt(table, ["rest", "turn", "pose"])
             raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
         if not {"duration", "ramp"} & set(table):
-            return QuickTurn.model_validate(dict(a_table(value)))
+            return QuickTurn.model_validate(dict(whole))
         table["shape"] = "cosine ramps"
     tables: dict[str, Any] = {"move": table}
     try:
@@ -127,7 +125,7 @@ def _choose(value: object) -> object:
         raise SpecError(replace(p, key=p.key[1:]) if p.key[:1] == ("move",) else p for p in problems) from None
 
 
-UnitMove = Annotated[Pose | QuickTurn | AxisMove, BeforeValidator(_choose)]
+UnitMove = Annotated[Pose | QuickTurn | AxisMove, read_by(_choose)]
 
 
 class UnitCycle(Section):

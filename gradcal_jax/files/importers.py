@@ -39,7 +39,7 @@ from pydantic import Field
 
 from gradcal_jax.files.column_guess import contradiction
 from gradcal_jax.files.document import parsed, read_text
-from gradcal_jax.files.log import Floats, Log, LogError
+from gradcal_jax.files.log import Floats, Log, LogError, naming
 from gradcal_jax.files.log_faults import Columns, Policy, examine
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import Flag, Frequency, Number, PositiveRate, Whole
@@ -185,11 +185,9 @@ def import_log(path: str | Path, columns: ColumnMap, *, rows: tuple[int, int | N
     path = Path(path)
     _refuse_contradictions(columns)
     table = read_table(path, columns.csv, list(columns.sources()))
-    try:
+    with naming(path):
         log = _columns(table, columns, path.name)
         return examine(log if rows is None else log.part(rows), columns.policy)
-    except LogError as error:
-        raise LogError(f"{path}: {error}") from None
 
 
 def _refuse_contradictions(columns: ColumnMap) -> None:

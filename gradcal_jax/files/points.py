@@ -21,7 +21,7 @@ import numpy as np
 
 from gradcal_jax.files import presets
 from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.log import Floats, LogError
+from gradcal_jax.files.log import Floats, LogError, naming
 from gradcal_jax.files.quantity import Flag
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.tables import Name, RateColumn, Source, TemperatureColumn, TextTable, read_table
@@ -83,7 +83,7 @@ def read_points(path: str | Path, columns: PointMap | str | Path) -> RatePoints:
     if not isinstance(columns, PointMap):
         columns = parse_point_map(read_text(columns), str(columns))
     table = read_table(path, columns.csv, list(columns.sources()), netcdf=True)
-    try:
+    with naming(path):
         temperature = table.measured(columns.temperature)
         reference, output = (table.measured(c) for c in (columns.reference_rate, columns.output))
         sigma = None
@@ -98,8 +98,6 @@ def read_points(path: str | Path, columns: PointMap | str | Path) -> RatePoints:
         slope = float(output @ reference / (reference @ reference)) if reference.any() else 1.0
         if not 0.5 < abs(slope) < 2.0:
             raise LogError(f"the output is {slope:.3g} times the reference: is one of them in another unit or scale?")
-    except LogError as error:
-        raise LogError(f"{path}: {error}") from None
     return RatePoints(
         columns.name, columns.axis, temperature, reference, output, sigma, path.name, columns.simulated
     )  # fmt: skip

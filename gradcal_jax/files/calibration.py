@@ -14,7 +14,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 
 from gradcal_jax.files.bases import RateBasis, RatePolynomial, TemperatureBasis, TemperaturePolynomial, increasing
-from gradcal_jax.files.document import parsed, read_text
+from gradcal_jax.files.document import TitledFile, parsed, read_text
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AngleRandomWalk,
@@ -189,13 +189,10 @@ class Noise(Section):
     """Of the log."""
 
 
-class Calibration(Section):
+class Calibration(TitledFile):
     """A whole calibration file."""
 
     format: Literal["gradcal-calibration/1"]
-    """Name and version of this file format."""
-    title: Text | None = None
-    """A name for people."""
     serial_number: Text
     """Of the unit."""
     quantity: Literal["gyro"]

@@ -34,7 +34,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field
 
 from gradcal_jax.files.changes import patched, tables_of
-from gradcal_jax.files.document import parsed, read_text
+from gradcal_jax.files.document import TitledFile, parsed, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Text
@@ -82,13 +82,10 @@ class RequirementEntry(Section):
             yield Problem(("base",), 'give either "base" or "of"', kind="missing")
 
 
-class CatalogueFile(Section):
+class CatalogueFile(TitledFile):
     """A whole catalogue."""
 
     format: Literal["gradcal-catalogue/1"]
-    """Name and version of this file format."""
-    title: Text | None = None
-    """A name for people."""
     design: dict[str, Any] = Field(default_factory=dict)
     """As in a spec, without `minimise`."""
     sensor: Annotated[tuple[Entry, ...], Field(min_length=1, max_length=1000)]

@@ -12,6 +12,7 @@ from typing import Any, Final, TypeVar, cast
 
 from gradcal_jax import units
 from gradcal_jax.files.problems import ABSENT, Key, Problem, SpecError, dotted
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec, is_of_unit, spec_of
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 
@@ -34,7 +35,7 @@ def split_key(text: str) -> Key:
     return tuple(parts)
 
 
-def tables_of(spec: Spec | UnitSpec) -> dict[str, Any]:
+def tables_of(spec: Section) -> dict[str, Any]:
     """The spec as the tables of its file: texts with units, numbers, lists; a copy, free to change. Errors: none."""
     return spec.model_dump(mode="json", exclude_unset=True)
 

@@ -9,11 +9,21 @@ from pydantic import ValidationError
 
 from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
+from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section
 
 Model = TypeVar("Model", bound=Section)
 Result = TypeVar("Result")
 _LARGEST = 20_000_000
+
+
+class TitledFile(Section):
+    """A whole file: its format, and a name for people."""
+
+    format: Any
+    """Name and version of this file format."""
+    title: Text | None = None
+    """A name for people."""
 
 
 def read_text(path: str | Path, what: str = "TOML file") -> str:

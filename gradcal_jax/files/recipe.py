@@ -13,9 +13,9 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
-from gradcal_jax.files.changes import any_spec_of, differences
+from gradcal_jax.files.changes import any_spec_of, differences, tables_of
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
-from gradcal_jax.files.document import from_text, model_of, read_text
+from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
@@ -75,13 +75,10 @@ def _spec_inside(tables: Mapping[str, object]) -> Spec | UnitSpec:
     return UnitSpec.model_validate(tables) if is_of_unit(tables) else Spec.model_validate(tables)
 
 
-class Recipe(Section):
+class Recipe(TitledFile):
     """A whole recipe."""
 
     format: Literal["gradcal-recipe/1"]
-    """Name and version of this file format."""
-    title: Text | None = None
-    """A name for people."""
     status: Text
     """The origin of the plan, in a sentence ("not optimised", "converged: …")."""
     notes: tuple[Text, ...] = ()
@@ -131,8 +128,7 @@ class Recipe(Section):
     @property
     def fingerprint(self) -> str:
         """A hash of the contents, the same on every computer, which a resumed run compares."""
-        tables = self.model_dump(mode="json", exclude_unset=True)
-        text = json.dumps(tables, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        text = json.dumps(tables_of(self), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, Field
 
 from gradcal_jax.files import presets
-from gradcal_jax.files.document import from_text, model_of, read_text
+from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import Flag, PositiveTemperatureDifference, Quantity, Temperature, Text, Time
 from gradcal_jax.files.section import Section
@@ -168,13 +168,10 @@ class Alarm(Section):
     """Program and its words; the sentence that says why is added as the last. No shell reads it."""
 
 
-class RigFile(Section):
+class RigFile(TitledFile):
     """A whole rig file."""
 
     format: Literal["gradcal-rig/1"]
-    """Name and version of this file format."""
-    title: Text | None = None
-    """A name for people."""
     chamber: ChamberDevice | None = None
     """The chamber; absent: none."""
     axis: Annotated[tuple[AxisDevice, ...], Field(max_length=6)] = ()

@@ -11,7 +11,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from gradcal_jax.files.bench import Rig
 from gradcal_jax.files.checks import between_sections
 from gradcal_jax.files.design import Design
-from gradcal_jax.files.document import from_text, model_of, read_text
+from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.plan import GradientPlan, Plan, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError
@@ -38,7 +38,7 @@ class Done(Section):
     """Time until the next part or the plan begins; the unit stays switched on."""
 
 
-class Spec(Section):
+class Spec(TitledFile):
     """A whole spec: sensor, rig, requirements, plan, and what `optimise` may change; read-only.
 
     Quantities behave as numbers in SI (°C for temperatures) and keep their text. `schedule` is the plan resolved for
@@ -46,7 +46,6 @@ class Spec(Section):
     """
 
     format: Literal["gradcal-spec/1"]
-    """Name and version of this file format."""
     title: Text | None = None
     """A name for people; it heads tables and pages."""
     sensor: Sensor

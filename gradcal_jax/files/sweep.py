@@ -24,14 +24,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import Context, Decimal
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, cast
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
 
 from gradcal_jax import units
 from gradcal_jax.files import presets
 from gradcal_jax.files.changes import changed, split_key
-from gradcal_jax.files.document import parsed, read_text, read_toml
+from gradcal_jax.files.document import TitledFile, parsed, read_text, read_toml
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Count, Text, Whole
@@ -227,13 +227,10 @@ class Samples(Section):
     """Of the draws."""
 
 
-class SweepFile(Section):
+class SweepFile(TitledFile):
     """A whole sweep file."""
 
     format: Literal["gradcal-sweep/1"]
-    """Name and version of this file format."""
-    title: Text | None = None
-    """A name for people."""
     base: Text
     """A preset, or the path of a spec or recipe, seen from this file."""
     do: Literal["predict", "optimise"] = "predict"
@@ -333,8 +330,3 @@ def _known(axis: Axis, base: Spec | UnitSpec) -> None:
         ]
         if slips:
             raise SpecError(slips) from None
-
-
-def tables_of_sweep(file: SweepFile) -> Mapping[str, Any]:
-    """The sweep as the tables of its file."""
-    return cast("Mapping[str, Any]", file.model_dump(mode="json", exclude_unset=True))

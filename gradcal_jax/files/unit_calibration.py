@@ -15,7 +15,7 @@ from pydantic import Field
 
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import FORMAT, SIMULATED, Calibration, Coefficients, Covariance, FitTest
-from gradcal_jax.files.document import from_text, model_of, read_text
+from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AngleRandomWalk,
@@ -146,15 +146,12 @@ class UnitNoise(Section):
     """Of the log."""
 
 
-class UnitCalibration(Section):
+class UnitCalibration(TitledFile):
     """The calibration file of a whole unit, SI (°C) inside. Beyond `valid_temperature` and `valid_rate` the values at
     the edge hold. Made by `estimate_units` and `read_any_calibration`. Errors: `SpecError` by those.
     """
 
     format: Literal["gradcal-calibration/1"]
-    """Name and version of this file format."""
-    title: Text | None = None
-    """A name for people."""
     serial_number: Text
     """Of the unit."""
     quantity: Literal["unit"]

@@ -11,7 +11,7 @@ from pydantic import Field
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.checks import course_within
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
-from gradcal_jax.files.document import from_text, model_of, read_text
+from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.problems import Problem, SpecError, hint, one_of
 from gradcal_jax.files.quantity import SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import (
@@ -40,14 +40,13 @@ class CyclesDone(Section):
     """Until when."""
 
 
-class UnitSpec(Section):
+class UnitSpec(TitledFile):
     """A spec of a whole unit; read-only. Quantities behave as numbers in SI (°C) and keep their text.
 
     `schedule` is the plan resolved for the rig. From `read_unit_spec` or `parse_unit_spec`. Errors: their `SpecError`.
     """
 
     format: Literal["gradcal-spec/1"]
-    """Name and version of this file format."""
     title: Text | None = None
     """A name for people; it heads tables and pages."""
     sensor: UnitSensor

@@ -97,28 +97,21 @@ def export_units(calibrations: Sequence[Calibration], firmware: str) -> Export:
 
 def without(calibration: Calibration, zeroed: Sequence[str]) -> tuple[Calibration, tuple[str, ...]]:
     """The calibration with some coefficients set to zero, and their names. Raises `ValueError` for unknown names."""
-    wanted = dict.fromkeys(zeroed, False)
+    known: set[str] = set()
     gone: list[str] = []
     axes: list[AxisCalibration] = []
     for axis in calibration.axis:
         changed: dict[str, Any] = {}
-        for part_name in ("bias", "scale_factor"):
-            part = getattr(axis, part_name)
-            if part is None:
-                continue
-            coefficients = dict(part.coefficients)
-            for name in coefficients:
-                for spelling in (name, f"{axis.name}.{name}"):
-                    if spelling in wanted:
-                        wanted[spelling] = True
-                        coefficients[name] = 0.0
-                        gone.append(f"{axis.name}.{name}")
-            changed[part_name] = part.model_copy(update={"coefficients": coefficients})
+        for key, part in (("bias", axis.bias), ("scale_factor", axis.scale_factor)):
+            if part is not None:
+                known |= {spelling for name in part.coefficients for spelling in (name, f"{axis.name}.{name}")}
+                zero = [name for name in part.coefficients if name in zeroed or f"{axis.name}.{name}" in zeroed]
+                gone += [f"{axis.name}.{name}" for name in zero]
+                changed[key] = part.model_copy(update={"coefficients": part.coefficients | dict.fromkeys(zero, 0.0)})
         axes.append(axis.model_copy(update=changed))
-    unknown = [name for name, present in wanted.items() if not present]
-    if unknown:
+    if unknown := [name for name in dict.fromkeys(zeroed) if name not in known]:
         raise ValueError(f"the calibration has no coefficient {', '.join(unknown)} that could be set to zero")
-    return calibration.model_copy(update={"axis": tuple(axes)}), tuple(dict.fromkeys(gone))
+    return calibration.model_copy(update={"axis": tuple(axes)}), tuple(gone)
 
 
 # --- what every target shares -----------------------------------------------------------------------------------------

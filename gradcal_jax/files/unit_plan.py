@@ -245,14 +245,10 @@ def _once_each(
     back = TemperatureSegment(
         "step", last.end, abs(change) / pace, last.temperature_end, first.temperature_start, False
     )
-    whole = back.end
-    all_segments: list[TemperatureSegment] = []
-    for k in range(mountings):
-        all_segments += [replace(s, start=s.start + k * whole) for s in segments]
-        if k + 1 < mountings:
-            all_segments.append(replace(back, start=back.start + k * whole))
-    (stretch,) = stretches
-    return tuple(all_segments), tuple(replace(stretch, start=stretch.start + k * whole) for k in range(mountings))
+    whole, (stretch,) = back.end, stretches
+    course = [replace(s, start=s.start + k * whole) for k in range(mountings) for s in (*segments, back)]
+    # After the last mounting the chamber need not return.
+    return tuple(course[:-1]), tuple(replace(stretch, start=stretch.start + k * whole) for k in range(mountings))
 
 
 def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[float, ...], list[Problem]]:

@@ -20,12 +20,14 @@ are the same at every reading and so part of the offset.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..formulas import runs
 
 Floats = NDArray[np.float64]
 
@@ -238,8 +240,7 @@ class _Burst:
     design: Floats
 
 
-def _bursts(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: float, excess: float) -> list[_Burst]:
-    bursts: list[_Burst] = []
+def _bursts(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: float, excess: float) -> Iterator[_Burst]:
     for unit, track in pairs:
         u = middle_s + (track.time_s - offset_s) / (1.0 + excess)
         angle, rate, part = unit.at(u)
@@ -251,21 +252,17 @@ def _bursts(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: fl
                 continue
             design = np.stack((np.ones(len(here)), angle[rows] - angle[rows].mean()), axis=1)
             slopes = -np.stack((rate[rows], rate[rows] * (u[rows] - middle_s)), axis=1)
-            bursts.append(_Burst(track.angle_deg[rows] - angle[rows], slopes, rate[rows], design))
-    return bursts
+            yield _Burst(track.angle_deg[rows] - angle[rows], slopes, rate[rows], design)
 
 
-def _runs(moves: NDArray[np.bool_], time_s: Floats) -> list[tuple[int, int]]:
+def _runs(moves: NDArray[np.bool_], time_s: Floats) -> Iterator[tuple[int, int]]:
     """First and last reading of each motion; a long motion is split into pieces."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], moves, [False]))))
-    spans: list[tuple[int, int]] = []
-    for first, after in edges.reshape(-1, 2):
-        begin = int(first)
-        for place in range(int(first), int(after)):
+    for first, after in runs(moves).tolist():
+        begin = first
+        for place in range(first, after):
             if place == after - 1 or time_s[place] - time_s[begin] > _LONGEST_S:
-                spans.append((begin, place))
+                yield begin, place
                 begin = place + 1
-    return spans
 
 
 @dataclass(frozen=True)
@@ -298,10 +295,10 @@ def _exactly(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, place: _Pla
     offset_s, excess = place.offset_s, place.excess
     noise_deg, jitter_s = 1e-3, 1e-3
     for _ in range(6):
-        fit = _fit(_bursts(pairs, middle_s, offset_s, excess), noise_deg, jitter_s)
+        fit = _fit([*_bursts(pairs, middle_s, offset_s, excess)], noise_deg, jitter_s)
         offset_s, excess = offset_s + float(fit.step[0]), excess + float(fit.step[1])
         noise_deg, jitter_s = _scatter(fit.bursts, fit.rest, noise_deg, jitter_s)
-    fit = _fit(_bursts(pairs, middle_s, offset_s, excess), noise_deg, jitter_s)
+    fit = _fit([*_bursts(pairs, middle_s, offset_s, excess)], noise_deg, jitter_s)
     rest, bursts = fit.rest, len(fit.bursts)
     count = sum(len(left) for left in rest)
     inverse = np.linalg.inv(fit.normal)

@@ -15,7 +15,7 @@ provenance. Where a run was resumed or a unit restarted, the computer's clock gi
 import itertools
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -455,9 +455,13 @@ def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArra
         if not len(inside):
             result[begin:end] = np.nan
             continue
-        near = np.searchsorted((times[inside][1:] + times[inside][:-1]) / 2.0, host[begin:end])
-        result[begin:end] = values[inside][near]
+        result[begin:end] = _nearest(times[inside], values[inside], host[begin:end])
     return result
+
+
+def _nearest(times: Floats, values: Floats, at: Floats) -> Floats:
+    """Of the `values` at increasing `times` the nearest to each time of `at`."""
+    return values[np.searchsorted((times[1:] + times[:-1]) / 2.0, at)]
 
 
 def _own_course(
@@ -474,8 +478,7 @@ def _own_course(
         if first == last:
             continue
         low, middle, high = np.searchsorted(host, np.array([begin, float(times[first]), until]))
-        own = times[first:last]
-        result[middle:high] = values[first:last][np.searchsorted((own[1:] + own[:-1]) / 2.0, host[middle:high])]
+        result[middle:high] = _nearest(times[first:last], values[first:last], host[middle:high])
         move = commands[k].data if k >= 0 else {}
         if first == 0 or move.get("kind") not in ("go", "turn") or not move.get("acceleration_dps2"):
             continue
@@ -594,9 +597,8 @@ def _findings(parts: Sequence[_Part]) -> tuple[Finding, ...]:
     return (*findings, *(one for there, one in others if there))
 
 
-def _findings_of_rounds(parts: Sequence[_Part]) -> list[Finding]:
+def _findings_of_rounds(parts: Sequence[_Part]) -> Iterator[Finding]:
     """Places with an uncertain number of missing samples: each kind with its first place."""
-    findings: list[Finding] = []
     for traced, kind in ((True, "gap of doubtful length"), (False, "stamps that come later")):
         places = [(part, *doubt) for part in parts for doubt in part.doubts if doubt[1].traced == traced]
         if places:
@@ -608,8 +610,7 @@ def _findings_of_rounds(parts: Sequence[_Part]) -> list[Finding]:
                 else f"in {len(places)} places {samples} samples or a multiple of it may be missing; none are counted"
             )
             where = f"the first {abs(first_s):.1f} s {'before' if first_s < 0.0 else 'after'} data begin: {first.why}"
-            findings.append(Finding(kind, "split" if traced else "keep", len(places), f"{message}; {where}"))
-    return findings
+            yield Finding(kind, "split" if traced else "keep", len(places), f"{message}; {where}")
 
 
 def _provenance(

@@ -49,15 +49,15 @@ def absent_terms(spec: Spec) -> list[AbsentTerm]:
     sensor, table = spec.sensor, spec.rig.table
     named = {"sensor": sensor.model_fields_set, "rig.table": table.model_fields_set}
     named["rig.table"] = named["rig.table"] | {f"angle.{name}" for name in table.angle.model_fields_set}
-    terms: list[AbsentTerm] = []
-    for prefix, row, matters in (
-        ("sensor", _row("sensor", sensor_grade(sensor).name), _matters_of_sensor(spec)),
-        ("rig.table", _row("table", table_grade(spec).name), _matters_of_table(spec)),
-    ):
-        for term in cast("list[dict[str, Any]]", row["term"]):
-            if term["key"] in matters and term["key"] not in named[prefix]:
-                terms.append(AbsentTerm(f"{prefix}.{term['key']}", _of_the_maps(term, sensor), term["source"]))
-    return terms
+    return [
+        AbsentTerm(f"{prefix}.{term.key}", _of_the_maps(term, sensor), term.source)
+        for prefix, terms, matters in (
+            ("sensor", terms_of("sensor", sensor_grade(sensor).name), _matters_of_sensor(spec)),
+            ("rig.table", terms_of("table", table_grade(spec).name), _matters_of_table(spec)),
+        )
+        for term in terms
+        if term.key in matters and term.key not in named[prefix]
+    ]
 
 
 def with_typical(spec: Spec) -> Spec:
@@ -111,7 +111,7 @@ def _matters_of_sensor(spec: Spec) -> set[str]:
         left_out |= _OF_SCALE_FACTOR
     if isinstance(spec.plan, StandardPlan):
         left_out |= _OF_RAMPS
-    return {term["key"] for term in _row("sensor", grades()[0])["term"]} - left_out
+    return {term.key for term in terms_of("sensor", grades()[0])} - left_out
 
 
 def _matters_of_table(spec: Spec) -> set[str]:
@@ -127,13 +127,13 @@ def _matters_of_table(spec: Spec) -> set[str]:
     return matters | ({"angle.timing_error"} if on_the_move else set())
 
 
-def _of_the_maps(term: Mapping[str, Any], sensor: Sensor) -> Any:
+def _of_the_maps(term: AbsentTerm, sensor: Sensor) -> Any:
     """A temperature error acts through the slopes of the estimated maps."""
-    if term["key"] != "temperature_error":
-        return term["value"]
+    if term.key != "temperature_error":
+        return term.value
     maps = {"bias_slope": sensor.bias, "scale_factor_slope": sensor.scale_factor}
     without = {name for name, section in maps.items() if section is None}
-    return {name: value for name, value in term["value"].items() if name not in without}
+    return {name: value for name, value in term.value.items() if name not in without}
 
 
 def _words(value: Any) -> str:

@@ -1,9 +1,9 @@
 """The `temperature` and `rate` bases of `[sensor.bias]` and `[sensor.scale_factor]`."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
@@ -14,7 +14,7 @@ from gradcal_jax.files.quantity import (
     Temperature,
     Whole,
 )
-from gradcal_jax.files.section import Section, chosen_by, refuse
+from gradcal_jax.files.section import Section, chosen_by
 
 Degree = Annotated[Whole, Field(le=15)]
 SplineDegree = Annotated[int, Field(strict=True, ge=0, le=5)]
@@ -75,10 +75,8 @@ class _Spline(Section):
     """Degree of the pieces."""
     knots: tuple[Quantity, ...]
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "_Spline":
-        refuse(*increasing(self.knots, "knots"))
-        return self
+    def _problems(self) -> Iterable[Problem]:
+        return increasing(self.knots, "knots")
 
     @property
     def size(self) -> int:
@@ -110,10 +108,8 @@ class _Bins(Section):
     """Kind of functions."""
     edges: tuple[Quantity, ...]
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "_Bins":
-        refuse(*increasing(self.edges, "edges"))
-        return self
+    def _problems(self) -> Iterable[Problem]:
+        return increasing(self.edges, "edges")
 
     @property
     def size(self) -> int:

@@ -6,9 +6,11 @@ one ramp over the chamber's range with turns at three rates, as a map of degree 
 
 import math
 from collections.abc import Mapping
+from string import Template
 from typing import Any, Final, NamedTuple, cast
 
 from gradcal_jax import units
+from gradcal_jax.files import presets
 from gradcal_jax.files.absent import grades, terms_of
 from gradcal_jax.files.column_guess import EXAMPLE
 from gradcal_jax.files.problems import instead
@@ -137,82 +139,35 @@ def _spec(answers: Mapping[str, str], known: Mapping[str, tuple[Any, ...]]) -> s
     moves, fastest = _moves(usable, known["acceleration"][0], known["travel"][0])
     scale_factor, bias = (part.strip() for part in answers["targets"].split(","))
     coldest, warmest, ramp = (part.strip() for part in answers["chamber"].split(","))
-    box = f'temperature = ["{low} degC", "{high} degC"]'
     half, middle = round(0.5 * (warm - cold)), round(0.5 * (warm + cold))
-    in_t = f'centre = "{middle} degC", scale = "{half} K"'
-    lines = [
-        "# Made by gradcal start. Figures of the class stand with their source: put in your unit's own where you can.",
-        'format = "gradcal-spec/1"',
-        f'title  = "{answers["sensor"]}: bias and scale factor in one ramp"',
-        "",
-        "[sensor]",
-        f'name              = "{answers["sensor"]}"',
-        'quantity          = "gyro"',
-        f'grade             = "{grade}"',
-        f'angle_random_walk = "{answers["walk"]}"',
-        f'full_scale        = "{answers["full_scale"]}"',
-    ]
-    lines += [line for key in _SCALARS for line in _written(key, terms[key])]
-    for key in ("drift", "scale_factor_instability", "temperature_error", "bias_temperature_gradient"):
-        lines += _written(key, terms[key])
-    lines += [
-        "[sensor.bias]                          # B(T), to be found",
-        f'temperature = {{ basis = "polynomial", degree = 3, {in_t} }}',
-        "[sensor.scale_factor]                  # M(T, rate), to be found",
-        f'temperature = {{ basis = "polynomial", degree = 2, {in_t} }}',
-        f'rate        = {{ basis = "polynomial", degree = 2, scale = "{_deg(fastest)} deg/s" }}',
-        "",
-        "[rig.table]",
-        f'max_rate         = "{answers["rate"]}"',
-        f'max_acceleration = "{answers["acceleration"]}"',
-        f'travel           = "{answers["travel"]}"         # each way, where a cable winds up',
-        "[rig.table.angle]",
-        f'standstill_offset = "{answers["angle"]}"        # one draw each time the table comes to rest',
-    ]
     table = "coarse" if known["angle"][0] > units.parse("10 arcsec", "angle") * 5 else "middle"
-    for term in terms_of("table", table):
-        if term.key in ("angle.reading_noise", "angle.timing_error"):
-            lines.append(f'{term.key.removeprefix("angle.")} = "{term.value}"   # {term.source}')
-    lines += [
-        "harmonics = []                         # of the encoder by angle; whole turns cancel them",
-        "[rig.chamber]",
-        f'range       = ["{coldest}", "{warmest}"]',
-        f'max_heating = "{ramp}"',
-        f'max_cooling = "{ramp}"',
-        "",
-        "[[requirement]]                        # a limit on the error, met where twice its 1σ is within",
-        'name        = "scale factor"',
-        'quantity    = "scale_factor"',
-        box,
-        f'rate        = ["-{_deg(fastest)} deg/s", "{_deg(fastest)} deg/s"]',
-        f'target      = "{scale_factor}"',
-        "coverage    = 2",
-        "[[requirement]]",
-        'name        = "bias"',
-        'quantity    = "bias"',
-        box,
-        f'target      = "{bias}"',
-        "coverage    = 2",
-        "",
-        "[plan]",
-        'method      = "gradient"',
-        f'temperature = ["{coldest}", "{warmest}"]',
-        f'gradient    = "{ramp}"',
-        'soak        = { duration = "30 min", used = false }',
-        "[plan.cycle]                           # again and again for the whole ramp",
-        "moves = [",
-        *(f"  {move}," for move in moves),
-        "]",
-        "",
-        "[design]                               # what `gradcal optimise` may change, and what for",
-        'minimise = "scale factor"',
-        'free     = ["duration", "peak_rate"]',
-        "starts   = 4",
-    ]
-    return "\n".join(lines) + "\n"
+    return Template(presets.template("spec.toml")).substitute(
+        answers,
+        grade=grade,
+        terms="\n".join(line for key in _TERMS for line in _written(key, terms[key])),
+        in_t=f'centre = "{middle} degC", scale = "{half} K"',
+        fastest=_deg(fastest),
+        angle_terms="\n".join(
+            f'{term.key.removeprefix("angle.")} = "{term.value}"   # {term.source}'
+            for term in terms_of("table", table)
+            if term.key in ("angle.reading_noise", "angle.timing_error")
+        ),
+        coldest=coldest,
+        warmest=warmest,
+        ramp=ramp,
+        low=low,
+        high=high,
+        scale_factor=scale_factor,
+        bias=bias,
+        moves="\n".join(f"  {move}," for move in moves),
+    )
 
 
-_SCALARS: Final = ("rate_random_walk", "turn_on_bias", "thermal_lag", "sample_clock_error")
+# Plain keys stand above tables.
+_TERMS: Final = (
+    "rate_random_walk", "turn_on_bias", "thermal_lag", "sample_clock_error",
+    "drift", "scale_factor_instability", "temperature_error", "bias_temperature_gradient",
+)  # fmt: skip
 
 
 def _written(key: str, term: Any) -> list[str]:

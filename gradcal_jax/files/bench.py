@@ -1,10 +1,10 @@
 """`[rig]`: the table of one axis with its angle reference, or the site and table of a whole unit, and the chamber."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Final, Literal, cast
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from gradcal_jax.files.bases import increasing
 from gradcal_jax.files.problems import Problem, repeated_names
@@ -29,7 +29,7 @@ from gradcal_jax.files.quantity import (
     Travel,
 )
 from gradcal_jax.files.rig import Name
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 
 
 class Harmonic(Section):
@@ -53,11 +53,9 @@ class AngleReference(Section):
     harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
     """Errors that repeat with the angle."""
 
-    @model_validator(mode="after")
-    def _once_each(self) -> "AngleReference":
+    def _problems(self) -> Iterable[Problem]:
         message = "this order stands above already: give one amplitude for each order"
-        refuse(*repeated_names("harmonics", "order", [str(harmonic.order) for harmonic in self.harmonics], message))
-        return self
+        return repeated_names("harmonics", "order", [str(harmonic.order) for harmonic in self.harmonics], message)
 
 
 class Table(Section):
@@ -87,10 +85,8 @@ class Chamber(Section):
     max_cooling: PositiveTemperatureSlope
     """Steepest slope downwards, as a size."""
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "Chamber":
-        refuse(*increasing(self.range, "range"))
-        return self
+    def _problems(self) -> Iterable[Problem]:
+        return increasing(self.range, "range")
 
 
 class Resolution(Section):
@@ -174,16 +170,14 @@ class TableAxis(Section):
     angle: AxisEncoder = AxisEncoder()
     """Error budget of its angle."""
 
-    @model_validator(mode="after")
-    def _points_somewhere(self) -> "TableAxis":
+    def _problems(self) -> Iterator[Problem]:
         if not math.hypot(*self.direction) > 0.0:
-            refuse(Problem(("direction",), "is no direction; expected such as [0.0, 0.0, 1.0]", list(self.direction)))
+            yield Problem(("direction",), "is no direction; expected such as [0.0, 0.0, 1.0]", list(self.direction))
         if self.keep_out is not None:
             low, high = self.keep_out
             if not (0.0 < low < high < _TURN or -_TURN < low < high < 0.0):
                 message = "expected two angles of one sign within a turn, the smaller one first, with zero outside"
-                refuse(Problem(("keep_out",), message, [str(low), str(high)]))
-        return self
+                yield Problem(("keep_out",), message, [str(low), str(high)])
 
     @property
     def reach(self) -> tuple[float, float]:
@@ -217,12 +211,10 @@ class UnitMounting(Section):
     accuracy: SizeOfAngle = NO_ANGLE
     """Standard deviation of each of the three angles."""
 
-    @model_validator(mode="after")
-    def _right_handed(self) -> "UnitMounting":
+    def _problems(self) -> Iterator[Problem]:
         if self.determinant != 1.0:
             directions = f"x = {self.x}, y = {self.y}, z = {self.z}"
-            refuse(Problem((), "the body's axes must be three different ones and right-handed (x × y = z)", directions))
-        return self
+            yield Problem((), "the body's axes must be three different ones and right-handed (x × y = z)", directions)
 
     @property
     def columns(self) -> tuple[tuple[float, ...], ...]:
@@ -258,21 +250,16 @@ class UnitTable(Section):
     )
     """One mounting, or several that are used one after the other."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> "UnitTable":
-        problems = repeated_names("axis", "name", [axis.name for axis in self.axis], "two axes have this name")
+    def _problems(self) -> Iterator[Problem]:
+        yield from repeated_names("axis", "name", [axis.name for axis in self.axis], "two axes have this name")
         if self.axis[-1].orthogonality:
             message = "is told to the next axis inside, and there is none; leave it out of the innermost one"
-            problems.append(
-                Problem(("axis", len(self.axis) - 1, "orthogonality"), message, str(self.axis[-1].orthogonality))
-            )
+            yield Problem(("axis", len(self.axis) - 1, "orthogonality"), message, str(self.axis[-1].orthogonality))
         every = [axis.angle.read_every for axis in self.axis]
         if self.standing == "read" and any(e != every[0] for e in every):
             message = 'the axes of a table whose standing is "read" are read together; expected one time for all'
             k = next(i for i, e in enumerate(every) if e != every[0])
-            problems.append(Problem(("axis", k, "angle", "read_every"), message, str(every[k])))
-        refuse(*problems)
-        return self
+            yield Problem(("axis", k, "angle", "read_every"), message, str(every[k]))
 
 
 class UnitRig(Section):

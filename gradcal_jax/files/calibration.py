@@ -7,14 +7,14 @@ The coefficients are those of the paper: `a{k}` multiplies the k-th power of `(T
 their functions: `a_bin3`, `b_spline2_1`. Numbers without a unit are SI.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax.files.bases import RateBasis, RatePolynomial, TemperatureBasis, TemperaturePolynomial, increasing
-from gradcal_jax.files.document import parsed, read_text
+from gradcal_jax.files.document import TitledFile, parsed, read_text
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AngleRandomWalk,
@@ -28,7 +28,7 @@ from gradcal_jax.files.quantity import (
     Time,
     Whole,
 )
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.writing import write_toml
 
 FORMAT: Final = "gradcal-calibration/1"
@@ -44,10 +44,8 @@ class BiasMap(Section):
     coefficients: Coefficients
     """By name, rad/s."""
 
-    @model_validator(mode="after")
-    def _whole(self) -> "BiasMap":
-        refuse(*_mismatch(self.coefficients, bias_names(self.temperature)))
-        return self
+    def _problems(self) -> Iterable[Problem]:
+        return _mismatch(self.coefficients, bias_names(self.temperature))
 
 
 class ScaleFactorMap(Section):
@@ -60,10 +58,8 @@ class ScaleFactorMap(Section):
     coefficients: Coefficients
     """By name, a ratio."""
 
-    @model_validator(mode="after")
-    def _whole(self) -> "ScaleFactorMap":
-        refuse(*_mismatch(self.coefficients, scale_factor_names(self.temperature, self.rate)))
-        return self
+    def _problems(self) -> Iterable[Problem]:
+        return _mismatch(self.coefficients, scale_factor_names(self.temperature, self.rate))
 
 
 LOG_HASH: Final = "log_sha256"
@@ -78,14 +74,12 @@ class Covariance(Section):
     matrix: tuple[tuple[Number, ...], ...]
     """Their covariance, row by row, in their units."""
 
-    @model_validator(mode="after")
-    def _square(self) -> "Covariance":
+    def _problems(self) -> Iterator[Problem]:
         count = len(self.names)
         if len(self.matrix) != count or any(len(row) != count for row in self.matrix):
-            refuse(Problem(("matrix",), f"expected {count} rows of {count} numbers, as many as there are names"))
-        if any(self.matrix[i][i] < 0.0 for i in range(count)):
-            refuse(Problem(("matrix",), "a variance on its diagonal is negative"))
-        return self
+            yield Problem(("matrix",), f"expected {count} rows of {count} numbers, as many as there are names")
+        elif any(self.matrix[i][i] < 0.0 for i in range(count)):
+            yield Problem(("matrix",), "a variance on its diagonal is negative")
 
 
 class FitTest(Section):
@@ -136,31 +130,23 @@ class AxisCalibration(Section):
     unobservable: tuple[Text, ...] = ()
     """Combinations of coefficients that the data do not determine."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> "AxisCalibration":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         if self.bias is None and self.scale_factor is None:
-            problems.append(Problem((), 'holds nothing; give "bias", "scale_factor" or both'))
+            yield Problem((), 'holds nothing; give "bias", "scale_factor" or both')
         for key, span in (("valid_temperature", self.valid_temperature), ("valid_rate", self.valid_rate)):
-            problems += increasing(span, key) if span[0] != span[1] else []
+            yield from increasing(span, key) if span[0] != span[1] else []
         if self.covariance is not None:
             known = self.values()
-            strange = [name for name in self.covariance.names if name not in known]
-            if strange:
+            if strange := [name for name in self.covariance.names if name not in known]:
                 text = f"names coefficients that this axis does not have: {', '.join(strange[:5])}"
-                problems.append(Problem(("covariance", "names"), text))
-        refuse(*problems)
-        return self
+                yield Problem(("covariance", "names"), text)
 
     def values(self) -> dict[str, float]:
         """Every coefficient by name."""
-        result: dict[str, float] = {}
-        for part in (self.bias, self.scale_factor):
-            if part is not None:
-                result.update(part.coefficients)
-        if self.bias_temperature_gradient is not None:
-            result["bias_temperature_gradient"] = self.bias_temperature_gradient
-        return result
+        parts = [part.coefficients for part in (self.bias, self.scale_factor) if part is not None]
+        gradient = self.bias_temperature_gradient
+        own = {} if gradient is None else {"bias_temperature_gradient": gradient}
+        return {name: value for part in (*parts, own) for name, value in part.items()}
 
 
 class Result(Section):
@@ -203,13 +189,10 @@ class Noise(Section):
     """Of the log."""
 
 
-class Calibration(Section):
+class Calibration(TitledFile):
     """A whole calibration file."""
 
     format: Literal["gradcal-calibration/1"]
-    """Name and version of this file format."""
-    title: Text | None = None
-    """A name for people."""
     serial_number: Text
     """Of the unit."""
     quantity: Literal["gyro"]
@@ -229,20 +212,17 @@ class Calibration(Section):
     provenance: dict[str, Text] = Field(default_factory=dict)
     """Texts by name: versions, sources, the log's hash."""
 
-    @model_validator(mode="after")
-    def _distinct(self) -> "Calibration":
+    def _problems(self) -> Iterator[Problem]:
         names = [axis.name for axis in self.axis]
         if len(set(names)) < len(names):
-            refuse(Problem(("axis",), "two axes have the same name"))
-        return self
+            yield Problem(("axis",), "two axes have the same name")
 
     def axis_of(self, name: str) -> AxisCalibration:
         """The axis of that name. Raises `ValueError`."""
-        for axis in self.axis:
-            if axis.name == name:
-                return axis
-        known = ", ".join(axis.name for axis in self.axis)
-        raise ValueError(f"the calibration has no axis '{name}': it has {known}")
+        axes = {axis.name: axis for axis in self.axis}
+        if name not in axes:
+            raise ValueError(f"the calibration has no axis '{name}': it has {', '.join(axes)}")
+        return axes[name]
 
 
 def bias_names(temperature: TemperatureBasis) -> list[str]:
@@ -268,15 +248,11 @@ def _kind(basis: str) -> str:
     return {"b-spline": "spline", "bins": "bin"}[basis]
 
 
-def _mismatch(coefficients: Mapping[str, float], expected: list[str]) -> list[Problem]:
-    missing = [name for name in expected if name not in coefficients]
-    strange = [name for name in coefficients if name not in set(expected)]
-    problems: list[Problem] = []
-    if missing:
-        problems.append(Problem(("coefficients",), f"lacks {', '.join(missing[:8])}", kind="missing"))
-    if strange:
-        problems.append(Problem(("coefficients",), f"has {', '.join(strange[:8])}, which the basis does not"))
-    return problems
+def _mismatch(coefficients: Mapping[str, float], expected: list[str]) -> Iterator[Problem]:
+    if missing := [name for name in expected if name not in coefficients]:
+        yield Problem(("coefficients",), f"lacks {', '.join(missing[:8])}", kind="missing")
+    if strange := [name for name in coefficients if name not in set(expected)]:
+        yield Problem(("coefficients",), f"has {', '.join(strange[:8])}, which the basis does not")
 
 
 def read_calibration(path: str | Path) -> Calibration:
@@ -297,7 +273,7 @@ def write_calibration(calibration: Calibration, path: str | Path) -> None:
 
     Errors: `OSError` where it cannot be written.
     """
-    write_toml(calibration, path, header=_HEADER + (_SIMULATED if calibration.simulated else ""))
+    write_toml(calibration, path, header=_HEADER + (SIMULATED if calibration.simulated else ""))
 
 
 _HEADER: Final = """\
@@ -306,4 +282,4 @@ The calibration of one unit. Apply it with `gradcal apply`, check it with `gradc
 a{k}: rad/s, times the k-th power of (T - centre)/scale, in B.
 b{j}{i}: ratio, times the j-th power of (rate - centre)/scale and the i-th of the temperature's, in M.
 Numbers without a unit are SI: rad, s, degC."""
-_SIMULATED: Final = "\nSIMULATED: made from simulated data, of no real unit."
+SIMULATED: Final = "\nSIMULATED: made from simulated data, of no real unit."

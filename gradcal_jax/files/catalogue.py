@@ -31,14 +31,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax.files.changes import patched, tables_of
-from gradcal_jax.files.document import parsed, read_text
+from gradcal_jax.files.document import TitledFile, parsed, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Text
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec, spec_of
 from gradcal_jax.files.sweep import named_spec
 
@@ -77,20 +77,15 @@ class RequirementEntry(Section):
     of: Annotated[tuple[dict[str, Any], ...], Field(min_length=1, max_length=100)] | None = None
     """Requirements written here."""
 
-    @model_validator(mode="after")
-    def _one_source(self) -> "RequirementEntry":
+    def _problems(self) -> Iterator[Problem]:
         if (self.base is None) == (self.of is None):
-            refuse(Problem(("base",), 'give either "base" or "of"', kind="missing"))
-        return self
+            yield Problem(("base",), 'give either "base" or "of"', kind="missing")
 
 
-class CatalogueFile(Section):
+class CatalogueFile(TitledFile):
     """A whole catalogue."""
 
     format: Literal["gradcal-catalogue/1"]
-    """Name and version of this file format."""
-    title: Text | None = None
-    """A name for people."""
     design: dict[str, Any] = Field(default_factory=dict)
     """As in a spec, without `minimise`."""
     sensor: Annotated[tuple[Entry, ...], Field(min_length=1, max_length=1000)]
@@ -102,19 +97,15 @@ class CatalogueFile(Section):
     plan: Annotated[tuple[PlanEntry, ...], Field(min_length=1, max_length=1000)]
     """Plans, from which the searches begin."""
 
-    @model_validator(mode="after")
-    def _distinct(self) -> "CatalogueFile":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         kinds: tuple[str, ...] = ("sensor", "rig", "requirement", "plan")
         count = 1
         for kind in kinds:
             names = [slug(entry.name) for entry in getattr(self, kind)]
             count *= len(names)
-            problems += repeated_names(kind, "name", names, "another one is called this, or nearly this")
+            yield from repeated_names(kind, "name", names, "another one is called this, or nearly this")
         if count > MOST_CASES:
-            problems.append(Problem((), f"makes {count} recipes; at most {MOST_CASES}"))
-        refuse(*problems)
-        return self
+            yield Problem((), f"makes {count} recipes; at most {MOST_CASES}")
 
 
 @dataclass(frozen=True)

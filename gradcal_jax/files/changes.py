@@ -7,11 +7,12 @@ A plain number for a key that holds a quantity is SI (°C for temperatures) and 
 
 import copy
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, TypeVar, cast
 
 from gradcal_jax import units
-from gradcal_jax.files.problems import Key, Problem, SpecError, dotted
+from gradcal_jax.files.problems import ABSENT, Key, Problem, SpecError, dotted
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec, is_of_unit, spec_of
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 
@@ -34,7 +35,7 @@ def split_key(text: str) -> Key:
     return tuple(parts)
 
 
-def tables_of(spec: Spec | UnitSpec) -> dict[str, Any]:
+def tables_of(spec: Section) -> dict[str, Any]:
     """The spec as the tables of its file: texts with units, numbers, lists; a copy, free to change. Errors: none."""
     return spec.model_dump(mode="json", exclude_unset=True)
 
@@ -104,3 +105,24 @@ def _dressed(old: object, value: object) -> object:
     if isinstance(value, float | int) and not isinstance(value, bool) and isinstance(old, str):
         return units.format_quantity(float(value), units.unit_of(old))
     return copy.deepcopy(value)
+
+
+def differences(before: Any, after: Any, key: Key) -> Iterator[tuple[Key, Any, Any]]:
+    """Every place where two files' tables differ, with both values; lists of other lengths and moves with other keys
+    are one place."""
+    if before == after:
+        return
+    inner: Iterable[tuple[str | int, Any, Any]] | None = None
+    if isinstance(before, dict) and isinstance(after, dict):
+        old, new = cast("dict[str, Any]", before), cast("dict[str, Any]", after)
+        if "shape" not in new or set(old) == set(new):
+            inner = ((name, old.get(name, ABSENT), new.get(name, ABSENT)) for name in dict.fromkeys((*old, *new)))
+    elif isinstance(before, list) and isinstance(after, list):
+        olds, news = cast("list[Any]", before), cast("list[Any]", after)
+        if len(olds) == len(news):
+            inner = ((place, *pair) for place, pair in enumerate(zip(olds, news, strict=True)))
+    if inner is None:
+        yield key, before, after
+        return
+    for name, one, other in inner:
+        yield from differences(one, other, (*key, name))

@@ -31,23 +31,21 @@ def between_sections(
     requirements: Sequence[Requirement] | None,
     plan: GradientPlan | StandardPlan | None,
     design: Design | None,
-) -> list[Problem]:
+) -> Iterator[Problem]:
     """Every problem between the sections, keys from the top of the file."""
-    problems: list[Problem] = []
     if requirements is not None:
-        problems += _requirements(requirements, sensor)
+        yield from _requirements(requirements, sensor)
         if plan is not None and (visited := visited_temperatures(plan, rig)) is not None:
             for i, requirement in enumerate(requirements):
-                problems += _missions(i, requirement, visited, "the plan")
+                yield from _missions(i, requirement, visited, "the plan")
         if design is not None:
-            problems += _design(design, [requirement.name for requirement in requirements])
+            yield from _design(design, [requirement.name for requirement in requirements])
     if design is not None and design.notice is not None and sensor is not None:
-        problems += [p.under("design", "notice") for p in _notice(design.notice, sensor.scale_factor)]
+        yield from (p.under("design", "notice") for p in _notice(design.notice, sensor.scale_factor))
     if isinstance(plan, StandardPlan):
-        problems += [p.under("plan") for p in _standard(plan, rig, sensor)]
+        yield from (p.under("plan") for p in _standard(plan, rig, sensor))
     elif plan is not None and rig is not None:
-        problems += [p.under("plan") for p in _gradient(plan, rig, sensor)]
-    return problems
+        yield from (p.under("plan") for p in _gradient(plan, rig, sensor))
 
 
 def _notice(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
@@ -170,21 +168,19 @@ def _standard(plan: StandardPlan, rig: Rig | None, sensor: Sensor | None) -> Ite
         yield from _rate_limits(abs(rate), rig, sensor, ("rates", i), rate.text)
 
 
-def _gradient(plan: GradientPlan, rig: Rig, sensor: Sensor | None) -> list[Problem]:
-    problems: list[Problem] = []
+def _gradient(plan: GradientPlan, rig: Rig, sensor: Sensor | None) -> Iterator[Problem]:
     schedule: GradientSchedule | None = None
     try:
         schedule = gradient_schedule(plan, rig)
     except SpecError as error:
-        problems += error.problems
+        yield from error.problems
     if plan.cycle is not None:
         with contextlib.suppress(SpecError):  # said above
             moves = resolve_cycle(plan.cycle, rig).moves
-            problems += _motion(moves, rig, sensor)
+            yield from _motion(moves, rig, sensor)
             if schedule is not None:
-                problems += _travel(moves, schedule.cycles, rig)
-    problems += course_within(plan, rig.chamber, None if schedule is None else schedule.segments)
-    return problems
+                yield from _travel(moves, schedule.cycles, rig)
+    yield from course_within(plan, rig.chamber, None if schedule is None else schedule.segments)
 
 
 def course_within(

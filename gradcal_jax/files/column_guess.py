@@ -7,32 +7,10 @@ from typing import Final
 
 import numpy as np
 
+from gradcal_jax.files import presets
 from gradcal_jax.files.log import LogError
 
-EXAMPLE: Final = """\
-format      = "gradcal-columns/1"
-name        = "SN-1"                          # of the sensor; its serial number
-# What each column means. (number - zero) × scale is the value in the unit.
-time        = { column = "t", unit = "ms" }   # or leave it out and give: sample_rate = "100 Hz"
-temperature = { column = "temp", unit = "degC" }          # leave it out where there is none
-# full_scale = "500 deg/s"                    # where rates saturate
-
-[rate]                                        # one line for each axis of the gyro
-x = { column = "gx", unit = "deg/s" }
-y = { column = "gy", unit = "deg/s" }
-z = { column = "gz", unit = "deg/s", scale = 0.0305 }     # counts: deg/s per count
-
-# [force]                                     # of its accelerometers: +1 g along an axis that points up at rest
-# x = { column = "ax", unit = "m/s^2" }
-
-# [table_angle]                               # of a rate table, where it was recorded
-# inner = { column = "angle", unit = "deg" }
-
-[csv]                                         # only where it is not ",", ".", and a header
-delimiter = ","                               # ";", "tab" or "whitespace"; header = false: columns are numbered from 0
-# decimal  = ","
-# encoding = "latin-1"
-"""
+EXAMPLE: Final = presets.template("columns.toml")
 
 _TIME: Final = re.compile(r"(time|stamp|timestamp|t)(?:[ _\-(\[]*(ns|us|µs|ms|s|sec|seconds))?[)\]]*", re.IGNORECASE)
 _TEMPERATURE: Final = re.compile(r"(temp|temperature|t)(?:[ _\-(\[]*(?:deg|°)?[ _]?(c|f))?[)\]]*", re.IGNORECASE)
@@ -46,6 +24,9 @@ _FORCE: Final = re.compile(
     r"(?:[ _\-(\[]*(m/s\^?2|m/s²|ms2|m_s2|mg|g))?[)\]]*",
     re.IGNORECASE,
 )
+# By what names are tried for, and in the order of a map.
+_KINDS: Final = {"rate": _RATE, "force": _FORCE, "time": _TIME, "temperature": _TEMPERATURE}
+_ORDER: Final = ("time", "temperature", "rate", "force")
 _UNITS: Final = {
     "m/s2": "m/s^2", "m/s²": "m/s^2", "ms2": "m/s^2", "m_s2": "m/s^2",
     "sec": "s", "seconds": "s", "µs": "us", "dps": "deg/s", "°/s": "deg/s", "deg_s": "deg/s", "rps": "rad/s",
@@ -70,25 +51,19 @@ def guess(path: Path) -> str | None:
     """A column map in TOML from the header of a text table (or the names in an .npz); None if that is not enough.
     Units without a hint in the name are ???, to be completed by the user."""
     names, delimiter = _names(path)
-    rates: dict[str, tuple[str, str]] = {}
-    forces: dict[str, tuple[str, str]] = {}
-    time = temperature = None
+    columns: dict[str, tuple[str, str]] = {}
     for name in names:
-        if (match := _RATE.fullmatch(name)) and match[1].lower() not in rates:
-            rates[match[1].lower()] = (name, _unit(match[2]))
-        elif (match := _FORCE.fullmatch(name)) and match[1].lower() not in forces:
-            forces[match[1].lower()] = (name, _unit(match[2]))
-        elif time is None and (match := _TIME.fullmatch(name)):
-            time = (name, _unit(match[2]))
-        elif temperature is None and (match := _TEMPERATURE.fullmatch(name)):
-            temperature = (name, _unit(match[2]))
-    if not rates:
+        for kind, pattern in _KINDS.items():
+            if match := pattern.fullmatch(name):
+                key = f"{kind}.{match[1].lower()}" if kind in ("rate", "force") else kind
+                if key not in columns:
+                    columns[key] = (name, _unit(match[2]))
+                    break
+    if not any(key.startswith("rate.") for key in columns):
         return None
-    lines = ['format = "gradcal-columns/1"']
-    lines += [_line("time", *time)] if time else ['sample_rate = "???"']
-    lines += [_line("temperature", *temperature)] if temperature else []
-    lines += [_line(f"rate.{axis}", *rates[axis]) for axis in sorted(rates)]
-    lines += [_line(f"force.{axis}", *forces[axis]) for axis in sorted(forces)]
+    lines = ['format = "gradcal-columns/1"', *([] if "time" in columns else ['sample_rate = "???"'])]
+    order = sorted(columns, key=lambda key: (_ORDER.index(key.split(".")[0]), key))
+    lines += [_line(key, *columns[key]) for key in order]
     if delimiter not in (None, ","):
         lines += ["[csv]", f'delimiter = "{delimiter}"']
     return "\n".join(lines)

@@ -9,10 +9,21 @@ from pydantic import ValidationError
 
 from gradcal_jax.files.lines import with_lines
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
+from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section
 
 Model = TypeVar("Model", bound=Section)
+Result = TypeVar("Result")
 _LARGEST = 20_000_000
+
+
+class TitledFile(Section):
+    """A whole file: its format, and a name for people."""
+
+    format: Any
+    """Name and version of this file format."""
+    title: Text | None = None
+    """A name for people."""
 
 
 def read_text(path: str | Path, what: str = "TOML file") -> str:
@@ -94,5 +105,10 @@ def model_of(
 
 def parsed(kind: type[Model], text: str, expected: str, source: str) -> Model:
     """As `model_of`, for a TOML text; problems have the number of their line."""
+    return from_text(lambda document, _: model_of(kind, document, expected, source), text, source)
+
+
+def from_text(of: Callable[[dict[str, Any], str], Result], text: str, source: str) -> Result:
+    """The result of `of` for the tables of a TOML text; problems have the number of their line."""
     with with_lines(text):
-        return model_of(kind, read_toml(text, source), expected, source)
+        return of(read_toml(text, source), source)

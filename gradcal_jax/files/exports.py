@@ -12,7 +12,7 @@ The formulas are from the targets' public sources; no export has been run on a f
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -97,28 +97,21 @@ def export_units(calibrations: Sequence[Calibration], firmware: str) -> Export:
 
 def without(calibration: Calibration, zeroed: Sequence[str]) -> tuple[Calibration, tuple[str, ...]]:
     """The calibration with some coefficients set to zero, and their names. Raises `ValueError` for unknown names."""
-    wanted = dict.fromkeys(zeroed, False)
+    known: set[str] = set()
     gone: list[str] = []
     axes: list[AxisCalibration] = []
     for axis in calibration.axis:
         changed: dict[str, Any] = {}
-        for part_name in ("bias", "scale_factor"):
-            part = getattr(axis, part_name)
-            if part is None:
-                continue
-            coefficients = dict(part.coefficients)
-            for name in coefficients:
-                for spelling in (name, f"{axis.name}.{name}"):
-                    if spelling in wanted:
-                        wanted[spelling] = True
-                        coefficients[name] = 0.0
-                        gone.append(f"{axis.name}.{name}")
-            changed[part_name] = part.model_copy(update={"coefficients": coefficients})
+        for key, part in (("bias", axis.bias), ("scale_factor", axis.scale_factor)):
+            if part is not None:
+                known |= {spelling for name in part.coefficients for spelling in (name, f"{axis.name}.{name}")}
+                zero = [name for name in part.coefficients if name in zeroed or f"{axis.name}.{name}" in zeroed]
+                gone += [f"{axis.name}.{name}" for name in zero]
+                changed[key] = part.model_copy(update={"coefficients": part.coefficients | dict.fromkeys(zero, 0.0)})
         axes.append(axis.model_copy(update=changed))
-    unknown = [name for name, present in wanted.items() if not present]
-    if unknown:
+    if unknown := [name for name in dict.fromkeys(zeroed) if name not in known]:
         raise ValueError(f"the calibration has no coefficient {', '.join(unknown)} that could be set to zero")
-    return calibration.model_copy(update={"axis": tuple(axes)}), tuple(dict.fromkeys(gone))
+    return calibration.model_copy(update={"axis": tuple(axes)}), tuple(gone)
 
 
 # --- what every target shares -----------------------------------------------------------------------------------------
@@ -129,26 +122,30 @@ def range_temperatures(axis: AxisCalibration) -> Floats:
     return np.linspace(float(axis.valid_temperature[0]), float(axis.valid_temperature[1]), _GRID)
 
 
+def common_range(axes: Iterable[AxisCalibration]) -> tuple[float, float]:
+    """The temperatures that all axes cover, °C."""
+    lowest, highest = zip(*(axis.valid_temperature for axis in axes), strict=True)
+    return float(max(lowest)), float(min(highest))
+
+
 def _lost_scale_factor(axis: AxisCalibration, carried: Floats | float = 0.0) -> Loss | None:
     """The largest scale-factor error over the calibration's range after the correction by `carried`."""
     if axis.scale_factor is None:
         return None
-    slow, fast = float(axis.valid_rate[0]), float(axis.valid_rate[1])
+    slow, fast = axis.valid_rate
     temperature, rate = np.meshgrid(range_temperatures(axis), np.linspace(slow, fast, 61), indexing="ij")
     error = correction.scale_factor(axis, temperature.ravel(), rate.ravel()) - carried
     return Loss(axis.name, "scale factor", float(np.max(np.abs(error))) * PPM, "ppm")
 
 
-def _lost_terms(axis: AxisCalibration) -> list[str]:
-    notes: list[str] = []
+def _lost_terms(axis: AxisCalibration) -> Iterator[str]:
     if axis.bias_temperature_gradient is not None:
         per_k_min = abs(axis.bias_temperature_gradient) * DEG_PER_H / 60.0
-        notes.append(f"axis {axis.name}: the bias from dT/dt, {per_k_min:.3g} deg/h for each K/min, is not carried")
+        yield f"axis {axis.name}: the bias from dT/dt, {per_k_min:.3g} deg/h for each K/min, is not carried"
     if axis.thermal_lag is not None:
-        notes.append(f"axis {axis.name}: the thermal lag of {float(axis.thermal_lag):.3g} s is not carried")
+        yield f"axis {axis.name}: the thermal lag of {float(axis.thermal_lag):.3g} s is not carried"
     if axis.unobservable:
-        notes.append(f"axis {axis.name}: the data said nothing of {', '.join(axis.unobservable)}")
-    return notes
+        yield f"axis {axis.name}: the data said nothing of {', '.join(axis.unobservable)}"
 
 
 def _triad(calibration: Calibration) -> dict[str, AxisCalibration]:
@@ -187,8 +184,8 @@ def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     number = int(options["instance"])
     if not 1 <= number <= 3:
         raise ValueError(f"ArduPilot numbers its sensors 1 to 3, not {number}")
-    low = max(max(float(a.valid_temperature[0]) for a in triad.values()), -70.0)
-    high = min(min(float(a.valid_temperature[1]) for a in triad.values()), 80.0)
+    low, high = common_range(triad.values())
+    low, high = max(low, -70.0), min(high, 80.0)
     if high - low < 10.0:
         raise ValueError(f"ArduPilot needs a range of at least 10 K, and this calibration covers {low:g} … {high:g} °C")
     parameters = ardupilot_range(number, low, high) | ardupilot_bias(triad.values(), number, 0.5 * (low + high))
@@ -278,8 +275,7 @@ def _px4(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     number, identity = int(options["instance"]), options["device_id"]
     if not 0 <= number <= 3:
         raise ValueError(f"PX4 numbers its sensors 0 to 3, not {number}")
-    low = max(float(a.valid_temperature[0]) for a in triad.values())
-    high = min(float(a.valid_temperature[1]) for a in triad.values())
+    low, high = common_range(triad.values())
     if not high >= low:
         raise ValueError("the axes' temperature ranges do not overlap, and PX4 has one range for all of them")
     rows = px4_rows(triad.values(), "G", number, identity, low, high)
@@ -330,8 +326,7 @@ def px4_correction(
 
 def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     triad = _triad(calibration)
-    low = max(float(a.valid_temperature[0]) for a in triad.values())
-    high = min(float(a.valid_temperature[1]) for a in triad.values())
+    low, high = common_range(triad.values())
     at = one_temperature(options, (low, high), "Kalibr")
     gains: dict[str, float] = {}
     losses: list[Loss] = []
@@ -415,7 +410,7 @@ def list_text(values: Floats) -> str:
 
 
 def _c_header(calibration: Calibration, options: Mapping[str, Any]) -> Export:
-    text, errors = c_header.header_text(calibration, options["left_out"])
+    text, errors = c_header.axes_header(calibration, options["left_out"])
     losses = tuple(Loss(*error) for error in errors)
     notes = [note for axis in calibration.axis for note in _lost_terms(axis)]
     return Export(text, losses, (*notes, "float32, no allocation, sensor's own axes in the order of the header"))

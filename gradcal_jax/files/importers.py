@@ -35,15 +35,15 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax.files.column_guess import contradiction
 from gradcal_jax.files.document import parsed, read_text
-from gradcal_jax.files.log import Floats, Log, LogError
+from gradcal_jax.files.log import Floats, Log, LogError, naming
 from gradcal_jax.files.log_faults import Columns, Policy, examine
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import Flag, Frequency, Number, PositiveRate, Whole
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.tables import (
     AngleColumn,
     ForceColumn,
@@ -123,25 +123,21 @@ class ColumnMap(Section):
     policy: Policy = Policy()
     """What to do with each fault."""
 
-    @model_validator(mode="after")
-    def _together(self) -> "ColumnMap":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         if self.sensor and (self.rate or self.force or self.temperature or self.status):
             text = "stands in each [[sensor]], or at the top where there is one sensor only"
-            problems.append(Problem(("sensor",), f"rate, force, temperature and status {text}"))
+            yield Problem(("sensor",), f"rate, force, temperature and status {text}")
         if not self.sensor and not self.rate:
-            problems.append(Problem(("rate",), "this key is missing; name at least one axis", kind="missing"))
+            yield Problem(("rate",), "this key is missing; name at least one axis", kind="missing")
         axes = {(tuple(sensor.rate), tuple(sensor.force)) for sensor in self.sensor}
         if len(axes) > 1:
-            problems.append(Problem(("sensor",), "every sensor needs the same axes, in the same order"))
+            yield Problem(("sensor",), "every sensor needs the same axes, in the same order")
         if len({sensor.name for sensor in self.sensor}) < len(self.sensor):
-            problems.append(Problem(("sensor",), "two sensors have the same name"))
+            yield Problem(("sensor",), "two sensors have the same name")
         if self.time is None and self.sample_rate is None:
-            problems.append(Problem(("time",), 'give the time\'s column, or sample_rate = "100 Hz"', kind="missing"))
+            yield Problem(("time",), 'give the time\'s column, or sample_rate = "100 Hz"', kind="missing")
         if self.table_angle and self.table_rate and list(self.table_angle) != list(self.table_rate):
-            problems.append(Problem(("table_rate",), "names other axes than table_angle"))
-        refuse(*problems)
-        return self
+            yield Problem(("table_rate",), "names other axes than table_angle")
 
     @property
     def sensors(self) -> tuple[SensorColumns, ...]:
@@ -189,11 +185,9 @@ def import_log(path: str | Path, columns: ColumnMap, *, rows: tuple[int, int | N
     path = Path(path)
     _refuse_contradictions(columns)
     table = read_table(path, columns.csv, list(columns.sources()))
-    try:
+    with naming(path):
         log = _columns(table, columns, path.name)
         return examine(log if rows is None else log.part(rows), columns.policy)
-    except LogError as error:
-        raise LogError(f"{path}: {error}") from None
 
 
 def _refuse_contradictions(columns: ColumnMap) -> None:

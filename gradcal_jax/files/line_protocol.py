@@ -21,11 +21,11 @@ value cannot be read back is refused. The order and verification of commands are
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from gradcal_jax import units
 from gradcal_jax.files.document import model_of, read_toml
@@ -47,7 +47,7 @@ from gradcal_jax.files.quantity import (
     Time,
     Whole,
 )
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 
 FORMAT: Final = "gradcal-lines/1"
 _FIELD: Final = re.compile(r"\{([a-z_]*)(?::(text|char))?\}")
@@ -109,16 +109,14 @@ class DeviceUnits(Section):
     acceleration: Text = "deg/s^2"
     """Of accelerations."""
 
-    @model_validator(mode="after")
-    def _measure(self) -> "DeviceUnits":
+    def _problems(self) -> Iterator[Problem]:
         kinds = ("temperature", "temperature slope", "angle", "angular rate", "angular acceleration")
         for name, kind in zip(DeviceUnits.model_fields, kinds, strict=True):
             unit = getattr(self, name)
             try:
                 units.parse(f"1 {unit}", kind)
             except ValueError as problem:
-                refuse(Problem((name,), str(problem), unit))
-        return self
+                yield Problem((name,), str(problem), unit)
 
 
 class DeviceLimits(Section):
@@ -168,11 +166,9 @@ class LineQuestion(Section):
         fields = (match for reply in self.reply for match in _FIELD.finditer(reply))
         return {match[1]: match[2] or "number" for match in fields if match[1]}
 
-    @model_validator(mode="after")
-    def _ends(self) -> "LineQuestion":
+    def _problems(self) -> Iterator[Problem]:
         if len(self.reply) > 1 and self.last is None:
-            refuse(Problem(("last",), "this key is missing; it ends a reply of several lines", kind="missing"))
-        return self
+            yield Problem(("last",), "this key is missing; it ends a reply of several lines", kind="missing")
 
 
 class Command(Section):
@@ -208,14 +204,12 @@ class Condition(Section):
     below: Number | None = None
     """It is so where the field is a number below this."""
 
-    @model_validator(mode="after")
-    def _one(self) -> "Condition":
+    def _problems(self) -> Iterator[Problem]:
         if (
             sum(map(bool, (self.equals, self.not_equals, self.begins, self.bit is not None, self.below is not None)))
             != 1
         ):
-            refuse(Problem((), "give one of equals, not_equals, begins, bit and below"))
-        return self
+            yield Problem((), "give one of equals, not_equals, begins, bit and below")
 
     def holds(self, text: str) -> bool:
         """Whether the state holds, by the device's reply. An invalid number raises `ValueError`."""
@@ -263,90 +257,83 @@ class LineProtocol(Section):
     require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
     """How it must be set before anything is told to it."""
 
-    @model_validator(mode="after")
-    def _complete(self) -> "LineProtocol":
-        refuse(*self._missing(), *self._unreadable(), *self._badly_written())
-        return self
+    def _problems(self) -> Iterator[Problem]:
+        yield from self._missing()
+        yield from self._unreadable()
+        yield from self._badly_written()
 
     @property
     def fields(self) -> dict[str, str]:
         """Every field that can be read -> the question that it is in."""
         return {field: name for name, question in self.ask.items() for field in question.fields}
 
-    def _missing(self) -> list[Problem]:
+    def _missing(self) -> Iterator[Problem]:
         role = _ROLES[self.role]
-        problems = [
+        yield from [
             Problem((table, name), f"this key is missing; a {self.role} needs it", kind="missing")
             for table, needed in (("tell", role.tells), ("state", role.states))
             for name in needed
             if name not in getattr(self, table)
         ]
-        problems += [
+        yield from [
             Problem(("ask",), f"no reply has the field {{{name}}}, which a {self.role} needs", kind="missing")
             for name in role.fields
             if name not in self.fields
         ]
-        problems += [
+        yield from [
             Problem(("limits", name), f"this key is missing; a {self.role} needs it", kind="missing")
             for name in role.limits
             if getattr(self.limits, name) is None
         ]
         if "ramp" in self.tell and self.limits.free_ramp is None:
             message = "this key is missing; a ramp must be taken off again"
-            problems.append(Problem(("limits", "free_ramp"), message, kind="missing"))
-        return problems
+            yield Problem(("limits", "free_ramp"), message, kind="missing")
 
-    def _unreadable(self) -> list[Problem]:
+    def _unreadable(self) -> Iterator[Problem]:
         """Problems of commands that cannot be read back, and of fields that no reply has."""
-        problems: list[Problem] = []
         for name, command in self.tell.items():
             key = ("tell", name)
             known = _ROLES[self.role].values
             if name not in known:
-                problems.append(Problem(key, f"a {self.role} is told {', '.join(known)}; {instead(name, known)}"))
+                yield Problem(key, f"a {self.role} is told {', '.join(known)}; {instead(name, known)}")
                 continue
             written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}
             if (name == "setpoint" or command.shown_by) and len(written) != 1:
-                problems.append(Problem((*key, "send"), "expected one value, written alike in all lines"))
+                yield Problem((*key, "send"), "expected one value, written alike in all lines")
             if wrong := {value for value, _ in written} - set(known[name]):
                 allowed = ", ".join(f"{{{value}}}" for value in known[name]) or "no values"
-                problems.append(
-                    Problem((*key, "send"), f"{{{sorted(wrong)[0]}}} is not known here; it takes {allowed}")
-                )
+                yield Problem((*key, "send"), f"{{{sorted(wrong)[0]}}} is not known here; it takes {allowed}")
             if command.reply and len(command.reply) not in (1, len(command.send)):
-                problems.append(Problem((*key, "reply"), f"expected one, or {len(command.send)}: one for each line"))
+                yield Problem((*key, "reply"), f"expected one, or {len(command.send)}: one for each line")
             if name in _SHOWN_BY_THEMSELVES and not command.shown_by:
                 message = "a set value that cannot be read back is not set: expected the fields of replies that show it"
-                problems.append(Problem((*key, "shown_by"), message, kind="missing"))
-            problems += [
+                yield Problem((*key, "shown_by"), message, kind="missing")
+            yield from [
                 Problem((*key, "shown_by"), f"no reply has the field {{{field}}}", field)
                 for field in command.shown_by
                 if field not in self.fields
             ]
         if "on" in self.tell and self.role == "axis" and "powered" not in self.state:
-            problems.append(Problem(("state", "powered"), "this key is missing; nothing else shows what tell.on did"))
+            yield Problem(("state", "powered"), "this key is missing; nothing else shows what tell.on did")
         for key, field in [
             *((("state", name, "field"), entry.field) for name, entry in self.state.items()),
             *((("require", index, "field"), entry.field) for index, entry in enumerate(self.require)),
         ]:
             if field not in self.fields:
-                problems.append(Problem(key, f"no reply has the field {{{field}}}", field))
-        return problems
+                yield Problem(key, f"no reply has the field {{{field}}}", field)
 
-    def _badly_written(self) -> list[Problem]:
-        problems: list[Problem] = []
+    def _badly_written(self) -> Iterator[Problem]:
         for name, question in self.ask.items():
             for key, template in (*(("reply", reply) for reply in question.reply), ("last", question.last or "")):
                 if problem := _problem_of_reply(template):
-                    problems.append(Problem(("ask", name, key), problem, template))
+                    yield Problem(("ask", name, key), problem, template)
         for name, command in self.tell.items():
             for send in command.send:
                 if {"{", "}"} & set(_VALUE.sub("", send)):
-                    problems.append(Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send))
+                    yield Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send)
         spoken = [*(q.send for q in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
         if any(ord(letter) > 255 for text in (*spoken, self.line.ends, self.line.reply_ends) for letter in text):
-            problems.append(Problem((), "only characters of one byte can be sent"))
-        return problems
+            yield Problem((), "only characters of one byte can be sent")
 
 
 class _Role:

@@ -9,10 +9,13 @@ A log never loses a row silently: `rows_read` counts the rows of the source, `ro
 (by reason), and `status` is 0 for every usable row of a unit and the reason otherwise.
 """
 
+import contextlib
 import hashlib
 import importlib
+import io
 import json
-from collections.abc import Mapping
+import warnings
+from collections.abc import Generator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import IntFlag
 from pathlib import Path
@@ -33,6 +36,32 @@ Bools = NDArray[np.bool_]
 
 class LogError(ValueError):
     """A record that cannot be used; the message says why and what to do."""
+
+
+@contextlib.contextmanager
+def naming(path: str | Path) -> Generator[None]:
+    """Context that adds the file's name to errors."""
+    try:
+        yield
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from None
+
+
+@contextlib.contextmanager
+def quietly(kind: str) -> Generator[None]:
+    """Context for a library on bytes that may be damaged: drops its prints, and turns exceptions into one sentence."""
+    try:
+        with (
+            contextlib.redirect_stdout(io.StringIO()),
+            contextlib.redirect_stderr(io.StringIO()),
+            warnings.catch_warnings(action="ignore"),
+        ):
+            yield
+    except LogError:
+        raise
+    except Exception as error:  # whatever a reader makes of bytes that are something else
+        name = type(error).__name__
+        raise LogError(f"cannot be read as {kind} ({name}): is it damaged, or of another kind?") from None
 
 
 class Reason(IntFlag):

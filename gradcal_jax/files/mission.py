@@ -12,7 +12,7 @@ or a spec in another folder needs no other file.
 import csv
 import math
 import re
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
@@ -25,7 +25,7 @@ from gradcal_jax import units
 from gradcal_jax.files.document import read_text
 from gradcal_jax.files.problems import Problem, SpecError, instead
 from gradcal_jax.files.quantity import Number, Text
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 
 # By column: its dimension, and the least and the largest allowed SI value (°C).
 _COLUMNS: Final[Mapping[str, tuple[str, float, float]]] = {
@@ -87,11 +87,8 @@ class Mission(Section):
         except SpecError as error:
             raise SpecError([Problem(("file",), error.problems[0].message, name)]) from None
 
-    @model_validator(mode="after")
-    def _sound(self) -> "Mission":
-        faults = [f for f in self._parsed if isinstance(f, str)]
-        refuse(*(Problem((), f"{self.file}, {fault}") for fault in faults))
-        return self
+    def _problems(self) -> Iterable[Problem]:
+        return [Problem((), f"{self.file}, {fault}") for fault in self._parsed if isinstance(fault, str)]
 
     @property
     def _parsed(self) -> tuple[MissionRows | str, ...]:

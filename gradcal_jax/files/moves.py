@@ -18,15 +18,16 @@ duration are exact. The sign of the motion is that of `turn`; where the angle fo
 """
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from gradcal_jax import formulas
 from gradcal_jax.files.problems import Problem, SpecError, one_of
 from gradcal_jax.files.quantity import Angle, Count, Flag, Number, Rate, Time
-from gradcal_jax.files.section import Section, a_table, choose, refuse, refuse_misspelt
+from gradcal_jax.files.section import Section, choose, read_by, refuse, refuse_misspelt
 
 Axis = Literal["x", "y", "z"]
 AXES: Final[tuple[Axis, ...]] = ("x", "y", "z")
@@ -91,21 +92,20 @@ class _Move(Section):
     read_every: Time | None = None
     """Spacing of readings from its start, in the place of one at the end."""
 
-    @model_validator(mode="after")
-    def _one_way_to_read(self) -> "_Move":
+    def _problems(self) -> Iterator[Problem]:
         if self.read is not None and self.read_every is not None:
-            refuse(Problem(("read_every",), 'cannot stand beside "read"; keep one of them', self.read_every.text))
-        return self
+            yield Problem(("read_every",), 'cannot stand beside "read"; keep one of them', self.read_every.text)
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """The move in SI, complete. Raises `SpecError`, keys relative to the move."""
         raise NotImplementedError
 
-    def resolved(self, shape: str, duration: float, **motion: Any) -> ResolvedMove:
-        """A motion that is made and read as it is written here."""
+    def resolved(self, shape: str, duration: float, *, reach: float = 0.0, **motion: Any) -> ResolvedMove:
+        """A motion that is made and read as it is written here; `reach`: how far it goes from its start."""
         end = self.read != "none" and self.read_every is None
-        reading: dict[str, Any] = {"read_end": end, "read_every": _number(self.read_every)}
-        return ResolvedMove(shape, self.axis, duration, repeat=self.repeat, **reading, **motion)
+        own: dict[str, Any] = {"read_end": end, "read_every": _number(self.read_every), "repeat": self.repeat}
+        own |= {"low": min(0.0, reach), "high": max(0.0, reach)}
+        return ResolvedMove(shape, self.axis, duration, **own | motion)
 
 
 class Rest(_Move):
@@ -178,17 +178,8 @@ class _PeakedTurn(_Turn):
     def motion(self, *, angle: float, peak: float, duration: float, acceleration: float, ramp: float) -> ResolvedMove:
         """A one-way turn from sizes."""
         direction = self.sizes()[0]
-        return self.resolved(
-            self.SHAPE,
-            duration,
-            angle=direction * angle,
-            peak_rate=direction * peak,
-            ramp=ramp,
-            peak_acceleration=acceleration,
-            fastest=peak,
-            low=min(0.0, direction * angle),
-            high=max(0.0, direction * angle),
-        )
+        signed, sizes = direction * angle, {"ramp": ramp, "peak_acceleration": acceleration, "fastest": peak}
+        return self.resolved(self.SHAPE, duration, reach=signed, angle=signed, peak_rate=direction * peak, **sizes)
 
 
 class _RampedTurn(_PeakedTurn):
@@ -255,12 +246,9 @@ class _RampedTurn(_PeakedTurn):
     def _too_fast(self, angle: float, peak: float, ramp: float, least: float) -> None:
         if self.ramp is not None:
             message = f"is too long for {self._written_angle()} at {self.peak_rate}: at most {_seconds(angle / peak)}"
-            raise SpecError([Problem(("ramp",), message, self.ramp.text)])
-        message = (
-            f"cannot be reached within {self._written_angle()} at the table's max_acceleration; "
-            f"at most {_round_rate(math.sqrt(angle / least))}"
-        )
-        raise SpecError([Problem(("peak_rate",), message, str(self.peak_rate))])
+            refuse(Problem(("ramp",), message, self.ramp.text))
+        message = f"cannot be reached within {self._written_angle()} at the table's max_acceleration; at most "
+        refuse(Problem(("peak_rate",), message + _round_rate(math.sqrt(angle / least)), str(self.peak_rate)))
 
     def _too_short(self, needed: float) -> None:
         reason = "its two ramps" if self.ramp is not None else "the ramps at the table's max_acceleration"
@@ -352,17 +340,9 @@ class Sinusoid(_Move):
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         peak, period = float(self.peak_rate), float(self.period)
-        swing = peak * period / math.pi
-        return self.resolved(
-            "sinusoid",
-            period * self.cycles,
-            peak_rate=peak,
-            peak_acceleration=2.0 * math.pi * abs(peak) / period,
-            fastest=abs(peak),
-            low=min(0.0, swing),
-            high=max(0.0, swing),
-            cycles=self.cycles,
-        )
+        swing, fastest = peak * period / math.pi, abs(peak)
+        sizes = {"peak_rate": peak, "fastest": fastest, "peak_acceleration": 2.0 * math.pi * fastest / period}
+        return self.resolved("sinusoid", period * self.cycles, reach=swing, cycles=self.cycles, **sizes)
 
 
 class Spline(_Move):
@@ -441,15 +421,14 @@ class Hand(_Turn):
             peak_rate=peak,
             peak_acceleration=abs(peak) / duration * steepest,
             fastest=abs(peak) * fastest,
-            low=min(0.0, angle),
-            high=max(0.0, angle),
+            reach=angle,
             unevenness=self.unevenness,
         )
 
 
 Move = Annotated[
     Rest | CosineRamps | LinearRamps | HalfSine | RaisedCosine | Sinusoid | Spline | Hand,
-    BeforeValidator(lambda value: _choose_move(value)),
+    read_by(lambda table: _choose_move(table)),
 ]
 
 SHAPES: Final[dict[str, type[Section]]] = {
@@ -460,10 +439,7 @@ SHAPES: Final[dict[str, type[Section]]] = {
 }
 
 
-def _choose_move(value: object) -> object:
-    if isinstance(value, Section):
-        return value
-    table = a_table(value)
+def _choose_move(table: Mapping[str, object]) -> object:
     if "rest" in table:
         return Rest.model_validate(table)
     if "shape" not in table:

@@ -10,9 +10,10 @@ The temperature of a gradient plan is written in one of three ways:
 * `programme`, a list of soaks, ramps and steps, of which the first is a soak with `at`.
 """
 
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
@@ -27,7 +28,7 @@ from gradcal_jax.files.quantity import (
     Temperature,
     Time,
 )
-from gradcal_jax.files.section import Section, a_table, chosen_by, refuse, refuse_misspelt
+from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
 
 
 class Soak(Section):
@@ -73,10 +74,7 @@ class StepItem(Section):
 _ITEMS: dict[str, type[Section]] = {"soak": SoakItem, "ramp_to": RampItem, "step_to": StepItem}
 
 
-def _choose_item(value: object) -> object:
-    if isinstance(value, Section):
-        return value
-    item = a_table(value)
+def _choose_item(item: Mapping[str, object]) -> object:
     kinds = [key for key in _ITEMS if key in item]
     if len(kinds) == 1:
         return _ITEMS[kinds[0]].model_validate(item)
@@ -85,7 +83,7 @@ def _choose_item(value: object) -> object:
     raise ValueError("expected one of { soak = …, at = … }, { ramp_to = …, rate = … } or { step_to = … }")
 
 
-ProgrammeItem = Annotated[SoakItem | RampItem | StepItem, BeforeValidator(_choose_item)]
+ProgrammeItem = Annotated[SoakItem | RampItem | StepItem, read_by(_choose_item)]
 
 
 class OtherAxes(Section):
@@ -98,11 +96,9 @@ class OtherAxes(Section):
     read_every: Time | None = None
     """Spacing of these readings; absent: as in the first rest of the cycle that has one."""
 
-    @model_validator(mode="after")
-    def _reading(self) -> "OtherAxes":
+    def _problems(self) -> Iterator[Problem]:
         if self.read_every is not None and not self.read:
-            refuse(Problem(("read_every",), 'has no effect without "read = true"', self.read_every.text))
-        return self
+            yield Problem(("read_every",), 'has no effect without "read = true"', self.read_every.text)
 
 
 class Cycle(Section):
@@ -165,37 +161,33 @@ class ChamberCourse(Section):
     programme: Annotated[tuple[ProgrammeItem, ...], Field(min_length=1, max_length=10_000)] | None = None
     """Soaks, ramps and steps one after the other, in the place of the keys above."""
 
-    def course_problems(self, *, with_cycle: bool) -> list[Problem]:
+    def course_problems(self, *, with_cycle: bool) -> Iterator[Problem]:
         """Problems of the course. `with_cycle`: whether there may be a slope for each cycle."""
-        problems: list[Problem] = []
         if self.programme is not None:
             for key in ("temperature", "gradient", "soak"):
                 if getattr(self, key) is not None:
-                    problems.append(Problem((key,), 'cannot stand beside "programme", which says it all'))
+                    yield Problem((key,), 'cannot stand beside "programme", which says it all')
             first = self.programme[0]
             if not isinstance(first, SoakItem) or first.at is None:
                 message = 'the first item must be a soak that says where it begins: { soak = "1 h", at = "-30 degC" }'
-                problems.append(Problem(("programme", 0), message))
+                yield Problem(("programme", 0), message)
             elif not any(item.used for item in self.programme):
-                problems.append(Problem(("programme",), "none of its items is used; there would be no data"))
-            return problems
-        for key in ("temperature", "gradient"):
-            if getattr(self, key) is None:
-                problems.append(Problem((key,), 'this key is missing (or give a "programme")', kind="missing"))
-        if problems:
-            return problems
-        assert self.temperature is not None
+                yield Problem(("programme",), "none of its items is used; there would be no data")
+            return
+        missing = [key for key in ("temperature", "gradient") if getattr(self, key) is None]
+        yield from (Problem((key,), 'this key is missing (or give a "programme")', kind="missing") for key in missing)
+        if self.temperature is None or missing:
+            return
         if isinstance(self.gradient, tuple):
             if not with_cycle:
-                problems.append(Problem(("gradient",), "a list has one slope for each cycle, and has no place here"))
+                yield Problem(("gradient",), "a list has one slope for each cycle, and has no place here")
             if len(self.temperature) == 2:
                 message = "with a list of gradients, the ramp ends where they take it; give the start alone"
-                problems.append(Problem(("temperature",), message, [t.text for t in self.temperature]))
+                yield Problem(("temperature",), message, [t.text for t in self.temperature])
         elif len(self.temperature) == 1:
-            problems.append(Problem(("temperature",), "expected [start, end]", [t.text for t in self.temperature]))
+            yield Problem(("temperature",), "expected [start, end]", [t.text for t in self.temperature])
         elif self.temperature[0] == self.temperature[1]:
-            problems.append(Problem(("temperature",), "start and end must differ", [t.text for t in self.temperature]))
-        return problems
+            yield Problem(("temperature",), "start and end must differ", [t.text for t in self.temperature])
 
 
 class GradientPlan(ChamberCourse):
@@ -210,19 +202,14 @@ class GradientPlan(ChamberCourse):
     cycle: Cycle | None = None
     """Motion that repeats during the ramp; absent: the axis stands."""
 
-    @model_validator(mode="after")
-    def _complete(self) -> "GradientPlan":
-        refuse(*self.course_problems(with_cycle=self.cycle is not None), *self._reading_problems())
-        return self
-
-    def _reading_problems(self) -> list[Problem]:
+    def _problems(self) -> Iterator[Problem]:
+        yield from self.course_problems(with_cycle=self.cycle is not None)
         if self.cycle is None and self.read_every is None:
             message = 'this key is missing: without a cycle it says how often the standing axis is read, such as "1 s"'
-            return [Problem(("read_every",), message, kind="missing")]
+            yield Problem(("read_every",), message, kind="missing")
         if self.cycle is not None and self.read_every is not None:
             message = "with a cycle, the moves say when the axis is read; leave this key out"
-            return [Problem(("read_every",), message, self.read_every.text)]
-        return []
+            yield Problem(("read_every",), message, self.read_every.text)
 
 
 class StandardPlan(Section):
@@ -243,15 +230,11 @@ class StandardPlan(Section):
     points: Literal["one run", "independent"] = "one run"
     """Whether the points share clock, turn-on bias, drifts and walks ("one run"), or draw all anew (the paper)."""
 
-    @model_validator(mode="after")
-    def _distinct(self) -> "StandardPlan":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         for i in range(1, len(self.temperatures)):
             if self.temperatures[i] == self.temperatures[i - 1]:
                 message = "repeats the entry before it; lengthen the integration instead"
-                problems.append(Problem(("temperatures", i), message, self.temperatures[i].text))
-        refuse(*problems)
-        return self
+                yield Problem(("temperatures", i), message, self.temperatures[i].text)
 
 
 Plan = Annotated[GradientPlan | StandardPlan, chosen_by("method", {"gradient": GradientPlan, "standard": StandardPlan})]

@@ -19,27 +19,16 @@ from typing import Final, Literal
 
 import numpy as np
 
+from gradcal_jax.files import presets
 from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.log import Floats, LogError
+from gradcal_jax.files.log import Floats, LogError, naming
 from gradcal_jax.files.quantity import Flag
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.tables import Name, RateColumn, Source, TemperatureColumn, TextTable, read_table
 
 FORMAT: Final = "gradcal-points/1"
 
-EXAMPLE: Final = """\
-format         = "gradcal-points/1"
-name           = "SN-1"                       # of the sensor; its serial number
-axis           = "x"
-# What each column means, a row a point. (number - zero) × scale is the value in the unit.
-temperature    = { column = "temp", unit = "degC" }
-reference_rate = { column = "table", unit = "deg/s" }
-output         = { column = "gyro", unit = "deg/s" }      # counts: scale = 0.0305, in deg/s per count
-# sigma        = { column = "std", unit = "deg/s" }       # of the output (a mean's); without it the spec's noise counts
-
-[csv]                                         # only where it is not ",", ".", and a header
-delimiter = ","                               # ";", "tab" or "whitespace"
-"""
+EXAMPLE: Final = presets.template("points.toml")
 
 
 class PointMap(Section):
@@ -94,7 +83,7 @@ def read_points(path: str | Path, columns: PointMap | str | Path) -> RatePoints:
     if not isinstance(columns, PointMap):
         columns = parse_point_map(read_text(columns), str(columns))
     table = read_table(path, columns.csv, list(columns.sources()), netcdf=True)
-    try:
+    with naming(path):
         temperature = table.measured(columns.temperature)
         reference, output = (table.measured(c) for c in (columns.reference_rate, columns.output))
         sigma = None
@@ -109,8 +98,6 @@ def read_points(path: str | Path, columns: PointMap | str | Path) -> RatePoints:
         slope = float(output @ reference / (reference @ reference)) if reference.any() else 1.0
         if not 0.5 < abs(slope) < 2.0:
             raise LogError(f"the output is {slope:.3g} times the reference: is one of them in another unit or scale?")
-    except LogError as error:
-        raise LogError(f"{path}: {error}") from None
     return RatePoints(
         columns.name, columns.axis, temperature, reference, output, sigma, path.name, columns.simulated
     )  # fmt: skip

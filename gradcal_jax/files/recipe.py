@@ -9,19 +9,18 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, cast
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field
 
-from gradcal_jax.files.changes import any_spec_of
+from gradcal_jax.files.changes import any_spec_of, differences, tables_of
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.rounding import ControllerSteps
-from gradcal_jax.files.section import Section, a_table, refuse
+from gradcal_jax.files.section import Section, read_by
 from gradcal_jax.files.spec import Spec, is_of_unit, of_one_axis, spec_of
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -72,20 +71,14 @@ class RecipeOrigin(Section):
     """Of the search."""
 
 
-def _spec_inside(value: object) -> Spec | UnitSpec:
-    if isinstance(value, Spec | UnitSpec):
-        return value
-    tables = a_table(value)
+def _spec_inside(tables: Mapping[str, object]) -> Spec | UnitSpec:
     return UnitSpec.model_validate(tables) if is_of_unit(tables) else Spec.model_validate(tables)
 
 
-class Recipe(Section):
+class Recipe(TitledFile):
     """A whole recipe."""
 
     format: Literal["gradcal-recipe/1"]
-    """Name and version of this file format."""
-    title: Text | None = None
-    """A name for people."""
     status: Text
     """The origin of the plan, in a sentence ("not optimised", "converged: …")."""
     notes: tuple[Text, ...] = ()
@@ -106,17 +99,19 @@ class Recipe(Section):
     """Residual of the rounded plan."""
     optimisation: dict[str, Any] | None = None
     """The optimiser's own record: objective, before, now, starts, limits."""
-    spec: Annotated[Spec | UnitSpec, BeforeValidator(_spec_inside)] = Field(title="gradcal-spec/1")
+    spec: Annotated[Spec | UnitSpec, read_by(_spec_inside)] = Field(title="gradcal-spec/1")
     """The spec whose plan these tracks are."""
 
-    @model_validator(mode="after")
-    def _of_one_piece(self) -> "Recipe":
+    def _problems(self) -> Iterable[Problem]:
         chamber, motion = tracks_of(self.spec)
-        problems = _differences(chamber.model_dump(mode="json"), self.chamber.model_dump(mode="json"), ("chamber",))
-        written, expected = ([block.model_dump(mode="json") for block in blocks] for blocks in (self.motion, motion))
-        problems += _differences(expected, written, ("motion",))
-        refuse(*problems[:5])
-        return self
+        expected, written = (
+            {"chamber": track.model_dump(mode="json"), "motion": [block.model_dump(mode="json") for block in blocks]}
+            for track, blocks in ((chamber, motion), (self.chamber, self.motion))
+        )
+        message = (
+            "does not follow from the spec inside the recipe; change the plan in the spec and make the recipe anew"
+        )
+        return [Problem(key, message, value) for key, _, value in differences(expected, written, ())][:5]
 
     @property
     def axis_spec(self) -> Spec:
@@ -133,26 +128,8 @@ class Recipe(Section):
     @property
     def fingerprint(self) -> str:
         """A hash of the contents, the same on every computer, which a resumed run compares."""
-        tables = self.model_dump(mode="json", exclude_unset=True)
-        text = json.dumps(tables, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        text = json.dumps(tables_of(self), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
         return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _differences(expected: Any, written: Any, key: tuple[str | int, ...]) -> list[Problem]:
-    if expected == written:
-        return []
-    entries: Iterable[tuple[str | int, Any, Any]] | None = None
-    if isinstance(expected, dict) and isinstance(written, dict):
-        one, other = cast("dict[str, Any]", expected), cast("dict[str, Any]", written)
-        entries = ((name, value, other.get(name)) for name, value in one.items())
-    elif isinstance(expected, list) and isinstance(written, list):
-        rows, others = cast("list[Any]", expected), cast("list[Any]", written)
-        if len(rows) == len(others):
-            entries = ((place, row, others[place]) for place, row in enumerate(rows))
-    if entries is not None:
-        return [problem for name, one, other in entries for problem in _differences(one, other, (*key, name))]
-    message = "does not follow from the spec inside the recipe; change the plan in the spec and make the recipe anew"
-    return [Problem(key, message, cast("object", written))]
 
 
 def read_recipe(path: str | Path) -> Recipe:
@@ -165,32 +142,34 @@ def read_recipe(path: str | Path) -> Recipe:
 
 def spec_in(path: str | Path) -> Spec:
     """The spec of one axis in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
-    text = read_text(path)
-    with missions_from(Path(path).parent), with_lines(text):
-        document = read_toml(text, str(path))
-        return spec_inside(document, str(path)) if is_recipe(document) else spec_of(document, str(path))
+    with missions_from(Path(path).parent):
+        return from_text(axis_spec_of, read_text(path), str(path))
 
 
-def spec_inside(document: Mapping[str, Any], source: str = "") -> Spec:
-    """The spec of one axis inside the tables of a recipe. Raises `SpecError` where it is of a whole unit."""
+def any_spec_in(path: str | Path) -> Spec | UnitSpec:
+    """As `spec_in`, and the spec of a whole unit, too."""
+    with missions_from(Path(path).parent):
+        return from_text(spec_or_recipes_of, read_text(path), str(path))
+
+
+def axis_spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
+    """The spec of one axis from the tables of a spec or recipe. Raises `SpecError` where it is of a whole unit."""
+    if not is_recipe(document):
+        return spec_of(document, source)
     try:
         return recipe_of(document, source).axis_spec
     except SpecError as error:
         raise SpecError(error.problems, source) from None
 
 
-def any_spec_in(path: str | Path) -> Spec | UnitSpec:
-    """As `spec_in`, and the spec of a whole unit, too."""
-    text = read_text(path)
-    with missions_from(Path(path).parent), with_lines(text):
-        document = read_toml(text, str(path))
-        return recipe_of(document, str(path)).spec if is_recipe(document) else any_spec_of(document, str(path))
+def spec_or_recipes_of(document: Mapping[str, Any], source: str = "") -> Spec | UnitSpec:
+    """The spec of one axis or of a whole unit from the tables of a spec or recipe. Raises `SpecError`."""
+    return recipe_of(document, source).spec if is_recipe(document) else any_spec_of(document, source)
 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:
     """A recipe from the text of a TOML file; `source` names it in messages. Raises `SpecError`."""
-    with with_lines(text):
-        return recipe_of(read_toml(text, source), source)
+    return from_text(recipe_of, text, source)
 
 
 def recipe_of(document: Mapping[str, Any], source: str = "") -> Recipe:

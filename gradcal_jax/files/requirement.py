@@ -1,6 +1,6 @@
 """`[[requirement]]`: the errors that the calibration of an axis or a whole unit limits, and their statistics."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, Strict, model_validator
@@ -43,11 +43,6 @@ class _OfAxis(Section):
     """What must be good."""
 
 
-def _ordered(section: Any) -> Any:
-    refuse(*increasing(section.temperature, "temperature"))
-    return section
-
-
 class ScaleFactorRequirement(_OfAxis):
     """A requirement on the scale factor's error over a box of temperature and rate.
 
@@ -72,16 +67,11 @@ class ScaleFactorRequirement(_OfAxis):
     grid: tuple[Points, Points] = (101, 121)
     """Numbers of temperatures and of rates at which the box is evaluated, ends included."""
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "ScaleFactorRequirement":
-        too_fine = [Problem(("grid",), "at most 1000000 points together", list(self.grid))]
-        fine = self.grid[0] * self.grid[1] > 1_000_000
-        refuse(
-            *increasing(self.temperature, "temperature"),
-            *increasing(self.rate, "rate"),
-            *(too_fine if fine else []),
-        )
-        return self
+    def _problems(self) -> Iterator[Problem]:
+        yield from increasing(self.temperature, "temperature")
+        yield from increasing(self.rate, "rate")
+        if self.grid[0] * self.grid[1] > 1_000_000:
+            yield Problem(("grid",), "at most 1000000 points together", list(self.grid))
 
 
 class BiasRequirement(_OfAxis):
@@ -101,7 +91,8 @@ class BiasRequirement(_OfAxis):
     grid: tuple[Points] = (101,)
     """Number of temperatures at which the range is evaluated, ends included."""
 
-    _rising = model_validator(mode="after")(_ordered)
+    def _problems(self) -> Iterable[Problem]:
+        return increasing(self.temperature, "temperature")
 
 
 class HeadingRequirement(_OfAxis):
@@ -125,20 +116,14 @@ class HeadingRequirement(_OfAxis):
     risk: Risk | None = None
     """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
 
-    @model_validator(mode="after")
-    def _within(self) -> "HeadingRequirement":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         for i, mission in enumerate(self.mission):
             end = mission.rows.time[-1]
             if self.after is not None and self.after > end:
                 message = f"is after the end of {mission.file}, which lasts {end:.6g} s"
-                problems.append(Problem(("after",), message, self.after.text))
+                yield Problem(("after",), message, self.after.text)
             if self.statistic == "max" and "weight" in mission.model_fields_set:
-                problems.append(
-                    Problem(("mission", i, "weight"), 'has no effect on the statistic "max"', mission.weight)
-                )
-        refuse(*problems)
-        return self
+                yield Problem(("mission", i, "weight"), 'has no effect on the statistic "max"', mission.weight)
 
     @property
     def grid(self) -> tuple[int]:
@@ -182,7 +167,8 @@ class NorthRequirement(_OfAxis):
     grid: tuple[Points] = (101,)
     """Number of temperatures at which the range is evaluated, ends included."""
 
-    _rising = model_validator(mode="after")(_ordered)
+    def _problems(self) -> Iterable[Problem]:
+        return increasing(self.temperature, "temperature")
 
 
 _CLASSES: Final[Mapping[str, type[Section]]] = {
@@ -212,13 +198,10 @@ class _OfUnit(Section):
     axis: Elements = "worst"
     """One element, the worst of them, or all (root mean square)."""
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "_OfUnit":
-        problems = increasing(self.temperature, "temperature")
+    def _problems(self) -> Iterator[Problem]:
+        yield from increasing(self.temperature, "temperature")
         if self.axis not in self.ELEMENTS:
-            problems.append(Problem(("axis",), f"expected {one_of(self.ELEMENTS)}", self.axis))
-        refuse(*problems)
-        return self
+            yield Problem(("axis",), f"expected {one_of(self.ELEMENTS)}", self.axis)
 
 
 class _OverTemperature(_OfUnit):
@@ -228,13 +211,14 @@ class _OverTemperature(_OfUnit):
     """Number of temperatures, ends included."""
     statistic: Over = "mean"
     """How the standard deviation of each element is summed up over temperature."""
+    quantity: Any
+    """What must be good."""
 
 
 class GyroBiasRequirement(_OverTemperature):
     """Bias of the gyros, over temperature."""
 
     quantity: Literal["gyro_bias"]
-    """What must be good."""
     target: PositiveRate | None = None
     """Limit on the standard deviation, which gives a verdict."""
 
@@ -263,11 +247,9 @@ class MisalignmentRequirement(_OverTemperature):
     """Misalignments of gyros or accelerometers."""
 
     quantity: Literal["gyro_misalignment", "accelerometer_misalignment"]
-    """What must be good."""
     relative_to: Literal["table", "case", "internal"] = "table"
     """The table's axes, the case (adds the mounting's accuracy), or the unit itself."""
     axis: Elements = "all"
-    """One element, the worst of them, or all (root mean square)."""
     target: PositiveAngle | None = None
     """Limit on the standard deviation, which gives a verdict."""
 
@@ -276,9 +258,7 @@ class SensitivityRequirement(_OverTemperature):
     """Drift of the gyros for a unit of specific force."""
 
     quantity: Literal["g_sensitivity"]
-    """What must be good."""
     axis: Elements = "all"
-    """One element, the worst of them, or all (root mean square)."""
     target: PositiveAccelerationSensitivity | None = None
     """Limit on the standard deviation, which gives a verdict."""
 
@@ -287,7 +267,6 @@ class AccelerometerBiasRequirement(_OverTemperature):
     """Bias of the accelerometers."""
 
     quantity: Literal["accelerometer_bias"]
-    """What must be good."""
     target: PositiveSpecificForce | None = None
     """Limit on the standard deviation, which gives a verdict."""
 
@@ -296,7 +275,6 @@ class AccelerometerScaleFactorRequirement(_OverTemperature):
     """Scale factor of the accelerometers."""
 
     quantity: Literal["accelerometer_scale_factor"]
-    """What must be good."""
     target: PositiveScaleFactor | None = None
     """Limit on the standard deviation, which gives a verdict."""
 
@@ -305,7 +283,6 @@ class SecondOrderRequirement(_OverTemperature):
     """K2 of the accelerometers."""
 
     quantity: Literal["second_order"]
-    """What must be good."""
     target: PositiveSecondOrder | None = None
     """Limit on the standard deviation, which gives a verdict."""
 

@@ -6,17 +6,17 @@ serial library.
 
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files import presets
+from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import Flag, PositiveTemperatureDifference, Quantity, Temperature, Text, Time
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 
 FORMAT: Final = "gradcal-rig/1"
 OPERATOR: Final = "operator"
@@ -97,22 +97,20 @@ class AxisDevice(Section):
     encoder: EncoderDevice | None = None
     """Device that reads the angle of an axis that is turned by hand."""
 
-    @model_validator(mode="after")
-    def _does_not_fall(self) -> "AxisDevice":
+    def _problems(self) -> Iterator[Problem]:
         by_hand = self.driver == OPERATOR
         if by_hand and self.gravity_loaded:
             message = "a person lets go of it now and then, and it would fall; expected false, or another driver"
-            refuse(Problem(("gravity_loaded",), message, "true"))
+            yield Problem(("gravity_loaded",), message, "true")
         if self.encoder is not None and not (by_hand and self.encoder.driver != OPERATOR):
             message = f'an encoder belongs to an axis whose driver is "{OPERATOR}", and has another one itself'
-            refuse(Problem(("encoder", "driver"), message, self.encoder.driver))
+            yield Problem(("encoder", "driver"), message, self.encoder.driver)
         if self.port == TERMINAL and not by_hand:
-            refuse(Problem(("port",), f'only the driver "{OPERATOR}" speaks with a terminal', self.port))
+            yield Problem(("port",), f'only the driver "{OPERATOR}" speaks with a terminal', self.port)
         if self.safe == "unpower" and self.gravity_loaded:
-            refuse(
-                Problem(("safe",), 'an axis that is loaded by gravity falls without power; expected "hold"', self.safe)
+            yield Problem(
+                ("safe",), 'an axis that is loaded by gravity falls without power; expected "hold"', self.safe
             )
-        return self
 
 
 class ImuDevice(Section):
@@ -170,13 +168,10 @@ class Alarm(Section):
     """Program and its words; the sentence that says why is added as the last. No shell reads it."""
 
 
-class RigFile(Section):
+class RigFile(TitledFile):
     """A whole rig file."""
 
     format: Literal["gradcal-rig/1"]
-    """Name and version of this file format."""
-    title: Text | None = None
-    """A name for people."""
     chamber: ChamberDevice | None = None
     """The chamber; absent: none."""
     axis: Annotated[tuple[AxisDevice, ...], Field(max_length=6)] = ()
@@ -192,12 +187,11 @@ class RigFile(Section):
     reference: Annotated[tuple[TraceableReference, ...], Field(max_length=20)] = ()
     """What a certificate's values are traced to."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> "RigFile":
-        refuse(*self._doubles(), *self._shared_ports())
+    def _problems(self) -> Iterator[Problem]:
+        yield from self._doubles()
+        yield from self._shared_ports()
         if self.chamber is None and not self.axis and not self.imu:
-            refuse(Problem((), "there is no device in this rig; expected [chamber], [[axis]] or [[imu]]"))
-        return self
+            yield Problem((), "there is no device in this rig; expected [chamber], [[axis]] or [[imu]]")
 
     def _doubles(self) -> list[Problem]:
         names = Counter([device.name for device in (*self.axis, *self.imu)])
@@ -238,8 +232,7 @@ def read_rig(path: str | Path) -> RigFile:
 
 def parse_rig(text: str, source: str = "") -> RigFile:
     """A rig from the text of a TOML file; `source` names it in messages. Raises `SpecError`."""
-    with with_lines(text):
-        return rig_of(read_toml(text, source), source)
+    return from_text(rig_of, text, source)
 
 
 def rig_of(document: Mapping[str, Any], source: str = "") -> RigFile:
@@ -247,68 +240,5 @@ def rig_of(document: Mapping[str, Any], source: str = "") -> RigFile:
     return model_of(RigFile, document, FORMAT, source, lambda _: ())
 
 
-TEMPLATE: Final = """\
-format = "gradcal-rig/1"
-title  = "my bench"
-
-# The devices and their ports. A port is a device path, COM3, or a URL such as socket://192.168.0.7:10001.
-# `gradcal rig check` reads everything back from the devices.
-
-[chamber]
-driver  = "espec"            # espec, weiss, watlow_f4, watlow_f4t, or lines with a protocol (see gradcal rig protocols)
-port    = "/dev/ttyUSB0"
-safe    = "standby"          # when a run ends badly: standby, hold or ambient
-ambient = "23 degC"
-lag     = "5 min"            # in a run the air may be so far behind its course,
-band    = "3 K"              # and so far beside it
-# [chamber.options]          # what the driver leaves open; see its documentation
-# baudrate = 19200
-
-[[axis]]                     # outermost first
-name           = "table"
-driver         = "zaber"     # zaber or odrive; or operator: turned by hand (see below)
-port           = "/dev/ttyUSB1"
-safe           = "hold"      # hold, controlled stop or unpower
-gravity_loaded = false       # true: it moves by itself without power
-[axis.options]
-max_rate         = "300 deg/s"
-max_acceleration = "300 deg/s^2"
-
-# A gimbal that is moved by hand: `gradcal run` asks for each turn where it was started, and for the angle afterwards.
-# [[axis]]
-# name           = "gimbal"
-# driver         = "operator"
-# port           = "terminal"
-# safe           = "hold"
-# gravity_loaded = false
-# options        = { max_rate = "120 deg/s", travel = "1080 deg", unit = "deg" }   # unit: of a bare number
-# encoder        = { driver = "odrive", port = "/dev/ttyUSB3" }   # read instead of typed; its motor is left alone
-
-[[imu]]
-name   = "unit1"
-driver = "stim300"           # stim300 or vectornav
-port   = "/dev/ttyUSB2"
-# serial_number = "N25582405002002"   # refuse any other unit
-[imu.options]
-sample_rate = "125 Hz"
-
-# What to call where a run pauses by itself or ends badly; the reason is put behind it.
-# [alarm]
-# command = ["notify-send", "gradcal"]
-
-# Where the operator is asked to hang a whole unit anew, if its spec has several mountings; else where the run started.
-# [operator]
-# port = "/dev/ttyUSB4"
-
-# For `gradcal report --certificate`: who signs, and what the values are traced to.
-# [laboratory]
-# name     = "Calibration laboratory"
-# country  = "DE"
-# operator = "A. Person"
-# [[reference]]
-# device      = "encoder"    # table, encoder, chamber, thermometer or clock
-# identity    = "RON 905, 12345"
-# certificate = "K-2026-17"
-# due         = "2027-06-30"
-"""
+TEMPLATE: Final = presets.template("rig.toml")
 """What `gradcal rig new` writes: a commented rig to be edited."""

@@ -7,16 +7,16 @@ rounded, so that rounding errors of poses do not add up, and every pose is repla
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from typing import Any, Final, Generic, cast
 
 from gradcal_jax import units
-from gradcal_jax.files.changes import AnySpec, any_spec_of, tables_of
+from gradcal_jax.files.changes import AnySpec, any_spec_of, differences, tables_of
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import Cycle
-from gradcal_jax.files.problems import Problem, SpecError
+from gradcal_jax.files.problems import ABSENT, Problem, SpecError, dotted
 from gradcal_jax.files.quantity import (
     Angle,
     PositiveRate,
@@ -34,6 +34,16 @@ from gradcal_jax.formulas import repetitions
 
 _HAIR: Final = Decimal("1e-6")  # of a step: rounding of the arithmetic, never of the plan
 _MOST_MOVES: Final = 1000
+# By kind of text: which of the steps, its dimension, the fewest steps of a value other than zero, and the way to round.
+_KINDS: Final[Mapping[str, tuple[str, str, int, str]]] = {
+    "temperature": ("temperature", "temperature", 0, ROUND_HALF_EVEN),
+    "slope": ("slope", "temperature slope", 1, ROUND_HALF_EVEN),
+    "slower slope": ("slope", "temperature slope", 1, ROUND_FLOOR),
+    "time": ("time", "time", 1, ROUND_HALF_EVEN),
+    "longer time": ("time", "time", 1, ROUND_CEILING),
+    "rate": ("rate", "angular rate", 1, ROUND_HALF_EVEN),
+    "angle": ("angle", "angle", 0, ROUND_HALF_EVEN),
+}
 Table = dict[str, Any]
 
 
@@ -88,18 +98,17 @@ def rounded(spec: AnySpec, steps: ControllerSteps | None = None, *, keep_shapes:
         result = _keep_cycles(spec, tables, rounder)
     elif isinstance(schedule := spec.schedule, GradientSchedule):
         _temperatures(plan, rounder)
-        if "read_every" in plan:
-            plan["read_every"] = rounder.time(plan["read_every"])
+        rounder.entries(plan, read_every="time")
         if schedule.cycle is not None:
             _cycle(spec, plan["cycle"], schedule, schedule.cycle, rounder)
         result = _keep_cycles(spec, tables, rounder)
     else:
-        plan["temperatures"] = [rounder.temperature(text) for text in plan["temperatures"]]
-        plan["soak"], plan["integration"] = rounder.time_up(plan["soak"]), rounder.time(plan["integration"])
-        if "rates" in plan:
-            plan["rates"] = [rounder.rate(text) for text in plan["rates"]]
+        rounder.entries(plan, temperatures="temperature", soak="longer time", integration="time", rates="rate")
         result = any_spec_of(tables)
-    changes = _changes(tables_of(spec)["plan"], tables_of(result)["plan"], "plan")
+    changes = (
+        f"{dotted(key)}: {_shown(before)} -> {_shown(after)}"
+        for key, before, after in differences(tables_of(spec)["plan"], tables_of(result)["plan"], ("plan",))
+    )
     return Rounded(cast("AnySpec", result), tuple(changes), tuple(rounder.notes))
 
 
@@ -112,11 +121,11 @@ class _Rounder:
         split = {name: getattr(steps, name).text.split(" ", 1) for name in type(steps).model_fields}
         self._grid = {name: (Decimal(number), unit) for name, (number, unit) in split.items()}
 
-    def to(self, name: str, dimension: str, value: float, way: str = ROUND_HALF_EVEN) -> str:
+    def to(self, name: str, value: float, way: str = ROUND_HALF_EVEN) -> str:
         """The text of the nearest multiple (or the next one up or down) of a step to an SI value."""
         step, unit = self._grid[name]
         count = self._count(name, value, way)
-        shown = "degC" if dimension == "temperature" else unit
+        shown = "degC" if name == "temperature" else unit
         return f"{format((count * step).normalize() + 0, 'f')} {shown}"
 
     def _count(self, name: str, value: float, way: str) -> Decimal:
@@ -126,40 +135,32 @@ class _Rounder:
         # A value on the grid except for its last digits stays there, whatever the direction of rounding.
         return nearest if abs(exact - nearest) <= _HAIR else exact.to_integral_value(way)
 
-    def _text(self, name: str, dimension: str, text: str, way: str = ROUND_HALF_EVEN, *, least: int = 0) -> str:
+    def text(self, kind: str, text: str) -> str:
+        """The rounded text of a quantity; `kind`: of `_KINDS`."""
+        name, dimension, least, way = _KINDS[kind]
         value = units.parse(text, dimension)
         count = self._count(name, value, way)
         size = float(getattr(self.steps, name))
         if value != 0.0 and abs(count) < least:
-            return self.to(name, dimension, math.copysign(least * size, value))
+            return self.to(name, math.copysign(least * size, value))
         if abs(float(count) * size - value) <= 1e-9 * max(abs(value), size):
             return text
-        return self.to(name, dimension, value, way)
+        return self.to(name, value, way)
 
-    def temperature(self, text: str) -> str:
-        return self._text("temperature", "temperature", text)
-
-    def slope(self, text: str, way: str = ROUND_HALF_EVEN) -> str:
-        return self._text("slope", "temperature slope", text, way, least=1)
-
-    def time(self, text: str) -> str:
-        return self._text("time", "time", text, least=1)
-
-    def time_up(self, text: str) -> str:
-        return self._text("time", "time", text, ROUND_CEILING, least=1)
-
-    def rate(self, text: str) -> str:
-        return self._text("rate", "angular rate", text, least=1)
-
-    def angle(self, text: str) -> str:
-        return self._text("angle", "angle", text)
+    def entries(self, table: Table, /, **kinds: str) -> None:
+        """Round these entries of a table, texts or lists of them, where it has them."""
+        for key, kind in kinds.items():
+            if isinstance(texts := table.get(key), list):
+                table[key] = [self.text(kind, text) for text in cast("list[str]", texts)]
+            elif key in table:
+                table[key] = self.text(kind, table[key])
 
     def on_grid(self, angle: float) -> float:
         """The nearest multiple of the controllers' step, rad; whole turns stay whole."""
         turns = angle / (2.0 * math.pi)
         if abs(turns - round(turns)) <= 1e-9 * max(abs(turns), 1.0):
             return 2.0 * math.pi * round(turns)
-        return units.parse(self.to("angle", "angle", angle), "angle")
+        return units.parse(self.to("angle", angle), "angle")
 
     def shape(self, move: ResolvedMove) -> str:
         """The shape of a turn's ramps; noted where it is not the plan's."""
@@ -178,7 +179,7 @@ def _keep_cycles(spec: AnySpec, tables: Table, rounder: _Rounder) -> AnySpec:
     plan = tables["plan"]
     result, before = any_spec_of(tables), _cycles(spec)
     if _cycles(result) < before and isinstance(plan.get("gradient"), str):
-        slope = rounder.slope(tables_of(spec)["plan"]["gradient"], ROUND_FLOOR)
+        slope = rounder.text("slower slope", tables_of(spec)["plan"]["gradient"])
         again = any_spec_of({**tables, "plan": {**plan, "gradient": slope}})
         result = again if _cycles(again) > _cycles(result) else result
     if _cycles(result) < before:
@@ -193,24 +194,11 @@ def _cycles(spec: Spec | UnitSpec) -> int:
 
 
 def _temperatures(plan: Table, rounder: _Rounder) -> None:
-    if "temperature" in plan:
-        plan["temperature"] = [rounder.temperature(text) for text in plan["temperature"]]
-    if isinstance(plan.get("gradient"), list):
-        plan["gradient"] = [rounder.slope(text) for text in plan["gradient"]]
-    elif "gradient" in plan:
-        plan["gradient"] = rounder.slope(plan["gradient"])
-    if "soak" in plan:
-        plan["soak"]["duration"] = rounder.time_up(plan["soak"]["duration"])
-    ways: dict[str, Callable[[str], str]] = {
-        "soak": rounder.time_up,
-        "at": rounder.temperature,
-        "ramp_to": rounder.temperature,
-        "step_to": rounder.temperature,
-        "rate": rounder.slope,
-    }
+    rounder.entries(plan, temperature="temperature", gradient="slope")
+    rounder.entries(plan.get("soak", {}), duration="longer time")
+    kinds = {"soak": "longer time", "rate": "slope"} | dict.fromkeys(("at", "ramp_to", "step_to"), "temperature")
     for item in plan.get("programme", ()):
-        for key in ways.keys() & item.keys():
-            item[key] = ways[key](item[key])
+        rounder.entries(item, **kinds)
 
 
 def _cycle(spec: Spec, cycle: Table, schedule: GradientSchedule, planned: ResolvedCycle, rounder: _Rounder) -> None:
@@ -223,13 +211,8 @@ def _cycle(spec: Spec, cycle: Table, schedule: GradientSchedule, planned: Resolv
         message = f"as turns to and fro these are {len(moves)} moves, at most {_MOST_MOVES}: make fewer cycles"
         raise SpecError([Problem(("plan", "cycle", "moves"), message)])
     cycle["moves"] = moves
-    if "other_axes" in cycle:
-        other = cycle["other_axes"]
-        for key in ("duration", "read_every"):
-            if key in other:
-                other[key] = rounder.time(other[key])
-    if "duration" in cycle:
-        cycle["duration"] = rounder.time(cycle["duration"])
+    rounder.entries(cycle.get("other_axes", {}), duration="time", read_every="time")
+    rounder.entries(cycle, duration="time")
     _keep_period(cycle, spec, schedule, planned, rounder)
 
 
@@ -239,15 +222,14 @@ def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder) -> None:
     gyro = spec.sensor.gyro
     usable = math.inf if gyro is None else gyro.usable_rate or math.inf
     moves_of_file = tables_of(spec)["plan"]["cycle"]["moves"]
-    if "start" in cycle:
-        cycle["start"] = {name: rounder.angle(text) for name, text in cycle["start"].items()}
+    rounder.entries(cycle.get("start", {}), **dict.fromkeys(cycle.get("start", {}), "angle"))
     moves: list[Table] = []
     before, at = list(schedule.start), [rounder.on_grid(angle) for angle in schedule.start]
     for step in schedule.steps:
         move, k = step.move, step.axis
         if k < 0:
             again = {"repeat": move.repeat} if move.repeat > 1 else {}
-            moves.append({"rest": rounder.to("time", "time", move.duration) if move.duration else "0 s"} | again)
+            moves.append({"rest": rounder.to("time", move.duration) if move.duration else "0 s"} | again)
             continue
         before[k] += move.repeat * move.angle
         kept = {"axis": axes[k].name} | ({"repeat": move.repeat} if move.repeat > 1 else {})
@@ -265,7 +247,7 @@ def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder) -> None:
         angle = rounder.on_grid(before[k]) - at[k] if move.repeat == 1 else move.angle
         if angle == 0.0:
             # Less than a step of the controller: no turn.
-            moves.append({"rest": rounder.to("time", "time", move.duration, ROUND_CEILING)})
+            moves.append({"rest": rounder.to("time", move.duration, ROUND_CEILING)})
             continue
         moves.append(_turn(angle, move, shape, steepest, fastest, rounder) | kept)
         at[k] += move.repeat * units.parse(moves[-1]["turn"], "angle") if "turn" in moves[-1] else move.repeat * angle
@@ -275,7 +257,7 @@ def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder) -> None:
     if longest is not None and over > 1e-9 * schedule.period:
         left = _duration(longest) - over
         if left >= 2.0 * float(rounder.steps.time):
-            longest["rest"] = rounder.to("time", "time", left, ROUND_FLOOR)
+            longest["rest"] = rounder.to("time", left, ROUND_FLOOR)
 
 
 def _duration(move: Table) -> float:
@@ -303,21 +285,17 @@ def _keep_period(
         return
     longest, table, key = max(alone, key=lambda entry: entry[0])
     if over > 1e-9 * period and longest - over >= 2.0 * float(rounder.steps.time):
-        table[key] = rounder.to("time", "time", longest - over, ROUND_FLOOR)
+        table[key] = rounder.to("time", longest - over, ROUND_FLOOR)
 
 
 def _moves(table: Table, move: ResolvedMove, steepest: float, fastest: float, rounder: _Rounder) -> list[Table]:
-    if "read_every" in table:
-        table["read_every"] = rounder.time(table["read_every"])
-    if move.is_rest:
-        table["rest"] = rounder.time(table["rest"])
-        return [table]
-    if move.shape == "hand":
-        table["duration"] = rounder.time(table["duration"])
+    rounder.entries(table, read_every="time")
+    if move.is_rest or move.shape == "hand":
+        rounder.entries(table, rest="time", duration="time")
         return [table]
     if move.shape == "spline":
-        table["duration"] = rounder.time_up(table["duration"])
-        table["rates"] = [rounder.to("rate", "angular rate", units.parse(r, "angular rate")) for r in table["rates"]]
+        rounder.entries(table, duration="longer time")
+        table["rates"] = [rounder.to("rate", units.parse(r, "angular rate")) for r in table["rates"]]
         rounder.notes.append("a free-form motion is made of short stretches of constant acceleration")
         return [table]
     kept = {key: table[key] for key in ("axis", "read", "read_every") if key in table}
@@ -325,7 +303,7 @@ def _moves(table: Table, move: ResolvedMove, steepest: float, fastest: float, ro
         return _oscillation(table, move, kept, steepest, fastest, rounder)
     if rounder.keep_shapes and move.shape not in ("cosine ramps", "linear ramps"):
         duration = table.get("duration") or units.format_quantity(move.duration, "s")
-        table = {**table, "duration": rounder.time_up(duration)}
+        table = {**table, "duration": rounder.text("longer time", duration)}
         if "turn" in table or "turns" in table:
             table.pop("peak_rate", None)
         return [table]
@@ -344,25 +322,25 @@ def _turn(angle: float, move: ResolvedMove, shape: str, steepest: float, fastest
         written: Table = {"turns": float(round(turns))}
         angle = 2.0 * math.pi * round(turns)
     else:
-        written = {"turn": rounder.to("angle", "angle", angle)}
+        written = {"turn": rounder.to("angle", angle)}
         angle = units.parse(written["turn"], "angle")
         if angle == 0.0:
-            written = {"turn": rounder.to("angle", "angle", math.copysign(float(rounder.steps.angle), turns))}
+            written = {"turn": rounder.to("angle", math.copysign(float(rounder.steps.angle), turns))}
             angle = units.parse(written["turn"], "angle")
     size = abs(angle)
-    text = rounder.to("rate", "angular rate", peak)
+    text = rounder.to("rate", peak)
     if units.parse(text, "angular rate") > fastest * (1.0 + 1e-9):
-        text = rounder.to("rate", "angular rate", peak, ROUND_FLOOR)
+        text = rounder.to("rate", peak, ROUND_FLOOR)
     peak = units.parse(text, "angular rate")
     if peak <= 0.0:
-        text = rounder.to("rate", "angular rate", float(rounder.steps.rate))
+        text = rounder.to("rate", float(rounder.steps.rate))
         peak = units.parse(text, "angular rate")
     least = (math.pi / 2.0 if shape == "cosine ramps" else 1.0) * peak / steepest
-    duration_text = rounder.to("time", "time", size / peak + max(ramp, least), ROUND_CEILING)
+    duration_text = rounder.to("time", size / peak + max(ramp, least), ROUND_CEILING)
     duration = units.parse(duration_text, "time")
     if peak > 2.0 * size / duration:
         # Ramps only: the peak follows from angle and duration, one step lower where it is on the grid.
-        lower = rounder.to("rate", "angular rate", 2.0 * size / duration, ROUND_FLOOR)
+        lower = rounder.to("rate", 2.0 * size / duration, ROUND_FLOOR)
         if units.parse(lower, "angular rate") > size / duration:
             text = lower
         else:
@@ -374,8 +352,7 @@ def _oscillation(
     table: Table, move: ResolvedMove, kept: Table, steepest: float, fastest: float, rounder: _Rounder
 ) -> list[Table]:
     if rounder.keep_shapes:
-        table["peak_rate"] = rounder.rate(table["peak_rate"])
-        table["period"] = rounder.time_up(table["period"])
+        rounder.entries(table, peak_rate="rate", period="longer time")
         return [table]
     rounder.notes.append("an oscillation is made as turns to and fro of the same angle, peak rate and duration")
     swing = 0.5 * move.duration / move.cycles
@@ -388,32 +365,12 @@ def _oscillation(
     return turns
 
 
-# ----------------------------------------------------------------------------------------------------- what changed
-
-
-def _changes(before: Any, after: Any, key: str) -> list[str]:
-    """``plan.gradient: 1.2345 K/min -> 1.23 K/min``, for every key."""
-    if before == after:
-        return []
-    pairs: list[tuple[str, Any, Any]] | None = None
-    if isinstance(before, dict) and isinstance(after, dict):
-        old, new = cast("Table", before), cast("Table", after)
-        if "shape" not in new or set(old) == set(new):
-            names = dict.fromkeys((*old, *new))
-            pairs = [(f"{key}.{name}", old.get(name, "(absent)"), new.get(name, "(absent)")) for name in names]
-    elif isinstance(before, list) and isinstance(after, list):
-        olds, news = cast("list[Any]", before), cast("list[Any]", after)
-        if len(olds) == len(news):
-            pairs = [(f"{key}[{place}]", *pair) for place, pair in enumerate(zip(olds, news, strict=True))]
-    if pairs is not None:
-        return [change for name, one, other in pairs for change in _changes(one, other, name)]
-    return [f"{key}: {_shown(before)} -> {_shown(after)}"]
-
-
 def _shown(value: Any) -> str:
     if isinstance(value, dict):
         table = cast("Table", value)
         return "{ " + ", ".join(f"{name} = {_shown(entry)}" for name, entry in table.items()) + " }"
+    if value is ABSENT:
+        return "(absent)"
     if isinstance(value, list):
         return f"a list of {len(cast('list[Any]', value))}"
     return f"{value:g}" if isinstance(value, float) else str(value)

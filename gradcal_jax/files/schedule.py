@@ -13,6 +13,7 @@ from gradcal_jax.files.bench import Chamber, Rig
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import ChamberCourse, Cycle, GradientPlan, RampItem, SoakItem, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError
+from gradcal_jax.files.section import refuse
 from gradcal_jax.formulas import reading_count, repetitions
 
 _ROUNDING = 1e-9
@@ -209,8 +210,7 @@ def gradient_schedule(plan: GradientPlan, rig: Rig) -> GradientSchedule:
         problems.append(Problem(key, message))
     elif result.readings == 0:
         problems.append(Problem(key, "the plan has no readings"))
-    if problems:
-        raise SpecError(problems)
+    refuse(*problems)
     return result
 
 
@@ -243,8 +243,7 @@ def resolve_cycle(cycle: Cycle, rig: Rig) -> ResolvedCycle:
             message = f"is shorter than the moves and the other axes together, {moving + other:.6g} s"
             problems.append(Problem(("cycle", "duration"), message, cycle.duration.text))
         idle = max(0.0, idle)
-    if problems:
-        raise SpecError(problems)
+    refuse(*problems)
     return ResolvedCycle(tuple(moves), moving, other, every, idle)
 
 
@@ -302,8 +301,7 @@ def _programme(plan: ChamberCourse, chamber: Chamber) -> tuple[TemperatureSegmen
             slope = item.rate if isinstance(item, RampItem) else fastest
             segments.append(TemperatureSegment(kind, clock, abs(end - here) / slope, here, end, item.used))
         clock, here = segments[-1].end, segments[-1].temperature_end
-    if problems:
-        raise SpecError(problems)
+    refuse(*problems)
     return tuple(segments)
 
 

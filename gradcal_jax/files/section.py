@@ -27,9 +27,15 @@ class Section(BaseModel):
     @classmethod
     def _in_words(cls, value: Any, handler: Callable[[Any], Any]) -> Any:
         try:
-            return handler(value)
+            section = handler(value)
         except ValidationError as error:
             raise SpecError(with_spelling(from_validation(error), cls, value)) from None
+        refuse(*section._problems())
+        return section
+
+    def _problems(self) -> Iterable[Problem]:
+        """What is wrong between the keys of a table whose keys are right one by one; keys are relative to it."""
+        return ()
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -90,23 +96,25 @@ def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: ob
     return [p for p in spelt if not (p.kind == "missing" and len(p.key) == 1 and p.key[0] in meant)]
 
 
-def choose(value: object, key: str, classes: Mapping[str, type[Section]]) -> object:
+def choose(table: Mapping[str, object], key: str, classes: Mapping[str, type[Section]]) -> object:
     """The table read by the class that its `key` names."""
-    if isinstance(value, Section):
-        return value
-    table = a_table(value)
     if key not in table:
         refuse_misspelt(table, [key])
         raise SpecError([Problem((key,), f"this key is missing; expected {one_of(classes)}", kind="missing")])
     name = table[key]
     if not isinstance(name, str) or name not in classes:
         raise SpecError([Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name)])
-    return classes[name].model_validate(value)
+    return classes[name].model_validate(table)
 
 
 def chosen_by(key: str, classes: Mapping[str, type[Section]]) -> BeforeValidator:
     """Marks a field that holds one of several tables: see `choose`."""
-    return BeforeValidator(lambda value: choose(value, key, classes))
+    return read_by(lambda table: choose(table, key, classes))
+
+
+def read_by(read: Callable[[Mapping[str, object]], object]) -> BeforeValidator:
+    """Marks a field that holds one of several tables: `read` takes a table of the file to the class that it is of."""
+    return BeforeValidator(lambda value: value if isinstance(value, Section) else read(a_table(value)))
 
 
 def a_table(value: object) -> Mapping[str, object]:
@@ -124,6 +132,6 @@ def refuse_misspelt(table: Mapping[str, object], known: Iterable[str]) -> None:
 
 
 def refuse(*problems: Problem) -> None:
-    """Raise the problems, if there are any. For the after-validators of sections; keys are relative to the section."""
+    """Raise the problems, if there are any; keys are relative to the section."""
     if problems:
         raise SpecError(problems)

@@ -1,5 +1,6 @@
 """`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or a unit."""
 
+from collections.abc import Iterable, Iterator
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -119,10 +120,8 @@ class Bias(Section):
     discrepancy: BiasDiscrepancy | None = None
     """Structure beyond the basis."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> "Bias":
-        refuse(*_smoothness(self.smoothness, self.temperature.basis))
-        return self
+    def _problems(self) -> Iterable[Problem]:
+        return _smoothness(self.smoothness, self.temperature.basis)
 
     @property
     def size(self) -> int:
@@ -144,10 +143,8 @@ class ScaleFactor(Section):
     discrepancy: ScaleFactorDiscrepancy | None = None
     """Structure beyond the basis."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> "ScaleFactor":
-        refuse(*_smoothness(self.smoothness, self.temperature.basis, self.rate.basis))
-        return self
+    def _problems(self) -> Iterable[Problem]:
+        return _smoothness(self.smoothness, self.temperature.basis, self.rate.basis)
 
     @property
     def size(self) -> int:
@@ -396,16 +393,12 @@ class UnitSensor(Section):
     frame: UnitFrame | None = None
     """What the misalignments count from."""
 
-    @model_validator(mode="after")
-    def _something_to_find(self) -> "UnitSensor":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         for name, triad in (("gyro", self.gyro), ("accelerometer", self.accelerometer)):
             if triad is not None and len(set(triad.axes)) < len(triad.axes):
-                problems.append(Problem((name, "axes"), "names an axis twice", list(triad.axes)))
+                yield Problem((name, "axes"), "names an axis twice", list(triad.axes))
         if self.gyro is None and self.accelerometer is None:
-            problems.append(Problem((), "there is nothing to calibrate; add [sensor.gyro] or [sensor.accelerometer]"))
-        refuse(*problems)
-        return self
+            yield Problem((), "there is nothing to calibrate; add [sensor.gyro] or [sensor.accelerometer]")
 
     def uncertain_figures(self) -> dict[str, tuple[Quantity, Quantity]]:
         """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""

@@ -1,25 +1,24 @@
 """gradcal-spec/1: sensor, rig, requirements, plan; the input of every command."""
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, cast
 
-from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, TypeAdapter, ValidationError
 
 from gradcal_jax.files.bench import Rig
 from gradcal_jax.files.checks import between_sections
 from gradcal_jax.files.design import Design
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.plan import GradientPlan, Plan, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.schedule import GradientSchedule, Schedule, gradient_schedule, standard_schedule
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import Sensor
 
 FORMAT: Final = "gradcal-spec/1"
@@ -39,7 +38,7 @@ class Done(Section):
     """Time until the next part or the plan begins; the unit stays switched on."""
 
 
-class Spec(Section):
+class Spec(TitledFile):
     """A whole spec: sensor, rig, requirements, plan, and what `optimise` may change; read-only.
 
     Quantities behave as numbers in SI (°C for temperatures) and keep their text. `schedule` is the plan resolved for
@@ -47,7 +46,6 @@ class Spec(Section):
     """
 
     format: Literal["gradcal-spec/1"]
-    """Name and version of this file format."""
     title: Text | None = None
     """A name for people; it heads tables and pages."""
     sensor: Sensor
@@ -63,22 +61,15 @@ class Spec(Section):
     design: Design | None = None
     """What `optimise` may change; no other command reads it."""
 
-    @model_validator(mode="after")
-    def _together(self) -> "Spec":
-        refuse(*between_sections(self.sensor, self.rig, self.requirement, self.plan, self.design), *self._done())
-        return self
-
-    def _done(self) -> list[Problem]:
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
+        yield from between_sections(self.sensor, self.rig, self.requirement, self.plan, self.design)
         if self.done and isinstance(self.plan, StandardPlan):
-            problems.append(Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone'))
+            yield Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone')
         for number, part in enumerate(self.done):
-            problems += [
-                p.under("done", number) for p in between_sections(self.sensor, self.rig, None, part.plan, None)
-            ]
+            for problem in between_sections(self.sensor, self.rig, None, part.plan, None):
+                yield problem.under("done", number)
             if part.end <= part.start:
-                problems.append(Problem(("done", number, "end"), "expected a time after its start", part.end.text))
-        return problems
+                yield Problem(("done", number, "end"), "expected a time after its start", part.end.text)
 
     @cached_property
     def schedule(self) -> Schedule:
@@ -140,8 +131,7 @@ def parse_spec(text: str, source: str = "") -> Spec:
 
     Errors: `SpecError`, as `read_spec`.
     """
-    with with_lines(text):
-        return spec_of(read_toml(text, source), source)
+    return from_text(spec_of, text, source)
 
 
 def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:

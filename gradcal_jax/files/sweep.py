@@ -20,24 +20,24 @@ Nothing here draws or computes: `gradcal_jax.jobs` does.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import Context, Decimal
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, cast
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
 
 from gradcal_jax import units
 from gradcal_jax.files import presets
-from gradcal_jax.files.changes import any_spec_of, changed, split_key
-from gradcal_jax.files.document import parsed, read_text, read_toml
+from gradcal_jax.files.changes import changed, split_key
+from gradcal_jax.files.document import TitledFile, parsed, read_text, read_toml
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Count, Text, Whole
-from gradcal_jax.files.recipe import is_recipe, recipe_of, spec_inside
+from gradcal_jax.files.recipe import axis_spec_of, spec_or_recipes_of
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.spec import Spec, spec_of
+from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
 FORMAT: Final = "gradcal-sweep/1"
@@ -227,13 +227,10 @@ class Samples(Section):
     """Of the draws."""
 
 
-class SweepFile(Section):
+class SweepFile(TitledFile):
     """A whole sweep file."""
 
     format: Literal["gradcal-sweep/1"]
-    """Name and version of this file format."""
-    title: Text | None = None
-    """A name for people."""
     base: Text
     """A preset, or the path of a spec or recipe, seen from this file."""
     do: Literal["predict", "optimise"] = "predict"
@@ -245,8 +242,7 @@ class SweepFile(Section):
     samples: Samples | None = None
     """Draws over all axes together; absent: a grid."""
 
-    @model_validator(mode="after")
-    def _distinct(self) -> "SweepFile":
+    def _problems(self) -> Iterable[Problem]:
         message = 'two axes are called this; give one of them another "name"'
         problems = repeated_names("axis", "name", [axis.label for axis in self.axis], message)
         seen: set[str] = set()
@@ -260,8 +256,7 @@ class SweepFile(Section):
                 problems.append(Problem(("axis", i, "count"), message, kind="missing"))
         if not problems and self.count > MOST_POINTS:
             problems.append(Problem(("axis",), f"makes {self.count} points; at most {MOST_POINTS}"))
-        refuse(*problems)
-        return self
+        return problems
 
     @property
     def count(self) -> int:
@@ -293,7 +288,7 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     file = parsed(SweepFile, text, FORMAT, source)
     tables, place = _named(file.base, Path(folder), source)
     with missions_from(Path(place).parent):
-        base = recipe_of(tables, place).spec if is_recipe(tables) else any_spec_of(tables, place)
+        base = spec_or_recipes_of(tables, place)
     if isinstance(base, UnitSpec) and file.do == "optimise":
         raise SpecError([Problem(("do",), 'a whole unit is predicted in sweeps; expected "predict"', file.do)], source)
     try:
@@ -310,7 +305,7 @@ def named_spec(name: str, folder: Path, source: str = "") -> Spec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
     tables, place = _named(name, folder, source)
     with missions_from(Path(place).parent):
-        return spec_inside(tables, place) if is_recipe(tables) else spec_of(tables, place)
+        return axis_spec_of(tables, place)
 
 
 def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str]:
@@ -335,8 +330,3 @@ def _known(axis: Axis, base: Spec | UnitSpec) -> None:
         ]
         if slips:
             raise SpecError(slips) from None
-
-
-def tables_of_sweep(file: SweepFile) -> Mapping[str, Any]:
-    """The sweep as the tables of its file."""
-    return cast("Mapping[str, Any]", file.model_dump(mode="json", exclude_unset=True))

@@ -8,25 +8,24 @@ import array
 import csv
 import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, TextIO, TypeVar
+from typing import Annotated, Any, ClassVar, Final, Literal, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, field_validator
 
 from gradcal_jax import units
-from gradcal_jax.files.log import Floats, LogError
+from gradcal_jax.files.log import Floats, LogError, naming, quietly
 from gradcal_jax.files.matlab_file import read_matlab
 from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.problems import Problem, instead
 from gradcal_jax.files.quantity import Flag, Number, Text, Whole
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 
 Array = NDArray[Any]
 Name = Annotated[Text, Field(max_length=100)]
-_Result = TypeVar("_Result")
 
 _TEXT: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
 _DELIMITERS: Final = {"tab": "\t", "whitespace": None}
@@ -142,11 +141,9 @@ class TextTable(Section):
             raise ValueError('expected the name of an encoding, such as "utf-8", "latin-1" or "utf-16"') from None
         return value
 
-    @model_validator(mode="after")
-    def _apart(self) -> "TextTable":
+    def _problems(self) -> Iterator[Problem]:
         if self.decimal == self.delimiter:
-            refuse(Problem(("delimiter",), 'a decimal comma needs another delimiter, such as ";" or "tab"'))
-        return self
+            yield Problem(("delimiter",), 'a decimal comma needs another delimiter, such as ";" or "tab"')
 
     @field_validator("delimiter")
     @classmethod
@@ -180,10 +177,8 @@ def read_table(path: Path, layout: TextTable, sources: Sequence[Source], *, netc
         raise LogError(f"{path} cannot be read: {error}") from None
     if size == 0:
         raise LogError(f"{path} is empty")
-    try:
+    with naming(path):
         return readers[kind](path, layout, sources)
-    except LogError as error:
-        raise LogError(f"{path}: {error}") from None
 
 
 class Numbers:
@@ -356,21 +351,16 @@ def _number(text: str) -> float:
 def _read_npz(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:
     wanted = {str(source.column) for source in sources}
 
-    def load() -> dict[str, Array]:
-        # Opened here: NumPy leaves the file open where it is no archive.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
-            # Other arrays are named but not read: they may be large.
-            return {str(name): opened[name] if name in wanted else np.empty(0) for name in opened.files}
-
-    return _of_arrays(_loaded(load, "NumPy's .npz (without pickles)"))
+    # Opened here: NumPy leaves the file open where it is no archive.
+    kind = "NumPy's .npz (without pickles)"
+    with quietly(kind), path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
+        # Other arrays are named but not read: they may be large.
+        return _of_arrays({str(name): opened[name] if name in wanted else np.empty(0) for name in opened.files})
 
 
 def _read_npy(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:
-    def load() -> Array:
-        with path.open("rb") as file:
-            return np.asarray(np.load(file, allow_pickle=False))
-
-    values = _loaded(load, "NumPy's .npy (without pickles)")
+    with quietly("NumPy's .npy (without pickles)"), path.open("rb") as file:
+        values = np.asarray(np.load(file, allow_pickle=False))
     if values.dtype.names is not None:
         return _of_arrays({name: values[name] for name in values.dtype.names})
     if values.ndim != 2:
@@ -389,8 +379,8 @@ def _read_matlab(path: Path, layout: TextTable, sources: Sequence[Source]) -> Nu
         start = opened.read(128)
     if start.startswith(b"MATLAB 7.3") or start[:8] == b"\x89HDF\r\n\x1a\n":
         raise LogError("is a MATLAB 7.3 file: save it again with save(…, '-v7')")
-
-    return _of_arrays(_loaded(lambda: read_matlab(path), "MATLAB v5"))
+    with quietly("MATLAB v5"):
+        return _of_arrays(read_matlab(path))
 
 
 def _read_netcdf(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:
@@ -414,17 +404,6 @@ def _same_unit(stated: str, unit: str) -> bool:
         except units.UnitError:
             continue
     return True
-
-
-def _loaded(load: Callable[[], _Result], kind: str) -> _Result:
-    """The result of a reader, or one sentence for any exception on damaged files or files of another kind."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return load()
-    except Exception as error:
-        name = type(error).__name__
-        raise LogError(f"cannot be read as {kind} ({name}): is it damaged, or of another kind?") from None
 
 
 def _of_arrays(arrays: Mapping[str, Array]) -> Numbers:

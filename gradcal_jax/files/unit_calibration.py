@@ -7,21 +7,15 @@ signals: none for a bias, "rate x" for a gyro x's scale factor, "force y" for a 
 true inputs, in the frame that the file names. Coefficients count powers of `(T − centre)/scale`, or functions.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
-from gradcal_jax.files.calibration import (
-    FORMAT,
-    Calibration,
-    Coefficients,
-    Covariance,
-    FitTest,
-)
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.calibration import FORMAT, SIMULATED, Calibration, Coefficients, Covariance, FitTest
+from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AngleRandomWalk,
@@ -35,7 +29,7 @@ from gradcal_jax.files.quantity import (
     Time,
     VelocityRandomWalk,
 )
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import BodyAxis
 from gradcal_jax.files.writing import write_toml
 
@@ -63,18 +57,14 @@ class CalibratedTerm(Section):
     coefficients: Coefficients
     """By name, in SI; temperature slow, rate fast."""
 
-    @model_validator(mode="after")
-    def _whole(self) -> "CalibratedTerm":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         for k, signal in enumerate(self.signals):
             if signal not in SIGNALS and signal not in [f"|{known}|" for known in SIGNALS]:
                 message = 'is no signal; expected such as "rate x", "force z", "|force z|"'
-                problems.append(Problem(("signals", k), message, signal))
+                yield Problem(("signals", k), message, signal)
         if len(self.coefficients) != self.size:
             message = f"expected {self.size}, as many as the bases have functions"
-            problems.append(Problem(("coefficients",), message, len(self.coefficients)))
-        refuse(*problems)
-        return self
+            yield Problem(("coefficients",), message, len(self.coefficients))
 
     @property
     def size(self) -> int:
@@ -156,15 +146,12 @@ class UnitNoise(Section):
     """Of the log."""
 
 
-class UnitCalibration(Section):
+class UnitCalibration(TitledFile):
     """The calibration file of a whole unit, SI (°C) inside. Beyond `valid_temperature` and `valid_rate` the values at
     the edge hold. Made by `estimate_units` and `read_any_calibration`. Errors: `SpecError` by those.
     """
 
     format: Literal["gradcal-calibration/1"]
-    """Name and version of this file format."""
-    title: Text | None = None
-    """A name for people."""
     serial_number: Text
     """Of the unit."""
     quantity: Literal["unit"]
@@ -198,22 +185,18 @@ class UnitCalibration(Section):
     provenance: dict[str, Text] = Field(default_factory=dict)
     """Program, files and fingerprints of its origin."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> "UnitCalibration":
-        problems: list[Problem] = []
+    def _problems(self) -> Iterator[Problem]:
         names = [channel.name for channel in self.channel]
         if len(set(names)) < len(names):
-            problems.append(Problem(("channel",), "two channels are of one kind and axis"))
+            yield Problem(("channel",), "two channels are of one kind and axis")
         for key, (low, high) in (("valid_temperature", self.valid_temperature), ("valid_rate", self.valid_rate)):
             if low > high:
-                problems.append(Problem((key,), "the second must not be below the first", [str(low), str(high)]))
+                yield Problem((key,), "the second must not be below the first", [str(low), str(high)])
         if self.covariance is not None:
             known = {f"{c.name}.{name}" for c in self.channel for term in c.term for name in term.coefficients}
             if strange := [name for name in self.covariance.names if name not in known]:
                 text = f"names coefficients that no channel has: {', '.join(strange[:5])}"
-                problems.append(Problem(("covariance", "names"), text))
-        refuse(*problems)
-        return self
+                yield Problem(("covariance", "names"), text)
 
     def channel_of(self, kind: str, axis: str) -> CalibratedChannel | None:
         """The channel of that kind and axis, if it has one."""
@@ -222,10 +205,12 @@ class UnitCalibration(Section):
 
 def parse_any_calibration(text: str, source: str = "") -> Calibration | UnitCalibration:
     """The calibration of a gyro's axes, or of a whole unit, in a TOML text. Raises `SpecError` with every fault."""
-    with with_lines(text):
-        document = read_toml(text, source)
+
+    def of(document: dict[str, Any], _: str) -> Calibration | UnitCalibration:
         kind = UnitCalibration if document.get("quantity") == "unit" else Calibration
         return model_of(kind, document, FORMAT, source)
+
+    return from_text(of, text, source)
 
 
 def read_any_calibration(path: str | Path) -> Calibration | UnitCalibration:
@@ -241,7 +226,7 @@ def write_unit_calibration(calibration: UnitCalibration, path: str | Path) -> No
 
     Errors: `OSError` where it cannot be written.
     """
-    write_toml(calibration, path, header=_HEADER + (_SIMULATED if calibration.simulated else ""))
+    write_toml(calibration, path, header=_HEADER + (SIMULATED if calibration.simulated else ""))
 
 
 def expect_axes(calibration: Calibration | UnitCalibration, what: str) -> Calibration:
@@ -256,7 +241,6 @@ The calibration of a whole unit: three gyros, three accelerometers. Apply it wit
     measured = input + sum of map(T) * signals       rates in rad/s, specific force in m/s^2
 [[channel]] has the unit's own terms, [[table]] the estimated errors of the table.
 Numbers without a unit are SI: rad, s, m, degC."""
-_SIMULATED: Final = "\nSIMULATED: made from simulated data, of no real unit."
 
 
 def term_of(name: str, unit: str, signals: tuple[str, ...], coefficients: dict[str, float], **bases: Any):

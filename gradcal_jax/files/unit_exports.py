@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.files import exports, unit_c_header
+from gradcal_jax.files import c_header, exports
 from gradcal_jax.files.bases import TemperaturePolynomial
 from gradcal_jax.files.calibration import AxisCalibration, BiasMap, Calibration, ScaleFactorMap
 from gradcal_jax.files.exports import Export, Loss
@@ -191,8 +191,11 @@ def _ardupilot(calibration: UnitCalibration, options: Mapping[str, Any]) -> Expo
         losses += _accelerometer_bias_losses(
             parts, lambda name, t: exports.ardupilot_correction(span | parameters, name, t, number, "ACC")
         )
-        for c in calibration.channel:
-            losses += _scale_left(calibration, c, at) if c.kind == "accelerometer" else []
+        losses += [
+            loss
+            for term, loss in _left(calibration, lambda term: _held(term, at))
+            if term.name == "scale_factor" and loss.axis.startswith("accelerometer")
+        ]
         notes.append(
             "accelerometers: corrected = (raw - P(T-35) + P(Tcal-35) - OFFS) * SCAL, SCAL at the middle of the range"
         )
@@ -203,26 +206,8 @@ def _ardupilot(calibration: UnitCalibration, options: Mapping[str, Any]) -> Expo
 
 
 def _accelerometer_bias_losses(parts: Calibration, taken_off: Callable[[str, Floats], Floats]) -> list[Loss]:
-    return [
-        Loss(
-            f"accelerometer {axis.name}",
-            "bias",
-            exports.bias_left(axis, taken_off(axis.name, exports.range_temperatures(axis))) * _MICRO_G,
-            "ug",
-        )
-        for axis in parts.axis
-    ]
-
-
-def _scale_left(calibration: UnitCalibration, channel: CalibratedChannel, at: float) -> list[Loss]:
-    """The variation of a scale factor with temperature."""
-    term = channel.term_of("scale_factor")
-    if term is None:
-        return []
-    low, high = (float(t) for t in calibration.valid_temperature)
-    values = term_values(term, np.linspace(low, high, _GRID))
-    apart = float(np.max(np.abs(values - term_values(term, np.array([at]))[0])))
-    return [Loss(f"accelerometer {channel.axis}", "scale factor over temperature", apart * 1e6, "ppm")]
+    left = {a.name: exports.bias_left(a, taken_off(a.name, exports.range_temperatures(a))) for a in parts.axis}
+    return [Loss(f"accelerometer {name}", "bias", value * _MICRO_G, "ug") for name, value in left.items()]
 
 
 def _px4(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
@@ -273,16 +258,17 @@ def _triangular(matrix: Floats) -> tuple[Floats, Floats]:
     return (r * signs[:, None]).T, (q * signs).T
 
 
+def _held(term: CalibratedTerm, at: float) -> tuple[float, str]:
+    """The value of a term that a target holds at one temperature, and over what it changes."""
+    if len(term.signals) > 1 or any(s.startswith("|") for s in term.signals):
+        return 0.0, ""
+    value = float(term_values(term, np.array([at]), np.zeros(1))[0])
+    return value, " over temperature" + (" and rate" if term.rate else "")
+
+
 def _one_temperature(calibration: UnitCalibration, at: float) -> list[Loss]:
     """The errors at other temperatures and rates of terms that are held at one."""
-
-    def held(term: CalibratedTerm) -> tuple[float, str]:
-        if len(term.signals) > 1 or any(s.startswith("|") for s in term.signals):
-            return 0.0, ""
-        value = float(term_values(term, np.array([at]), np.zeros(1))[0])
-        return value, " over temperature" + (" and rate" if term.rate else "")
-
-    return [loss for _, loss in _left(calibration, held) if loss.value > 0.0]
+    return [loss for _, loss in _left(calibration, lambda term: _held(term, at)) if loss.value > 0.0]
 
 
 def _kalibr(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
@@ -331,7 +317,7 @@ def _matrices(calibration: UnitCalibration, options: Mapping[str, Any]) -> Expor
 
 
 def _c_header(calibration: UnitCalibration, options: Mapping[str, Any]) -> Export:
-    text, errors = unit_c_header.write_unit(calibration)
+    text, errors = c_header.unit_header(calibration)
     losses = tuple(Loss(*error) for error in errors)
     lag = [] if calibration.thermal_lag is None else [f"the thermal lag of {calibration.thermal_lag} is not carried"]
     return Export(text, losses, (*lag, "float32, no allocation, no division; all axes in the calibration's frame"))

@@ -7,11 +7,11 @@ without shape and duration is a limit: a short turn does not reach it.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationError, model_serializer, model_validator
+from pydantic import Field, GetJsonSchemaHandler, ValidationError, model_serializer
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
@@ -21,7 +21,7 @@ from gradcal_jax.files.plan import ChamberCourse
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
-from gradcal_jax.files.section import Section, a_table, refuse, refuse_misspelt
+from gradcal_jax.files.section import Section, read_by, refuse, refuse_misspelt
 
 _SLACK = 1e-6
 # Tolerance of a whole cycle, as a fraction, for the times of a journal.
@@ -58,15 +58,13 @@ class QuickTurn(Section):
     repeat: Count = 1
     """How often the move is made."""
 
-    @model_validator(mode="after")
-    def _turns(self) -> "QuickTurn":
+    def _problems(self) -> Iterator[Problem]:
         key = "turn" if self.turns is None else "turns"
         if self.turn is not None and self.turns is not None:
-            refuse(Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns))
-        if not self.angle or abs(self.angle) > _MOST:
+            yield Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns)
+        elif not self.angle or abs(self.angle) > _MOST:
             message = "must not be zero, nor beyond a million turns; a rest is written { rest = … }"
-            refuse(Problem((key,), message, self.turn or self.turns))
-        return self
+            yield Problem((key,), message, self.turn or self.turns)
 
     @property
     def angle(self) -> float:
@@ -105,10 +103,8 @@ class AxisMove(Section):
         return {"anyOf": kinds}
 
 
-def _choose(value: object) -> object:
-    if isinstance(value, Section):
-        return value
-    table = dict(a_table(value))
+def _choose(whole: Mapping[str, object]) -> object:
+    table = dict(whole)
     if "pose" in table:
         return Pose.model_validate(table)
     axis = table.pop("axis", None)
@@ -118,7 +114,7 @@ def _choose(value: object) -> object:
             refuse_misspelt(table, ["rest", "turn", "pose"])
             raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
         if not {"duration", "ramp"} & set(table):
-            return QuickTurn.model_validate(dict(a_table(value)))
+            return QuickTurn.model_validate(dict(whole))
         table["shape"] = "cosine ramps"
     tables: dict[str, Any] = {"move": table}
     try:
@@ -129,7 +125,7 @@ def _choose(value: object) -> object:
         raise SpecError(replace(p, key=p.key[1:]) if p.key[:1] == ("move",) else p for p in problems) from None
 
 
-UnitMove = Annotated[Pose | QuickTurn | AxisMove, BeforeValidator(_choose)]
+UnitMove = Annotated[Pose | QuickTurn | AxisMove, read_by(_choose)]
 
 
 class UnitCycle(Section):
@@ -150,10 +146,8 @@ class UnitPlan(ChamberCourse):
     cycle: UnitCycle
     """Motion that repeats."""
 
-    @model_validator(mode="after")
-    def _complete(self) -> "UnitPlan":
-        refuse(*self.course_problems(with_cycle=False))
-        return self
+    def _problems(self) -> Iterable[Problem]:
+        return self.course_problems(with_cycle=False)
 
 
 @dataclass(frozen=True)
@@ -213,8 +207,7 @@ def cycles_between(schedule: UnitSchedule, start: float, end: float) -> UnitSche
 def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     """Resolve a unit's plan. Raises `SpecError` with all problems, keys relative to the plan."""
     steps, start, problems = _steps(plan.cycle, rig)
-    if problems:
-        raise SpecError(problems)
+    refuse(*problems)
     period = math.fsum(step.move.repeat * step.move.duration for step in steps)
     segments, stretches = programme_of(plan, rig.chamber, (period, period))
     mountings = len(rig.table.mounting)
@@ -230,7 +223,7 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     if sum(s.cycles for s in stretches) * len(steps) > 200_000:
         raise SpecError([Problem(("cycle",), "makes more than 200000 moves in all; lengthen its rests or turns")])
     schedule = UnitSchedule(segments, stretches, steps, start)
-    problems = _travel(schedule, rig)
+    problems = [*_travel(schedule, rig)]
     if len(stretches) > 1:
         ends = [
             math.fsum([angle, *(s.move.repeat * s.move.angle for s in steps if s.axis == k)])
@@ -238,8 +231,7 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
         ]
         names = [axis.name for axis in rig.table.axis]
         problems += _unclosed(ends, start, names, "it begins anew in every stretch of used data")
-    if problems:
-        raise SpecError(problems)
+    refuse(*problems)
     return schedule
 
 
@@ -253,14 +245,10 @@ def _once_each(
     back = TemperatureSegment(
         "step", last.end, abs(change) / pace, last.temperature_end, first.temperature_start, False
     )
-    whole = back.end
-    all_segments: list[TemperatureSegment] = []
-    for k in range(mountings):
-        all_segments += [replace(s, start=s.start + k * whole) for s in segments]
-        if k + 1 < mountings:
-            all_segments.append(replace(back, start=back.start + k * whole))
-    (stretch,) = stretches
-    return tuple(all_segments), tuple(replace(stretch, start=stretch.start + k * whole) for k in range(mountings))
+    whole, (stretch,) = back.end, stretches
+    course = [replace(s, start=s.start + k * whole) for k in range(mountings) for s in (*segments, back)]
+    # After the last mounting the chamber need not return.
+    return tuple(course[:-1]), tuple(replace(stretch, start=stretch.start + k * whole) for k in range(mountings))
 
 
 def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[float, ...], list[Problem]]:
@@ -374,23 +362,18 @@ def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None)
     )
 
 
-def _limits(move: ResolvedMove, axis: TableAxis) -> list[Problem]:
-    problems: list[Problem] = []
+def _limits(move: ResolvedMove, axis: TableAxis) -> Iterator[Problem]:
     if move.fastest > axis.max_rate * (1.0 + _SLACK):
         message = f'reaches {math.degrees(move.fastest):.5g} deg/s; axis "{axis.name}" goes up to {axis.max_rate}'
-        problems.append(Problem((), message, move.words))
+        yield Problem((), message, move.words)
     if move.peak_acceleration > axis.max_acceleration * (1.0 + _SLACK):
         reached = f"{math.degrees(move.peak_acceleration):.5g} deg/s^2"
-        problems.append(
-            Problem((), f'accelerates at {reached}; axis "{axis.name}": {axis.max_acceleration}', move.words)
-        )
-    return problems
+        yield Problem((), f'accelerates at {reached}; axis "{axis.name}": {axis.max_acceleration}', move.words)
 
 
-def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
+def _travel(schedule: UnitSchedule, rig: UnitRig) -> Iterator[Problem]:
     """Every axis must stay within its travel either way of zero, and outside forbidden angles, in every cycle."""
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
-    problems: list[Problem] = []
     for k, axis in enumerate(rig.table.axis):
         lowest, highest = axis.reach
         if math.isinf(highest):
@@ -416,9 +399,8 @@ def _travel(schedule: UnitSchedule, rig: UnitRig) -> list[Problem]:
                     + (f" in cycle {first + 1} (each ends {math.degrees(net):.6g} deg further)" if first else "")
                     + f"; {free}"
                 )
-                problems.append(Problem(("cycle", "moves", where), message))
+                yield Problem(("cycle", "moves", where), message)
                 break
-    return problems
 
 
 def _beyond_drive(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:

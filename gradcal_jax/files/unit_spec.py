@@ -1,18 +1,17 @@
 """gradcal-spec/1 of a whole unit: `[sensor.gyro]` and `[sensor.accelerometer]` on a table of one to three axes."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.checks import course_within
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
-from gradcal_jax.files.document import model_of, read_text, read_toml
-from gradcal_jax.files.lines import with_lines
+from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.problems import Problem, SpecError, hint, one_of
 from gradcal_jax.files.quantity import SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import (
@@ -23,7 +22,7 @@ from gradcal_jax.files.requirement import (
     UnitRequirement,
     UnitRequirements,
 )
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import UnitSensor
 from gradcal_jax.files.spec import FORMAT
 from gradcal_jax.files.unit_plan import UnitPlan, UnitSchedule, cycles_between, unit_schedule
@@ -41,14 +40,13 @@ class CyclesDone(Section):
     """Until when."""
 
 
-class UnitSpec(Section):
+class UnitSpec(TitledFile):
     """A spec of a whole unit; read-only. Quantities behave as numbers in SI (°C) and keep their text.
 
     `schedule` is the plan resolved for the rig. From `read_unit_spec` or `parse_unit_spec`. Errors: their `SpecError`.
     """
 
     format: Literal["gradcal-spec/1"]
-    """Name and version of this file format."""
     title: Text | None = None
     """A name for people; it heads tables and pages."""
     sensor: UnitSensor
@@ -65,72 +63,65 @@ class UnitSpec(Section):
     design: UnitDesign | None = None
     """What `optimise` may change; no other command reads it."""
 
-    @model_validator(mode="after")
-    def _together(self) -> "UnitSpec":
-        refuse(*self._problems())
-        return self
-
-    def _problems(self) -> list[Problem]:
+    def _problems(self) -> Iterator[Problem]:
         try:
             segments = self.schedule.segments
         except SpecError as error:
-            return [p.under("plan") for p in error.problems]
-        problems = [p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments)]
+            yield from (p.under("plan") for p in error.problems)
+            return
+        yield from (p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments))
         for number, part in enumerate(self.done):
             try:
                 several = len(unit_schedule(part.plan, self.rig).stretches) > 1
             except SpecError as error:
-                problems += [p.under("done", number, "plan") for p in error.problems]
+                yield from (p.under("done", number, "plan") for p in error.problems)
                 continue
             if several:
-                problems.append(Problem(("done", number, "plan"), "expected one stretch of used data, in one mounting"))
+                yield Problem(("done", number, "plan"), "expected one stretch of used data, in one mounting")
             if part.end <= part.start:
-                problems.append(Problem(("done", number, "end"), "expected a time after its start", part.end.text))
+                yield Problem(("done", number, "end"), "expected a time after its start", part.end.text)
         names = [r.name for r in self.requirement]
         for i, requirement in enumerate(self.requirement):
             if requirement.name in names[:i]:
-                problems.append(
-                    Problem(("requirement", i, "name"), "two requirements have this name", requirement.name)
-                )
+                yield Problem(("requirement", i, "name"), "two requirements have this name", requirement.name)
             wanted = _needs(requirement)
             missing = next((key for key in wanted if self._absent(key)), None)
             if missing is not None:
                 message = f"needs [sensor.{missing}], which the spec does not estimate"
-                problems.append(Problem(("requirement", i, "quantity"), message, requirement.quantity))
+                yield Problem(("requirement", i, "quantity"), message, requirement.quantity)
             elif absent := [f"{kind} {a}" for kind, a in _needed_axes(requirement) if a not in self._axes_of(kind)]:
                 message = f"needs {', '.join(absent)}, which the unit has not"
-                problems.append(Problem(("requirement", i, "quantity"), message, requirement.quantity))
+                yield Problem(("requirement", i, "quantity"), message, requirement.quantity)
             elif requirement.axis in ("x", "y", "z"):
                 triad = self.sensor.gyro if wanted[0].startswith("gyro") else self.sensor.accelerometer
                 assert triad is not None
                 if requirement.axis not in triad.axes:
-                    problems.append(Problem(("requirement", i, "axis"), "the unit has no such axis", requirement.axis))
+                    yield Problem(("requirement", i, "axis"), "the unit has no such axis", requirement.axis)
         accelerometer, frame = self.sensor.accelerometer, self.sensor.frame
         slow = 0.0 if accelerometer is None else float(accelerometer.read_on_moves_below or 0.0)
         read = any(step.axis < 0 or step.move.fastest <= slow for step in self.schedule.steps)
         if accelerometer is not None and not read:
             message = "never rests, where accelerometers are read; add { rest = … }"
-            problems.append(Problem(("plan", "cycle", "moves"), message))
+            yield Problem(("plan", "cycle", "moves"), message)
         turning = [float(step.move.fastest) for step in self.schedule.steps if step.axis >= 0]
         if accelerometer is not None and slow and turning and min(turning) > slow:
             message = f"has no effect: the slowest move reaches {math.degrees(min(turning)):.4g} deg/s; raise it, or "
             key = ("sensor", "accelerometer", "read_on_moves_below")
             limit = str(accelerometer.read_on_moves_below)
-            problems.append(Problem(key, message + "leave it out (and the lever arm)", limit))
+            yield Problem(key, message + "leave it out (and the lever arm)", limit)
         if self.design is not None and self.design.minimise not in (ALL, WORST, *names):
             ending = hint(self.design.minimise, [ALL, WORST, *names])
             message = f"expected {one_of([ALL, WORST])}, or a requirement's name{ending}"
-            problems.append(Problem(("design", "minimise"), message, self.design.minimise))
+            yield Problem(("design", "minimise"), message, self.design.minimise)
         several = len(self.rig.table.mounting) > 1
         if several and (frame is None or frame.fixed_by != "case"):
             message = 'with several mountings the frame is the case\'s; expected fixed_by = "case"'
-            problems.append(Problem(("sensor", "frame", "fixed_by"), message, frame and frame.fixed_by))
+            yield Problem(("sensor", "frame", "fixed_by"), message, frame and frame.fixed_by)
         if frame is not None and frame.fixed_by == "case":
             for i, mounting in enumerate(self.rig.table.mounting):
                 if not mounting.accuracy:
                     message = 'must be above zero: the frame is the case\'s (sensor.frame.fixed_by = "case")'
-                    problems.append(Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg"))
-        return problems
+                    yield Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg")
 
     def _axes_of(self, kind: str) -> tuple[str, ...]:
         triad = getattr(self.sensor, kind)
@@ -198,8 +189,7 @@ def read_unit_spec(path: str | Path) -> UnitSpec:
 
 def parse_unit_spec(text: str, source: str = "") -> UnitSpec:
     """A unit's spec from the text of a TOML file; `source` names it in messages. Errors: `SpecError`."""
-    with with_lines(text):
-        return unit_spec_of(read_toml(text, source), source)
+    return from_text(unit_spec_of, text, source)
 
 
 def unit_spec_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:

@@ -15,7 +15,7 @@ from typing import Any, Final
 import gradcal_jax
 from gradcal_jax.api.versions import versions_of
 from gradcal_jax.files import tables_of
-from gradcal_jax.files.sweep import Sweep, tables_of_sweep
+from gradcal_jax.files.sweep import Sweep
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.pool import JobProgress, Report, Task, TaskRunner, borrowed, unwatched
@@ -199,7 +199,7 @@ def chunks_of(count: int, size: int) -> list[range]:
 
 def identity_of(job: Sweep) -> dict[str, Any]:
     """The identity of a sweep: its request, and the versions that compute it."""
-    request = json.dumps([tables_of_sweep(job.file), tables_of(job.base)], sort_keys=True, ensure_ascii=False)
+    request = json.dumps([tables_of(job.file), tables_of(job.base)], sort_keys=True, ensure_ascii=False)
     return {
         "asked": hashlib.sha256(request.encode()).hexdigest(),
         "points": job.file.count,

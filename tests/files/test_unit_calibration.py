@@ -14,7 +14,7 @@ import unit_twin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gradcal_jax.files import exports, unit_c_header, unit_exports
+from gradcal_jax.files import c_header, exports, unit_exports
 from gradcal_jax.files.log import Log, LogError, read_log, write_log
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.unit_calibration import (
@@ -297,7 +297,7 @@ def test_the_header_compiled_is_apply_in_single_precision(tmp_path):
     found = np.array(ran.stdout.split(), float).reshape(200, 6)
     true = np.concatenate([rate, force], axis=1)
     assert np.max(np.abs(found - true) / np.array([5.0] * 3 + [G] * 3)) < 2e-6
-    mine = unit_c_header.corrected_in_single(calibration, raw, log.temperature_c[0])
+    mine = c_header.corrected_in_single(calibration, raw, log.temperature_c[0])
     assert np.max(np.abs(found - mine)) < 1e-5
     code = re.sub(r"/\*.*?\*/", "", (tmp_path / "unit.h").read_text(encoding="utf-8"), flags=re.DOTALL)
     assert "/" not in code  # no division

@@ -1,4 +1,7 @@
-"""Commented specs to start from. Sensor figures are typical of a class of devices, of no vendor's."""
+"""Commented specs to start from, and the texts of other files.
+
+Sensor figures are typical of a class of devices, of no vendor's.
+"""
 
 import tomllib
 from importlib import resources
@@ -29,6 +32,11 @@ def text(name: str) -> str:
         raise ValueError(f'there is no preset named "{name}"{ending}')
     folder = resources.files(__name__)
     return ((folder if name in of_axis else folder / "units") / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def template(name: str) -> str:
+    """A text that the program fills in, or hands out to be edited: a file of `files/templates`."""
+    return (resources.files("gradcal_jax.files") / "templates" / name).read_text(encoding="utf-8")
 
 
 def title(name: str) -> str:

@@ -4,17 +4,15 @@ Gyros with common stamps are units of one log. Gyros with their own clocks canno
 requested one, and the others are named. Temperatures of another topic are interpolated to the gyro's stamps.
 """
 
-import contextlib
 import importlib
-import io
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from gradcal_jax.files.log import Finding, Floats, Log, LogError
+from gradcal_jax.files.log import Finding, Floats, Log, LogError, naming, quietly
 from gradcal_jax.files.log_faults import Columns, Policy, examine
 
 KINDS: Final = {
@@ -66,7 +64,7 @@ def read_vehicle_log(path: str | Path, *, unit: str | None = None, rows: tuple[i
     path = Path(path)
     streams = _streams(path)
     names = [stream.name for stream in streams]
-    with _named(path):
+    with naming(path):
         if unit is not None and unit not in names:
             raise LogError(f"there is no unit '{unit}' in this log; it has {', '.join(names)}")
         chosen = _of_one_clock(streams, streams[0 if unit is None else names.index(unit)])
@@ -77,7 +75,7 @@ def read_vehicle_logs(path: str | Path, *, rows: tuple[int, int | None] | None =
     """All gyros of a vehicle's log: a log for each clock, otherwise as `read_vehicle_log`."""
     path = Path(path)
     streams = _streams(path)
-    with _named(path):
+    with naming(path):
         clocks = [_of_one_clock(streams, stream) for stream in streams]
         return [_log(of, (), path, rows) for of, first in zip(clocks, streams, strict=True) if of[0] is first]
 
@@ -91,21 +89,12 @@ def _streams(path: Path) -> list[GyroStream]:
     if path.is_dir() and not (path / "metadata.yaml").exists():
         raise LogError(f"{path} is a directory")
     reader = importlib.import_module(f"gradcal_jax.files.vehicle.{kind}")
-    with _named(path):
+    with naming(path):
         with quietly(_WORDS[kind]):
             gyros: Sequence[GyroStream] = reader.gyros(path)
         if not (streams := [stream for stream in gyros if len(stream.time_s) > 1]):
             raise LogError("there are no samples of a gyro in it")
         return streams
-
-
-@contextlib.contextmanager
-def _named(path: Path) -> Generator[None]:
-    """Context that adds the file's name to errors."""
-    try:
-        yield
-    except LogError as error:
-        raise LogError(f"{path}: {error}") from None
 
 
 def _of_one_clock(streams: Sequence[GyroStream], first: GyroStream) -> list[GyroStream]:
@@ -171,18 +160,4 @@ def library(name: str, package: str) -> Any:
     except ImportError:
         raise LogError(
             f'reading it needs the package {package}, of the extra "logs": pip install "gradcal_jax[logs]"'
-        ) from None
-
-
-@contextlib.contextmanager
-def quietly(kind: str) -> Generator[None]:
-    """Context for a library on bytes that may be damaged: drops its prints, and turns exceptions into one sentence."""
-    try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            yield
-    except LogError:
-        raise
-    except Exception as error:  # whatever a reader makes of bytes that are something else
-        raise LogError(
-            f"cannot be read as {kind} ({type(error).__name__}): is it damaged, or of another kind?"
         ) from None

@@ -11,7 +11,7 @@ from gradcal_jax.api import optimise as search
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.limit import PlanLimit, limits
 from gradcal_jax.api.minimise_time import NO_UNTIL_MET, minimise_time
-from gradcal_jax.api.posterior_of_plan import posterior_of_plan
+from gradcal_jax.api.posterior_of_plan import posteriors_of_plan
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.sensitivity import Sensitivities, sensitivities
 from gradcal_jax.api.unit_build import assemble_unit
@@ -35,7 +35,7 @@ def check(spec: Spec | UnitSpec) -> list[str]:
         unit = assemble_unit(spec)
         return unit_warnings(unit, posterior_of_unit(unit))
     built = assemble(spec)
-    return warnings(built, {channel: posterior_of_plan(built, channel) for channel in built.channels})
+    return warnings(built, posteriors_of_plan(built))
 
 
 def compare(*specs: Spec | UnitSpec) -> list[Prediction]:

@@ -16,7 +16,7 @@ from gradcal_jax.api.posterior_of_plan import (
     box,
     contrasts_of,
     decision_rule,
-    posterior_of_plan,
+    posteriors_of_plan,
     residual_map,
     statistic_of,
     target_of,
@@ -24,7 +24,8 @@ from gradcal_jax.api.posterior_of_plan import (
 )
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.tested_maps import noticing
-from gradcal_jax.api.unit_prediction import asked_and_left, of_plan, predict_unit
+from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.unit_prediction import asked_and_left, of_plan, posterior_of_unit, predict_unit, requirement_row
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.absent import absent_terms, with_typical
@@ -50,13 +51,13 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     """
     if isinstance(spec, UnitSpec):
         prediction = predict_unit(spec)
-        between = _between(prediction.requirements, [predict_unit(one) for one in extremes(spec)] if limits else [])
+        between = _between(prediction.requirements, extremes(spec) if limits else [])
         return prediction.model_copy(update={"requirements": tuple(between)})
     built = assemble(spec)
-    known: dict[Axis, Posterior] = {channel: posterior_of_plan(built, channel) for channel in built.channels}
+    known = posteriors_of_plan(built)
     shares = {channel: error_budget(built, channel, of) for channel, of in known.items()} if limits else {}
     absent = absent_terms(spec)
-    there = [row.decisive for row in predict(with_typical(spec)).requirements] if outlook and absent else []
+    there = [row.decisive for row in requirement_rows(with_typical(spec))] if outlook and absent else []
     rows: list[RequirementRow] = []
     for requirement, channel in product(spec.requirement, built.channels):
         row = _requirement_row(built, known[channel], requirement, channel)
@@ -66,9 +67,8 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
         if there:
             more["with_typical"] = there[len(rows)]
         rows.append(row.model_copy(update=more))
-    requirements = _between(rows, [predict(one) for one in extremes(spec)] if limits else [])
     return Prediction(
-        requirements=tuple(requirements),
+        requirements=tuple(_between(rows, extremes(spec) if limits else [])),
         notices=noticing(built) if notices else (),
         warnings=tuple(warnings(built, known)),
         counted_as_zero=tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent),
@@ -76,14 +76,24 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     )
 
 
-def _between(rows: Sequence[RequirementRow], others: list[Prediction]) -> Sequence[RequirementRow]:
-    """The rows with the smallest and largest value over these and other predictions of the same requirements."""
+def requirement_rows(spec: Spec | UnitSpec) -> list[RequirementRow]:
+    """The residual of every requirement after a spec's plan on every axis, and nothing else of its prediction."""
+    if isinstance(spec, UnitSpec):
+        unit = assemble_unit(spec)
+        known_unit = posterior_of_unit(unit)
+        return [requirement_row(unit, known_unit, requirement) for requirement in spec.requirement]
+    built = assemble(spec)
+    pairs = product(spec.requirement, posteriors_of_plan(built).items())
+    return [_requirement_row(built, known, requirement, channel) for requirement, (channel, known) in pairs]
+
+
+def _between(rows: Sequence[RequirementRow], others: Sequence[Spec | UnitSpec]) -> Sequence[RequirementRow]:
+    """The rows with the smallest and largest value over these and other specs with the same requirements."""
     if not others:
         return rows
     ranges = []
-    for k, row in enumerate(rows):
-        values = [one.requirements[k].decisive for one in others]
-        known = [v for v in (row.decisive, *values) if v is not None]
+    for row, *same in zip(rows, *map(requirement_rows, others), strict=True):
+        known = [v for v in (one.decisive for one in (row, *same)) if v is not None]
         ranges.append(row.model_copy(update={"uncertain": (min(known), max(known)) if known else None}))
     return ranges
 

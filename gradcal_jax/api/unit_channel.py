@@ -42,26 +42,33 @@ class UnitChannel(NamedTuple):
     """One test for every polynomial map."""
 
 
+class Recorded(NamedTuple):
+    """The rows of one axis of one unit and the motion executed in them; numbers of rows, and messages so far."""
+
+    axis: str
+    unit: str
+    rows: Rows
+    done: estimation.Executed
+    counts: dict[str, int]
+    messages: Sequence[str]
+
+
 def finished_channel(
-    axis: str,
-    unit: str,
+    recorded: Recorded,
     model: SensorModel,
     observations: Observations,
     white: Whitened,
     options: Options,
-    read: tuple[Rows, estimation.Executed],
     fitted_lag: tuple[float, float | None],
-    counts: dict[str, int],
-    messages: Sequence[str],
-    hidden: Sequence[tuple[Discrepancy, float, np.ndarray]] = (),
+    hidden: Sequence[tuple[Discrepancy, float, np.ndarray]],
 ) -> UnitChannel:
     """The estimate of one unit: smoothness, robust weights and tests, on converged columns.
 
-    `read`: its rows and the executed motion; `fitted_lag` s, with its standard deviation where it was fitted.
-    `hidden`: the tested functions beyond a map's structure, the false-alarm level, and their whitened columns `(n, k)`.
+    `fitted_lag` s, with its standard deviation where it was fitted. `hidden`: the tested functions beyond a map's
+    structure, the false-alarm level, and their whitened columns `(n, k)`.
     """
-    (rows, done), (lag, lag_std) = read, fitted_lag
-    messages, smoothness = list(messages), None
+    axis, unit, rows, done, counts, earlier = recorded
+    (lag, lag_std), messages, smoothness = fitted_lag, list(earlier), None
     if options.smoothness == "auto":
         smoothness = estimation.choose_smoothness(white, model)
         model = estimation.with_smoothness(model, smoothness.bias, smoothness.scale_factor)

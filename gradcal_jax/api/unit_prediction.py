@@ -5,8 +5,9 @@ from typing import Any, cast
 
 import numpy as np
 
+from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
-from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, summed_up, unit_residual, worst_axis
+from gradcal_jax.api.unit_residual import summed_up, unit_residual, worst_axis
 from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.files import Spec
 from gradcal_jax.files.contracts import ParameterRow, Prediction, RequirementRow
@@ -78,7 +79,7 @@ def requirement_row(built: AssembledUnit, known: Posterior, requirement: UnitReq
     """The residual and the verdict of one requirement."""
     left = unit_residual(built, known, requirement)
     values = summed_up(requirement, left)
-    unit, factor = UNIT_OF_QUANTITY[requirement.quantity]
+    unit, factor = UNIT_OF[requirement.quantity]
     target = None if requirement.target is None else float(requirement.target) * factor
     decisive = values[requirement.statistic]
     verdict = None if target is None else "met" if decisive is not None and decisive <= target else "missed"
@@ -86,7 +87,7 @@ def requirement_row(built: AssembledUnit, known: Posterior, requirement: UnitReq
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)
     return RequirementRow(
         **asked_and_left(requirement, values),
-        unit=cast("Any", unit),
+        unit=unit,
         axis=requirement.axis,
         rate_dps=(float(np.degrees(left.rates[0])), float(np.degrees(left.rates[-1]))) if by_rate else None,
         target=target,

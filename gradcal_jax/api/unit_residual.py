@@ -5,6 +5,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.unit_build import G_SENSITIVITY, MISALIGNMENT, SECOND_ORDER, SPECIFIC_FORCE_BIAS, AssembledUnit
 from gradcal_jax.files.requirement import (
     GyroScaleFactorRequirement,
@@ -20,20 +21,6 @@ from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, Channel, ChannelKind, Ma
 from gradcal_jax.trajectory import EARTH_RATE
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
-UNIT_OF_QUANTITY = {
-    "gyro_bias": ("deg/h", DEG_PER_H),
-    "gyro_scale_factor": ("ppm", PPM),
-    "gyro_misalignment": ("urad", 1e6),
-    "g_sensitivity": ("deg/h/g", DEG_PER_H * G),
-    "accelerometer_bias": ("ug", 1e6 / G),
-    "accelerometer_scale_factor": ("ppm", PPM),
-    "accelerometer_misalignment": ("urad", 1e6),
-    "second_order": ("ug/g^2", 1e6 * G),
-    "position": ("m", 1.0),
-    "tilt": ("urad", 1e6),
-    "heading": ("deg", np.degrees(1.0)),
-}
-"""For each quantity its unit for people, and how many of it are one in SI."""
 UNITS_OF_TERMS = {
     "rad/s": ("deg/h", DEG_PER_H),
     "1": ("ppm", PPM),
@@ -45,7 +32,7 @@ UNITS_OF_TERMS = {
     "1/(m/s^2)": ("ug/g^2", 1e6 * G),
     "1/(m/s^2)^2": ("ug/g^3", 1e6 * G**2),
 }
-"""The same for the SI unit of each coefficient."""
+"""As `UNIT_OF`, for the SI unit of each coefficient."""
 
 
 class UnitResidual(NamedTuple):
@@ -96,7 +83,7 @@ class RequiredQuantity(NamedTuple):
         deviations = np.stack([element.deviations(known) for element in self.elements]).reshape(shape)
         if self.beside:
             deviations = np.hypot(deviations, self.beside)
-        unit, factor = UNIT_OF_QUANTITY[self.requirement.quantity]
+        unit, factor = UNIT_OF[self.requirement.quantity]
         labels = tuple(element.label for element in self.elements)
         return UnitResidual(labels, self.temperatures, self.rates, deviations * factor, unit, factor)
 

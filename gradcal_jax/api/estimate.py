@@ -21,7 +21,6 @@ from gradcal_jax.api.unit_channel import (
     UnitChannel,
     finished_channel,
     integrated_rows,
-    whitened_columns,
     within,
 )
 from gradcal_jax.estimation import Estimate, Observations, Whitened
@@ -171,7 +170,7 @@ def _gradient_channels(
             f"change by {moved:.2g} standard deviations; the maps are too flexible, or the noise figures too small"
         )
     hidden = [
-        (term, level, whitened_columns(observe(lag, settled.parameters, term)))
+        (term, level, estimation.whitened_columns(observe(lag, settled.parameters, term)))
         for term, level in hidden_maps(built.spec, model)
     ]
     used = integrated_rows(done, len(log.time_s))

@@ -13,7 +13,6 @@ from gradcal_jax.api.limit import PlanLimit, limits
 from gradcal_jax.api.minimise_time import NO_UNTIL_MET, minimise_time
 from gradcal_jax.api.posterior_of_plan import posteriors_of_plan
 from gradcal_jax.api.prediction import predict
-from gradcal_jax.api.sensitivity import Sensitivities, sensitivities
 from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_limit import unit_limits
 from gradcal_jax.api.unit_prediction import posterior_of_unit
@@ -100,15 +99,3 @@ def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS
     Errors: as `optimise`, where no duration has a plan and only one was asked for.
     """
     return list(frontiers.frontier(expect_spec(spec), list(motion_s), steps=steps))
-
-
-def sensitivity(spec: Spec | UnitSpec) -> Sensitivities:
-    """The change of each residual, in per cent, for one per cent more of every figure of sensor, rig and plan.
-
-    `rows` of (requirement, figure, percent), the largest first; `residuals` of (value, unit) by requirement, in ppm or
-    deg/h. For an optimised plan the change is the same after the plan is optimised again (envelope theorem). Those of
-    a whole unit are central differences of the prediction, two predictions a figure.
-
-    Errors: `ValueError` for a spec without requirements, or with one that the plan cannot observe.
-    """
-    return sensitivities(spec if isinstance(spec, UnitSpec) else expect_spec(spec))

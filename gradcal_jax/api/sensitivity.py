@@ -56,9 +56,15 @@ class Sensitivities(NamedTuple):
     residuals: dict[str, tuple[float, str]]
 
 
-def sensitivities(spec: Spec | UnitSpec) -> Sensitivities:
-    """The elasticities of every requirement of a spec, on the axis of its largest residual; of a whole unit by central
-    differences. Errors: `ValueError` where nothing is required or observed."""
+def sensitivity(spec: Spec | UnitSpec) -> Sensitivities:
+    """The change of each residual, in per cent, for one per cent more of every figure of sensor, rig and plan.
+
+    `rows` of (requirement, figure, percent), the largest first; `residuals` of (value, unit) by requirement, in ppm or
+    deg/h, of the axis with the largest. For an optimised plan the change is the same after the plan is optimised again
+    (envelope theorem). Those of a whole unit are central differences of the prediction, two predictions a figure.
+
+    Errors: `ValueError` for a spec without requirements, or with one that the plan cannot observe.
+    """
     if not isinstance(spec, UnitSpec):
         expect_whole(spec, "a sensitivity")
     if not spec.requirement:

@@ -14,7 +14,6 @@ from gradcal_jax.api.unit_channel import (
     covered_temperatures,
     finished_channel,
     integrated_rows,
-    whitened_columns,
 )
 from gradcal_jax.estimation import Estimate, Observations
 from gradcal_jax.files.log import Log, LogError
@@ -129,7 +128,7 @@ def _of_points(
         )
     white = estimation.whitened(observations, model)
     hidden = [
-        (term, level, whitened_columns(observations._replace(columns=term.columns(nodes)))[0])
+        (term, level, estimation.whitened_columns(observations._replace(columns=term.columns(nodes)))[0])
         for term, level in hidden_maps(built.spec, model)
     ]
     channel = finished_channel(recorded, model, observations, white, options, (lag, None), hidden)

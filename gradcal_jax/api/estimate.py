@@ -15,14 +15,7 @@ from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, count_rows, of_host_clock, rows_of, temperature_followed
 from gradcal_jax.api.standard_estimate import standard_channel
 from gradcal_jax.api.tested_maps import hidden_maps
-from gradcal_jax.api.unit_channel import (
-    LONGEST_LAG_S,
-    Recorded,
-    UnitChannel,
-    finished_channel,
-    integrated_rows,
-    within,
-)
+from gradcal_jax.api.unit_channel import LONGEST_LAG_S, Recorded, UnitChannel, finished_channel, integrated_rows, within
 from gradcal_jax.estimation import Estimate, Observations, Whitened
 from gradcal_jax.files import Spec
 from gradcal_jax.files.log import Log, LogError

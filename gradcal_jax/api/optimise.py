@@ -229,13 +229,7 @@ def optimise(
     for k in range(first, len(choices)):
         compiled = of.compiled(choices[k].coordinates)
         for progress in search(
-            compiled,
-            starts=design.starts,
-            seed=design.seed,
-            steps=steps,
-            quick=quick,
-            state=state,
-            stop=stop,
+            compiled, starts=design.starts, seed=design.seed, steps=steps, quick=quick, state=state, stop=stop
         ):
             better = best is None or progress.best < best[1].best
             if best is None or better:

@@ -67,12 +67,7 @@ def _static(spec: Spec, coordinates: ProgrammeCoordinates | ProgrammeKnots, poin
 
 
 def _free_programme(soak: dict[str, object], stretches: list[dict[str, object]]) -> dict[str, object]:
-    return {
-        "plan.temperature": None,
-        "plan.gradient": None,
-        "plan.soak": None,
-        "plan.programme": [soak, *stretches],
-    }
+    return {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": [soak, *stretches]}
 
 
 class _Chamber(NamedTuple):

@@ -121,7 +121,7 @@ def _requirement_row(built: Assembled, known: Posterior, requirement: Requiremen
         specific_risk=None if target is None or worst is None else specific_risk(0.0, worst, target),
         own=None if own is None else own.total,
         own_sources=None if own is None else own.sources,
-        missions=None if flown is None else mission_table(built, flown, values),
+        missions=None if flown is None or own is None else mission_table(flown, values, own),
     )
 
 

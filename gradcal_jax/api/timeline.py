@@ -12,10 +12,7 @@ from gradcal_jax.api.contract_rows import section_of
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.files import Spec, Timeline
 from gradcal_jax.files import unit_timeline as unit_rows
-from gradcal_jax.files.bases import (
-    RateBasis,
-    TemperatureBasis,
-)
+from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.contracts import (
     BasisRow,
     DiscrepancyRow,

@@ -29,14 +29,12 @@ def unobserved_parameters(built: AssembledUnit, known: Posterior) -> list[str]:
 
 def prior_deviations(built: AssembledUnit) -> np.ndarray:
     """Prior standard deviation of every reported parameter; `inf` where flat."""
-    rows, reported = built.model.prior_rows(), built.model.to_reported
-    precision = rows.T @ rows
-    seen = np.diag(precision) > 0.0
-    stds = np.full(built.model.size, np.inf)
-    inside = np.linalg.inv(precision[np.ix_(seen, seen)]) if seen.any() else np.zeros((0, 0))
-    part = reported[np.ix_(seen, seen)]
-    stds[seen] = np.sqrt(np.diag(part @ inside @ part.T))
-    return stds
+    return _prior(built).deviations(built.model.to_reported)
+
+
+def _prior(built: AssembledUnit) -> Posterior:
+    """What is known before any reading."""
+    return posterior(square_root(built.model.prior_rows()))
 
 
 def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
@@ -111,8 +109,7 @@ def _limited_by_priors(built: AssembledUnit, known: Posterior) -> list[str]:
 
 def _as_before(built: AssembledUnit, known: Posterior) -> list[str]:
     """Sentences on requirements whose residual the plan hardly reduces."""
-    before = posterior(square_root(built.model.prior_rows()))
-    sentences = []
+    before, sentences = _prior(built), []
     for requirement in built.spec.requirement:
         then, now = (decisive_value(built, k, requirement) for k in (before, known))
         if then is not None and now is not None and now > NOT_OBSERVED * then:

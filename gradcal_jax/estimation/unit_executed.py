@@ -197,13 +197,13 @@ def _pieces(
     rows, axes, lost, travelled = [spans[0][0]], list[int](), list[bool](), list[np.ndarray | None]()
     goals = [iter(own[1:]) for own in angles]
     start = np.array([own[0] for own in angles])
-    at, bad = start.copy(), np.flatnonzero(~log.usable)
+    # Between two rows of equal counts every row may be integrated.
+    at, unusable = start.copy(), np.cumsum(~log.usable)
 
     def add(row: int, axis: int = -1, way: np.ndarray | None = None, *, read: bool = True) -> None:
         """The piece up to a row, in which one axis moves."""
-        before = rows[-1]
-        whole = np.searchsorted(bad, before, side="right") == np.searchsorted(bad, row, side="right")
-        lost.append(not read or not whole or bool(log.mounting[before] != log.mounting[row]))
+        whole = all(of[rows[-1]] == of[row] for of in (unusable, log.mounting))
+        lost.append(not (read and whole))
         rows.append(row)
         axes.append(axis)
         travelled.append(way)

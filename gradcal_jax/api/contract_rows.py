@@ -1,6 +1,8 @@
 """Parts common to the calibration files of an axis and of a whole unit, and their rows for programs and people."""
 
+import platform
 from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
 from math import sqrt
 from typing import TYPE_CHECKING, Any
 
@@ -50,6 +52,17 @@ def random_walks(gyro: "Sensor | GyroTriad") -> dict[str, Any]:
     square += sum(2.0 * float(d.standard_deviation) ** 2 / float(d.correlation_time) for d in gyro.drift)
     slow = {"rate_random_walk": Quantity.of(sqrt(square), "rad/s/sqrt(s)")} if square > 0.0 else {}
     return {"angle_random_walk": gyro.angle_random_walk, **slow}
+
+
+def versions_of(packages: Sequence[str]) -> dict[str, str]:
+    """The versions of Python and of those of `packages` that are installed."""
+    versions = {"python": platform.python_version()}
+    for name in packages:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return versions
 
 
 def provenance_of(logs: "Sequence[Log]", unit: str, sources: Mapping[str, str], **own: str) -> dict[str, str]:

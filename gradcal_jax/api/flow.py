@@ -13,9 +13,8 @@ from gradcal_jax.api.limit import PlanLimit, limits
 from gradcal_jax.api.minimise_time import NO_UNTIL_MET, minimise_time
 from gradcal_jax.api.posterior_of_plan import posteriors_of_plan
 from gradcal_jax.api.prediction import predict
-from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_limit import unit_limits
-from gradcal_jax.api.unit_prediction import posterior_of_unit
 from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec

@@ -1,8 +1,8 @@
 """The prediction of a spec, as the contract gradcal-prediction/1."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,17 +24,19 @@ from gradcal_jax.api.posterior_of_plan import (
 )
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.tested_maps import noticing
-from gradcal_jax.api.unit_build import assemble_unit
-from gradcal_jax.api.unit_prediction import asked_and_left, of_plan, posterior_of_unit, predict_unit, requirement_row
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
+from gradcal_jax.api.unit_residual import summed_up, unit_residual, worst_axis
+from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.absent import absent_terms, with_typical
-from gradcal_jax.files.contracts import AbsentRow, CheckRow, RequirementRow
+from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, RequirementRow
 from gradcal_jax.files.moves import Axis
-from gradcal_jax.files.requirement import HeadingRequirement, Requirement
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, HeadingRequirement, Requirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import STATISTICS, Posterior
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
+from gradcal_jax.model import SensorModel, UnitModel
 
 # The chances of keeping a target are computed on a grid of at most this many temperatures and rates.
 _GRID = 41
@@ -50,9 +52,14 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     with a warning. Errors: none; `read_spec` has validated the spec.
     """
     if isinstance(spec, UnitSpec):
-        prediction = predict_unit(spec)
-        between = _between(prediction.requirements, extremes(spec) if limits else [])
-        return prediction.model_copy(update={"requirements": tuple(between)})
+        unit = assemble_unit(spec)
+        after = posterior_of_unit(unit)
+        of_unit = [unit_requirement_row(unit, after, requirement) for requirement in spec.requirement]
+        return Prediction(
+            requirements=tuple(_between(of_unit, extremes(spec) if limits else [])),
+            warnings=tuple(unit_warnings(unit, after)),
+            **_of_plan(spec, unit.model, {"unit": after}),
+        )
     built = assemble(spec)
     known = posteriors_of_plan(built)
     shares = {channel: error_budget(built, channel, of) for channel, of in known.items()} if limits else {}
@@ -72,7 +79,7 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
         notices=noticing(built) if notices else (),
         warnings=tuple(warnings(built, known)),
         counted_as_zero=tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent),
-        **of_plan(spec, built.model, known),
+        **_of_plan(spec, built.model, known),
     )
 
 
@@ -81,7 +88,7 @@ def requirement_rows(spec: Spec | UnitSpec) -> list[RequirementRow]:
     if isinstance(spec, UnitSpec):
         unit = assemble_unit(spec)
         known_unit = posterior_of_unit(unit)
-        return [requirement_row(unit, known_unit, requirement) for requirement in spec.requirement]
+        return [unit_requirement_row(unit, known_unit, requirement) for requirement in spec.requirement]
     built = assemble(spec)
     pairs = product(spec.requirement, posteriors_of_plan(built).items())
     return [_requirement_row(built, known, requirement, channel) for requirement, (channel, known) in pairs]
@@ -98,6 +105,62 @@ def _between(rows: Sequence[RequirementRow], others: Sequence[Spec | UnitSpec]) 
     return ranges
 
 
+def _of_plan(spec: Spec | UnitSpec, model: SensorModel | UnitModel, known: Mapping[Any, Posterior]) -> dict[str, Any]:
+    """The part of a prediction that is common to all plans: title, times, the reported parameters and their covariance;
+    axes, which are independent, in order."""
+    count = model.calibrated
+    names, units, reported = model.names(), model.units(), model.to_reported[:count]
+    rows, size = [], len(known) * count
+    covariance: list[list[float | None]] = [[0.0] * size for _ in range(size)]
+    for k, (axis, of) in enumerate(known.items()):
+        deviations, here = of.deviations(reported), slice(k * count, (k + 1) * count)
+        stds = [float(std) if np.isfinite(std) else None for std in deviations]
+        rows += [
+            ParameterRow(name=n, axis=axis, std=std, unit=u) for n, std, u in zip(names, stds, units, strict=False)
+        ]
+        seen = np.isfinite(deviations)
+        block = np.where(np.outer(seen, seen), of.covariance(reported), cast("Any", None))
+        for row, values in zip(covariance[here], block.tolist(), strict=True):
+            row[here] = values
+    return {
+        "title": spec.title,
+        **{f"{name}_s": getattr(spec.schedule, name) for name in ("duration", "soak", "motion")},
+        "parameters": tuple(rows),
+        "covariance": tuple(map(tuple, covariance)),
+    }
+
+
+def _asked_and_left(requirement: Requirement | UnitRequirement, values: Mapping[str, float | None]) -> dict[str, Any]:
+    """The common fields of a requirement's row: what it asks for, and the value of each statistic."""
+    return {
+        **{name: getattr(requirement, name) for name in ("name", "quantity", "statistic")},
+        "temperature_c": (float(requirement.temperature[0]), float(requirement.temperature[1])),
+        "grid": tuple(requirement.grid),
+        **{name.replace(" ", "_"): value for name, value in values.items()},
+    }
+
+
+def unit_requirement_row(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> RequirementRow:
+    """The residual and the verdict of one requirement."""
+    left = unit_residual(built, known, requirement)
+    values = summed_up(requirement, left)
+    unit, factor = UNIT_OF[requirement.quantity]
+    target = None if requirement.target is None else float(requirement.target) * factor
+    decisive = values[requirement.statistic]
+    decision = None if target is None else "met" if decisive is not None and decisive <= target else "missed"
+    worst = worst_axis(requirement, left)
+    by_rate = isinstance(requirement, GyroScaleFactorRequirement)
+    return RequirementRow(
+        **_asked_and_left(requirement, values),
+        unit=unit,
+        axis=requirement.axis,
+        rate_dps=(float(np.degrees(left.rates[0])), float(np.degrees(left.rates[-1]))) if by_rate else None,
+        target=target,
+        verdict="unobservable" if decisive is None else decision,
+        limited_by=None if worst is None else f"axis {worst}",
+    )
+
+
 def _requirement_row(built: Assembled, known: Posterior, requirement: Requirement, channel: Axis) -> RequirementRow:
     _, rates, values = residual_map(built, known, requirement)
     statistics = {
@@ -110,7 +173,7 @@ def _requirement_row(built: Assembled, known: Posterior, requirement: Requiremen
     if flown is not None:
         rates = np.array([float(rate) * DEG_PER_S for rate in flown.rate])
     return RequirementRow(
-        **asked_and_left(requirement, statistics),
+        **_asked_and_left(requirement, statistics),
         unit=UNIT_OF[requirement.quantity][0],
         axis=channel,
         rate_dps=(float(rates[0]), float(rates[-1])) if len(rates) > 1 else None,

@@ -21,9 +21,7 @@ import numpy as np
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.error_budget import known_sources, scaled
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of
-from gradcal_jax.api.unit_build import assemble_unit
-from gradcal_jax.api.unit_prediction import posterior_of_unit
-from gradcal_jax.api.unit_residual import decisive_value
+from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.design import Criterion
 from gradcal_jax.files import Spec
 from gradcal_jax.files.changes import changed, tables_of
@@ -266,7 +264,4 @@ def _elasticity(spec: UnitSpec, powers: Mapping[str, int], nominal: np.ndarray) 
 
 def _residuals(spec: UnitSpec) -> np.ndarray:
     """The value of every requirement's own statistic; infinite where it is not observable."""
-    built = assemble_unit(spec)
-    known = posterior_of_unit(built)
-    values = [decisive_value(built, known, r) for r in spec.requirement]
-    return np.array([np.inf if value is None else value for value in values])
+    return np.array([np.inf if row.decisive is None else row.decisive for row in requirement_rows(spec)])

@@ -1,6 +1,6 @@
 """A unit's spec in the core's terms: its channels, its installation, and the motion of the table."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_plan import UnitSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information import segments_of
+from gradcal_jax.information import Posterior, posterior, segments_of, unit_information
 from gradcal_jax.model import AXIS_NAMES, Basis, BodyNodes, Channel, Map, Polynomial, SignalMap, Term, UnitModel
 from gradcal_jax.trajectory import Geometry, TableMotion
 
@@ -54,6 +54,16 @@ def assemble_unit(spec: UnitSpec) -> AssembledUnit:
     points = max(degree + 1, _ROUGH if spec.sensor.thermal_lag is not None else 1)
     past = tuple(motion_of(part, spec) for part in spec.past)
     return AssembledUnit(spec, model_, motion_of(spec.schedule, spec), points, past)
+
+
+def posterior_of_unit(built: AssembledUnit) -> Posterior:
+    """The posterior of a unit after its plan and the motions before it."""
+    return known_of_motions(built, (*built.past, built.motion))
+
+
+def known_of_motions(built: AssembledUnit, motions: Sequence[TableMotion]) -> Posterior:
+    """The posterior of a unit after several motions, each with drifts of its own."""
+    return posterior(unit_information([(m, trajectory.body_nodes(m, built.points)) for m in motions], built.model))
 
 
 def unit_model(spec: UnitSpec) -> UnitModel:

@@ -310,9 +310,8 @@ def _gravity(
     first, last = done.rows[rests], done.rows[rests + 1]
 
     def mean(values: np.ndarray) -> np.ndarray:
-        summed = np.cumsum(np.nan_to_num(values) * step[:, None], axis=0)
-        total = np.concatenate([np.zeros((1, values.shape[1])), summed])
-        return (total[last + 1] - total[first + 1]) / (rows.time_s[last] - rows.time_s[first])[:, None]
+        total = np.cumsum(np.nan_to_num(values) * step[:, None], axis=0)
+        return (total[last] - total[first]) / (rows.time_s[last] - rows.time_s[first])[:, None]
 
     force, rate = mean(rows.force), mean(np.where(np.isfinite(rows.rates), rows.rates, 0.0))
     at = mean(temperature[:, None])[:, 0]

@@ -38,10 +38,6 @@ class Observations(NamedTuple):
     temperature_c: np.ndarray
     rate_rad_per_s: np.ndarray
 
-    @property
-    def unit_count(self) -> int:
-        return self.readings.shape[1]
-
     def columns_of(self, unit: int) -> np.ndarray:
         """`(N, p)` of one unit."""
         return self.columns if self.columns.ndim == 2 else self.columns[unit]

@@ -25,7 +25,7 @@ from gradcal_jax.api.posterior_of_plan import (
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.tested_maps import noticing
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_residual import summed_up, unit_residual, worst_axis
+from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
@@ -143,13 +143,13 @@ def _asked_and_left(requirement: Requirement | UnitRequirement, values: Mapping[
 def unit_requirement_row(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> RequirementRow:
     """The residual and the verdict of one requirement."""
     left = unit_residual(built, known, requirement)
-    values = summed_up(requirement, left)
+    by_rate = isinstance(requirement, GyroScaleFactorRequirement)
+    values = {name: left.statistic(name) for name in STATISTICS if name != "mean of max" or by_rate}
     unit, factor = UNIT_OF[requirement.quantity]
     target = None if requirement.target is None else float(requirement.target) * factor
     decisive = values[requirement.statistic]
     decision = None if target is None else "met" if decisive is not None and decisive <= target else "missed"
-    worst = worst_axis(requirement, left)
-    by_rate = isinstance(requirement, GyroScaleFactorRequirement)
+    worst = left.worst_axis()
     return RequirementRow(
         **_asked_and_left(requirement, values),
         unit=unit,

@@ -13,7 +13,7 @@ from gradcal_jax.api.optimise import BY_HAND, MARGIN
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
-from gradcal_jax.api.unit_residual import RequiredQuantity, quantity_of, summary_statistic
+from gradcal_jax.api.unit_residual import RequiredQuantity, quantity_of
 from gradcal_jax.design.pose_search import CycleItem, PoseCycle, PoseLimits, PoseState, anneal
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, quickest_turn, rest_step
@@ -244,7 +244,7 @@ def _statistics(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> l
     values, vectors = np.linalg.eigh(gram / (scale[:, None] * scale[None, :]))
     seen = values > 1e-13 * values[-1]
     known = Posterior(vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None], vectors[:, ~seen] / scale[:, None])
-    return [summary_statistic(q.requirement, q.residual(known), q.requirement.statistic) for q in quantities]
+    return [q.residual(known).statistic() for q in quantities]
 
 
 def _limits(spec: UnitSpec, design: UnitDesign) -> PoseLimits:

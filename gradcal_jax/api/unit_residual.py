@@ -15,7 +15,7 @@ from gradcal_jax.files.requirement import (
     TurnRequirement,
     UnitRequirement,
 )
-from gradcal_jax.information import STATISTICS, Posterior, contrasts, statistic
+from gradcal_jax.information import Posterior, contrasts, statistic
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, Channel, ChannelKind, Map, SignalMap, UnitModel
 from gradcal_jax.trajectory import EARTH_RATE
@@ -36,16 +36,32 @@ UNITS_OF_TERMS = {
 
 
 class UnitResidual(NamedTuple):
-    """Standard deviations of one quantity in `unit`: `values` `(m, n_T, n_ω)` of the `m` elements `labels`, on the
-    temperatures (°C) and, for the scale factor, the rates (rad/s) of a requirement. `si`: how many of the unit are one
-    in SI."""
+    """Standard deviations of a requirement's quantity in `unit`: `values` `(m, n_T, n_ω)` of the `m` elements `labels`,
+    on its temperatures (°C) and, for the scale factor, rates (rad/s). `si`: how many of the unit are one in SI."""
 
+    requirement: UnitRequirement
     labels: tuple[str, ...]
     temperatures: np.ndarray
     rates: np.ndarray
     values: np.ndarray
     unit: str
     si: float
+
+    def statistic(self, name: Statistic | None = None) -> float | None:
+        """The requirement's statistic, or the one of that `name`; None: not observable. Each element has one over
+        temperature (and rate); over several elements it is the worst or, for "all", the root mean square."""
+        each = self._each(name or self.requirement.statistic)
+        value = np.sqrt(np.mean(each**2)) if self.requirement.axis == "all" else np.max(each)
+        return float(value) if np.isfinite(value) else None
+
+    def worst_axis(self) -> str | None:
+        """The element with the largest statistic; None where all count together, or for a single one."""
+        if self.requirement.axis == "all" or len(self.labels) < 2:
+            return None
+        return self.labels[int(np.argmax(self._each(self.requirement.statistic)))]
+
+    def _each(self, name: Statistic) -> np.ndarray:
+        return np.array([statistic(name, values) for values in self.values])
 
 
 class QuantityElement(NamedTuple):
@@ -85,7 +101,7 @@ class RequiredQuantity(NamedTuple):
             deviations = np.hypot(deviations, self.beside)
         unit, factor = UNIT_OF[self.requirement.quantity]
         labels = tuple(element.label for element in self.elements)
-        return UnitResidual(labels, self.temperatures, self.rates, deviations * factor, unit, factor)
+        return UnitResidual(self.requirement, labels, self.temperatures, self.rates, deviations * factor, unit, factor)
 
 
 def quantity_of(built: AssembledUnit, requirement: UnitRequirement) -> RequiredQuantity:
@@ -106,34 +122,6 @@ def quantity_of(built: AssembledUnit, requirement: UnitRequirement) -> RequiredQ
 def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> UnitResidual:
     """The residual of a requirement's quantity."""
     return quantity_of(built, requirement).residual(known)
-
-
-def summed_up(requirement: UnitRequirement, left: UnitResidual) -> dict[str, float | None]:
-    """The statistics by name; None: not observable. Each element has a statistic over temperature (and rate); over
-    several elements it is the worst or, for "all", the root mean square."""
-    names: list[Statistic] = [
-        name for name in STATISTICS if name != "mean of max" or isinstance(requirement, GyroScaleFactorRequirement)
-    ]
-    return {name: summary_statistic(requirement, left, name) for name in names}
-
-
-def summary_statistic(requirement: UnitRequirement, left: UnitResidual, name: Statistic) -> float | None:
-    """One statistic; see `summed_up`."""
-    each = np.array([statistic(name, values) for values in left.values])
-    value = np.sqrt(np.mean(each**2)) if requirement.axis == "all" else np.max(each)
-    return float(value) if np.isfinite(value) else None
-
-
-def decisive_value(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> float | None:
-    """The residual of a requirement by its own statistic."""
-    return summary_statistic(requirement, unit_residual(built, known, requirement), requirement.statistic)
-
-
-def worst_axis(requirement: UnitRequirement, left: UnitResidual) -> str | None:
-    """The element with the largest statistic; None where all count together, or for a single one."""
-    if requirement.axis == "all" or len(left.labels) < 2:
-        return None
-    return left.labels[int(np.argmax([statistic(requirement.statistic, v) for v in left.values]))]
 
 
 def _elements(

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gradcal_jax.api.unit_build import AssembledUnit, rest_poses
-from gradcal_jax.api.unit_residual import decisive_value
+from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.information import Posterior, posterior, square_root
 from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.trajectory import frames
@@ -111,7 +111,7 @@ def _as_before(built: AssembledUnit, known: Posterior) -> list[str]:
     """Sentences on requirements whose residual the plan hardly reduces."""
     before, sentences = _prior(built), []
     for requirement in built.spec.requirement:
-        then, now = (decisive_value(built, k, requirement) for k in (before, known))
+        then, now = (unit_residual(built, k, requirement).statistic() for k in (before, known))
         if then is not None and now is not None and now > NOT_OBSERVED * then:
             sentences.append(
                 f"requirement '{requirement.name}' stays as it was by the priors: the plan says nothing of it"

@@ -41,7 +41,7 @@ _HOME_OF_NAME: dict[str, str] = {
     "optimise": "api.flow",
     "limit": "api.flow",
     "frontier": "api.flow",
-    "sensitivity": "api.flow",
+    "sensitivity": "api.sensitivity",
     "differentiable": "api.differentiable",
     "recipe": "api",
     "replan": "api.replan",

@@ -13,12 +13,12 @@ from gradcal_jax.api.flow import compare as compare
 from gradcal_jax.api.flow import frontier as frontier
 from gradcal_jax.api.flow import limit as limit
 from gradcal_jax.api.flow import optimise as optimise
-from gradcal_jax.api.flow import sensitivity as sensitivity
 from gradcal_jax.api.hand_estimate import estimate_by_hand as estimate_by_hand
 from gradcal_jax.api.log_flow import allan as allan
 from gradcal_jax.api.log_flow import estimate as estimate
 from gradcal_jax.api.log_flow import instability as instability
 from gradcal_jax.api.replan import replan as replan
+from gradcal_jax.api.sensitivity import sensitivity as sensitivity
 from gradcal_jax.api.unit_estimate import estimate_units as estimate_units
 from gradcal_jax.api.validation import validate as validate
 from gradcal_jax.decoding.run_log import log as log

@@ -4,18 +4,29 @@ The spec describes the sensor's noise, the table's readings and the maps; the ex
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from scipy import optimize
 
+from gradcal_jax import estimation
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.gradient_estimate import gradient_channels
-from gradcal_jax.api.log_rows import of_host_clock, rows_of
+from gradcal_jax.api.log_rows import Rows, count_rows, of_host_clock, rows_of, temperature_followed
 from gradcal_jax.api.standard_estimate import standard_channel
-from gradcal_jax.api.unit_channel import UnitChannel
+from gradcal_jax.api.tested_maps import hidden_maps
+from gradcal_jax.api.unit_channel import LONGEST_LAG_S, Recorded, UnitChannel, finished_channel, integrated_rows, within
+from gradcal_jax.estimation import Estimate, Observations, Whitened
 from gradcal_jax.files import Spec
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.information import noise_steps, since_origin
+from gradcal_jax.model import Discrepancy, SensorModel
+
+_ROUNDS = 8
+# A change of the parameters, in standard deviations, that no longer matters.
+_SETTLED = 1e-3
+_CORRELATION_TIMES_A_PIECE = 3.0
 
 
 def estimate_channels(
@@ -63,5 +74,155 @@ def _channel(built: Assembled, log: Log, axis: str, units: list[int], options: O
         groups.setdefault(np.packbits(one.usable).tobytes() + np.packbits(one.standing).tobytes(), []).append(unit)
     result: dict[int, UnitChannel] = {}
     for members in groups.values():
-        result.update(gradient_channels(built, log, axis, members, rows, options))
+        result.update(_gradient_channels(built, log, axis, members, rows, options))
     return [result[unit] for unit in units]
+
+
+def _gradient_channels(
+    built: Assembled, log: Log, axis: str, members: list[int], rows: dict[int, Rows], options: Options
+) -> dict[int, UnitChannel]:
+    """The units `members` by the gradient method, with one whitening of the rows that they share: the executed motion
+    is read from the log; maps and true rates are estimated in turn."""
+    first = rows[members[0]]
+    model = built.model
+    rest_bias = float(np.mean(first.rate[first.standing & first.usable])) if first.standing.any() else 0.0
+    stands = first.standing
+    reading_rows = None
+    if first.angle is not None:
+        if float(model.reference.reading_noise) > 0.0 and _repeats(first.angle, stands):
+            reading_rows = estimation.distinct_readings(first.time, first.angle, stands, options.read_every)
+        stands = stands | estimation.momentary_stops(first.rate - rest_bias, stands, first.angle, first.step)
+    done = estimation.executed(
+        first.time,
+        first.temperature,
+        first.rate - rest_bias,
+        first.angle,
+        stands,
+        first.usable,
+        read_every=options.read_every,
+        longest_piece=_longest_piece(model),
+        reading_rows=reading_rows,
+    )
+    messages = list(first.messages)
+    if first.angle is None:
+        messages.append(
+            "the log has no table angle: only rates at rest are used, and the scale factor is not observable"
+        )
+    line = done.line
+    steps = noise_steps(line, model)
+    of_unit = lambda one: estimation.integrated_error(  # noqa: E731
+        one.rate, one.step, one.angle, done.rows, done.broken, line.gap, options.earth_rate
+    )
+    readings = np.stack([of_unit(rows[u]) for u in members], axis=1)
+    moving = line.moving
+    # Mean temperature, rate and time of each piece, for reports.
+    ends, mean_rate = first.temperature[done.rows], line.terms[:, 0]
+    temperature = 0.5 * (ends[1:] + ends[:-1])
+    time = first.time[done.rows[1:]]
+    turning = within(done.rows, moving & ~done.broken, len(first.time))
+
+    def observe(lag: float, parameters: np.ndarray | None, term: SensorModel | Discrepancy = model) -> Observations:
+        columns = []
+        for k, unit in enumerate(members):
+            one = rows[unit]
+            temperature_of_maps = temperature_followed(one, lag)
+            rates = one.rate - (rest_bias if parameters is None else options.earth_rate)
+            if parameters is not None:
+                rates[turning] = estimation.true_rate(
+                    model, parameters[k], rates[turning], temperature_of_maps[turning]
+                )
+            turned = line.turned() if one.angle is None else np.diff(one.angle[done.rows])
+            noise = float(model.angle_random_walk) / np.sqrt(float(np.median(one.step[1:])))
+            nodes = estimation.sample_nodes(
+                rates, temperature_of_maps, one.step, done.rows, moving, done.broken, turned, rate_noise=noise
+            )
+            columns.append(since_origin(term.columns(nodes), line.gap))
+        return Observations(steps, np.stack(columns), readings, time, temperature, mean_rate)
+
+    def settle(lag: float, parameters: np.ndarray | None = None) -> tuple[Observations, Whitened, Estimate, float]:
+        """Alternate maps and regressors until they converge; also the maps' last change in standard deviations."""
+        moved = np.inf
+        for _ in range(_ROUNDS):
+            observations = observe(lag, parameters)
+            white = estimation.whitened(observations, model)
+            estimate = estimation.solve(white)
+            if model.scale is None or not moving.any():
+                moved = 0.0
+            elif parameters is not None:
+                moved = _moved(estimate, parameters, model)
+            if moved < _SETTLED:
+                break
+            parameters = estimate.parameters
+        return observations, white, estimate, moved  # pyright: ignore[reportPossiblyUnboundVariable]
+
+    lag, lag_std = _fitted_lag(settle) if options.lag == "fit" else (float(options.lag), None)
+    observations, white, settled, moved = settle(lag)
+    if moved >= _SETTLED:
+        messages.append(
+            "the maps have not converged: between iterations, each at the rates corrected by the one before, they "
+            f"change by {moved:.2g} standard deviations; the maps are too flexible, or the noise figures too small"
+        )
+    hidden = [
+        (term, level, estimation.whitened_columns(observe(lag, settled.parameters, term)))
+        for term, level in hidden_maps(built.spec, model)
+    ]
+    used = integrated_rows(done, len(log.time_s))
+    result: dict[int, UnitChannel] = {}
+    for k, unit in enumerate(members):
+        own = observations._replace(columns=observations.columns_of(k), readings=observations.readings[:, k : k + 1])
+        single = white.of_unit(k)
+        beyond = [(term, level, columns[k]) for term, level, columns in hidden]
+        recorded = Recorded(axis, log.units[unit], rows[unit], done, count_rows(log, unit, used), messages)
+        result[unit] = finished_channel(recorded, model, own, single, options, (lag, lag_std), beyond)
+    return result
+
+
+def _repeats(angle: np.ndarray, standing: np.ndarray) -> bool:
+    """Whether most rows at rest repeat the angle of the row before, to the last digit."""
+    both = standing[1:] & standing[:-1]
+    return bool(np.mean(angle[1:][both] == angle[:-1][both]) > 0.5) if both.any() else False
+
+
+def _longest_piece(model: SensorModel) -> float:
+    """A few correlation times of the noise that the rate drives, s."""
+    driven = (model.processes.rate_gain != 0.0) & (model.processes.decay > 0.0)
+    if not driven.any():
+        return np.inf
+    return _CORRELATION_TIMES_A_PIECE / float(np.max(model.processes.decay[driven]))
+
+
+def _moved(estimate: Estimate, before: np.ndarray, model: SensorModel) -> float:
+    """The largest change of any parameter since the last iteration, in its standard deviations."""
+    largest = 0.0
+    rows = model.to_reported
+    for now, then, known in zip(estimate.parameters, before, estimate.known, strict=True):
+        std = known.deviations(rows)
+        change = np.abs(rows @ (now - then))
+        seen = np.isfinite(std) & (std > 0.0)
+        largest = max(largest, float(np.max(change[seen] / std[seen], initial=0.0)))
+    return largest
+
+
+def _fitted_lag(settle) -> tuple[float, float]:
+    """The lag that minimises χ² of all units together, and its standard deviation (from the curvature of χ²)."""
+    known: dict[float, float] = {}
+    last: list[np.ndarray | None] = [None]
+
+    def chi_squared(lag: float) -> float:
+        if lag not in known:
+            _, _, minimum, _ = settle(lag, last[0])
+            last[0] = minimum.parameters
+            known[lag] = float(minimum.chi_squared.sum())
+        return known[lag]
+
+    grid = [0.0, *np.geomspace(5.0, LONGEST_LAG_S, 12)]
+    values = [chi_squared(lag) for lag in grid]
+    best = int(np.argmin(values))
+    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    minimum: Any = optimize.minimize_scalar(chi_squared, bounds=(low, high), method="bounded", options={"xatol": 0.05})
+    lag = float(minimum.x) if minimum.fun < values[best] else grid[best]
+    # Three different lags, also where the minimum is at zero.
+    width = max(0.05 * lag, 1.0)
+    around = max(lag - width, 0.0) + width * np.arange(3.0)
+    bend = np.polyfit(around, [chi_squared(x) for x in around], 2)[0]
+    return lag, float(1.0 / np.sqrt(bend)) if bend > 0.0 else float("inf")

@@ -11,12 +11,10 @@ from gradcal_jax.api import optimise as search
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.limit import PlanLimit, limits
 from gradcal_jax.api.minimise_time import NO_UNTIL_MET, minimise_time
-from gradcal_jax.api.posterior_of_plan import posterior_of_plan
+from gradcal_jax.api.posterior_of_plan import posteriors_of_plan
 from gradcal_jax.api.prediction import predict
-from gradcal_jax.api.sensitivity import Sensitivities, sensitivities
-from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_limit import unit_limits
-from gradcal_jax.api.unit_prediction import posterior_of_unit
 from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
@@ -35,7 +33,7 @@ def check(spec: Spec | UnitSpec) -> list[str]:
         unit = assemble_unit(spec)
         return unit_warnings(unit, posterior_of_unit(unit))
     built = assemble(spec)
-    return warnings(built, {channel: posterior_of_plan(built, channel) for channel in built.channels})
+    return warnings(built, posteriors_of_plan(built))
 
 
 def compare(*specs: Spec | UnitSpec) -> list[Prediction]:
@@ -100,15 +98,3 @@ def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS
     Errors: as `optimise`, where no duration has a plan and only one was asked for.
     """
     return list(frontiers.frontier(expect_spec(spec), list(motion_s), steps=steps))
-
-
-def sensitivity(spec: Spec | UnitSpec) -> Sensitivities:
-    """The change of each residual, in per cent, for one per cent more of every figure of sensor, rig and plan.
-
-    `rows` of (requirement, figure, percent), the largest first; `residuals` of (value, unit) by requirement, in ppm or
-    deg/h. For an optimised plan the change is the same after the plan is optimised again (envelope theorem). Those of
-    a whole unit are central differences of the prediction, two predictions a figure.
-
-    Errors: `ValueError` for a spec without requirements, or with one that the plan cannot observe.
-    """
-    return sensitivities(spec if isinstance(spec, UnitSpec) else expect_spec(spec))

@@ -10,7 +10,7 @@ import numpy as np
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.measure import design_of
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, criterion_of
-from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.api.structures import LEAST_TURN, largest_rate, motion_time, ramp_ends
 from gradcal_jax.design import (
     PRIOR_OF_WALK,
@@ -84,7 +84,7 @@ def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
             "a limit is proven for the scale factor, for heading and for north; the spec has no requirement on them"
         )
     built = assemble(spec)
-    predicted = {row.name: row for row in predict(spec).requirements if row.axis == built.channels[0]}
+    predicted = {row.name: row for row in requirement_rows(spec) if row.axis == built.channels[0]}
     window = _window(spec, built, motion)
     return [window.limit(r, predicted[r.name]) for r in wanted]
 

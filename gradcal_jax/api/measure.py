@@ -9,16 +9,7 @@ from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of, limit_of
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.tested_maps import tested_maps, with_hidden
-from gradcal_jax.design import (
-    AnyCoordinates,
-    Case,
-    Compiled,
-    Coordinates,
-    Criterion,
-    Missed,
-    Objective,
-    Optimality,
-)
+from gradcal_jax.design import AnyCoordinates, Case, Compiled, Coordinates, Criterion, Missed, Objective, Optimality
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.plan import StandardPlan

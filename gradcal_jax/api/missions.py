@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.api.build import Assembled
+from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.files.contracts import MissionRow
 from gradcal_jax.files.requirement import HeadingRequirement, NorthRequirement, Requirement
 from gradcal_jax.information import Posterior
@@ -76,14 +77,11 @@ def own_noise_of(built: Assembled, requirement: Requirement) -> OwnNoise | None:
     return OwnNoise(float(np.sqrt(np.sum(together**2))), sources, tuple(map(float, each)))
 
 
-def mission_table(built: Assembled, requirement: HeadingRequirement, left: np.ndarray) -> tuple[MissionRow, ...]:
+def mission_table(requirement: HeadingRequirement, left: np.ndarray, own: OwnNoise) -> tuple[MissionRow, ...]:
     """Every mission with the error that the calibration leaves, `left` (deg), and its own noise."""
-    own = own_noise_of(built, requirement)
-    assert own is not None
     rows = zip(requirement.mission, flights_of(requirement), left.ravel(), own.missions, strict=True)
-    known = lambda value: float(value) if np.isfinite(value) else None  # noqa: E731
     return tuple(
-        MissionRow(file=mission.file, weight=mission.weight, after_s=time, left=known(value), own=noise)
+        MissionRow(file=mission.file, weight=mission.weight, after_s=time, left=finite(value), own=noise)
         for mission, (_, time), value, noise in rows
     )
 

@@ -11,7 +11,7 @@ from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.measure import Measure, design_of, measure
 from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.posterior_of_plan import limit_of
-from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.structures import Structure, structures
 from gradcal_jax.design import (
@@ -150,7 +150,7 @@ def exact(spec: Spec, of: Measure) -> float:
     rows = [row for row in spec.requirement if row.name == design.minimise]
     if rows and len(of.cases) == 1:
         # Of several axes the worst.
-        values = [row.decisive for row in predict(spec).requirements if row.name == rows[0].name]
+        values = [row.decisive for row in requirement_rows(spec) if row.name == rows[0].name]
         return max(np.inf if value is None else value for value in values)
     built = assemble(spec)
     value = of.exact(built.schedules[built.channels[0]])
@@ -162,7 +162,7 @@ def targets_met(spec: Spec) -> bool:
     limits = {r.name: limit for r in spec.requirement if (limit := limit_of(r)) is not None}
     if not limits:
         raise ValueError("to stop when every target is met, give a requirement a target")
-    for row in predict(spec).requirements:
+    for row in requirement_rows(spec):
         if row.name in limits:
             name, most = limits[row.name]
             value = {"mean of max": row.mean_of_max, "max": row.max, "mean": row.mean, "rms": row.rms}[name]
@@ -229,13 +229,7 @@ def optimise(
     for k in range(first, len(choices)):
         compiled = of.compiled(choices[k].coordinates)
         for progress in search(
-            compiled,
-            starts=design.starts,
-            seed=design.seed,
-            steps=steps,
-            quick=quick,
-            state=state,
-            stop=stop,
+            compiled, starts=design.starts, seed=design.seed, steps=steps, quick=quick, state=state, stop=stop
         ):
             better = best is None or progress.best < best[1].best
             if best is None or better:
@@ -365,7 +359,7 @@ def polished(
 
 def _within_limits(spec: Spec, of: Measure) -> bool:
     """Whether the prediction of the spec's own plan meets the targets that limit the search."""
-    rows = {row.name: row.verdict for row in predict(spec).requirements} if of.limits else {}
+    rows = {row.name: row.verdict for row in requirement_rows(spec)} if of.limits else {}
     return all(rows.get(name) == "met" for name in of.limits)
 
 

@@ -58,15 +58,16 @@ def _standard(spec: Spec, temperatures: np.ndarray, rates: np.ndarray, integrati
 
 def _static(spec: Spec, coordinates: ProgrammeCoordinates | ProgrammeKnots, point: np.ndarray) -> Spec:
     """Stretches at slopes and temperatures of the controller's steps, no steeper than the chamber allows."""
-    steps, programme = steps_of(spec), coordinates.programme(point)
+    programme, steps = coordinates.programme(point), steps_of(spec)
     here = _on_grid(float(programme.start), float(steps.temperature))
-    items: list[dict[str, object]] = [
-        {"soak": _s(float(coordinates.soak)), "at": _c(here), "used": coordinates.soak_used}
-    ]
-    chamber = _Chamber(*(float(getattr(coordinates, name)) for name in ("coldest", "warmest", "heating", "cooling")))
-    items += _stretches(here, np.cumsum(programme.durations), programme.chamber()[1], chamber, steps)
-    gone: dict[str, object] = {"plan.temperature": None, "plan.gradient": None, "plan.soak": None}
-    return changed(spec, {**gone, "plan.programme": items})
+    soak = {"soak": _s(float(coordinates.soak)), "at": _c(here), "used": coordinates.soak_used}
+    chamber = _Chamber(*(float(getattr(coordinates, name)) for name in _Chamber._fields))
+    ends, goals = np.cumsum(programme.durations), programme.chamber()[1]
+    return changed(spec, _free_programme(soak, _stretches(here, ends, goals, chamber, steps)))
+
+
+def _free_programme(soak: dict[str, object], stretches: list[dict[str, object]]) -> dict[str, object]:
+    return {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": [soak, *stretches]}
 
 
 class _Chamber(NamedTuple):
@@ -301,15 +302,10 @@ def _programme(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> dic
             "plan.gradient": f"{rate * 60.0:.12g} K/min",
             "plan.soak": {"duration": _s(soak.duration), "used": False} if soak.kind == "soak" else None,
         }
-    soaked = _s(soak.duration) if soak.kind == "soak" else "1 s"
-    items: list[dict[str, object]] = [{"soak": soaked, "at": _c(start), "used": False}]
-    rig = spec.rig.chamber
-    coldest, warmest = (float(t) for t in rig.range)
-    chamber = _Chamber(coldest, warmest, float(rig.max_heating), float(rig.max_cooling))
-    items += _stretches(
-        start, np.cumsum(coordinates.lasting()), start + np.cumsum(cycle.steps), chamber, steps_of(spec)
-    )
-    return {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": items}
+    soaked = {"soak": _s(soak.duration) if soak.kind == "soak" else "1 s", "at": _c(start), "used": False}
+    rig, ends, goals = spec.rig.chamber, np.cumsum(coordinates.lasting()), start + np.cumsum(cycle.steps)
+    chamber = _Chamber(*(float(v) for v in (*rig.range, rig.max_heating, rig.max_cooling)))
+    return _free_programme(soaked, _stretches(start, ends, goals, chamber, steps_of(spec)))
 
 
 def _s(seconds: float) -> str:

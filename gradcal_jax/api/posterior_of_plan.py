@@ -16,20 +16,37 @@ from gradcal_jax.information.conformity import coverage_of_risk
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
 from gradcal_jax.information.residual import Contrasts, Statistic, map_of
 from gradcal_jax.model import BIAS, SCALE_FACTOR, HigherPolynomials, Map, Polynomial, SensorModel
-from gradcal_jax.units import DEG_PER_H, DEG_PER_S, PPM
+from gradcal_jax.units import DEG_PER_H, DEG_PER_S, PPM, G
 
-UNIT_OF: Final[dict[str, tuple[Literal["ppm", "deg/h", "deg"], float]]] = {
+UnitForPeople = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
+UNIT_OF: Final[dict[str, tuple[UnitForPeople, float]]] = {
     "scale_factor": ("ppm", PPM),
     "bias": ("deg/h", DEG_PER_H),
-    "heading": ("deg", float(np.degrees(1.0))),
     "north": ("deg", float(np.degrees(1.0))),
+    "heading": ("deg", float(np.degrees(1.0))),
+    "gyro_bias": ("deg/h", DEG_PER_H),
+    "gyro_scale_factor": ("ppm", PPM),
+    "gyro_misalignment": ("urad", 1e6),
+    "g_sensitivity": ("deg/h/g", DEG_PER_H * G),
+    "accelerometer_bias": ("ug", 1e6 / G),
+    "accelerometer_scale_factor": ("ppm", PPM),
+    "accelerometer_misalignment": ("urad", 1e6),
+    "second_order": ("ug/g^2", 1e6 * G),
+    "position": ("m", 1.0),
+    "tilt": ("urad", 1e6),
 }
+"""For each quantity of an axis or a whole unit its unit for people, and how many of it are one in SI."""
 
 
 def posterior_of_plan(built: Assembled, channel: Axis | None = None) -> Posterior:
     """The posterior after the plan, by the estimator that the spec names."""
     line, model = built.trajectory(channel), built.model
     return unweighted(line, model) if unweighted_estimator(built.spec) else posterior(information(line, model))
+
+
+def posteriors_of_plan(built: Assembled) -> dict[Axis, Posterior]:
+    """The posterior after the plan of every axis."""
+    return {channel: posterior_of_plan(built, channel) for channel in built.channels}
 
 
 def unweighted_estimator(spec: Spec) -> bool:

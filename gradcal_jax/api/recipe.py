@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import gradcal_jax
+from gradcal_jax.api.contract_rows import versions_of
 from gradcal_jax.api.prediction import predict
-from gradcal_jax.api.versions import versions_of
 from gradcal_jax.files import Spec
 from gradcal_jax.files.recipe import FORMAT, Predicted, Recipe, RecipeOrigin
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of

@@ -8,12 +8,12 @@ from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, count_rows, temperature_followed
 from gradcal_jax.api.tested_maps import hidden_maps
 from gradcal_jax.api.unit_channel import (
+    Recorded,
     UnitChannel,
     covered_rates,
     covered_temperatures,
     finished_channel,
     integrated_rows,
-    whitened_columns,
 )
 from gradcal_jax.estimation import Estimate, Observations
 from gradcal_jax.files.log import Log, LogError
@@ -61,7 +61,7 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
         )
     done = points.done
     counts = count_rows(log, unit, integrated_rows(done, len(log.time_s)))
-    return _of_points(built, axis, log.units[unit], rows, table_rate, done, options, counts, messages)
+    return _of_points(built, Recorded(axis, log.units[unit], rows, done, counts, messages), table_rate, options)
 
 
 def point_channel(built: Assembled, points: RatePoints, options: Options) -> UnitChannel:
@@ -95,43 +95,24 @@ def point_channel(built: Assembled, points: RatePoints, options: Options) -> Uni
     ]
     if points.sigma_rad_per_s is not None:
         messages = ["the points' own sigma replaces the spec's noise; errors that the points share are not in it"]
-    return _of_points(
-        built,
-        points.axis,
-        points.unit,
-        rows,
-        reference,
-        done,
-        options,
-        {"used": count},
-        messages,
-        points.sigma_rad_per_s,
-    )
+    recorded = Recorded(points.axis, points.unit, rows, done, {"used": count}, messages)
+    return _of_points(built, recorded, reference, options, points.sigma_rad_per_s)
 
 
 def _of_points(
-    built: Assembled,
-    axis: str,
-    unit: str,
-    rows: Rows,
-    table_rate: np.ndarray,
-    done: estimation.Executed,
-    options: Options,
-    counts: dict[str, int],
-    messages: list[str],
-    sigma: np.ndarray | None = None,
+    built: Assembled, recorded: Recorded, table_rate: np.ndarray, options: Options, sigma: np.ndarray | None = None
 ) -> UnitChannel:
-    model, (line, edges, broken) = built.model, done
+    model, rows, (line, edges, broken) = built.model, recorded.rows, recorded.done
     lag = 0.0 if options.lag == "fit" else float(options.lag)
     temperature_of_maps = temperature_followed(rows, lag)
     if options.lag == "fit":
-        messages.append("at stable temperatures a lag cannot be estimated: it is taken as zero")
+        sentence = "at stable temperatures a lag cannot be estimated: it is taken as zero"
+        recorded = recorded._replace(messages=[*recorded.messages, sentence])
     nodes = estimation.sample_nodes(
         table_rate, temperature_of_maps, rows.step, edges, line.moving, broken, np.zeros(len(broken))
     )
     error = np.where(rows.usable, rows.rate - table_rate - options.earth_rate, 0.0) * rows.step
-    sums = np.concatenate([[0.0], np.cumsum(error)])
-    readings = np.where(broken, 0.0, np.diff(sums[edges + 1]))[:, None]
+    readings = np.where(broken, 0.0, np.diff(np.cumsum(error)[edges]))[:, None]
     mean_rate, time = line.terms[:, 0], rows.time[edges[1:]]
     observations = Observations(noise_steps(line, model), model.columns(nodes), readings, time, line.level, mean_rate)
     if sigma is not None:
@@ -146,12 +127,10 @@ def _of_points(
         )
     white = estimation.whitened(observations, model)
     hidden = [
-        (term, level, whitened_columns(observations._replace(columns=term.columns(nodes)))[0])
+        (term, level, estimation.whitened_columns(observations._replace(columns=term.columns(nodes)))[0])
         for term, level in hidden_maps(built.spec, model)
     ]
-    channel = finished_channel(
-        axis, unit, model, observations, white, options, (rows, done), (lag, None), counts, messages, hidden
-    )
+    channel = finished_channel(recorded, model, observations, white, options, (lag, None), hidden)
     section = built.spec.plan
     if sigma is None and isinstance(section, StandardPlanSection) and section.estimator == "least squares":
         channel = channel._replace(estimate=_unweighted(channel, line))

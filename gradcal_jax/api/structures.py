@@ -48,14 +48,12 @@ class Structure(NamedTuple):
 
 def limits_of(spec: Spec, scenarios: list[Spec]) -> Limits:
     """The strictest of the rig's and the sensor's limits, over all scenarios."""
-    every = [spec, *scenarios]
-    ramp = ramp_ends(spec)
-    up = ramp[1] > ramp[0]
+    every, (start, end) = [spec, *scenarios], ramp_ends(spec)
     return Limits(
         largest_rate(spec, scenarios),
         min(float(s.rig.table.max_acceleration) for s in every),
         min(float(s.rig.table.travel) for s in every),
-        min(float(s.rig.chamber.max_heating if up else s.rig.chamber.max_cooling) for s in every),
+        min(float(s.rig.chamber.max_heating if end > start else s.rig.chamber.max_cooling) for s in every),
     )
 
 

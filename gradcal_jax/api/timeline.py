@@ -1,36 +1,51 @@
-"""The timeline of a spec as the contract gradcal-timeline/2: segments, readings and the sensor's model."""
+"""The timeline of a spec: segments, readings and the sensor's model, as the contracts gradcal-timeline/2 of an axis and
+gradcal-unit-timeline/1 of a whole unit."""
 
-from typing import Any, cast, overload
+from collections.abc import Iterable
+from typing import Any, Literal, cast, overload
 
 import numpy as np
 
+from gradcal_jax import model
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.contract_rows import as_number, map_row, process_rows, shape_row, temperatures_between
-from gradcal_jax.api.unit_timeline import unit_timeline
+from gradcal_jax.api.contract_rows import section_of
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.files import Spec, Timeline
+from gradcal_jax.files import unit_timeline as unit_rows
+from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.contracts import (
+    BasisRow,
+    DiscrepancyRow,
+    Functions,
     GradientSensitivityRow,
     HarmonicRow,
+    MapRow,
+    ProcessRow,
     ReadingRow,
     SegmentRow,
     SensorRow,
     StartsRow,
     TemperatureErrorRow,
 )
-from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.sensor import Sensor
-from gradcal_jax.files.spec import expect_whole
+from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy, Sensor
+from gradcal_jax.files.spec import expect_whole, goes_on
+from gradcal_jax.files.unit_plan import UnitStep
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.files.unit_timeline import UnitTimeline
+from gradcal_jax.information import segments_of
+from gradcal_jax.model import AXIS_NAMES, Channel, Map, SignalMap
+from gradcal_jax.trajectory import Move, frames
+
+_CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_functions="monomial")
 
 
 @overload
 def timeline(spec: Spec) -> Timeline: ...
 @overload
-def timeline(spec: UnitSpec) -> UnitTimeline: ...
-def timeline(spec: Spec | UnitSpec) -> Timeline | UnitTimeline:
+def timeline(spec: UnitSpec) -> unit_rows.UnitTimeline: ...
+def timeline(spec: Spec | UnitSpec) -> Timeline | unit_rows.UnitTimeline:
     """Every segment and reading of a spec's plan in SI, axes one after the other; temperatures (°C) are the chamber's.
 
     Another program can compute the covariance from it alone: contract gradcal-timeline/2 or, for a whole unit, with the
@@ -49,14 +64,13 @@ def timeline(spec: Spec | UnitSpec) -> Timeline | UnitTimeline:
             rows = _gradient_rows(built, channel)
         segments += rows[0]
         readings += rows[1]
-    harmonics = tuple(HarmonicRow(order=h.order, sigma=float(h.amplitude)) for h in spec.rig.table.angle.harmonics)
     standard = spec.plan if isinstance(spec.plan, StandardPlan) else None
     return Timeline(
         title=spec.title,
         estimator="best linear" if standard is None else standard.estimator,
         points=None if standard is None else standard.points,
         sensor=_sensor_row(spec),
-        harmonics=harmonics,
+        harmonics=_harmonic_rows(spec.rig.table.angle),
         segments=tuple(segments),
         readings=tuple(readings),
     )
@@ -88,7 +102,7 @@ def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], l
 
     def add(begin: float, finish: float, **own: Any) -> None:
         row = {"shape": "rest", "start": begin, "duration": finish - begin} | own
-        segments.append(SegmentRow(axis=channel, **row, **temperatures_between(times, chamber, begin, finish)))
+        segments.append(SegmentRow(axis=channel, **row, **_temperatures_between(times, chamber, begin, finish)))
 
     segments: list[SegmentRow] = []
     readings = [reading(float(start[0]), 0, origin=True)]
@@ -102,7 +116,7 @@ def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], l
         move, own = (built.moves[index] if index < len(built.moves) else None), {}
         if line.moving[first]:
             assert move is not None
-            own = shape_row(move, float(turned[pieces].sum()))
+            own = _shape_row(move, float(turned[pieces].sum()))
             standstill += 1
         readings += [reading(float(end[k]), standstill if line.at_rest[k] else None) for k in pieces if line.read[k]]
         # A gap in which the chamber bends has several pieces, but the angle is read once, at its end.
@@ -147,25 +161,25 @@ def _sensor_row(spec: Spec) -> SensorRow:
     sensor = spec.sensor
     error, gradient = sensor.temperature_error, sensor.bias_temperature_gradient
     return SensorRow(
-        arw=float(sensor.angle_random_walk),
-        rate_random_walk=float(sensor.rate_random_walk or 0.0),
-        turn_on_bias=as_number(sensor.turn_on_bias),
-        drift=process_rows(sensor.drift),
-        scale_factor_instability=process_rows(sensor.scale_factor_instability),
-        thermal_lag=as_number(sensor.thermal_lag),
-        sample_clock_error=as_number(sensor.sample_clock_error),
+        arw=sensor.angle_random_walk,
+        rate_random_walk=sensor.rate_random_walk or 0.0,
+        turn_on_bias=sensor.turn_on_bias,
+        drift=_process_rows(sensor.drift),
+        scale_factor_instability=_process_rows(sensor.scale_factor_instability),
+        thermal_lag=sensor.thermal_lag,
+        sample_clock_error=sensor.sample_clock_error,
         starts=_starts_row(spec.sensor),
         temperature_error=None
         if error is None
         else TemperatureErrorRow(
-            sigma=float(error.standard_deviation),
-            tau=as_number(error.correlation_time),
-            bias_slope=as_number(error.bias_slope),
-            scale_factor_slope=as_number(error.scale_factor_slope),
+            sigma=error.standard_deviation,
+            tau=error.correlation_time,
+            bias_slope=error.bias_slope,
+            scale_factor_slope=error.scale_factor_slope,
         ),
-        bias_temperature_gradient=None if gradient is None else GradientSensitivityRow(prior=as_number(gradient.prior)),
-        bias=None if sensor.bias is None else map_row(sensor.bias),
-        scale_factor=None if sensor.scale_factor is None else map_row(sensor.scale_factor),
+        bias_temperature_gradient=None if gradient is None else GradientSensitivityRow(prior=gradient.prior),
+        bias=None if sensor.bias is None else _map_row(sensor.bias),
+        scale_factor=None if sensor.scale_factor is None else _map_row(sensor.scale_factor),
     )
 
 
@@ -179,3 +193,219 @@ def _starts_row(sensor: Sensor) -> StartsRow:
         sample_clock_error="constant" if sensor.sample_clock_error else None,
         turn_on_bias=None if not sensor.turn_on_bias else "constant" if sensor.bias is None else "prior",
     )
+
+
+# --- a whole unit -----------------------------------------------------------------------------------------------------
+
+
+def unit_timeline(spec: UnitSpec) -> unit_rows.UnitTimeline:
+    """Every segment of a unit's plan with attitudes, the terms of each channel, and all priors. Errors: `ValueError`
+    for a spec with [[done]]."""
+    if spec.done:
+        raise goes_on("a timeline")
+    built = assemble_unit(spec)
+    geometry, sensor, table = built.motion.geometry, spec.sensor, spec.rig.table
+    return unit_rows.UnitTimeline(
+        title=spec.title,
+        frame="table axes" if sensor.frame is None else sensor.frame.fixed_by,
+        site=unit_rows.SiteRow(
+            latitude=float(geometry.latitude),
+            gravity=float(geometry.gravity),
+            earth_rate=_vector(geometry.earth_rate()),
+        ),
+        table=tuple(
+            unit_rows.TableAxisRow(
+                name=axis.name,
+                direction=_vector(axis.unit_vector),
+                reading_noise=axis.angle.reading_noise,
+                standstill_offset=axis.angle.standstill_offset,
+                read_every=axis.angle.read_every,
+                harmonics=_harmonic_rows(axis.angle),
+            )
+            for axis in table.axis
+        ),
+        standing=table.standing,
+        mountings=tuple(
+            unit_rows.MountingRow(name=m.name, rotation=_matrix(rotation))
+            for m, rotation in zip(table.mounting, np.asarray(geometry.mountings), strict=True)
+        ),
+        thermal_lag=sensor.thermal_lag,
+        channels=tuple(
+            _channel_row(c, sensor.gyro if c.kind == "gyro" else sensor.accelerometer) for c in built.model.channels
+        ),
+        installation=tuple(_installation_row(term) for term in built.model.installation),
+        segments=tuple(_unit_rows(built)),
+    )
+
+
+def _vector(values) -> unit_rows.Vector3:
+    return cast("unit_rows.Vector3", tuple(float(v) for v in values))
+
+
+def _matrix(values) -> unit_rows.Matrix3:
+    return cast("unit_rows.Matrix3", tuple(_vector(row) for row in values))
+
+
+def _channel_row(channel: Channel, triad: GyroTriad | AccelerometerTriad | None) -> unit_rows.ChannelRow:
+    assert triad is not None
+    own: dict[str, Any] = {"white": float(channel.model.angle_random_walk), "drift": _process_rows(triad.drift)}
+    if isinstance(triad, GyroTriad):
+        own["rate_random_walk"] = triad.rate_random_walk or 0.0
+        own["scale_factor_instability"] = _process_rows(triad.scale_factor_instability)
+    terms = [_term_row(channel, term, triad) for term in channel.model.terms if isinstance(term, Map | SignalMap)]
+    axis = AXIS_NAMES[channel.axis]
+    return unit_rows.ChannelRow(name=channel.name, kind=channel.kind, axis=cast("Any", axis), terms=tuple(terms), **own)
+
+
+def _term_row(channel: Channel, term: Map | SignalMap, triad: GyroTriad | AccelerometerTriad) -> unit_rows.UnitTermRow:
+    section = getattr(triad, section_of(triad, term.name))
+    if isinstance(section, Bias | ScaleFactor):
+        row = _map_row(section)
+        signals = () if isinstance(section, Bias) else (f"rate {AXIS_NAMES[channel.axis]}",)
+    else:
+        assert isinstance(term, SignalMap)
+        of = getattr(section, "temperature", None)
+        over = _CONSTANT if of is None else _basis_row(of, smooth=False)
+        row, signals = MapRow(temperature=over, prior=section.prior), term.signals
+    names = tuple(f"{channel.name}.{name}" for name in term.names())
+    fields = {name: getattr(row, name) for name in MapRow.model_fields}
+    return unit_rows.UnitTermRow(name=term.name, signals=signals, parameters=names, unit=term.unit, **fields)
+
+
+_KINDS = {
+    model.BaseTilt: "base",
+    model.NonOrthogonality: "orthogonality",
+    model.AxisHarmonics: "harmonics",
+    model.MountingError: "mounting",
+}
+
+
+def _installation_row(term: model.InstallationTerm) -> unit_rows.InstallationRow:
+    harmonics = isinstance(term, model.AxisHarmonics)
+    return unit_rows.InstallationRow(
+        kind=cast("Any", term.of if isinstance(term, model.CommonScale) else _KINDS[type(term)]),
+        parameters=tuple(term.names()),
+        stds=tuple(float(s) for s in term.stds),
+        unit=term.unit,
+        axis=term.axis_name if harmonics else None,
+        orders=term.orders if harmonics else None,
+    )
+
+
+def _unit_rows(built: AssembledUnit) -> list[unit_rows.UnitSegmentRow]:
+    motion, plan = built.motion, built.spec.schedule
+    line, at = motion.line, segments_of(motion, built.model)
+    before, after = (np.asarray(a) for a in motion.angles())
+    attitude = np.asarray(frames(motion.geometry, before[at.first], motion.mounting[at.first]).attitude)
+    begin, lasting = np.asarray(line.start)[at.first], at.sums(np.asarray(line.duration))
+    ends = [s.start for s in plan.segments] + [plan.duration]
+    chamber = [s.temperature_start for s in plan.segments] + [plan.segments[-1].temperature_end]
+    steps = [step for step in plan.steps for _ in range(step.move.repeat)]
+    axes = [axis.name for axis in built.spec.rig.table.axis]
+    rows: list[unit_rows.UnitSegmentRow] = []
+    stands = [0] * len(axes)
+
+    def add(start: float, duration: float, step: UnitStep | None, k: int | None, **more: Any) -> None:
+        moving = -1 if step is None else step.axis
+        shape = {"shape": "rest"} if step is None or moving < 0 else _shape_row(step.move, float(step.move.angle))
+        if moving >= 0:
+            stands[moving] += 1
+        first = at.first[0] if k is None else at.first[k]
+        last = first if k is None else at.last[k]
+        rows.append(
+            unit_rows.UnitSegmentRow(
+                start=start,
+                duration=duration,
+                axis=None if moving < 0 else axes[moving],
+                angles_before=tuple(float(a) for a in before[first]),
+                angles_after=tuple(float(a) for a in (before[first] if k is None else after[last])),
+                attitude=_matrix(attitude[0 if k is None else k]),
+                mounting=int(motion.mounting[first]),
+                standstill_ids=tuple(None if l == moving else n for l, n in enumerate(stands)),
+                **_temperatures_between(ends, chamber, start, start + duration),
+                **shape,
+                **more,
+            )
+        )
+
+    if begin[0] > 0.0:
+        add(0.0, float(begin[0]), None, None, read=(), used=False)
+    number, stretch, move = 0, 0, np.asarray(line.segment)[at.first]
+    step: UnitStep | None = None
+    names = [c.name for c in built.model.channels]
+    for k in range(len(at.first)):
+        read = tuple(names[c] for c in at.row_channel[(at.row_segment == k) & at.used])
+        gap = bool(line.gap[at.first[k]])
+        if gap:
+            step, number, stretch = None, 0, stretch + 1
+        elif k == 0 or move[k] != move[k - 1]:
+            inside = number < plan.stretches[stretch].cycles * len(steps)
+            step, number = steps[number % len(steps)] if inside else None, number + 1
+        add(float(begin[k]), float(lasting[k]), step, k, read=read, used=not gap)
+    return rows
+
+
+# --- rows of both -----------------------------------------------------------------------------------------------------
+
+
+def _shape_row(move: Move | ResolvedMove, angle: float) -> dict[str, Any]:
+    """The shape of a move and its parameters, by their names in the contract."""
+    row: dict[str, Any] = {"shape": move.shape, "peak_rate": float(move.peak_rate), "angle": angle}
+    if move.shape in ("cosine ramps", "linear ramps"):
+        row["ramp"] = float(move.ramp)
+    elif move.shape == "sinusoid":
+        row["cycles"] = move.cycles
+    elif move.shape == "spline":
+        row["controls"] = tuple(float(c) for c in move.controls)
+    elif move.shape == "hand":
+        row["unevenness"] = float(move.unevenness)
+    return row
+
+
+def _map_row(section: Bias | ScaleFactor) -> MapRow:
+    """A gyro's bias or scale factor as a row of the contracts."""
+    beyond, smooth = section.discrepancy, section.smoothness is not None
+    bases: dict[Literal["temperature", "rate"], TemperatureBasis | RateBasis] = {"temperature": section.temperature}
+    if isinstance(section, ScaleFactor):
+        bases["rate"] = section.rate
+    rows = {along: _basis_row(basis, smooth) for along, basis in bases.items()}
+    return MapRow(
+        temperature=rows["temperature"],
+        rate=rows.get("rate"),
+        prior=section.prior,
+        smoothness=section.smoothness,
+        # The coefficients of a polynomial have no neighbours.
+        smoothness_along=tuple(along for along, basis in bases.items() if smooth and basis.basis != "polynomial"),
+        discrepancy=None
+        if beyond is None
+        else DiscrepancyRow(
+            sigma=beyond.standard_deviation,
+            functions="legendre",
+            temperature_degree=beyond.temperature_degree,
+            rate_degree=beyond.rate_degree if isinstance(beyond, ScaleFactorDiscrepancy) else None,
+        ),
+    )
+
+
+def _basis_row(section: TemperatureBasis | RateBasis, smooth: bool) -> BasisRow:
+    """A basis as a row. `smooth`: whether the map's (reported) coefficients have a smoothness prior."""
+    functions: Functions = "monomial" if section.basis == "polynomial" else section.basis
+    names = ("basis", "degree", "centre", "scale", "knots", "edges")
+    own: dict[str, Any] = {name: getattr(section, name) for name in names if hasattr(section, name)}
+    return BasisRow(prior_functions=functions, smoothness_functions=functions if smooth else None, **own)
+
+
+def _process_rows(sections: Iterable[Any]) -> tuple[ProcessRow, ...]:
+    """Drifts, or instabilities of the scale factor."""
+    return tuple(ProcessRow(sigma=r.standard_deviation, tau=r.correlation_time) for r in sections)
+
+
+def _temperatures_between(times: Any, chamber: Any, begin: float, end: float) -> dict[str, Any]:
+    """The chamber's temperature (°C) at both ends of a segment (s), and its bends between them."""
+    bends = [(float(t), float(c)) for t, c in zip(times, chamber, strict=True) if begin + 1e-6 < t < end - 1e-6]
+    first, last = (float(c) for c in np.interp([begin, end], times, chamber))
+    return {"temperature_start": first, "temperature_end": last, "temperature_bends": tuple(bends) or None}
+
+
+def _harmonic_rows(angle) -> tuple[HarmonicRow, ...]:
+    return tuple(HarmonicRow(order=h.order, sigma=h.amplitude) for h in angle.harmonics)

@@ -39,7 +39,7 @@ def with_turns(
     number = estimation.find_standstills(log.rate_rad_per_s[index], log.sample_interval_s, valid=usable)
     rate = np.nan_to_num(log.rate_rad_per_s[index, :, column])
     rest_rows = [np.flatnonzero(number == k) for k in range(int(number.max()) + 1)]
-    turned = np.concatenate([[0.0], np.cumsum(rate * np.diff(log.time_s, prepend=log.time_s[0]))])
+    turned = np.cumsum(rate * np.diff(log.time_s, prepend=log.time_s[0]))
     angle = np.full(len(rate), np.nan)
     angle[rest_rows[0]] = total = 0.0
     turns: list[Turn] = []
@@ -47,7 +47,7 @@ def with_turns(
     for before, after in itertools.pairwise(rest_rows):
         first, last = int(before[-1]), int(after[0])
         bias = float(np.mean(rate[np.concatenate([before, after])]))
-        sensed = float(turned[last + 1] - turned[first + 1] - bias * (log.time_s[last] - log.time_s[first]))
+        sensed = float(turned[last] - turned[first] - bias * (log.time_s[last] - log.time_s[first]))
         if abs(sensed) > _JOLT:
             listed_rad = float(turns_rad[len(turns)]) if len(turns) < len(turns_rad) else 0.0
             turns.append(Turn(float(log.time_s[first]), float(log.time_s[last]), listed_rad, sensed))

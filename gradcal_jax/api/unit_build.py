@@ -1,20 +1,21 @@
 """A unit's spec in the core's terms: its channels, its installation, and the motion of the table."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from gradcal_jax import model, trajectory
-from gradcal_jax.api.build import basis, chamber_programme, or_infinite, section_map, slow_processes
+from gradcal_jax.api.build import basis, chamber_programme, move_of, or_infinite, section_map, slow_processes
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
-from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
+from gradcal_jax.files.unit_plan import UnitSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information import segments_of
+from gradcal_jax.information import Posterior, posterior, segments_of, unit_information
 from gradcal_jax.model import AXIS_NAMES, Basis, BodyNodes, Channel, Map, Polynomial, SignalMap, Term, UnitModel
-from gradcal_jax.trajectory import Geometry, Move, TableMotion
+from gradcal_jax.trajectory import Geometry, TableMotion
 
 # Names of terms, for requirements and sentences; a gyro's maps have the names of a single axis.
 MISALIGNMENT = "misalignment_{}"
@@ -53,6 +54,16 @@ def assemble_unit(spec: UnitSpec) -> AssembledUnit:
     points = max(degree + 1, _ROUGH if spec.sensor.thermal_lag is not None else 1)
     past = tuple(motion_of(part, spec) for part in spec.past)
     return AssembledUnit(spec, model_, motion_of(spec.schedule, spec), points, past)
+
+
+def posterior_of_unit(built: AssembledUnit) -> Posterior:
+    """The posterior of a unit after its plan and the motions before it."""
+    return known_of_motions(built, (*built.past, built.motion))
+
+
+def known_of_motions(built: AssembledUnit, motions: Sequence[TableMotion]) -> Posterior:
+    """The posterior of a unit after several motions, each with drifts of its own."""
+    return posterior(unit_information([(m, trajectory.body_nodes(m, built.points)) for m in motions], built.model))
 
 
 def unit_model(spec: UnitSpec) -> UnitModel:
@@ -191,23 +202,14 @@ def rest_poses(built: AssembledUnit) -> RestPoses:
     return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
 
 
-def _move(step: UnitStep, read_every: float | None) -> Move:
-    move = step.move
-    if step.axis < 0:
-        return trajectory.rest(move.duration, read_every, read_at_end=True)
-    return trajectory.turn(
-        move.shape, move.peak_rate, move.duration, ramp=move.ramp, cycles=move.cycles, controls=move.controls,
-        unevenness=move.unevenness,
-    )  # fmt: skip
-
-
 def motion_of(plan: UnitSchedule, spec: UnitSpec) -> TableMotion:
     """The motion of a plan on a spec's rig."""
     course, used = chamber_programme(plan)
     steps = [step for step in plan.steps for _ in range(step.move.repeat)]
     table = spec.rig.table
     every = float(table.axis[0].angle.read_every) if table.standing == "read" else None
-    moves = tuple(_move(step, every) for step in steps)
+    read = [{"read_end": True, "read_every": every if step.axis < 0 else None} for step in steps]
+    moves = tuple(move_of(replace(s.move, axis="x", **own), None, np.inf) for s, own in zip(steps, read, strict=True))
     schedule = trajectory.gradient_plan(course, moves, used=used, read_every=every)
     lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
     line = schedule.trajectory(lag)

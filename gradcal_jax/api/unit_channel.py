@@ -9,7 +9,6 @@ from gradcal_jax import estimation
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, temperature_followed
 from gradcal_jax.estimation import Estimate, Observations, Smoothness, StructureTest, Whitened
-from gradcal_jax.information import whiten
 from gradcal_jax.model import SCALE_FACTOR, Discrepancy, SensorModel
 
 LONGEST_LAG_S = 1800.0
@@ -42,26 +41,33 @@ class UnitChannel(NamedTuple):
     """One test for every polynomial map."""
 
 
+class Recorded(NamedTuple):
+    """The rows of one axis of one unit and the motion executed in them; numbers of rows, and messages so far."""
+
+    axis: str
+    unit: str
+    rows: Rows
+    done: estimation.Executed
+    counts: dict[str, int]
+    messages: Sequence[str]
+
+
 def finished_channel(
-    axis: str,
-    unit: str,
+    recorded: Recorded,
     model: SensorModel,
     observations: Observations,
     white: Whitened,
     options: Options,
-    read: tuple[Rows, estimation.Executed],
     fitted_lag: tuple[float, float | None],
-    counts: dict[str, int],
-    messages: Sequence[str],
-    hidden: Sequence[tuple[Discrepancy, float, np.ndarray]] = (),
+    hidden: Sequence[tuple[Discrepancy, float, np.ndarray]],
 ) -> UnitChannel:
     """The estimate of one unit: smoothness, robust weights and tests, on converged columns.
 
-    `read`: its rows and the executed motion; `fitted_lag` s, with its standard deviation where it was fitted.
-    `hidden`: the tested functions beyond a map's structure, the false-alarm level, and their whitened columns `(n, k)`.
+    `fitted_lag` s, with its standard deviation where it was fitted. `hidden`: the tested functions beyond a map's
+    structure, the false-alarm level, and their whitened columns `(n, k)`.
     """
-    (rows, done), (lag, lag_std) = read, fitted_lag
-    messages, smoothness = list(messages), None
+    axis, unit, rows, done, counts, earlier = recorded
+    (lag, lag_std), messages, smoothness = fitted_lag, list(earlier), None
     if options.smoothness == "auto":
         smoothness = estimation.choose_smoothness(white, model)
         model = estimation.with_smoothness(model, smoothness.bias, smoothness.scale_factor)
@@ -75,8 +81,7 @@ def finished_channel(
     estimate = estimation.solve(white)
     weights = np.ones(white.data.shape[1])
     if options.robust:
-        robust = estimation.estimate_robustly(observations, model, threshold=options.threshold)
-        estimate, white, weights = robust.estimate, robust.white[0], robust.weights[0]
+        estimate, white, weights = estimation.estimate_robustly(observations, model, threshold=options.threshold)
         messages += counting_less(weights, observations.time_s[observations.used])
     tests = estimation.consistency(estimate, white, 0, _subsets(observations, rows), model.to_reported)
     if lag_std is not None and lag > 0.99 * LONGEST_LAG_S:
@@ -104,14 +109,6 @@ def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str] 
         return []
     named = ", ".join(f"{f'{names[k]} ' if names else ''}at {time_s[k]:.6g} s" for k in low[:5])
     return [f"{len(low)} of {len(weights)} readings have less than full weight, the least {named}"]
-
-
-def whitened_columns(observations: Observations) -> np.ndarray:
-    """The columns `(U, N, k)` or `(N, k)` of observations, whitened, for the readings used: `(U or 1, n, k)`."""
-    every = observations.columns if observations.columns.ndim == 3 else observations.columns[None]
-    side = np.concatenate(list(every), axis=1)
-    rows = whiten(observations.steps, side)[observations.used]
-    return np.moveaxis(rows.reshape(len(rows), len(every), -1), 1, 0)
 
 
 def _without(white: Whitened, model: SensorModel, name: str) -> Whitened:

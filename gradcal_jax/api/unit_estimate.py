@@ -13,9 +13,9 @@ from gradcal_jax.api.calibration import excess_of, noise_sentences
 from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of, random_walks, section_of
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import bridged_temperature, of_host_clock, time_of, usable_rows
+from gradcal_jax.api.prediction import unit_requirement_row
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_channel import counting_less
-from gradcal_jax.api.unit_prediction import requirement_row
 from gradcal_jax.api.unit_residual import internal_misalignments
 from gradcal_jax.api.unit_sentences import prior_deviations, unobserved_parameters
 from gradcal_jax.estimation import Consistency, ExecutedUnit, Test, UnitEstimate, UnitReadings, UnitRows
@@ -151,7 +151,7 @@ def _report(
         free = round(len(left) - float(np.sum(taken**2)))
         channels[c.name] = estimation.chi_squared_test(float(left @ left), free), estimation.whiteness(left, taken)
     known = Posterior(solution.known.spread * excess_of(tests), solution.known.hidden)
-    requirements = tuple(requirement_row(built, known, r) for r in built.spec.requirement)
+    requirements = tuple(unit_requirement_row(built, known, r) for r in built.spec.requirement)
     covered = _covered(done, rows, temperature)
     calibration = _calibration(built, logs, name, solution, tests, channels, requirements, covered, options, sources)
     seen = tuple(_internal(built, solution, covered[0])), _gravity(readings, calibration, temperature)
@@ -310,9 +310,8 @@ def _gravity(
     first, last = done.rows[rests], done.rows[rests + 1]
 
     def mean(values: np.ndarray) -> np.ndarray:
-        summed = np.cumsum(np.nan_to_num(values) * step[:, None], axis=0)
-        total = np.concatenate([np.zeros((1, values.shape[1])), summed])
-        return (total[last + 1] - total[first + 1]) / (rows.time_s[last] - rows.time_s[first])[:, None]
+        total = np.cumsum(np.nan_to_num(values) * step[:, None], axis=0)
+        return (total[last] - total[first]) / (rows.time_s[last] - rows.time_s[first])[:, None]
 
     force, rate = mean(rows.force), mean(np.where(np.isfinite(rows.rates), rows.rates, 0.0))
     at = mean(temperature[:, None])[:, 0]

@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.api.optimise import BY_HAND, MARGIN
+from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
-from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY, RequiredQuantity, quantity_of, summary_statistic
+from gradcal_jax.api.unit_residual import RequiredQuantity, quantity_of
 from gradcal_jax.design.pose_search import CycleItem, PoseCycle, PoseLimits, PoseState, anneal
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, quickest_turn, rest_step
@@ -96,7 +97,7 @@ def optimise_unit(
     fine = tuple(quantity_of(value.built, r) for r in spec.requirement)
     before, after = (_statistics(value.known[0] + _gram_of(assemble_unit(s)), fine) for s in (spec, optimised))
     rows = tuple(
-        (r.name, UNIT_OF_QUANTITY[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before, after, strict=True)
+        (r.name, UNIT_OF[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before, after, strict=True)
     )
     ratios = [math.log(b / a) for b, a in zip(before, after, strict=True) if a and b]
     yield UnitOptimum(
@@ -153,7 +154,7 @@ class CycleValue:
         if plan is None:
             return [[math.inf] * len(quantities)]
         targets = [q.requirement.target for q in quantities]
-        factors = [UNIT_OF_QUANTITY[q.requirement.quantity][1] for q in quantities]
+        factors = [UNIT_OF[q.requirement.quantity][1] for q in quantities]
         limits = [1.0 if t is None else float(t) * f for t, f in zip(targets, factors, strict=True)]
         return [
             [
@@ -237,13 +238,13 @@ def _gram_of(built: AssembledUnit) -> np.ndarray:
 
 
 def _statistics(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[float | None]:
-    """Every requirement's statistic in the units of `UNIT_OF_QUANTITY`, from the Gram matrix: its scaled columns are
+    """Every requirement's statistic in the units of `UNIT_OF`, from the Gram matrix: its scaled columns are
     far from parallel where everything is observable."""
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(gram / (scale[:, None] * scale[None, :]))
     seen = values > 1e-13 * values[-1]
     known = Posterior(vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None], vectors[:, ~seen] / scale[:, None])
-    return [summary_statistic(q.requirement, q.residual(known), q.requirement.statistic) for q in quantities]
+    return [q.residual(known).statistic() for q in quantities]
 
 
 def _limits(spec: UnitSpec, design: UnitDesign) -> PoseLimits:

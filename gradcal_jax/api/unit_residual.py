@@ -5,6 +5,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.unit_build import G_SENSITIVITY, MISALIGNMENT, SECOND_ORDER, SPECIFIC_FORCE_BIAS, AssembledUnit
 from gradcal_jax.files.requirement import (
     GyroScaleFactorRequirement,
@@ -14,26 +15,12 @@ from gradcal_jax.files.requirement import (
     TurnRequirement,
     UnitRequirement,
 )
-from gradcal_jax.information import STATISTICS, Posterior, contrasts, statistic
+from gradcal_jax.information import Posterior, contrasts, statistic
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, Channel, ChannelKind, Map, SignalMap, UnitModel
 from gradcal_jax.trajectory import EARTH_RATE
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
-UNIT_OF_QUANTITY = {
-    "gyro_bias": ("deg/h", DEG_PER_H),
-    "gyro_scale_factor": ("ppm", PPM),
-    "gyro_misalignment": ("urad", 1e6),
-    "g_sensitivity": ("deg/h/g", DEG_PER_H * G),
-    "accelerometer_bias": ("ug", 1e6 / G),
-    "accelerometer_scale_factor": ("ppm", PPM),
-    "accelerometer_misalignment": ("urad", 1e6),
-    "second_order": ("ug/g^2", 1e6 * G),
-    "position": ("m", 1.0),
-    "tilt": ("urad", 1e6),
-    "heading": ("deg", np.degrees(1.0)),
-}
-"""For each quantity its unit for people, and how many of it are one in SI."""
 UNITS_OF_TERMS = {
     "rad/s": ("deg/h", DEG_PER_H),
     "1": ("ppm", PPM),
@@ -45,20 +32,36 @@ UNITS_OF_TERMS = {
     "1/(m/s^2)": ("ug/g^2", 1e6 * G),
     "1/(m/s^2)^2": ("ug/g^3", 1e6 * G**2),
 }
-"""The same for the SI unit of each coefficient."""
+"""As `UNIT_OF`, for the SI unit of each coefficient."""
 
 
 class UnitResidual(NamedTuple):
-    """Standard deviations of one quantity in `unit`: `values` `(m, n_T, n_ω)` of the `m` elements `labels`, on the
-    temperatures (°C) and, for the scale factor, the rates (rad/s) of a requirement. `si`: how many of the unit are one
-    in SI."""
+    """Standard deviations of a requirement's quantity in `unit`: `values` `(m, n_T, n_ω)` of the `m` elements `labels`,
+    on its temperatures (°C) and, for the scale factor, rates (rad/s). `si`: how many of the unit are one in SI."""
 
+    requirement: UnitRequirement
     labels: tuple[str, ...]
     temperatures: np.ndarray
     rates: np.ndarray
     values: np.ndarray
     unit: str
     si: float
+
+    def statistic(self, name: Statistic | None = None) -> float | None:
+        """The requirement's statistic, or the one of that `name`; None: not observable. Each element has one over
+        temperature (and rate); over several elements it is the worst or, for "all", the root mean square."""
+        each = self._each(name or self.requirement.statistic)
+        value = np.sqrt(np.mean(each**2)) if self.requirement.axis == "all" else np.max(each)
+        return float(value) if np.isfinite(value) else None
+
+    def worst_axis(self) -> str | None:
+        """The element with the largest statistic; None where all count together, or for a single one."""
+        if self.requirement.axis == "all" or len(self.labels) < 2:
+            return None
+        return self.labels[int(np.argmax(self._each(self.requirement.statistic)))]
+
+    def _each(self, name: Statistic) -> np.ndarray:
+        return np.array([statistic(name, values) for values in self.values])
 
 
 class QuantityElement(NamedTuple):
@@ -96,9 +99,9 @@ class RequiredQuantity(NamedTuple):
         deviations = np.stack([element.deviations(known) for element in self.elements]).reshape(shape)
         if self.beside:
             deviations = np.hypot(deviations, self.beside)
-        unit, factor = UNIT_OF_QUANTITY[self.requirement.quantity]
+        unit, factor = UNIT_OF[self.requirement.quantity]
         labels = tuple(element.label for element in self.elements)
-        return UnitResidual(labels, self.temperatures, self.rates, deviations * factor, unit, factor)
+        return UnitResidual(self.requirement, labels, self.temperatures, self.rates, deviations * factor, unit, factor)
 
 
 def quantity_of(built: AssembledUnit, requirement: UnitRequirement) -> RequiredQuantity:
@@ -119,34 +122,6 @@ def quantity_of(built: AssembledUnit, requirement: UnitRequirement) -> RequiredQ
 def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> UnitResidual:
     """The residual of a requirement's quantity."""
     return quantity_of(built, requirement).residual(known)
-
-
-def summed_up(requirement: UnitRequirement, left: UnitResidual) -> dict[str, float | None]:
-    """The statistics by name; None: not observable. Each element has a statistic over temperature (and rate); over
-    several elements it is the worst or, for "all", the root mean square."""
-    names: list[Statistic] = [
-        name for name in STATISTICS if name != "mean of max" or isinstance(requirement, GyroScaleFactorRequirement)
-    ]
-    return {name: summary_statistic(requirement, left, name) for name in names}
-
-
-def summary_statistic(requirement: UnitRequirement, left: UnitResidual, name: Statistic) -> float | None:
-    """One statistic; see `summed_up`."""
-    each = np.array([statistic(name, values) for values in left.values])
-    value = np.sqrt(np.mean(each**2)) if requirement.axis == "all" else np.max(each)
-    return float(value) if np.isfinite(value) else None
-
-
-def decisive_value(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> float | None:
-    """The residual of a requirement by its own statistic."""
-    return summary_statistic(requirement, unit_residual(built, known, requirement), requirement.statistic)
-
-
-def worst_axis(requirement: UnitRequirement, left: UnitResidual) -> str | None:
-    """The element with the largest statistic; None where all count together, or for a single one."""
-    if requirement.axis == "all" or len(left.labels) < 2:
-        return None
-    return left.labels[int(np.argmax([statistic(requirement.statistic, v) for v in left.values]))]
 
 
 def _elements(

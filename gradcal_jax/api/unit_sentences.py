@@ -3,7 +3,7 @@
 import numpy as np
 
 from gradcal_jax.api.unit_build import AssembledUnit, rest_poses
-from gradcal_jax.api.unit_residual import decisive_value
+from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.information import Posterior, posterior, square_root
 from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.trajectory import frames
@@ -29,14 +29,12 @@ def unobserved_parameters(built: AssembledUnit, known: Posterior) -> list[str]:
 
 def prior_deviations(built: AssembledUnit) -> np.ndarray:
     """Prior standard deviation of every reported parameter; `inf` where flat."""
-    rows, reported = built.model.prior_rows(), built.model.to_reported
-    precision = rows.T @ rows
-    seen = np.diag(precision) > 0.0
-    stds = np.full(built.model.size, np.inf)
-    inside = np.linalg.inv(precision[np.ix_(seen, seen)]) if seen.any() else np.zeros((0, 0))
-    part = reported[np.ix_(seen, seen)]
-    stds[seen] = np.sqrt(np.diag(part @ inside @ part.T))
-    return stds
+    return _prior(built).deviations(built.model.to_reported)
+
+
+def _prior(built: AssembledUnit) -> Posterior:
+    """What is known before any reading."""
+    return posterior(square_root(built.model.prior_rows()))
 
 
 def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
@@ -111,10 +109,9 @@ def _limited_by_priors(built: AssembledUnit, known: Posterior) -> list[str]:
 
 def _as_before(built: AssembledUnit, known: Posterior) -> list[str]:
     """Sentences on requirements whose residual the plan hardly reduces."""
-    before = posterior(square_root(built.model.prior_rows()))
-    sentences = []
+    before, sentences = _prior(built), []
     for requirement in built.spec.requirement:
-        then, now = (decisive_value(built, k, requirement) for k in (before, known))
+        then, now = (unit_residual(built, k, requirement).statistic() for k in (before, known))
         if then is not None and now is not None and now > NOT_OBSERVED * then:
             sentences.append(
                 f"requirement '{requirement.name}' stays as it was by the priors: the plan says nothing of it"

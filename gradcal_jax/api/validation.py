@@ -155,10 +155,8 @@ def _axis(
     )
     step = np.diff(log.time_s, prepend=log.time_s[0])
     moving = done.line.moving
-    sums = []
-    for rates in (raw, new):
-        integral = np.concatenate([[0.0], np.cumsum(np.where(usable, rates - earth_rate, 0.0) * step)])
-        sums.append(integral[done.rows[1:] + 1] - integral[done.rows[:-1] + 1])
+    integrals = [np.cumsum(np.where(usable, rates - earth_rate, 0.0) * step) for rates in (raw, new)]
+    sums = [np.diff(integral[done.rows]) for integral in integrals]
     elapsed = np.diff(log.time_s[done.rows])
     at = 0.5 * (temperature[done.rows[1:]] + temperature[done.rows[:-1]])
     cells: list[Cell] = []

@@ -31,9 +31,9 @@ def sensitivity(spec: Path, /, *, json: Json = False, plot: Plot = None) -> int:
     drawable(plot)
     specification = any_spec_in(spec)
     use_float64()
-    from gradcal_jax.api.sensitivity import sensitivities
+    from gradcal_jax.api.sensitivity import sensitivity
 
-    known = sensitivities(specification)
+    known = sensitivity(specification)
     if json:
         rows = [row._asdict() for row in known.rows]
         print(as_json({"residuals": known.residuals, "percent_per_percent": rows}))

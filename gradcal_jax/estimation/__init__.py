@@ -7,7 +7,7 @@ from gradcal_jax.estimation.plateaus import plateaus
 from gradcal_jax.estimation.robust import HUBER, estimate_robustly
 from gradcal_jax.estimation.samples import integrated_error, sample_nodes, true_rate
 from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
-from gradcal_jax.estimation.solve import Estimate, Observations, Whitened, solve, whitened
+from gradcal_jax.estimation.solve import Estimate, Observations, Whitened, solve, whitened, whitened_columns
 from gradcal_jax.estimation.standstill import find_standstills
 from gradcal_jax.estimation.structure import StructureTest, chi_squared, components, size_of, structure_test
 from gradcal_jax.estimation.temperature import smoothed_temperature

@@ -64,16 +64,12 @@ def executed(
         rows.append(row)
         flags.append((reads, stands, is_gap, moves, lost))
 
-    bad = np.flatnonzero(~usable)
-
-    def whole(first: int, last: int) -> bool:
-        """Whether every row after `first` up to `last` may be integrated."""
-        return bool(np.searchsorted(bad, first, side="right") == np.searchsorted(bad, last, side="right"))
-
+    # Between two rows of equal counts every row may be integrated.
+    unusable = np.cumsum(~usable)
     for number, (first, *others) in enumerate(at):
         if number:
             before = rows[-1]
-            if angle_rad is not None and whole(before, first):
+            if angle_rad is not None and unusable[before] == unusable[first]:
                 for row in _parts(time_s, before, first, longest_piece):
                     add(row, reads=row == first, stands=row == first, moves=True)
             else:
@@ -81,7 +77,7 @@ def executed(
                 add(first, reads=False, stands=True, moves=True, lost=True)
                 add(first, reads=False, stands=True, is_gap=True, lost=True)
         for row in others:
-            unbroken = whole(rows[-1], row)
+            unbroken = unusable[rows[-1]] == unusable[row]
             add(row, reads=unbroken, stands=True, is_gap=not unbroken, lost=not unbroken)
     where, (read, rest, gap, moving, broken) = np.array(rows), np.array(flags, bool).reshape(-1, 5).T
     line = _line(time_s, temperature_c, rate_rad_per_s, angle_rad, where, read, rest, gap, moving)

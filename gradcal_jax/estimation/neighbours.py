@@ -64,8 +64,7 @@ def moves_between_rests(
         angle = float(turned_rad[first : last + 1].sum())
         sides = [runs[k] for k in (number - 1, number + 1) if 0 <= k < len(runs)]
         sides = [run for run in sides if not moving[run[0]] and not broken[run[0]]]
-        touching = len(sides) == 2 and sides[0][1] == first - 1 and sides[1][0] == last + 1
-        if broken[first] or not touching or abs(angle) < _LEAST_ANGLE:
+        if broken[first] or len(sides) < 2 or abs(angle) < _LEAST_ANGLE:
             continue
         drift = np.mean([(error_rad[b] - before[a]) / max(duration_s[a : b + 1].sum(), 1e-12) for a, b in sides])
         lasting = float(duration_s[first : last + 1].sum())

@@ -10,12 +10,13 @@ shows as several bad readings in a row: it is reported, but only the data can be
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from gradcal_jax.estimation.solve import Estimate, Observations, Whitened, solve, whitened
 from gradcal_jax.information import NoiseSteps
+from gradcal_jax.information.by_reading import filter_readings
 from gradcal_jax.model import SensorModel
 
 HUBER = 2.5
@@ -25,48 +26,25 @@ _NO_CHANGE = 0.01
 Solution = TypeVar("Solution")
 
 
-class RobustEstimate(NamedTuple):
-    """`estimate` with the reweighted readings; `weights` `(U, n)` of the readings used (1: counted in full)."""
+def estimate_robustly(
+    observations: Observations, model: SensorModel, *, threshold: float = HUBER
+) -> tuple[Estimate, Whitened, np.ndarray]:
+    """The estimate of one unit, its reweighted rows, and the weights `(n,)` of the readings used (1: counted in full).
 
-    estimate: Estimate
-    white: tuple[Whitened, ...]
-    weights: np.ndarray
-
-
-def estimate_robustly(observations: Observations, model: SensorModel, *, threshold: float = HUBER) -> RobustEstimate:
-    """Each unit separately, since outliers are its own; without outliers the result is exactly that of `solve`.
-
-    Ends when no weight changes by 0.01. Errors: `ValueError` for a threshold that is not positive.
+    Ends when no weight changes by 0.01; without outliers the result is exactly that of `solve`. Errors: `ValueError`
+    for a threshold that is not positive.
     """
     if not threshold > 0.0:
         raise ValueError(f"the threshold of a robust estimate must be positive, not {threshold}")
-    used = observations.used
-    plain = whitened(observations, model)
-    first = solve(plain)
-    estimates: list[Estimate] = []
-    whites: list[Whitened] = []
-    weights = np.ones((observations.unit_count, int(used.sum())))
-    for unit in range(observations.unit_count):
-        single = plain.of_unit(unit)
-        one = Estimate._make(of_all[unit : unit + 1] for of_all in first)
-        if np.max(np.abs(one.residuals), initial=0.0) > threshold:
-            alone = observations._replace(
-                columns=observations.columns_of(unit), readings=observations.readings[:, unit : unit + 1]
-            )
 
-            def again(steps: NoiseSteps, _, alone=alone) -> tuple[Whitened, Estimate]:
-                white = whitened(alone, model, steps)
-                return white, solve(white)
+    def solved(steps: NoiseSteps, _=None) -> tuple[Whitened, Estimate]:
+        white = whitened(observations, model, steps)
+        return white, solve(white)
 
-            residuals = lambda both: both[1].residuals[0]  # noqa: E731
-            (single, one), weights[unit] = reweighted(
-                alone.steps, used, (single, one), residuals, again, threshold, _ROUNDS
-            )
-        estimates.append(one)
-        whites.append(single)
-    parameters, known, *others = zip(*estimates, strict=True)
-    joined = Estimate(np.concatenate(parameters), sum(known, ()), *map(np.concatenate, others))
-    return RobustEstimate(joined, tuple(whites), weights)
+    steps, used = observations.steps, observations.used
+    residuals = lambda both: both[1].residuals[0]  # noqa: E731
+    (white, estimate), weights = reweighted(steps, used, solved(steps), residuals, solved, threshold, _ROUNDS)
+    return estimate, white, weights
 
 
 def reweighted(
@@ -93,25 +71,13 @@ def reweighted(
             break
         weights = new
         extra[used] = (1.0 / weights - 1.0) * plain_spread
-        steps = steps._replace(reading_variance=np.asarray(plain) + extra)
+        steps = steps._replace(reading_variance=plain + extra)
         solution = again(steps, solution)
     return solution, weights
 
 
-def innovation_variance(steps) -> np.ndarray:
-    """`(N,)`: variance of each reading conditional on those before it, rad², also at steps without a reading.
-
-    A plain covariance filter in NumPy, since only a few units need it.
-    """
-    transition, noise = np.asarray(steps.transition), np.asarray(steps.covariance)
-    observation, variance = np.asarray(steps.observation), np.asarray(steps.reading_variance)
-    used = np.asarray(steps.used)
-    state = np.asarray(steps.initial)
-    spread = np.empty(len(used))
-    for k in range(len(used)):
-        state = transition[k] @ state @ transition[k].T + noise[k]
-        cross = state @ observation[k]
-        spread[k] = observation[k] @ cross + variance[k]
-        if used[k] and spread[k] > 0.0:
-            state = state - np.outer(cross, cross) / spread[k]
-    return spread
+def innovation_variance(steps: NoiseSteps) -> np.ndarray:
+    """`(N,)`: variance of each reading conditional on those before it, rad²; zero at steps without a reading."""
+    none = np.zeros((len(steps.initial), 0)), np.zeros((len(steps.used), 0))
+    per_std = filter_readings(none[0], steps.initial, steps, none[1]).per_std
+    return np.divide(1.0, per_std**2, out=np.zeros(len(per_std)), where=per_std > 0.0)

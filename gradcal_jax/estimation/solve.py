@@ -38,10 +38,6 @@ class Observations(NamedTuple):
     temperature_c: np.ndarray
     rate_rad_per_s: np.ndarray
 
-    @property
-    def unit_count(self) -> int:
-        return self.readings.shape[1]
-
     def columns_of(self, unit: int) -> np.ndarray:
         """`(N, p)` of one unit."""
         return self.columns if self.columns.ndim == 2 else self.columns[unit]
@@ -108,19 +104,24 @@ def whitened(observations: Observations, model: SensorModel, steps: NoiseSteps |
     """Whiten all units' columns and readings together. `steps` replaces the observations' own (reweighting)."""
     steps = observations.steps if steps is None else steps
     used = observations.used
-    units = observations.unit_count
-    if observations.columns.ndim == 2:
-        columns, shared = observations.columns, 1
-    else:
-        columns, shared = np.concatenate(list(observations.columns), axis=1), units
-    count = columns.shape[1]
     # Values at steps without a reading must not become NaN times zero.
     readings = np.where(used[:, None], observations.readings, 0.0)
     if not np.isfinite(readings).all():
         raise ValueError("a reading that is used is not finite: mark its step as not used")
-    rows = whiten(steps, np.concatenate([columns, readings], axis=1))[used]
-    by_unit = np.moveaxis(rows[:, :count].reshape(len(rows), shared, -1), 1, 0)
-    return Whitened(by_unit, rows[:, count:].T, model.prior_rows())
+    return Whitened(*_together(steps, observations.columns, readings), model.prior_rows())
+
+
+def whitened_columns(observations: Observations) -> np.ndarray:
+    """The columns of observations, whitened, for the readings used: `(U or 1, n, k)`."""
+    return _together(observations.steps, observations.columns, observations.readings[:, :0])[0]
+
+
+def _together(steps: NoiseSteps, columns: np.ndarray, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whitened columns `(U or 1, n, k)` and readings `(U, n)`."""
+    every = columns if columns.ndim == 3 else columns[None]
+    rows = whiten(steps, np.concatenate([*every, readings], axis=1))[steps.used]
+    count = rows.shape[1] - readings.shape[1]
+    return np.moveaxis(rows[:, :count].reshape(len(rows), len(every), -1), 1, 0), rows[:, count:].T
 
 
 def solve(white: Whitened) -> Estimate:

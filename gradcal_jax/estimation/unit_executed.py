@@ -191,59 +191,51 @@ def _own_angles(log: UnitRows, known: np.ndarray, spans: list[tuple[int, int]], 
     return result
 
 
-class _Builder:
-    """Accumulates pieces one after the other."""
-
-    def __init__(self, log: UnitRows, angles: list[np.ndarray], begin: int):
-        self.log, self.angles = log, angles
-        self.rows, self.axis, self.lost, self.travelled = [begin], [], [], []
-        self.moved = np.zeros(len(angles), int)
-        self.at = np.array([own[0] for own in angles])
-        self._bad = np.flatnonzero(~log.usable)
-
-    def add(self, row: int, axis: int = -1, way: np.ndarray | None = None, *, read: bool = True) -> None:
-        """The piece up to a row."""
-        before = self.rows[-1]
-        whole = np.searchsorted(self._bad, before, side="right") == np.searchsorted(self._bad, row, side="right")
-        hung_anew = self.log.mounting[before] != self.log.mounting[row]
-        self.lost.append(not read or not whole or bool(hung_anew))
-        self.rows.append(row)
-        self.axis.append(axis)
-        self.travelled.append(way)
-
-    def next_angle(self, axis: int) -> float:
-        """The angle (rad) of an axis's next move."""
-        self.moved[axis] += 1
-        return float(self.angles[axis][self.moved[axis]] - self.at[axis])
-
-
 def _pieces(
     log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], legs: list[_Leg], angles: list[np.ndarray]
 ) -> ExecutedUnit:
-    builder, axes = _Builder(log, angles, spans[0][0]), len(angles)
-    start = builder.at.copy()
+    rows, axes, lost, travelled = [spans[0][0]], list[int](), list[bool](), list[np.ndarray | None]()
+    goals = [iter(own[1:]) for own in angles]
+    start = np.array([own[0] for own in angles])
+    # Between two rows of equal counts every row may be integrated.
+    at, unusable = start.copy(), np.cumsum(~log.usable)
+
+    def add(row: int, axis: int = -1, way: np.ndarray | None = None, *, read: bool = True) -> None:
+        """The piece up to a row, in which one axis moves."""
+        whole = all(of[rows[-1]] == of[row] for of in (unusable, log.mounting))
+        lost.append(not (read and whole))
+        rows.append(row)
+        axes.append(axis)
+        travelled.append(way)
+
+    def next_angle(axis: int) -> float:
+        """The angle (rad) of an axis's next move."""
+        return float(next(goals[axis]) - at[axis])
+
     of_span: dict[int, list[_Leg]] = {}
     for leg in legs:
         of_span.setdefault(leg.span, []).append(leg)
     for k, (first, last) in enumerate(spans):
         parts = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / _PIECE_S - 1e-9)))
-        goals = np.linspace(log.time_s[first], log.time_s[last], parts + 1)[1:-1]
-        for row in [*np.searchsorted(log.time_s[:last], goals - 1e-9).tolist(), last]:
-            if row > builder.rows[-1]:
-                builder.add(row)
+        times = np.linspace(log.time_s[first], log.time_s[last], parts + 1)[1:-1]
+        for row in [*np.searchsorted(log.time_s[:last], times - 1e-9).tolist(), last]:
+            if row > rows[-1]:
+                add(row)
         for leg in of_span.get(k, []):
             if leg.axis >= 0:
-                angle = builder.next_angle(leg.axis)
-                builder.add(leg.end, leg.axis, _way(log, geometry, builder.at, leg, angle))
-                builder.at[leg.axis] += angle
+                angle = next_angle(leg.axis)
+                add(leg.end, leg.axis, _way(log, geometry, at, leg, angle))
+                at[leg.axis] += angle
                 continue
             # Several axes, or none: the move is not read; every axis goes to its next angle.
-            ends = np.linspace(leg.begin, leg.end, axes + 1).round().astype(int).tolist()[1:]
+            ends = np.linspace(leg.begin, leg.end, len(angles) + 1).round().astype(int).tolist()[1:]
             for l, row in enumerate(ends):
-                angle = builder.next_angle(l)
-                builder.add(row, l, np.linspace(0.0, angle, _FEWEST_NODES + 1), read=False)
-                builder.at[l] += angle
-    return ExecutedUnit(_motion(log, geometry, builder, start), np.array(builder.rows), tuple(builder.travelled))
+                angle = next_angle(l)
+                add(row, l, np.linspace(0.0, angle, _FEWEST_NODES + 1), read=False)
+                at[l] += angle
+    turned = np.array([0.0 if way is None else way[-1] for way in travelled])
+    motion = _motion(log, geometry, np.array(rows), np.array(axes), np.array(lost), turned, start)
+    return ExecutedUnit(motion, np.array(rows), tuple(travelled))
 
 
 def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float) -> np.ndarray:
@@ -291,10 +283,10 @@ def across_stops(done: ExecutedUnit, log: UnitRows) -> np.ndarray:
     return result
 
 
-def _motion(log: UnitRows, geometry: Geometry, builder: _Builder, start: np.ndarray) -> TableMotion:
-    rows, axis, lost = np.array(builder.rows), np.array(builder.axis), np.array(builder.lost)
+def _motion(
+    log: UnitRows, geometry: Geometry, rows: np.ndarray, axis: np.ndarray, lost: np.ndarray, turned: np.ndarray, start
+) -> TableMotion:
     duration, at = np.diff(log.time_s[rows]), log.temperature_c[rows]
-    turned = np.array([0.0 if way is None else way[-1] for way in builder.travelled])
     mean = turned / np.where(duration > 0.0, duration, 1.0)
     line = held(
         log.time_s[rows[:-1]], duration, mean, at[:-1], at[1:], read=~lost, at_rest=axis < 0, moving=axis >= 0, gap=lost

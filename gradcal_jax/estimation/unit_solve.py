@@ -181,8 +181,8 @@ def readings_of(
     observed, shared = np.zeros(len(at.row_segment)), across_stops(done, log)
     for i, c in enumerate(model.channels):
         values = (log.rates if c.kind == "gyro" else log.force)[:, c.axis]
-        total = np.concatenate([[0.0], np.cumsum(np.where(np.isfinite(values), values, 0.0) * step)])
-        whole = total[last + 1] - total[first + 1]
+        total = np.cumsum(np.where(np.isfinite(values), values, 0.0) * step)
+        whole = total[last] - total[first]
         if c.kind == "gyro":
             whole = whole + np.add.reduceat(shared[:, c.axis], at.first)
         rows = at.row_channel == i

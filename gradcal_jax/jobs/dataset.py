@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from gradcal_jax.api import UNIT_OF
 from gradcal_jax.files import to_toml
 from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.sweep import Sweep
+from gradcal_jax.information import STATISTICS
 from gradcal_jax.jobs.points import Points
-from gradcal_jax.jobs.results import OVER_RATE, STATISTICS, UNIT_OF, PointResult
+from gradcal_jax.jobs.results import PointResult
 
 if TYPE_CHECKING:
     import xarray
@@ -22,6 +24,8 @@ _TIMES: Final = {
     "motion": ("motion_s", "of it with the temperature changing"),
 }
 _CHANNELS: Final = ("x", "y", "z")
+# Quantities that have a "mean of max".
+_OVER_RATE: Final = ("scale_factor", "gyro_scale_factor")
 
 
 def dataset_of(
@@ -70,9 +74,9 @@ def dataset_of(
         if name in taken:
             name = f"{name}_{i}"
         taken.add(name)
-        unit = UNIT_OF[requirement.quantity]
+        unit, _ = UNIT_OF[requirement.quantity]
         for s, statistic in enumerate(STATISTICS):
-            if requirement.quantity not in OVER_RATE and statistic == "mean of max":
+            if requirement.quantity not in _OVER_RATE and statistic == "mean of max":
                 continue
             column = [[_number(t.get((i, c)), s) for c in channels] for t in tables]
             what = f"{requirement.name}: {statistic} of the residual {requirement.quantity.replace('_', ' ')}, 1 sigma"

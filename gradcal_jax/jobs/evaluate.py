@@ -9,19 +9,12 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-import numpy as np
-
-from gradcal_jax.api.build import assemble
-from gradcal_jax.api.posterior_of_plan import posterior_of_plan, residual_map, statistic_of, verdict
-from gradcal_jax.api.unit_build import assemble_unit
-from gradcal_jax.api.unit_prediction import posterior_of_unit, requirement_row
+from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.design.pose_search import PoseCycle
 from gradcal_jax.files import Spec, changed, spec_of, to_toml
 from gradcal_jax.files.changes import any_spec_of
-from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
-from gradcal_jax.information import STATISTICS
-from gradcal_jax.jobs.results import OVER_RATE, PointResult, Residual, one_line
+from gradcal_jax.jobs.results import PointResult, Residual, one_line
 
 _HEADER = "Made by gradcal recipes; `gradcal show` prints it as a table."
 Changes = Mapping[str, object]
@@ -49,25 +42,19 @@ def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> lis
 
 
 def _predicted(index: int, spec: Spec | UnitSpec) -> PointResult:
-    times = spec.schedule.duration, spec.schedule.soak, spec.schedule.motion
-    if isinstance(spec, UnitSpec):
-        unit = assemble_unit(spec)
-        known_unit = posterior_of_unit(unit)
-        of_unit = [requirement_row(unit, known_unit, requirement) for requirement in spec.requirement]
-        residuals = tuple(
-            # A unit's requirement has one value for all axes, stored under the first channel.
-            Residual(i, "x", (row.mean_of_max, row.max, row.mean, row.rms), row.verdict or "")
-            for i, row in enumerate(of_unit)
+    rows = requirement_rows(spec)
+    axes = len(rows) // max(len(spec.requirement), 1)
+    residuals = tuple(
+        # A unit's requirement has one value for all axes, stored under the first channel.
+        Residual(
+            k // axes,
+            "x" if isinstance(spec, UnitSpec) else row.axis,
+            (row.mean_of_max, row.max, row.mean, row.rms),
+            row.verdict or "",
         )
-        return PointResult(index, "", *times, residuals)
-    built = assemble(spec)
-    known = {channel: posterior_of_plan(built, channel) for channel in built.channels}
-    rows = tuple(
-        _row(i, channel, requirement, residual_map(built, posterior, requirement)[2])
-        for i, requirement in enumerate(spec.requirement)
-        for channel, posterior in known.items()
+        for k, row in enumerate(rows)
     )
-    return PointResult(index, "", *times, rows)
+    return PointResult(index, "", spec.schedule.duration, spec.schedule.soak, spec.schedule.motion, residuals)
 
 
 def _optimised(index: int, spec: Spec) -> PointResult:
@@ -76,16 +63,6 @@ def _optimised(index: int, spec: Spec) -> PointResult:
     best = optimise(spec)
     done = _predicted(index, best.spec)
     return done._replace(before=best.before, note=best.sentence, spec=to_toml(best.spec))
-
-
-def _row(i: int, channel: str, requirement: Requirement, values: np.ndarray) -> Residual:
-    statistics: list[float | None] = []
-    for name in STATISTICS:
-        value = statistic_of(requirement, values, name)
-        none = not np.isfinite(value) or (requirement.quantity not in OVER_RATE and name == "mean of max")
-        statistics.append(None if none else value)
-    result = verdict(requirement, values)
-    return Residual(i, channel, tuple(statistics), result or "")
 
 
 def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,34 +1,12 @@
 """The results of a sweep's points: plain data, without JAX, for the process that distributes the tasks."""
 
 import json
-from typing import Final, NamedTuple
-
-STATISTICS: Final = ("mean of max", "max", "mean", "rms")
-"""The order of a residual's values: `information.STATISTICS`."""
-UNIT_OF: Final = {
-    "scale_factor": "ppm",
-    "bias": "deg/h",
-    "gyro_bias": "deg/h",
-    "gyro_scale_factor": "ppm",
-    "gyro_misalignment": "urad",
-    "g_sensitivity": "deg/h/g",
-    "accelerometer_bias": "ug",
-    "accelerometer_scale_factor": "ppm",
-    "accelerometer_misalignment": "urad",
-    "second_order": "ug/g^2",
-    "position": "m",
-    "tilt": "urad",
-    "heading": "deg",
-    "north": "deg",
-}
-"""The unit of the residuals of every quantity, of one axis and of a whole unit."""
-OVER_RATE: Final = ("scale_factor", "gyro_scale_factor")
-"""Quantities that have a "mean of max"."""
+from typing import NamedTuple
 
 
 class Residual(NamedTuple):
-    """One requirement on one channel: the statistics in the order of `STATISTICS` (None: not defined, or not
-    observable), in the unit of `UNIT_OF`, and the verdict: "met", "missed", "unobservable" or "" without a target."""
+    """One requirement on one channel: the statistics (None: not defined, or not observable) in the order of
+    `information.STATISTICS` and the unit of `api.UNIT_OF`; the verdict: "met", "missed", "unobservable" or ""."""
 
     requirement: int
     channel: str

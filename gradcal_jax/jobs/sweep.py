@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import gradcal_jax
-from gradcal_jax.api.versions import versions_of
+from gradcal_jax.api.contract_rows import versions_of
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.sweep import Sweep
 from gradcal_jax.files.writing import write_whole

@@ -3,11 +3,9 @@
 from typing import Any
 
 from gradcal_jax import api, plots, units
-from gradcal_jax.api.contract_rows import coefficient_rows
-from gradcal_jax.api.unit_build import assemble_unit
-from gradcal_jax.api.unit_prediction import posterior_of_unit
+from gradcal_jax.api.contract_rows import coefficient_rows, versions_of
+from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import UNITS_OF_TERMS, unit_residual
-from gradcal_jax.api.versions import versions_of
 from gradcal_jax.files.contracts import Prediction, RequirementRow
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_calibration import UnitCalibration, UnitResult

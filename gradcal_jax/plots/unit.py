@@ -5,8 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
-from gradcal_jax.api.unit_build import assemble_unit, rest_poses
-from gradcal_jax.api.unit_prediction import posterior_of_unit
+from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit, rest_poses
 from gradcal_jax.api.unit_residual import UnitResidual, unit_residual
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec

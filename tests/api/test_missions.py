@@ -10,7 +10,7 @@ import gradcal_jax as gj
 from gradcal_jax import api
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.measure import measure
-from gradcal_jax.api.sensitivity import sensitivities
+from gradcal_jax.api.sensitivity import sensitivity
 from gradcal_jax.files import changed, read_spec, tables_of, to_toml
 from gradcal_jax.files.recipe import parse_recipe
 from gradcal_jax.files.spec import spec_of
@@ -85,7 +85,7 @@ def test_shares_and_elasticities_add_up():
     for name in ("h", "n"):
         assert sum(shares[name].values()) == pytest.approx(1.0, abs=0.01)
     # Twice the drift alone, by differences.
-    found = {r.figure: r.percent for r in sensitivities(spec).rows if r.requirement == "h"}
+    found = {r.figure: r.percent for r in sensitivity(spec).rows if r.requirement == "h"}
     more = changed(spec, {"sensor.drift[0].standard_deviation": "0.5005 deg/h"})
     assert np.log(row_of(more).rms / row_of(spec).rms) / np.log(1.001) == pytest.approx(
         found["bias instability"], abs=2e-3

@@ -17,7 +17,7 @@ from gradcal_jax.api.measure import measure
 from gradcal_jax.api.minimise_time import minimise_time
 from gradcal_jax.api.optimise import Optimised, _within_limits, exact, optimise, targets_met
 from gradcal_jax.api.plan_to_spec import plan_to_spec
-from gradcal_jax.api.sensitivity import sensitivities
+from gradcal_jax.api.sensitivity import sensitivity
 from gradcal_jax.api.structures import structures
 from gradcal_jax.design import ProgrammeCoordinates, polish
 from gradcal_jax.design.search import _program
@@ -71,7 +71,7 @@ def test_prices_are_what_a_slower_table_costs(spec, best):
 
 
 def test_elasticities_are_differences_of_predictions(spec):
-    known = sensitivities(spec)
+    known = sensitivity(spec)
     value, unit = known.residuals["full range"]
     assert (value, unit) == (pytest.approx(residual(spec), rel=1e-9), "ppm")
     by_name = {row.figure: row.percent for row in known.rows}

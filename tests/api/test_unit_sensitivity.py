@@ -6,7 +6,7 @@ import math
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.api.unit_sensitivity import RATES, TIME, sensitive_figures
+from gradcal_jax.api.sensitivity import RATES, UNIT_TIME, sensitive_figures
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets
 
@@ -40,7 +40,7 @@ def test_all_sizes_one_per_cent_larger_leave_one_per_cent_more(spec):
     assert len(found.residuals) == len({row.requirement for row in found.rows})
     for requirement in found.residuals:
         figures = by_figure(found, requirement)
-        sizes = [v for k, v in figures.items() if k not in (TIME, RATES) and "correlation time" not in k]
+        sizes = [v for k, v in figures.items() if k not in (UNIT_TIME, RATES) and "correlation time" not in k]
         assert math.fsum(sizes) == pytest.approx(1.0, abs=1e-5)
         assert all(value > -1e-6 for value in sizes)
 
@@ -50,9 +50,9 @@ def test_white_noise_falls_with_the_root_of_time_and_turns_do_not_matter_to_it()
     found = gj.sensitivity(bare)
     for requirement in ("accelerometer bias", "accelerometer scale factor"):
         figures = by_figure(found, requirement)
-        assert set(figures) == {"accelerometer: velocity random walk", TIME, RATES}
+        assert set(figures) == {"accelerometer: velocity random walk", UNIT_TIME, RATES}
         assert figures["accelerometer: velocity random walk"] == pytest.approx(1.0, abs=1e-5)
-        assert figures[TIME] == pytest.approx(-0.5, abs=1e-5)
+        assert figures[UNIT_TIME] == pytest.approx(-0.5, abs=1e-5)
         # The last face is held for what the turns leave.
         assert abs(figures[RATES]) < 0.01
 
@@ -69,11 +69,13 @@ def test_a_figure_s_row_is_what_the_prediction_says_of_it():
 
 def test_figures_are_those_that_the_spec_has_and_keys_of_one_kind_go_together():
     figures = sensitive_figures(gj.parse_unit_spec(presets.text("heat-and-cool")))
-    assert {"gyro: angle random walk", "thermal lag", "sample clock error", "accuracy of gravity", TIME} <= set(figures)
+    assert {"gyro: angle random walk", "thermal lag", "sample clock error", "accuracy of gravity", UNIT_TIME} <= set(
+        figures
+    )
     assert list(figures["table: reading noise"]) == [f"rig.table.axis[{k}].angle.reading_noise" for k in (0, 1)]
-    assert figures[TIME]["plan.programme[1].rate"] == -1
-    assert figures[TIME]["plan.programme[0].soak"] == 1
-    assert figures[TIME]["rig.table.axis[0].max_acceleration"] == -2
+    assert figures[UNIT_TIME]["plan.programme[1].rate"] == -1
+    assert figures[UNIT_TIME]["plan.programme[0].soak"] == 1
+    assert figures[UNIT_TIME]["rig.table.axis[0].max_acceleration"] == -2
     assert figures[RATES]["rig.table.axis[0].max_acceleration"] == 2
     assert not [key for key in figures[RATES] if "programme" in key or "chamber" in key or key.endswith("rest")]
     by_hand = sensitive_figures(gj.parse_unit_spec(presets.text("gimbal-by-hand")))

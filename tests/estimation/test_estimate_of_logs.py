@@ -12,9 +12,8 @@ from simulated_log import simulate_log
 
 from gradcal_jax.api import assemble, posterior_of_plan
 from gradcal_jax.api.calibration import estimate_calibration
-from gradcal_jax.api.estimate import estimate_channels
+from gradcal_jax.api.estimate import _fitted_lag, estimate_channels
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.gradient_estimate import _fitted_lag
 from gradcal_jax.api.log_rows import Rows, host_time, temperature_followed
 from gradcal_jax.files import parse_spec
 from gradcal_jax.files.correction import bias, scale_factor

@@ -11,10 +11,9 @@ from unit_bench import estimated, made, short, stopped_in_its_second_cycle
 from gradcal_jax import api
 from gradcal_jax.api import unit_optimise
 from gradcal_jax.api.replan import known_so_far, rest_of, with_done
-from gradcal_jax.api.unit_build import assemble_unit, motion_of
+from gradcal_jax.api.timeline import unit_timeline
+from gradcal_jax.api.unit_build import assemble_unit, motion_of, posterior_of_unit
 from gradcal_jax.api.unit_limit import unit_limits
-from gradcal_jax.api.unit_prediction import posterior_of_unit
-from gradcal_jax.api.unit_timeline import unit_timeline
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import SpecError, changed, presets

@@ -11,12 +11,9 @@ import pytest
 from jobs_small import GRID, SPEC, written
 
 import gradcal_jax as gj
-from gradcal_jax.api.posterior_of_plan import UNIT_OF
-from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY
 from gradcal_jax.files import presets
 from gradcal_jax.files.sweep import read_sweep
 from gradcal_jax.information import STATISTICS
-from gradcal_jax.jobs import results
 from gradcal_jax.jobs.dataset import identity_in, read_dataset
 from gradcal_jax.jobs.evaluate import predict_points
 from gradcal_jax.jobs.points import Points
@@ -87,16 +84,11 @@ def test_a_worker_predicts_as_predict_does(base, changes):
     mine = {(names[row.requirement], row.channel): row for row in found.residuals}
     assert len(mine) == len(found.residuals) == len(expected.requirements)
     for row in expected.requirements:
-        values = dict(zip(results.STATISTICS, mine[row.name, row.axis].values, strict=True))
-        for name in results.STATISTICS:
+        values = dict(zip(STATISTICS, mine[row.name, row.axis].values, strict=True))
+        for name in STATISTICS:
             said = getattr(row, name.replace(" ", "_"))
             assert values[name] == (None if said is None else pytest.approx(said, rel=1e-12))
         assert mine[row.name, row.axis].verdict == (row.verdict or "")
-
-
-def test_results_name_statistics_and_units_as_the_prediction_does():
-    assert results.STATISTICS == STATISTICS
-    assert {quantity: unit for quantity, (unit, _) in (UNIT_OF | UNIT_OF_QUANTITY).items()} == results.UNIT_OF
 
 
 def test_results_carry_their_units_their_file_and_their_failures(done):

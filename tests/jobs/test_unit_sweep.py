@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.api.unit_residual import UNIT_OF_QUANTITY
 from gradcal_jax.files import presets
 from gradcal_jax.files.sweep import named_spec, parse_sweep
 from gradcal_jax.jobs.dataset import dataset_of
 from gradcal_jax.jobs.evaluate import predict_points
 from gradcal_jax.jobs.points import Points
-from gradcal_jax.jobs.results import UNIT_OF
 from gradcal_jax.jobs.sweep import identity_of
 
 FILE = """format = "gradcal-sweep/1"
@@ -36,12 +34,6 @@ def test_a_sweep_predicts_the_points_of_a_unit_and_says_which_cannot_be():
             assert data[f"{row.name.replace(' ', '_')}_verdict"].values[i] == row.verdict
     assert np.isnan(data["accelerometer_bias_mean"].values[2])
     assert "accelerometer_bias_mean_of_max" not in data
-
-
-def test_units_of_results_are_those_of_predictions():
-    assert {quantity: UNIT_OF[quantity] for quantity in UNIT_OF_QUANTITY} == {
-        quantity: unit for quantity, (unit, _) in UNIT_OF_QUANTITY.items()
-    }
 
 
 def test_plans_of_units_are_not_optimised_in_sweeps_or_catalogues_and_that_is_said(tmp_path):

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 from gradcal_jax.api import assemble, predict
-from gradcal_jax.api.sensitivity import sensitivities
+from gradcal_jax.api.sensitivity import sensitivity
 from gradcal_jax.files import Spec, presets, spec_of
 from gradcal_jax.files.schedule import StandardSchedule
 
@@ -107,7 +107,7 @@ def elasticities(name_and_tables: tuple[str, dict]) -> tuple[str, dict | None]:
     """Per cent of each requirement's residual for one per cent of each figure; None where `sensitivity` refuses."""
     name, tables = name_and_tables
     try:
-        rows = sensitivities(spec_of(tables)).rows
+        rows = sensitivity(spec_of(tables)).rows
     except ValueError:
         return name, None
     found: dict[str, dict[str, float]] = {}

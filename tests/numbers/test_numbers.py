@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gradcal_jax.api.prediction import predict
-from gradcal_jax.api.sensitivity import sensitivities
+from gradcal_jax.api.sensitivity import sensitivity
 from gradcal_jax.files import spec_of
 
 HERE = Path(__file__).parent
@@ -60,7 +60,7 @@ def test_predictions_are_as_recorded(name):
 @pytest.mark.parametrize("name", _cases(ELASTICITIES, ALWAYS_DERIVED))
 def test_elasticities_are_as_recorded(name):
     rows: dict[str, dict[str, float]] = {}
-    for row in sensitivities(spec_of(PREDICTIONS[name]["tables"])).rows:
+    for row in sensitivity(spec_of(PREDICTIONS[name]["tables"])).rows:
         rows.setdefault(row.requirement, {})[row.figure] = row.percent
     recorded = ELASTICITIES[name]
     assert {k: set(v) for k, v in rows.items()} == {k: set(v) for k, v in recorded.items()}

@@ -6,7 +6,7 @@ import pytest
 from helpers_unit import shipped
 
 import gradcal_jax as gj
-from gradcal_jax.api.unit_prediction import predict_unit
+from gradcal_jax.api.prediction import predict
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.unit_spec import unit_spec_of
 
@@ -60,7 +60,7 @@ def sigmas(prediction) -> dict[str, float]:
 
 def test_one_axis_that_is_read_while_it_stands_is_the_scalar_plan():
     wanted = sigmas(gj.predict(spec_of(scalar())))
-    found = sigmas(predict_unit(unit_spec_of(unit("read"))))
+    found = sigmas(predict(unit_spec_of(unit("read"))))
     assert set(found) == set(wanted)
     for name, std in wanted.items():
         assert found[name] == pytest.approx(std, rel=1e-9), name
@@ -68,7 +68,7 @@ def test_one_axis_that_is_read_while_it_stands_is_the_scalar_plan():
 
 def test_a_table_that_holds_knows_the_bias_better():
     """A rest of a held table has no encoder in it: 0.05 deg in 10 s would be 18 deg/h."""
-    read, held = (sigmas(predict_unit(unit_spec_of(unit(standing)))) for standing in ("read", "held"))
+    read, held = (sigmas(predict(unit_spec_of(unit(standing)))) for standing in ("read", "held"))
     assert held["a0"] < 0.9 * read["a0"]
     assert all(held[name] <= read[name] * (1.0 + 1e-9) for name in read)
 

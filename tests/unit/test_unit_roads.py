@@ -11,8 +11,8 @@ from helpers_unit import DEG, shipped
 from random_units import motion, nodes_of, random_scene, system_of, unit_of
 from reference_unit import Scene, Simulator
 
+from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.unit_build import assemble_unit
-from gradcal_jax.api.unit_prediction import predict_unit
 from gradcal_jax.files import changed
 from gradcal_jax.files.unit_spec import unit_spec_of
 from gradcal_jax.information import square_root, whiten
@@ -159,7 +159,7 @@ def test_a_spec_in_radians_predicts_what_it_does_in_degrees():
     document["plan"]["temperature"] = ["20 degC", "30 degC"]
     other = in_radians(document)
     assert "deg" not in str(other).replace("degC", "").replace("degree", "")
-    degrees, radians = (predict_unit(unit_spec_of(d)) for d in (document, other))
+    degrees, radians = (predict(unit_spec_of(d)) for d in (document, other))
     assert len(degrees.parameters) == 120
     for a, b in zip(degrees.parameters, radians.parameters, strict=True):
         assert b.std == pytest.approx(a.std, rel=1e-9), a.name

@@ -8,7 +8,7 @@ import numpy as np
 
 from gradcal_jax.api import assemble, posterior_of_plan
 from gradcal_jax.api import predict as predict_spec
-from gradcal_jax.api.sensitivity import sensitivities
+from gradcal_jax.api.sensitivity import sensitivity
 from gradcal_jax.files.spec import read_spec
 from gradcal_jax.information import contrasts, information
 
@@ -52,7 +52,7 @@ def predict(asked: dict) -> dict:
         "times": {
             "plan → information": _seconds(lambda: information(built.trajectory(), built.model)),
             "plan → information → residual map → statistic": _seconds(mean_of_max),
-            "compiled: derivatives in all figures of sensor, rig and plan": _seconds(lambda: sensitivities(spec)),
+            "compiled: derivatives in all figures of sensor, rig and plan": _seconds(lambda: sensitivity(spec)),
             "`assemble(spec)`": _seconds(lambda: assemble(spec)),
             "`posterior_of_plan(built)`": _seconds(lambda: posterior_of_plan(built)),
             "`predict(spec)` as called": _seconds(lambda: predict_spec(spec)),

@@ -9,7 +9,7 @@ import unit_twin as twin
 from gradcal_jax.files import presets
 from gradcal_jax.files.unit_spec import parse_unit_spec
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.unit import SimulatedUnit
+from gradcal_jax.hardware.simulate.unit import ErrorTerm, SimulatedUnit
 from gradcal_jax.hardware.simulate.unit_lab import draw_table, draw_unit_truth
 
 SPEC = parse_unit_spec(presets.text("two-axis-table"))
@@ -50,11 +50,8 @@ class Oven(ChamberPlant):
 
 def silent(truth):
     """Without noise and drift, its clock right, all sensors where the axes meet."""
-    quiet = {
-        kind: replace(getattr(truth, kind), white=0.0, walk=0.0, drifts=type(truth.gyro.drifts)())
-        for kind in ("gyro", "accelerometer")
-    }
-    return replace(truth, lever=(0.0, 0.0, 0.0), gyro_lever=(0.0, 0.0, 0.0), clock_error=0.0, **quiet)
+    quiet = {kind: replace(triad, white=0.0, walk=0.0, drifts=()) for kind, triad in truth.triads.items()}
+    return replace(truth, triads=quiet, lever=(0.0, 0.0, 0.0), gyro_lever=(0.0, 0.0, 0.0), clock_error=0.0)
 
 
 def simulated(truth, table, seconds: float):
@@ -118,9 +115,9 @@ def test_what_is_off_the_axes_feels_the_turning() -> None:
     turned = simulated(replace(at_the_axes, gyro_lever=tuple(lever)), table, seconds)
     np.testing.assert_array_equal(turned.acceleration_g, there.acceleration_g)
     said = np.radians(turned.rate_dps - there.rate_dps)[rows]
-    assert drawn.gyro is not None
-    assert drawn.gyro.force is not None
-    np.testing.assert_allclose(said, felt @ drawn.gyro.force.values[..., 0].T, rtol=0.05, atol=1e-7)
+    terms = [error for error in drawn.triads["gyro"].errors if isinstance(error, ErrorTerm)]
+    (by_force,) = (error for error in terms if error.factors == "force")
+    np.testing.assert_allclose(said, felt @ by_force.values[..., 0].T, rtol=0.05, atol=1e-7)
 
 
 def test_noise_is_as_strong_as_the_spec_says() -> None:

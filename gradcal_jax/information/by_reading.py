@@ -40,10 +40,7 @@ def filter_readings(
         innovation = y - h @ mean
         if used[k] and spread > 0.0:
             gain[k], per_std[k] = cross / spread, spread**-0.5
-            mean = mean + gain[k, :, None] * innovation
-            # Joseph's form: the short one, P − g (P H)ᵀ, keeps what a good reading takes away as rounding.
-            once = covariance - gain[k, :, None] * cross
-            covariance = once + np.outer(variance[k] * gain[k] - once @ h, gain[k])
+            mean, covariance = mean + gain[k, :, None] * innovation, covariance - gain[k, :, None] * cross
         rows[k] = per_std[k] * innovation
     return Readings(rows, gain, per_std, mean, covariance)
 

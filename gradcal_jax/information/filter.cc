@@ -28,21 +28,6 @@ struct Kept {
   T *state, *covariance, *gain, *per_std;
 };
 
-// The covariance after a reading, in Joseph's form (1 − gH) P (1 − gH)ᵀ + gRgᵀ: where a reading tells much more than was
-// known, the short form P − g (PH)ᵀ keeps what it takes away as rounding.
-void learn(Real P[n][n], const Real* H, const Real* gain, const Real* PH, Real variance) {
-  for (int i = 0; i < n; ++i) {
-    Real left = 0;
-    for (int j = 0; j < n; ++j) {
-      P[i][j] -= gain[i] * PH[j];
-      left += P[i][j] * H[j];
-    }
-    for (int j = 0; j <= i; ++j) P[i][j] += (gain[i] * variance - left) * gain[j];
-  }
-  for (int i = 0; i < n; ++i)
-    for (int j = 0; j < i; ++j) P[j][i] = P[i][j];
-}
-
 // --- many states ------------------------------------------------------------------------------------------------------
 
 // What is not zero of a matrix, row by row, or of a vector (one row).
@@ -124,7 +109,8 @@ void filter_wide(int64_t count, int64_t p, Steps steps, const Real* mean, const 
       std::copy_n(gain, n, kept->gain + k * n);
       kept->per_std[k] = per_std;
     }
-    learn(P, steps.observation + k * n, gain, PH, steps.variance[k]);
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j < n; ++j) P[i][j] -= gain[i] * PH[j];
     for_panels(p, [&](int64_t c, int64_t left, auto whole) {
       const int64_t a = c * LANES;
       Vec* x = &state[c * n];
@@ -213,7 +199,8 @@ void filter(int64_t count, int64_t p, Steps steps, const Real* mean, const Real*
       std::copy_n(gain, n, kept->gain + k * n);
       kept->per_std[k] = per_std;
     }
-    learn(P, H, gain, PH, steps.variance[k]);
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j < n; ++j) P[i][j] -= gain[i] * PH[j];
     for_panels(p, [&](int64_t c, int64_t left, auto whole) {
       const int64_t a = c * LANES;
       Vec *x = &state[c * n], before[n], innovation = load(columns + k * p + a, left, whole);

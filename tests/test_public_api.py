@@ -1,12 +1,15 @@
 """The public names: each explained so that `help` is enough."""
 
+import ast
 import inspect
 import json
 import re
 import subprocess
 import sys
 import typing
+from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -116,3 +119,10 @@ print(json.dumps([name for name in gj.__all__ if name != "presets" and not calla
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1]) == []
+
+
+def test_no_two_public_classes_have_one_name():
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in Path(gj.__file__).parent.rglob("*.py")]
+    names = Counter(node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    assert len(names) > 500
+    assert [name for name, count in names.items() if count > 1 and not name.startswith("_")] == []

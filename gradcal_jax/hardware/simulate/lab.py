@@ -150,7 +150,7 @@ def basis_truth(section: Any, unit: str = "") -> TruthBasis:
     return TruthBasis("bins", knots=numbers(*section.edges))
 
 
-class Laboratory:
+class SimulatedDevices:
     """Chamber, table and units, each on a port of its own. A context manager; `rig` is the rig file."""
 
     axis_plants: list[AxisPlant]
@@ -233,7 +233,7 @@ def _axis_table(name: str, says: Table | TableAxis, port: str, number: int, by_h
     return device | {"gravity_loaded": False, "options": limits if by_hand else {"device": number, **limits}}
 
 
-class SimulatedLab(Laboratory):
+class SimulatedLab(SimulatedDevices):
     """The laboratory for one recipe's spec. A context manager; `rig` is its rig file.
 
     `burst_s` is how often the sensor's bytes reach the computer; a longer one costs less time. `room_c` is where the

@@ -16,7 +16,7 @@ from ...files.sensor import AccelerometerTriad, GyroTriad
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from ..pose import turn_by
-from .lab import Laboratory, basis_truth, processes_of
+from .lab import SimulatedDevices, basis_truth, processes_of
 from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth
 from .sensor import TruthBasis
@@ -174,7 +174,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
     return truth, encoders, named
 
 
-class SimulatedUnitLab(Laboratory):
+class SimulatedUnitLab(SimulatedDevices):
     """The laboratory for one recipe's spec, with `units` units on the table. A context manager; `rig` is its rig file.
 
     `mounting`: the first mounting, from 0. `burst_s` is the time between bursts of a unit's bytes to the computer.

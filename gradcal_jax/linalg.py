@@ -22,6 +22,8 @@ _SOUND = 1e-5
 # Squared condition number (Frobenius) up to which the first factor is as accurate as any: rounding of the product is at
 # most 1e-16 of it.
 _WELL_CONDITIONED = 1e5
+# Entries from which on a second product takes a noticeable part of a single prediction; below, its digits cost nothing.
+_LARGE = 200_000
 
 
 def triangular_factor(rows: Float[AnyArray, "n p"]) -> Float[AnyArray, "p p"]:
@@ -36,6 +38,10 @@ def triangular_factor(rows: Float[AnyArray, "n p"]) -> Float[AnyArray, "p p"]:
             first = np.zeros((p, p))
         diagonal = np.diagonal(first)
         if np.min(diagonal, initial=np.inf) > _SOUND * np.max(diagonal, initial=0.0):
+            if rows.size > _LARGE:
+                inverse = scipy.linalg.solve_triangular(first, np.eye(p), check_finite=False)
+                if np.sum(first**2) * np.sum(inverse**2) < _WELL_CONDITIONED:
+                    return first
             orthogonal = scipy.linalg.solve_triangular(first, rows.T, trans=1, check_finite=False)
             return np.linalg.cholesky(orthogonal @ orthogonal.T).T @ first
     factor = np.linalg.qr(np.concatenate([rows, np.zeros((max(0, p - n), p))]), mode="r")

@@ -390,8 +390,7 @@ def _map_row(section: Bias | ScaleFactor) -> MapRow:
 def _basis_row(section: TemperatureBasis | RateBasis, smooth: bool) -> BasisRow:
     """A basis as a row. `smooth`: whether the map's (reported) coefficients have a smoothness prior."""
     functions: Functions = "monomial" if section.basis == "polynomial" else section.basis
-    names = ("basis", "degree", "centre", "scale", "knots", "edges")
-    own: dict[str, Any] = {name: getattr(section, name) for name in names if hasattr(section, name)}
+    own: dict[str, Any] = {name: value for name, value in section if name in BasisRow.model_fields}
     return BasisRow(prior_functions=functions, smoothness_functions=functions if smooth else None, **own)
 
 

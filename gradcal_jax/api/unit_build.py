@@ -208,8 +208,9 @@ def motion_of(plan: UnitSchedule, spec: UnitSpec) -> TableMotion:
     steps = [step for step in plan.steps for _ in range(step.move.repeat)]
     table = spec.rig.table
     every = float(table.axis[0].angle.read_every) if table.standing == "read" else None
-    read = [{"read_end": True, "read_every": every if step.axis < 0 else None} for step in steps]
-    moves = tuple(move_of(replace(s.move, axis="x", **own), None, np.inf) for s, own in zip(steps, read, strict=True))
+    # The schedule is of the table: one channel, which every axis turns and whose rests are read as the axes' are.
+    own = (replace(s.move, axis="x", read_end=True, read_every=every if s.axis < 0 else None) for s in steps)
+    moves = tuple(move_of(move, None, np.inf) for move in own)
     schedule = trajectory.gradient_plan(course, moves, used=used, read_every=every)
     lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
     line = schedule.trajectory(lag)

@@ -108,7 +108,8 @@ class Labels(Section):
 
 
 class LogContents(Section):
-    """gradcal-log/1: a netCDF-4 file with these variables and global attributes.
+    """gradcal-log/1: a netCDF-4 file with these variables and global attributes. A checksum of all bytes may follow the
+    data, where other programs ignore it.
 
     `rows_removed` (JSON in the file) counts by reason the rows of the source that could not be kept; `findings` (JSON)
     are the faults found, `provenance` (JSON) texts by name. `simulated` is 1 where no real sensor made the data.

@@ -18,6 +18,7 @@ duration are exact. The sign of the motion is that of `turn`; where the angle fo
 """
 
 import math
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Final, Literal
@@ -96,9 +97,9 @@ class _Move(Section):
         if self.read is not None and self.read_every is not None:
             yield Problem(("read_every",), 'cannot stand beside "read"; keep one of them', self.read_every.text)
 
+    @abstractmethod
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """The move in SI, complete. Raises `SpecError`, keys relative to the move."""
-        raise NotImplementedError
 
     def resolved(self, shape: str, duration: float, *, reach: float = 0.0, **motion: Any) -> ResolvedMove:
         """A motion that is made and read as it is written here; `reach`: how far it goes from its start."""

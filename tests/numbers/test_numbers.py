@@ -17,8 +17,8 @@ HERE = Path(__file__).parent
 PREDICTIONS = json.loads((HERE / "predictions.json").read_text(encoding="utf-8"))
 ELASTICITIES = json.loads((HERE / "elasticities.json").read_text(encoding="utf-8"))
 
-# One of each method, basis and reference, quick ones; and two whose bias hardly anything is known of: sums that let
-# rounding grow, and a factor from one product of the rows, show there.
+# One of each method, basis and reference, quick ones; and two whose bias hardly anything is known of: where sums let
+# rounding grow, the first of them fails.
 ALWAYS = {"static gradient 0", "static standard 1", "dynamic standard 1", "tactical 3", "hand 1"}
 ALWAYS |= {"tactical 10", "consumer 6"}
 ALWAYS_DERIVED = {"static gradient 0", "dynamic gradient 8"}

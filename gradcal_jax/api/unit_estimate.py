@@ -191,7 +191,7 @@ def _read(
         done = estimation.executed_unit(seen, built.motion.geometry)
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
-    readings = estimation.readings_of(built.model, done, rows, temperature, built.points, felt)
+    readings = estimation.readings_of(built.model, done, rows, temperature, 0 if built.rough else built.points, felt)
     solution = estimation.estimate_unit(readings, about, threshold=threshold)
     scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
     if scale > _ABSURD:

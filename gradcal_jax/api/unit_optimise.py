@@ -174,7 +174,7 @@ class CycleValue:
         few = self._of_three(plan) if self.repeats and returns and stretch.cycles >= _MANY else None
         if few is not None:
             return few
-        built = self.built._replace(motion=motion_of(plan, self.built.spec))
+        built = self.built._replace(motion=motion_of(plan, self.built.spec, self.built.model))
         return [_gram_of(built._replace(model=model)) for model in self.models]
 
     def _of_three(self, plan: UnitSchedule) -> list[np.ndarray] | None:
@@ -186,7 +186,7 @@ class CycleValue:
         warm = segment.temperature_start + segment.slope * shorter
         segment = replace(segment, start=0.0, duration=shorter, temperature_end=warm)
         few = replace(plan, segments=(segment,), stretches=(stretch,))
-        built = self.built._replace(motion=motion_of(few, self.built.spec))
+        built = self.built._replace(motion=motion_of(few, self.built.spec, self.built.model))
         nodes = built.body_nodes()
         rows = int(np.searchsorted(segments_of(built.motion, built.model).row_segment, len(plan.steps)))
         shifts = built.model.shifts(segment.slope * plan.period * np.arange(plan.stretches[0].cycles - 2))

@@ -22,6 +22,8 @@ from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, he
 
 # A rest is one row of each channel, as in a plan, but its temperature is followed in pieces of this duration.
 _PIECE_S = 60.0
+# Equal parts of a piece of rest in which functions of temperature with jumps are summed.
+_PARTS = 64
 _GUARD_S = 0.1
 # Speeds below this share of the fastest are noise.
 _SLOWEST = 1e-3
@@ -309,6 +311,7 @@ def nodes_of_rows(
     felt: np.ndarray | None = None,
 ) -> BodyNodes:
     """The nodes of the executed motion on a table of this `geometry`. `temperature_c` `(n,)`: temperature of the maps.
+    `points` along a piece for functions of temperature; 0: they have jumps, and are evaluated at every node.
 
     `error_of(axis, angle) -> (error, its derivative)`, rad: angle of every axis less that of its encoder. `felt` `(P,
     3)`: the mean specific force over every piece, m/s², NaN where unknown: away from the axes a move adds some
@@ -349,9 +352,14 @@ def _group(done, log, motion, kinds, count, points, temperature_c, before, error
     error, slope = _errors(error_of, angle)
     joint = np.where(own, speed[..., None], 0.0) * (1.0 + slope)
     mounting = np.broadcast_to(motion.mounting[kinds][:, None], since.shape)
-    x, w = quadrature(points)
+    middles = (np.arange(count) + 0.5) / count
+    if points:
+        x, w = quadrature(points)
+        share = w[None] if count == 1 else lagrange(x, middles)
+    else:
+        x = (np.arange(_PARTS) + 0.5) / _PARTS if count == 1 else middles
+        share = np.full((1, _PARTS), 1.0 / _PARTS) if count == 1 else np.eye(count)
     temperature = np.interp(line.start[kinds][:, None] + duration[:, None] * x, log.time_s, temperature_c)
-    share = w[None] if count == 1 else lagrange(x, (np.arange(count) + 0.5) / count)
     weight = np.broadcast_to(duration[:, None] / count, since.shape)
     own_kinds = kinds, kinds, np.arange(len(kinds))
     group = body_group(geometry, own_kinds, temperature, share, weight, angle + error, joint, mounting)

@@ -108,7 +108,7 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
     """Every move between standstills."""
     step = np.diff(log.time_s, prepend=log.time_s[0])
     seen = np.flatnonzero(np.isfinite(log.rates).any(axis=0))
-    quiet = np.array([np.nanmean(log.rates[a : b + 1], axis=0) for a, b in spans]) if len(seen) else None
+    quiet = np.array([_mean_rates(log.rates[a : b + 1]) for a, b in spans]) if len(seen) else None
     result: list[_Leg] = []
     for k, ((_, last), (first, _)) in enumerate(itertools.pairwise(spans)):
         change = means[k + 1] - means[k]
@@ -142,6 +142,13 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
             )
         result += legs
     return result
+
+
+def _mean_rates(rates: np.ndarray) -> np.ndarray:
+    """The mean of each column; NaN where no row is finite."""
+    known = np.isfinite(rates)
+    count = np.sum(known, axis=0)
+    return np.where(count > 0, np.sum(np.where(known, rates, 0.0), axis=0) / np.maximum(count, 1), np.nan)
 
 
 def _valleys(speed: np.ndarray) -> list[int]:

@@ -19,8 +19,8 @@ from scipy.special import gammaincinv
 from gradcal_jax import formulas
 
 _QUIETEST = 0.10
-# Rows of the shortest window.
-_FEWEST_ROWS = 4
+# Rows of the shortest window; of one whose spread scatters itself.
+_FEWEST_ROWS, _FEW_ROWS = 4, 10
 # Spread of a quantised sensor that changes between two values half of the time or less, in counts.
 _FLICKER = 0.3
 
@@ -49,7 +49,7 @@ def find_standstills(
     counts = [_least_step(rate_rad_per_s[usable, k]) for k in range(rate_rad_per_s.shape[1])]
     least = _FLICKER * float(np.linalg.norm(counts))
     level = float(np.quantile(spread[usable], _QUIETEST))
-    if width == _FEWEST_ROWS:
+    if width < _FEW_ROWS:
         # The spread of so few rows scatters itself: its quietest tenth is far below the usual.
         half = 0.5 * (width - 1) * rate_rad_per_s.shape[1]
         level *= float(np.sqrt(gammaincinv(half, 0.5) / gammaincinv(half, _QUIETEST)))

@@ -102,11 +102,6 @@ def estimate_units(
     Errors: `LogError` and `ValueError` where the logs lack what the estimate needs.
     """
     options = options or Options()
-    if spec.rig.table.standing != "held":
-        raise ValueError(
-            'a log is estimated for a table that holds its axes (rig.table.standing = "held"), not yet for one whose '
-            "angle is read while it stands"
-        )
     mountings = len(spec.rig.table.mounting)
     if len(logs) != mountings and (len(logs) > 1 or logs[0].mounting is None):
         raise LogError(
@@ -188,7 +183,9 @@ def _read(
     """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
     estimate, linearised about `about`."""
     try:
-        done = estimation.executed_unit(seen, built.motion.geometry)
+        encoder = built.model.encoder
+        spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
+        done = estimation.executed_unit(seen, built.motion.geometry, **spacing)
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
     readings = estimation.readings_of(built.model, done, rows, temperature, 0 if built.rough else built.points, felt)

@@ -17,7 +17,6 @@ from gradcal_jax.files.calibration import LOG_HASH, Calibration, Result
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.information.conformity import acceptance_limit, specific_risk
 
-
 # A shorter rest (s) tells nothing; temperatures within this (K) are one range.
 _BRIEF_S, _SAME_K = 1.0, 1.0
 

@@ -64,8 +64,8 @@ class ExecutedUnit(NamedTuple):
     travelled: tuple[np.ndarray | None, ...]
 
 
-def executed_unit(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
-    """The motion in a log's rows.
+def executed_unit(log: UnitRows, geometry: Geometry, read_every: float = _PIECE_S) -> ExecutedUnit:
+    """The motion in a log's rows. `read_every` s: the spacing of readings of a table that is read while it stands.
 
     Errors: `ValueError` where the table never stands, where its angles are not known there, or where the gyros'
     integral over a move is not a sequence of turns of single axes.
@@ -83,7 +83,7 @@ def executed_unit(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
     means = [np.mean(log.angles[read], axis=0) for read in rows]
     legs = _legs(log, geometry, spans, means)
     angles = _own_angles(log, known, spans, legs)
-    return _pieces(log, geometry, spans, legs, angles)
+    return _pieces(log, geometry, spans, legs, angles, read_every)
 
 
 class _Leg(NamedTuple):
@@ -201,7 +201,12 @@ def _own_angles(log: UnitRows, known: np.ndarray, spans: list[tuple[int, int]], 
 
 
 def _pieces(
-    log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], legs: list[_Leg], angles: list[np.ndarray]
+    log: UnitRows,
+    geometry: Geometry,
+    spans: list[tuple[int, int]],
+    legs: list[_Leg],
+    angles: list[np.ndarray],
+    longest: float,
 ) -> ExecutedUnit:
     rows, axes, lost, travelled = [spans[0][0]], list[int](), list[bool](), list[np.ndarray | None]()
     goals = [iter(own[1:]) for own in angles]
@@ -225,7 +230,7 @@ def _pieces(
     for leg in legs:
         of_span.setdefault(leg.span, []).append(leg)
     for k, (first, last) in enumerate(spans):
-        parts = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / _PIECE_S - 1e-9)))
+        parts = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / longest - 1e-9)))
         times = np.linspace(log.time_s[first], log.time_s[last], parts + 1)[1:-1]
         for row in [*np.searchsorted(log.time_s[:last], times - 1e-9).tolist(), last]:
             if row > rows[-1]:

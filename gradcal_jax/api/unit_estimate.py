@@ -14,7 +14,7 @@ from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import bridged_temperature, of_host_clock, time_of, usable_rows
 from gradcal_jax.api.prediction import unit_requirement_row
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, planned_moves
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_residual import internal_misalignments
 from gradcal_jax.api.unit_sentences import prior_deviations, unobserved_parameters
@@ -185,7 +185,7 @@ def _read(
     try:
         encoder = built.model.encoder
         spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
-        done = estimation.executed_unit(seen, built.motion.geometry, **spacing)
+        done = estimation.executed_unit(seen, built.motion.geometry, planned=planned_moves(built), **spacing)
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
     readings = estimation.readings_of(built.model, done, rows, temperature, 0 if built.rough else built.points, felt)

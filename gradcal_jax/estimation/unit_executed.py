@@ -9,6 +9,7 @@ Row `i` of a log represents the time from row `i − 1` to itself.
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.estimation.executed import valleys
+from gradcal_jax.estimation.planned_moves import SLOW_S, PlannedMove, TimedMove, timed_moves
 from gradcal_jax.formulas import runs
 from gradcal_jax.model import BodyGroup, BodyNodes
 from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, held, lagrange, quadrature
@@ -64,8 +66,14 @@ class ExecutedUnit(NamedTuple):
     travelled: tuple[np.ndarray | None, ...]
 
 
-def executed_unit(log: UnitRows, geometry: Geometry, read_every: float = _PIECE_S) -> ExecutedUnit:
-    """The motion in a log's rows. `read_every` s: the spacing of readings of a table that is read while it stands.
+def executed_unit(
+    log: UnitRows,
+    geometry: Geometry,
+    read_every: float = _PIECE_S,
+    planned: Sequence[Sequence[PlannedMove]] = (),
+) -> ExecutedUnit:
+    """The motion in a log's rows. `read_every` s: the spacing of readings of a table that is read while it stands;
+    `planned`: the moves of the plan between its rests, for logs that are too slow to show the motion themselves.
 
     Errors: `ValueError` where the table never stands, where its angles are not known there, or where the gyros'
     integral over a move is not a sequence of turns of single axes.
@@ -81,18 +89,21 @@ def executed_unit(log: UnitRows, geometry: Geometry, read_every: float = _PIECE_
                 f"the table's angles are not known where it stands, {log.time_s[first]:.6g} s into the log"
             )
     means = [np.mean(log.angles[read], axis=0) for read in rows]
-    legs = _legs(log, geometry, spans, means)
+    slow = np.median(np.diff(log.time_s)) > SLOW_S
+    legs = _legs(log, geometry, spans, means, planned if slow else ())
     angles = _own_angles(log, known, spans, legs)
     return _pieces(log, geometry, spans, legs, angles, read_every)
 
 
 class _Leg(NamedTuple):
-    """A move of one axis (−1: unknown or none), rows `begin + 1 … end`, after standstill `span`."""
+    """A move of one axis (−1: unknown or none), rows `begin + 1 … end`, after standstill `span`. `timed`: its motion
+    where the plan tells it."""
 
     span: int
     axis: int
     begin: int
     end: int
+    timed: TimedMove | None = None
 
 
 def _inner(time: np.ndarray, first: int, last: int) -> tuple[int, int]:
@@ -104,7 +115,13 @@ def _inner(time: np.ndarray, first: int, last: int) -> tuple[int, int]:
     return first + guard, last - guard
 
 
-def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means: list[np.ndarray]) -> list[_Leg]:
+def _legs(
+    log: UnitRows,
+    geometry: Geometry,
+    spans: list[tuple[int, int]],
+    means: list[np.ndarray],
+    planned: Sequence[Sequence[PlannedMove]],
+) -> list[_Leg]:
     """Every move between standstills."""
     step = np.diff(log.time_s, prepend=log.time_s[0])
     seen = np.flatnonzero(np.isfinite(log.rates).any(axis=0))
@@ -120,6 +137,21 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
             result.append(_Leg(k, int(turned[0]) if whole and len(turned) == 1 else -1, last, first))
             continue
         rates = (log.rates[last + 1 : first + 1] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen]
+        rows = np.arange(last, first + 1)
+
+        def directions_of(group, k: int = k, mounting: np.ndarray = log.mounting[[last]]) -> np.ndarray:
+            at, result = means[k].copy(), []
+            for move in group:
+                result.append(frames(geometry, at[None], mounting).axes[0][move.axis, seen])
+                at[move.axis] += move.angle
+            return np.array(result)
+
+        moved = rates * step[rows[1:], None]
+        if timed := timed_moves(planned, change, log.time_s[rows], moved, directions_of):
+            stops = (rows[np.argmin(np.abs(log.time_s[rows] - t.begin))] for t in timed[1:])
+            pairs = itertools.pairwise([last, *map(int, stops), first])
+            result += [_Leg(k, t.move.axis, a, b, t) for t, (a, b) in zip(timed, pairs, strict=True)]
+            continue
         where = _valleys(np.linalg.norm(rates, axis=1)) if len(turned) != 1 else []
         edges = [last, *(last + 1 + w for w in where), first]
         at, legs = means[k].copy(), []
@@ -209,6 +241,11 @@ def _pieces(
     longest: float,
 ) -> ExecutedUnit:
     rows, axes, lost, travelled = [spans[0][0]], list[int](), list[bool](), list[np.ndarray | None]()
+    # Where the plan tells when a move began, that is not at a row.
+    timed = (leg for before, leg in itertools.pairwise(legs) if before.span == leg.span)
+    times = {leg.begin: leg.timed.begin for leg in timed if leg.timed is not None}
+    time_s = log.time_s.copy()
+    time_s[list(times)] = list(times.values())
     goals = [iter(own[1:]) for own in angles]
     start = np.array([own[0] for own in angles])
     # Between two rows of equal counts every row may be integrated.
@@ -238,7 +275,7 @@ def _pieces(
         for leg in of_span.get(k, []):
             if leg.axis >= 0:
                 angle = next_angle(leg.axis)
-                add(leg.end, leg.axis, _way(log, geometry, at, leg, angle))
+                add(leg.end, leg.axis, _way(log, geometry, at, leg, angle, time_s))
                 at[leg.axis] += angle
                 continue
             # Several axes, or none: the move is not read; every axis goes to its next angle.
@@ -248,13 +285,20 @@ def _pieces(
                 add(row, l, np.linspace(0.0, angle, _FEWEST_NODES + 1), read=False)
                 at[l] += angle
     turned = np.array([0.0 if way is None else way[-1] for way in travelled])
-    motion = _motion(log, geometry, np.array(rows), np.array(axes), np.array(lost), turned, start)
+    as_moved = log._replace(time_s=time_s)
+    motion = _motion(as_moved, geometry, np.array(rows), np.array(axes), np.array(lost), turned, start)
     return ExecutedUnit(motion, np.array(rows), tuple(travelled))
 
 
-def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float) -> np.ndarray:
+def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float, time_s: np.ndarray) -> np.ndarray:
     """The angle (rad) of a move by the gyros, adjusted to the encoder's, at the edges of equal parts of its time."""
-    time = log.time_s[leg.begin : leg.end + 1]
+    time = time_s[leg.begin : leg.end + 1]
+    if leg.timed is not None:
+        count = _FEWEST_NODES
+        while count * _NODE < abs(whole):
+            count *= 2
+        share = leg.timed.share(np.linspace(time[0], time[-1], count + 1))
+        return whole * (share - share[0]) / max(share[-1] - share[0], 1e-12)
     direction = frames(geometry, at[None], log.mounting[[leg.begin]]).axes[0][leg.axis]
     rates = log.rates[leg.begin + 1 : leg.end + 1]
     direction = np.where(np.isfinite(rates).all(axis=0), direction, 0.0)
@@ -282,19 +326,40 @@ def across_stops(done: ExecutedUnit, log: UnitRows) -> np.ndarray:
     rests = np.flatnonzero(axis < 0)
     for k in np.flatnonzero((axis[:-1] >= 0) & (axis[1:] >= 0) & (axis[:-1] != axis[1:])):
         stop = int(rows[k + 1])
+        # Where the plan tells the stop, it may lie within a row, which is then the only one that both moves share.
+        late_s = float(done.motion.line.start[k + 1] - log.time_s[stop])
         near = np.arange(max(rows[k] + 1, stop - 1), min(rows[k + 2], stop + 1) + 1)
+        near = near if late_s == 0.0 else near[near == (stop if late_s < 0.0 else stop + 1)]
         around = [j for j in (np.searchsorted(rests, k) - 1, np.searchsorted(rests, k)) if 0 <= j < len(rests)]
         still = [np.mean(log.rates[rows[j] + 1 : rows[j + 1] + 1], axis=0) for j in rests[around]]
-        turned = (log.rates[near] - np.mean(still, axis=0)) * step[near, None] if still else np.full((1, 3), np.nan)
+        if not still or not len(near):
+            continue
+        whole = slice(rows[k] + 1, rows[k + 2] + 1)
+        turned = (log.rates[whole] - np.mean(still, axis=0)) * step[whole, None]
         mounting = done.motion.mounting[[k + 1]]
         axes = frames(done.motion.geometry, before[[k + 1]], mounting).axes[0][[axis[k], axis[k + 1]]] * seen
-        if not np.isfinite(turned[:, seen]).all() or np.linalg.svd(axes, compute_uv=False)[-1] < _SEEN:
+        both = turned[near - rows[k] - 1]
+        if not np.isfinite(both[:, seen]).all() or np.linalg.svd(axes, compute_uv=False)[-1] < _SEEN:
             continue
-        ended, begun = np.linalg.lstsq(axes.T[seen], turned[:, seen].T)[0]
+        if late_s:
+            # A row of a slow log holds degrees: each move is along the direction in which the gyros sense it, not along
+            # its axis.
+            sensed = [np.nansum(turned[a:b], axis=0) for a, b in _apart(near, rows[k : k + 3])]
+            known = np.linalg.norm(sensed, axis=1) > _BIAS
+            axes = np.where(known[:, None], sensed, axes)
+        ended, begun = np.linalg.lstsq(axes.T[seen], both[:, seen].T)[0]
         late = np.sum(begun[near <= stop]) * axes[1] - np.sum(ended[near > stop]) * axes[0]
+        # The rest of the output is divided by the time itself.
+        late -= np.nan_to_num(np.mean(still, axis=0)) * late_s
         result[k] -= late
         result[k + 1] += late
     return result
+
+
+def _apart(near: np.ndarray, rows: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
+    """The rows of two neighbouring moves that are not `near` their stop, counted from the first row of the former."""
+    begin, end = int(rows[0]) + 1, int(rows[2]) + 1
+    return (0, int(near[0]) - begin), (int(near[-1]) + 1 - begin, end - begin)
 
 
 def _motion(

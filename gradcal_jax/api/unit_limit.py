@@ -23,8 +23,8 @@ import numpy as np
 from gradcal_jax import model, trajectory
 from gradcal_jax.api.limit import PlanLimit, plan_limit
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
-from gradcal_jax.api.prediction import unit_requirement_row
 from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit, assemble_unit, posterior_of_unit
+from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.design import criterion, limit
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
 from gradcal_jax.files.spec import goes_on
@@ -73,7 +73,7 @@ def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
         )
     after = posterior_of_unit(built)
     return [
-        plan_limit(r, UNIT_OF[r.quantity], bound, unit_requirement_row(built, after, r).decisive, _RELAXED)
+        plan_limit(r, UNIT_OF[r.quantity], bound, unit_residual(built, after, r).statistic(), _RELAXED)
         for r, bound in proven
     ]
 

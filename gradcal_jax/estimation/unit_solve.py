@@ -33,6 +33,7 @@ from gradcal_jax.model import (
     AxisHarmonics,
     BaseTilt,
     BodyNodes,
+    ChannelKind,
     CommonScale,
     MountingError,
     NonOrthogonality,
@@ -48,11 +49,12 @@ _SMALL_TURN = 1e-5
 
 
 class Installed(NamedTuple):
-    """Estimated table: `error_of(axis, angle)`: encoder error and derivative, rad; `clock`: relative clock error."""
+    """Estimated table: `error_of(axis, angle)`: encoder error and derivative, rad; `clock`: relative clock error
+    that a kind of channel sees."""
 
     geometry: Geometry
     error_of: Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]] | None
-    clock: float
+    clock: dict[ChannelKind, float]
 
 
 def installed(geometry: Geometry, model: UnitModel, values: np.ndarray) -> Installed:
@@ -62,7 +64,8 @@ def installed(geometry: Geometry, model: UnitModel, values: np.ndarray) -> Insta
     """
     base, axes, mountings, gravity = geometry.base, geometry.axes.copy(), geometry.mountings.copy(), geometry.gravity
     waves: list[tuple[AxisHarmonics, np.ndarray]] = []
-    clock, begin = 0.0, 0
+    clock: dict[ChannelKind, float] = {"gyro": 0.0, "accelerometer": 0.0}
+    begin = 0
     for term in model.installation:
         own = np.asarray(values[begin : begin + term.size])
         begin += term.size
@@ -79,7 +82,10 @@ def installed(geometry: Geometry, model: UnitModel, values: np.ndarray) -> Insta
         elif isinstance(term, AxisHarmonics):
             waves.append((term, own))
         elif isinstance(term, CommonScale):
-            gravity, clock = (gravity + own[0], clock) if term.of == "gravity" else (gravity, float(own[0]))
+            if term.of == "gravity":
+                gravity = gravity + own[0]
+            else:
+                clock = {"gyro": float(own[0]), "accelerometer": float(own[0]) * term.forces}
         else:
             raise TypeError(f"no finite form of {type(term).__name__} is known")
 
@@ -130,8 +136,8 @@ class UnitReadings(NamedTuple):
             begin += c.model.size
             output = ideal[nodes.kind, c.index] + columns @ own
             rows = at.row_channel == i
-            result[rows] = at.sums(output)[at.row_segment[rows]]
-        return result * (1.0 + table.clock)
+            result[rows] = at.sums(output)[at.row_segment[rows]] * (1.0 + table.clock[c.kind])
+        return result
 
     def nominal(self) -> BodyNodes:
         """The nodes of the nominal table."""

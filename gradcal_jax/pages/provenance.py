@@ -28,7 +28,7 @@ def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> lis
         )
         rows += [(name, str(value)) for name, value in figures if value is not None]
         absent = [
-            (term.key, f"counted as zero; typical of its class: {term.typical}")
+            (term.key, f"not stated, and so counted as is typical of its class: {term.typical}")
             for term in absent_terms(recipe.axis_spec)
         ]
         return rows + absent

@@ -1,0 +1,288 @@
+"""Errors that no residual of a run shows, as directions in the space of the parameters.
+
+Within one run the sample clock, the scale of an encoder, the cosine of a mounting, the offset of a thermometer or the
+Earth's rate act as a constant of a map, or as its slope over temperature: the data fit as well with them as without,
+and the estimate is off by a direction `v` of the parameters times the error. Each is therefore no parameter, but a
+column of the posterior's spread: the covariance is `C + Σ v vᵀ`, for predictions and estimates, axes and units alike.
+
+`θ` of the input axis against the table's, each of two angles with standard deviation σ, multiplies the scale factor by
+`cos θ ≈ 1 − (θ₁² + θ₂²)/2`, whose root mean square is √2 σ². The Earth's rate along an axis of unknown direction is
+rectangular within ±15.04 deg/h (GUM, 4.3.7).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.posterior_of_plan import posterior_of_plan
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
+from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
+from gradcal_jax.files.changes import AnySpec, changed
+from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.information import Posterior
+from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, Map, SensorModel, SignalMap
+from gradcal_jax.trajectory import EARTH_RATE, Trajectory
+
+UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
+# Temperatures at which the slope of a map is taken, and the step of the difference, K.
+_AT: Final = 64
+_STEP_K: Final = 0.01
+# Part of a run over which its ramp is measured, s.
+_MINUTES: Final = 300.0
+# Last parts of the keys of omitted terms that are no noise: columns of `columns_of`, or terms with parameters.
+_NO_NOISE: Final = frozenset({
+    "thermal_lag", "bias_temperature_gradient", "temperature_offset", "temperature_lag", "mounting_accuracy",
+    "scale_error", "turn_on_bias",
+})  # fmt: skip
+
+
+class ChannelTerms(NamedTuple):
+    """The terms of one channel with their places among all parameters; `kind`: "gyro" or "accelerometer"."""
+
+    kind: str
+    terms: tuple[tuple[slice, Map | SignalMap], ...]
+
+
+class Figures(NamedTuple):
+    """Standard deviations of the errors that no residual shows, SI: relative of the scale factor, by name, of the
+    gyros; the offset (K) and lag (s) of the thermometer; of biases, by kind: constant, per K/s, and new at every
+    power-on. `slopes`: typical ones of bias and scale factor over temperature, by kind."""
+
+    scale: Mapping[str, float]
+    offset: float
+    lag: float
+    bias: Mapping[str, float]
+    gradient: float
+    turn_on: Mapping[str, float]
+    slopes: Mapping[str, tuple[float, float]]
+
+
+class Executed(NamedTuple):
+    """An estimate in the place of a plan: its parameters `(p,)`, the range of temperature of its data (°C), and the
+    standard deviation of its lag (s), if that was fitted."""
+
+    parameters: np.ndarray
+    temperature_c: tuple[float, float]
+    ramp: float
+    lag_std: float | None = None
+
+
+def figures_of(spec: Spec | UnitSpec) -> Figures:
+    """The figures that a spec names; what it does not name is zero."""
+    sensor = spec.sensor
+    common = {"offset": float(sensor.temperature_offset or 0.0), "lag": float(sensor.temperature_lag or 0.0)}
+    if isinstance(spec, UnitSpec):
+        gyro, force = spec.sensor.gyro, spec.sensor.accelerometer
+        scales = [float(axis.angle.scale_error or 0.0) for axis in spec.rig.table.axis]
+        triads = {"gyro": gyro, "accelerometer": force}
+        return Figures(
+            scale={"scale of the table's angle": max(scales)},
+            bias={},
+            gradient=0.0 if gyro is None else float(gyro.bias_temperature_gradient or 0.0),
+            turn_on={kind: float(triad.turn_on_bias or 0.0) for kind, triad in triads.items() if triad is not None},
+            slopes={kind: slopes_of(spec.sensor, kind) for kind, triad in triads.items() if triad is not None},
+            **common,
+        )
+    table, of = spec.rig.table, spec.sensor.gradient_sensitivity
+    return Figures(
+        scale={
+            "input axis beside the table's axis": 2.0**0.5 * float(table.mounting_accuracy or 0.0) ** 2,
+            "scale of the table's angle": float(table.angle.scale_error or 0.0),
+        },
+        bias={"Earth's rate": UNKNOWN_EARTH_RATE if spec.rig.earth_rate == np.inf else 0.0},
+        gradient=0.0 if of is None else float(of.prior or 0.0),
+        turn_on={"gyro": float(spec.sensor.turn_on_bias or 0.0)},
+        slopes={"gyro": slopes_of(spec.sensor)},
+        **common,
+    )
+
+
+def columns_of(
+    figures: Figures, channels: Sequence[ChannelTerms], size: int, ramp: float, done: Executed | None = None
+) -> dict[str, np.ndarray]:
+    """Columns `(p, k)` of the spread by the name of their error, for `size` parameters and a `ramp` of that many K/s
+    (root mean square). In a plan a map has its class's slopes, in an estimate its own."""
+    columns: dict[str, list[np.ndarray]] = {}
+
+    def add(name: str, column: np.ndarray) -> None:
+        if np.any(column):
+            columns.setdefault(name, []).append(column)
+
+    for kind, terms in channels:
+        if kind == "gyro":
+            for name, std in figures.scale.items():
+                add(name, std * _constants(terms, size, SCALE_FACTOR))
+            for name, std in figures.bias.items():
+                add(name, std * _constants(terms, size, BIAS))
+            add("bias from dT/dt", figures.gradient * ramp * _constants(terms, size, BIAS))
+        if done is None:
+            by_name = dict(zip((BIAS, SCALE_FACTOR), figures.slopes[kind], strict=True))
+            slope = sum((s * _constants(terms, size, name) for name, s in by_name.items()), np.zeros(size))
+        else:
+            slope = _slopes(terms, size, done)
+        lag = figures.lag if done is None or done.lag_std is None else done.lag_std
+        add("offset of the temperature", figures.offset * slope)
+        add("lag of the temperature", lag * ramp * slope)
+    return {name: np.stack(several, axis=1) for name, several in columns.items()}
+
+
+def widened(known: Posterior, columns: Mapping[str, np.ndarray]) -> Posterior:
+    """The posterior with further errors, each a set of columns `(p, k)`."""
+    return known._replace(spread=np.concatenate([known.spread, *columns.values()], axis=1)) if columns else known
+
+
+def another_run(figures: Figures, channels: Sequence[ChannelTerms], size: int) -> dict[str, np.ndarray]:
+    """Columns for the bias of another power-on."""
+    columns = [figures.turn_on[kind] * _constants(terms, size, BIAS) for kind, terms in channels]
+    return {"turn-on bias": np.stack(columns, axis=1)} if any(np.any(c) for c in columns) else {}
+
+
+def _constants(terms, size: int, name: str) -> np.ndarray:
+    """Parameters `(p,)` of the term that is 1 everywhere; zero without the term."""
+    column = np.zeros(size)
+    for where, term in terms:
+        if term.name == name:
+            column[where] = term.constant if isinstance(term, Map) else term.temperature.constant
+    return column
+
+
+def _slopes(terms, size: int, done: Executed) -> np.ndarray:
+    """Parameters `(p,)` of the estimated terms' derivatives in temperature, `(1/K)`, by least squares over the data's
+    temperatures: exact for polynomials."""
+    column = np.zeros(size)
+    low, high = done.temperature_c
+    at = np.linspace(low, max(high, low + 1.0), _AT)
+    for where, term in terms:
+        functions = term.temperature(at)
+        change = (term.temperature(at + _STEP_K) - term.temperature(at - _STEP_K)) / (2.0 * _STEP_K)
+        # A map over rate is a tensor product, temperature first.
+        own = done.parameters[where].reshape(functions.shape[1], -1)
+        column[where] = np.linalg.lstsq(functions, change @ own, rcond=None)[0].ravel()
+    return column
+
+
+def ramp_of(lines: Sequence[Trajectory]) -> float:
+    """Root mean square of dT/dt over the data that are used, K/s."""
+    total, time = 0.0, 0.0
+    for line in lines:
+        begin, end = (np.asarray(of)[~np.asarray(line.gap)] for of in line.ends())
+        lasting = np.asarray(line.duration)[~np.asarray(line.gap)]
+        lasts = lasting > 0.0
+        total += float(np.sum((end - begin)[lasts] ** 2 / lasting[lasts]))
+        time += float(np.sum(lasting))
+    return (total / time) ** 0.5 if time else 0.0
+
+
+def ramp_of_record(time: np.ndarray, temperature: np.ndarray) -> float:
+    """Root mean square of dT/dt of a record (s, °C), over parts of five minutes, K/s."""
+    span = float(time[-1] - time[0])
+    if span <= 0.0:
+        return 0.0
+    at = np.linspace(time[0], time[-1], max(2, round(span / _MINUTES) + 1))
+    return float(np.sqrt(np.mean((np.diff(np.interp(at, time, temperature)) / np.diff(at)) ** 2)))
+
+
+def terms_of_axis(model: SensorModel) -> list[ChannelTerms]:
+    """The maps of one axis's model."""
+    maps = (model.bias, model.scale)
+    return [ChannelTerms("gyro", tuple((model.where(m.name), m) for m in maps if m is not None))]
+
+
+def terms_of_unit(built: AssembledUnit) -> list[ChannelTerms]:
+    """The maps and terms of every channel of a unit."""
+    model, channels = built.model, []
+    for c in model.channels:
+        own = [(model.where(c.kind, c.axis, t.name), t) for t in c.model.terms if isinstance(t, Map | SignalMap)]
+        channels.append(ChannelTerms(c.kind, tuple(own)))
+    return channels
+
+
+class Budget(NamedTuple):
+    """Posteriors of a plan or an estimate. `own`: with what the spec names; `whole`: with what it omits, at its class's
+    typical figures; `any_run`: with the bias of another power-on as well. `built`: whose model the last two are of."""
+
+    own: Posterior
+    whole: Posterior
+    any_run: Posterior
+    built: Any
+
+
+def budget_of_plan(built: Assembled, known: Posterior, channel: Axis, complete: Assembled) -> Budget:
+    """The posteriors of one axis of a plan; `complete`: the spec with all that it omits at typical figures."""
+    own = widened(known, _of_plan(built, channel))
+    if complete is built:
+        whole = own
+    else:
+        whole = widened(posterior_of_plan(complete, channel), _of_plan(complete, channel))
+    turn_on = another_run(figures_of(complete.spec), terms_of_axis(complete.model), complete.model.size)
+    return Budget(own, whole, widened(whole, turn_on), complete)
+
+
+def budget_of_unit(built: AssembledUnit, known: Posterior, complete: AssembledUnit) -> Budget:
+    """The posteriors of a unit's plan."""
+    own = widened(known, _of_unit_plan(built))
+    whole = own if complete is built else widened(posterior_of_unit(complete), _of_unit_plan(complete))
+    turn_on = another_run(figures_of(complete.spec), terms_of_unit(complete), complete.model.size)
+    return Budget(own, whole, widened(whole, turn_on), complete)
+
+
+def _of_plan(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
+    figures = _without_fitted(figures_of(built.spec), built.model)
+    return columns_of(figures, terms_of_axis(built.model), built.model.size, ramp_of([built.trajectory(channel)]))
+
+
+def _of_unit_plan(built: AssembledUnit) -> dict[str, np.ndarray]:
+    ramp = ramp_of([motion.line for motion in (*built.past, built.motion)])
+    return columns_of(figures_of(built.spec), terms_of_unit(built), built.model.size, ramp)
+
+
+def _without_fitted(figures: Figures, model: SensorModel) -> Figures:
+    """A sensitivity to dT/dt that the model estimates is in its covariance."""
+    return figures if model.term(TEMPERATURE_GRADIENT) is None else figures._replace(gradient=0.0)
+
+
+def budget_of_estimate(built: Assembled, known: Posterior, channel: Axis, done: Executed) -> Budget:
+    """The posteriors of an estimate of one axis. Noise that the spec omits counts as it does in the spec's plan."""
+    figures = (_without_fitted(figures_of(s), built.model) for s in (built.spec, with_typical(built.spec)))
+    terms, size = terms_of_axis(built.model), built.model.size
+    own, whole = (columns_of(f, terms, size, done.ramp, done) for f in figures)
+    noisy = noise_completed(built.spec)
+    if noisy is not built.spec:
+        plans = [posterior_of_plan(assemble(spec), channel) for spec in (built.spec, noisy)]
+        whole["omitted noise"] = _excess(*plans, size, size)
+    turn_on = another_run(figures_of(with_typical(built.spec)), terms, size)
+    return Budget(widened(known, own), widened(known, whole), widened(known, whole | turn_on), built)
+
+
+def budget_of_unit_estimate(built: AssembledUnit, known: Posterior, done: Executed) -> Budget:
+    """The same of a whole unit."""
+    complete, model = with_typical(built.spec), built.model
+    terms, size = terms_of_unit(built), model.size
+    own, whole = (columns_of(figures_of(s), terms, size, done.ramp, done) for s in (built.spec, complete))
+    noisy = noise_completed(built.spec)
+    if noisy is not built.spec:
+        plans = [posterior_of_unit(assemble_unit(spec)) for spec in (built.spec, noisy)]
+        whole["omitted noise"] = _excess(*plans, size, model.calibrated)
+    turn_on = another_run(figures_of(complete), terms, size)
+    return Budget(widened(known, own), widened(known, whole), widened(known, whole | turn_on), built)
+
+
+def noise_completed(spec: AnySpec) -> AnySpec:
+    """The spec with the omitted terms that are noise, or parameters of the table, at typical figures; without those
+    that change the parameters of the sensor or the temperatures of the plan."""
+    noise = {t.key: t.value for t in absent_terms(spec) if t.key.rpartition(".")[2] not in _NO_NOISE}
+    return changed(spec, noise) if noise else spec
+
+
+def _excess(spec: Posterior, noisy: Posterior, size: int, own: int) -> np.ndarray:
+    """Columns `(p, k)` of what the omitted noise adds to the covariance of the first `own` parameters."""
+    more = noisy.spread[:own] @ noisy.spread[:own].T - spec.spread[:own] @ spec.spread[:own].T
+    scale = np.sqrt(np.maximum(np.diag(noisy.spread[:own] @ noisy.spread[:own].T), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(more / np.outer(scale, scale))
+    columns = np.zeros((size, own))
+    columns[:own] = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return columns

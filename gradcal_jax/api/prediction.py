@@ -24,7 +24,7 @@ from gradcal_jax.api.posterior_of_plan import (
     verdict,
 )
 from gradcal_jax.api.scenarios import extremes
-from gradcal_jax.api.systematic import Budget, budget_of_plan, budget_of_unit
+from gradcal_jax.api.systematic import CountedPosteriors, budget_of_plan, budget_of_unit
 from gradcal_jax.api.tested_maps import noticing
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import unit_residual
@@ -93,7 +93,9 @@ def requirement_rows(spec: Spec | UnitSpec) -> list[RequirementRow]:
     return [_requirement_row(built, budget, r, c) for r, c, budget in _budgets(built, posteriors_of_plan(built))]
 
 
-def _budgets(built: Assembled, known: Mapping[Axis, Posterior]) -> Iterator[tuple[Requirement, Axis, Budget]]:
+def _budgets(
+    built: Assembled, known: Mapping[Axis, Posterior]
+) -> Iterator[tuple[Requirement, Axis, CountedPosteriors]]:
     """Every requirement on every axis, with the posteriors that decide."""
     full = with_typical(built.spec)
     complete = built if full is built.spec else assemble(full)
@@ -154,7 +156,9 @@ def _asked_and_left(requirement: Requirement | UnitRequirement, values: Mapping[
     }
 
 
-def unit_requirement_row(built: AssembledUnit, budget: Budget, requirement: UnitRequirement) -> RequirementRow:
+def unit_requirement_row(
+    built: AssembledUnit, budget: CountedPosteriors, requirement: UnitRequirement
+) -> RequirementRow:
     """The residual and the verdict of one requirement."""
     left = unit_residual(built, budget.own, requirement)
     judged, more = _judged_maps(
@@ -175,7 +179,9 @@ def unit_requirement_row(built: AssembledUnit, budget: Budget, requirement: Unit
     )
 
 
-def _requirement_row(built: Assembled, budget: Budget, requirement: Requirement, channel: Axis) -> RequirementRow:
+def _requirement_row(
+    built: Assembled, budget: CountedPosteriors, requirement: Requirement, channel: Axis
+) -> RequirementRow:
     _, rates, values = residual_map(built, budget.own, requirement)
     judged, more = _judged_maps(
         budget,
@@ -204,7 +210,7 @@ def _requirement_row(built: Assembled, budget: Budget, requirement: Requirement,
 
 
 def _judged_maps(
-    budget: Budget,
+    budget: CountedPosteriors,
     requirement: Requirement | UnitRequirement,
     residual_of: Callable[[Posterior], Any],
     value: Callable[[Any], float | None],
@@ -234,7 +240,7 @@ def _decided(requirement: Requirement | UnitRequirement, of: Callable[[Statistic
     }
 
 
-def _risks(budget: Budget, requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
+def _risks(budget: CountedPosteriors, requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
     """The chances that a unit keeps the target (on a grid of at most 41 a side), and the risks of a second run.
 
     That run is as uncertain as the first and independent of it. Errors that both runs share (the sensor's clock, the

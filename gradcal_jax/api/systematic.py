@@ -47,7 +47,7 @@ class ChannelTerms(NamedTuple):
     terms: tuple[tuple[slice, Map | SignalMap], ...]
 
 
-class Figures(NamedTuple):
+class SystematicFigures(NamedTuple):
     """Standard deviations of the errors that no residual shows, SI: relative of the scale factor, by name, of the
     gyros; the offset (K) and lag (s) of the thermometer; of biases, by kind: constant, per K/s, and new at every
     power-on. `slopes`: typical ones of bias and scale factor over temperature, by kind."""
@@ -61,7 +61,7 @@ class Figures(NamedTuple):
     slopes: Mapping[str, tuple[float, float]]
 
 
-class Executed(NamedTuple):
+class EstimatedRun(NamedTuple):
     """An estimate in the place of a plan: its parameters `(p,)`, the range of temperature of its data (°C), and the
     standard deviation of its lag (s), if that was fitted."""
 
@@ -71,7 +71,7 @@ class Executed(NamedTuple):
     lag_std: float | None = None
 
 
-def figures_of(spec: Spec | UnitSpec) -> Figures:
+def systematic_figures(spec: Spec | UnitSpec) -> SystematicFigures:
     """The figures that a spec names; what it does not name is zero."""
     sensor = spec.sensor
     common = {"offset": float(sensor.temperature_offset or 0.0), "lag": float(sensor.temperature_lag or 0.0)}
@@ -79,7 +79,7 @@ def figures_of(spec: Spec | UnitSpec) -> Figures:
         gyro, force = spec.sensor.gyro, spec.sensor.accelerometer
         scales = [float(axis.angle.scale_error or 0.0) for axis in spec.rig.table.axis]
         triads = {"gyro": gyro, "accelerometer": force}
-        return Figures(
+        return SystematicFigures(
             scale={"scale of the table's angle": max(scales)},
             bias={},
             gradient=0.0 if gyro is None else float(gyro.bias_temperature_gradient or 0.0),
@@ -88,7 +88,7 @@ def figures_of(spec: Spec | UnitSpec) -> Figures:
             **common,
         )
     table, of = spec.rig.table, spec.sensor.gradient_sensitivity
-    return Figures(
+    return SystematicFigures(
         scale={
             "input axis beside the table's axis": 2.0**0.5 * float(table.mounting_accuracy or 0.0) ** 2,
             "scale of the table's angle": float(table.angle.scale_error or 0.0),
@@ -102,7 +102,11 @@ def figures_of(spec: Spec | UnitSpec) -> Figures:
 
 
 def columns_of(
-    figures: Figures, channels: Sequence[ChannelTerms], size: int, ramp: float, done: Executed | None = None
+    figures: SystematicFigures,
+    channels: Sequence[ChannelTerms],
+    size: int,
+    ramp: float,
+    done: EstimatedRun | None = None,
 ) -> dict[str, np.ndarray]:
     """Columns `(p, k)` of the spread by the name of their error, for `size` parameters and a `ramp` of that many K/s
     (root mean square). In a plan a map has its class's slopes, in an estimate its own."""
@@ -135,7 +139,7 @@ def widened(known: Posterior, columns: Mapping[str, np.ndarray]) -> Posterior:
     return known._replace(spread=np.concatenate([known.spread, *columns.values()], axis=1)) if columns else known
 
 
-def another_run(figures: Figures, channels: Sequence[ChannelTerms], size: int) -> dict[str, np.ndarray]:
+def another_run(figures: SystematicFigures, channels: Sequence[ChannelTerms], size: int) -> dict[str, np.ndarray]:
     """Columns for the bias of another power-on."""
     columns = [figures.turn_on[kind] * _constants(terms, size, BIAS) for kind, terms in channels]
     return {"turn-on bias": np.stack(columns, axis=1)} if any(np.any(c) for c in columns) else {}
@@ -150,7 +154,7 @@ def _constants(terms, size: int, name: str) -> np.ndarray:
     return column
 
 
-def _slopes(terms, size: int, done: Executed) -> np.ndarray:
+def _slopes(terms, size: int, done: EstimatedRun) -> np.ndarray:
     """Parameters `(p,)` of the estimated terms' derivatives in temperature, `(1/K)`, by least squares over the data's
     temperatures: exact for polynomials."""
     column = np.zeros(size)
@@ -201,7 +205,7 @@ def terms_of_unit(built: AssembledUnit) -> list[ChannelTerms]:
     return channels
 
 
-class Budget(NamedTuple):
+class CountedPosteriors(NamedTuple):
     """Posteriors of a plan or an estimate. `own`: with what the spec names; `whole`: with what it omits, at its class's
     typical figures; `any_run`: with the bias of another power-on as well. `built`: whose model the last two are of."""
 
@@ -211,64 +215,82 @@ class Budget(NamedTuple):
     built: Any
 
 
-def budget_of_plan(built: Assembled, known: Posterior, channel: Axis, complete: Assembled) -> Budget:
+def budget_of_plan(built: Assembled, known: Posterior, channel: Axis, complete: Assembled) -> CountedPosteriors:
     """The posteriors of one axis of a plan; `complete`: the spec with all that it omits at typical figures."""
     own = widened(known, _of_plan(built, channel))
-    if complete is built:
-        whole = own
-    else:
+    whole = own
+    if complete is not built:
         whole = widened(posterior_of_plan(complete, channel), _of_plan(complete, channel))
-    turn_on = another_run(figures_of(complete.spec), terms_of_axis(complete.model), complete.model.size)
-    return Budget(own, whole, widened(whole, turn_on), complete)
+    turn_on = another_run(systematic_figures(complete.spec), terms_of_axis(complete.model), complete.model.size)
+    return CountedPosteriors(own, whole, widened(whole, turn_on), complete)
 
 
-def budget_of_unit(built: AssembledUnit, known: Posterior, complete: AssembledUnit) -> Budget:
+def budget_of_unit(built: AssembledUnit, known: Posterior, complete: AssembledUnit) -> CountedPosteriors:
     """The posteriors of a unit's plan."""
     own = widened(known, _of_unit_plan(built))
     whole = own if complete is built else widened(posterior_of_unit(complete), _of_unit_plan(complete))
-    turn_on = another_run(figures_of(complete.spec), terms_of_unit(complete), complete.model.size)
-    return Budget(own, whole, widened(whole, turn_on), complete)
+    turn_on = another_run(systematic_figures(complete.spec), terms_of_unit(complete), complete.model.size)
+    return CountedPosteriors(own, whole, widened(whole, turn_on), complete)
 
 
 def _of_plan(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
-    figures = _without_fitted(figures_of(built.spec), built.model)
+    figures = _without_fitted(systematic_figures(built.spec), built.model)
     return columns_of(figures, terms_of_axis(built.model), built.model.size, ramp_of([built.trajectory(channel)]))
 
 
 def _of_unit_plan(built: AssembledUnit) -> dict[str, np.ndarray]:
     ramp = ramp_of([motion.line for motion in (*built.past, built.motion)])
-    return columns_of(figures_of(built.spec), terms_of_unit(built), built.model.size, ramp)
+    return columns_of(systematic_figures(built.spec), terms_of_unit(built), built.model.size, ramp)
 
 
-def _without_fitted(figures: Figures, model: SensorModel) -> Figures:
+def _without_fitted(figures: SystematicFigures, model: SensorModel) -> SystematicFigures:
     """A sensitivity to dT/dt that the model estimates is in its covariance."""
     return figures if model.term(TEMPERATURE_GRADIENT) is None else figures._replace(gradient=0.0)
 
 
-def budget_of_estimate(built: Assembled, known: Posterior, channel: Axis, done: Executed) -> Budget:
-    """The posteriors of an estimate of one axis. Noise that the spec omits counts as it does in the spec's plan."""
-    figures = (_without_fitted(figures_of(s), built.model) for s in (built.spec, with_typical(built.spec)))
-    terms, size = terms_of_axis(built.model), built.model.size
-    own, whole = (columns_of(f, terms, size, done.ramp, done) for f in figures)
-    noisy = noise_completed(built.spec)
-    if noisy is not built.spec:
-        plans = [posterior_of_plan(assemble(spec), channel) for spec in (built.spec, noisy)]
-        whole["omitted noise"] = _excess(*plans, size, size)
-    turn_on = another_run(figures_of(with_typical(built.spec)), terms, size)
-    return Budget(widened(known, own), widened(known, whole), widened(known, whole | turn_on), built)
+def budget_of_estimate(
+    built: Assembled, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
+) -> CountedPosteriors:
+    """The posteriors of an estimate of one axis. `noise`: of `omitted_noise`."""
+    figures = (_without_fitted(systematic_figures(s), built.model) for s in (built.spec, with_typical(built.spec)))
+    return _estimated(built, known, done, noise, terms_of_axis(built.model), *figures)
 
 
-def budget_of_unit_estimate(built: AssembledUnit, known: Posterior, done: Executed) -> Budget:
+def budget_of_unit_estimate(
+    built: AssembledUnit, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
+) -> CountedPosteriors:
     """The same of a whole unit."""
-    complete, model = with_typical(built.spec), built.model
-    terms, size = terms_of_unit(built), model.size
-    own, whole = (columns_of(figures_of(s), terms, size, done.ramp, done) for s in (built.spec, complete))
+    figures = (systematic_figures(s) for s in (built.spec, with_typical(built.spec)))
+    return _estimated(built, known, done, noise, terms_of_unit(built), *figures)
+
+
+def _estimated(
+    built, known: Posterior, done: EstimatedRun, noise, terms, named: SystematicFigures, complete: SystematicFigures
+) -> CountedPosteriors:
+    size = built.model.size
+    own, whole = (columns_of(figures, terms, size, done.ramp, done) for figures in (named, complete))
+    turn_on = another_run(complete, terms, size)
+    left = widened(known, own)
+    whole = widened(known, {**whole, **noise}) if absent_terms(built.spec) else left
+    return CountedPosteriors(left, whole, widened(whole, turn_on), built)
+
+
+def omitted_noise(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
+    """Columns of what the noise that a spec omits adds to the covariance after the spec's own plan."""
     noisy = noise_completed(built.spec)
-    if noisy is not built.spec:
-        plans = [posterior_of_unit(assemble_unit(spec)) for spec in (built.spec, noisy)]
-        whole["omitted noise"] = _excess(*plans, size, model.calibrated)
-    turn_on = another_run(figures_of(complete), terms, size)
-    return Budget(widened(known, own), widened(known, whole), widened(known, whole | turn_on), built)
+    if noisy is built.spec:
+        return {}
+    plan, more = (posterior_of_plan(of, channel) for of in (built, assemble(noisy)))
+    return {"omitted noise": _excess(plan, more, built.model.size, built.model.size)}
+
+
+def omitted_noise_of_unit(built: AssembledUnit) -> dict[str, np.ndarray]:
+    """The same of a whole unit, for the unit's own parameters."""
+    noisy = noise_completed(built.spec)
+    if noisy is built.spec:
+        return {}
+    plan, more = (posterior_of_unit(of) for of in (built, assemble_unit(noisy)))
+    return {"omitted noise": _excess(plan, more, built.model.size, built.model.calibrated)}
 
 
 def noise_completed(spec: AnySpec) -> AnySpec:

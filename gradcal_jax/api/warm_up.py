@@ -68,7 +68,7 @@ def _unit(log: Log, unit: str, axes: Sequence[str], options: Options, sources: d
     messages = [
         f"the rate of the vehicle is taken as zero: of the Earth's up to {_EARTH:.0f} deg/h is in the bias, unless "
         "--earth-rate takes it off"
-    ] * (options.earth_rate == 0.0)
+    ] * (not options.earth_rate)
     for axis in axes or log.axes:
         spec, words = warm_up_spec(log, axis, unit)
         parts.append(estimate_calibration(spec, log, axes=(axis,), units=(unit,), options=options, sources=sources))

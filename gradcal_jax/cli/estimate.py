@@ -53,7 +53,7 @@ def estimate(
     lag: str = "none",
     smoothness: str = "spec",
     robust: Flag = False,
-    clock: str = "sensor",
+    clock: str | None = None,
     read_every: str = "1 s",
     neighbours: str | None = None,
     temperature: str | None = None,
@@ -99,7 +99,8 @@ def estimate(
     robust
         Give readings that the model cannot explain less weight (Huber), and list them.
     clock
-        The clock over which rates are integrated: "sensor", or "host" (the computer's).
+        The clock over which rates are integrated: "sensor", or "host" (the computer's). Without it that of the spec,
+        or else the computer's where the log has both.
     read_every
         Spacing of the readings while the table stands.
     neighbours
@@ -235,14 +236,14 @@ def _options(
     latitude: str | None,
     lag: str,
     smoothness: str,
-    clock: str,
+    clock: str | None,
     read_every: str,
     neighbours: str | None,
     temperature: str | None,
 ) -> dict[str, Any]:
     """The options' texts as fields of `api.estimate_options.Options`, in SI. Raises `ValueError` with the option's
     name."""
-    earth = 0.0
+    earth = None
     if earth_rate is not None and latitude is not None:
         raise ValueError("--earth-rate and --latitude both give the Earth rate: use one of them")
     if earth_rate is not None:
@@ -254,7 +255,7 @@ def _options(
         raise ValueError(f"--lag {lag!r}: a lag is not negative")
     if smoothness not in ("spec", "auto"):
         raise ValueError(f'--smoothness {smoothness!r}: expected "spec" or "auto"')
-    if clock not in ("sensor", "host"):
+    if clock not in (None, "sensor", "host"):
         raise ValueError(f'--clock {clock!r}: expected "sensor" or "host"')
     every = quantity(read_every, "time", "--read-every")
     if every <= 0.0:

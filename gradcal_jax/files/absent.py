@@ -85,7 +85,7 @@ def _of_unit(spec: UnitSpec) -> Iterator[AbsentTerm]:
         own = {"drift", "rate_random_walk", "turn_on_bias", "bias_temperature_gradient"}
         own |= {"scale_factor_instability"} if scaled else set[str]()
         for term in _unnamed(gyro, "sensor.gyro", [t for t in terms if t.key in own]):
-            yield term._replace(value=term.value["prior"] if isinstance(term.value, Mapping) else term.value)
+            yield term._replace(value=term.value["prior"] if term.key.endswith("gradient") else term.value)
     if force is not None:
         terms = terms_of("accelerometer", accelerometer_grade(sensor).name)
         yield from _unnamed(force, "sensor.accelerometer", terms)
@@ -163,8 +163,7 @@ def slopes_of(sensor: Sensor | UnitSensor, kind: str = "gyro") -> tuple[float, f
 
 def table_grade(spec: Spec | UnitSpec) -> Grade:
     """The class of a rate table, by its named angle errors; the worst class without any."""
-    table = spec.rig.table
-    angles = [axis.angle for axis in table.axis] if isinstance(spec, UnitSpec) else [spec.rig.table.angle]
+    angles = [spec.rig.table.angle] if isinstance(spec, Spec) else [axis.angle for axis in spec.rig.table.axis]
     size = max(max(float(a.reading_noise), float(a.standstill_offset)) for a in angles)
     if size == 0.0:
         return _grade("table", math.inf, "angle", "angle", "the worst: no angle error is named")

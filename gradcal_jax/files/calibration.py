@@ -161,7 +161,10 @@ class Result(Section):
     statistic: Text
     """The one that decides."""
     value: Number | None = None
-    """Its value, one sigma; absent: not observable."""
+    """Its value, one sigma, with terms that the spec omits and, in any run, the turn-on bias; absent: not
+    observable."""
+    named: Number | None = None
+    """Its value by the terms that the spec names, in this run, where it is another."""
     worst: Number | None = None
     """The standard deviation at the worst place of the box."""
     unit: Text

@@ -124,13 +124,20 @@ class UnitResult(Section):
     statistic: Text
     """The one that decides."""
     value: Number | None = None
-    """Its value, one sigma; absent: not observable."""
+    """Its value, one sigma, with terms that the spec omits and, in any run, the turn-on bias; absent: not
+    observable."""
+    named: Number | None = None
+    """Its value by the terms that the spec names, in this run, where it is another."""
     unit: Text
     """Unit of all figures."""
     target: Number | None = None
     """Limit on the error."""
     verdict: Text | None = None
     """Whether it is met."""
+    coverage: Number | None = None
+    """Standard deviations that must be within the target."""
+    rule: Text | None = None
+    """Rule of the verdict, in words."""
 
 
 class UnitNoise(Section):

@@ -29,7 +29,14 @@ from gradcal_jax.api.posterior_of_plan import (
     verdict,
 )
 from gradcal_jax.api.standard_estimate import point_channel
-from gradcal_jax.api.systematic import EstimatedRun, budget_of_estimate, omitted_noise, ramp_of_record
+from gradcal_jax.api.systematic import (
+    CountedPosteriors,
+    EstimatedRun,
+    budget_of_estimate,
+    omitted_noise,
+    ramp_of_record,
+    unseen_errors,
+)
 from gradcal_jax.api.tested_maps import tested_maps
 from gradcal_jax.api.unit_channel import UnitChannel
 from gradcal_jax.estimation import Consistency, StructureTest, size_of
@@ -75,6 +82,9 @@ class Verdict(NamedTuple):
     coverage: float
     named: float | None = None
     another_run: float | None = None
+
+
+CountedByChannel = Mapping[tuple[str, str], CountedPosteriors]
 
 
 class MeasuredDiscrepancy(NamedTuple):
@@ -167,13 +177,15 @@ def _report(
         by_unit.setdefault(channel.unit, []).append(channel)
     built = assemble(spec)
     noise: dict[Axis, dict[str, np.ndarray]] = {axis: omitted_noise(built, axis) for axis in built.channels}
-    verdicts = {unit: tuple(v for c in own for v in _verdicts(built, c, noise)) for unit, own in by_unit.items()}
+    budgets = {(c.unit, c.axis): _budget(built, c, noise) for c in channels}
+    verdicts = {unit: tuple(v for c in own for v in _verdicts(budgets, c)) for unit, own in by_unit.items()}
     messages = {
         unit: (*said, *(m for c in own for m in words(c, len(own) > 1)), *_beside_verdicts(spec, own))
         for unit, own in by_unit.items()
     }
     calibrations = tuple(
-        _calibration(spec, log, unit, own, verdicts[unit], options, sources or {}) for unit, own in by_unit.items()
+        _calibration(spec, log, unit, own, budgets, verdicts[unit], options, sources or {})
+        for unit, own in by_unit.items()
     )
     measured = tuple(discrepancies(spec, channels))
     return EstimateReport(calibrations, tuple(channels), verdicts, messages, measured)
@@ -207,11 +219,11 @@ def consistent(channel: UnitChannel) -> bool:
     return structure and tests.fit.passed and tests.whiteness.passed and all(s.agreement.passed for s in tests.splits)
 
 
-def _verdicts(built: Assembled, channel: UnitChannel, noise: Mapping[Axis, dict[str, np.ndarray]]) -> list[Verdict]:
-    built, tests = built._replace(model=channel.model), channel.consistency
+def _budget(built: Assembled, channel: UnitChannel, noise: Mapping[Axis, dict[str, np.ndarray]]) -> CountedPosteriors:
+    """The posteriors of one channel. Residuals that are larger than the spec's noise explains make the covariance of
+    the fit too small by as much."""
     known, seen = channel.estimate.known[0], channel.observations
-    # Residuals that are larger than the spec's noise explains make the covariance too small by as much.
-    known = known._replace(spread=known.spread * excess_of(tests))
+    known = known._replace(spread=known.spread * excess_of(channel.consistency))
     done = EstimatedRun(
         channel.estimate.parameters[0],
         channel.valid_temperature_c,
@@ -219,7 +231,12 @@ def _verdicts(built: Assembled, channel: UnitChannel, noise: Mapping[Axis, dict[
         channel.lag_std_s,
     )
     of_axis = noise.get(cast("Axis", channel.axis), noise[built.channels[0]])
-    budget = budget_of_estimate(built, known, done, of_axis)
+    return budget_of_estimate(built._replace(model=channel.model), known, done, of_axis)
+
+
+def _verdicts(budgets: CountedByChannel, channel: UnitChannel) -> list[Verdict]:
+    budget = budgets[channel.unit, channel.axis]
+    built = budget.built
     rows: list[Verdict] = []
     for requirement in built.spec.requirement:
         in_this = residual_map(built, budget.own, requirement)[2]
@@ -337,6 +354,7 @@ def _calibration(
     log: Log,
     unit: str,
     channels: list[UnitChannel],
+    budgets: CountedByChannel,
     verdicts: tuple[Verdict, ...],
     options: Options,
     sources: dict[str, str],
@@ -349,7 +367,7 @@ def _calibration(
         "simulated": log.simulated,
         "frame": "the sensor's own axes " + ", ".join(channel.axis for channel in channels) + ", not orthogonalised",
         "order": ORDER,
-        "axis": tuple(_axis(spec, channel) for channel in channels),
+        "axis": tuple(_axis(spec, channel, budgets[unit, channel.axis]) for channel in channels),
         "noise": Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **random_walks(spec.sensor)),
         "provenance": provenance_of(
             [log],
@@ -400,7 +418,7 @@ def _residuals(white: np.ndarray) -> Residuals:
     return Residuals(counts=tuple(counts.tolist()), rms=tuple(float(np.sqrt(np.mean(part**2))) for part in tenths))
 
 
-def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
+def _axis(spec: Spec, channel: UnitChannel, budget: CountedPosteriors) -> AxisCalibration:
     model = channel.model
     count, bias, scale = model.calibrated, model.where(BIAS), model.where(SCALE_FACTOR)
     reported = model.to_reported[:count]
@@ -431,6 +449,8 @@ def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
     hidden = tuple(unobservable_combinations(known, model))
     if hidden:
         fields["unobservable"] = hidden
+    if unseen := unseen_errors(budget, names, reported):
+        fields["unseen"] = unseen
     return AxisCalibration(
         name=channel.axis,
         valid_temperature=(_shown(low, 1.0, "degC"), _shown(high, 1.0, "degC")),

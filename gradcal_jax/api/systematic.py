@@ -11,6 +11,7 @@ rectangular within ±15.04 deg/h (GUM, 4.3.7).
 """
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.posterior_of_plan import posterior_of_plan
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
 from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
+from gradcal_jax.files.calibration import UnseenError
 from gradcal_jax.files.changes import AnySpec, changed
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.spec import Spec
@@ -207,12 +209,14 @@ def terms_of_unit(built: AssembledUnit) -> list[ChannelTerms]:
 
 class CountedPosteriors(NamedTuple):
     """Posteriors of a plan or an estimate. `own`: with what the spec names; `whole`: with what it omits, at its class's
-    typical figures; `any_run`: with the bias of another power-on as well. `built`: whose model the last two are of."""
+    typical figures; `any_run`: with the bias of another power-on as well. `built`: whose model the last two are of.
+    `columns`: of an estimate, what `whole` has besides the covariance of the fit, by name."""
 
     own: Posterior
     whole: Posterior
     any_run: Posterior
     built: Any
+    columns: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 def budget_of_plan(built: Assembled, known: Posterior, channel: Axis, complete: Assembled) -> CountedPosteriors:
@@ -271,8 +275,27 @@ def _estimated(
     own, whole = (columns_of(figures, terms, size, done.ramp, done) for figures in (named, complete))
     turn_on = another_run(complete, terms, size)
     left = widened(known, own)
-    whole = widened(known, {**whole, **noise}) if absent_terms(built.spec) else left
-    return CountedPosteriors(left, whole, widened(whole, turn_on), built)
+    columns = {**whole, **noise}
+    counted = widened(known, columns) if absent_terms(built.spec) else left
+    return CountedPosteriors(left, counted, widened(counted, turn_on), built, columns)
+
+
+# Share of a coefficient's variance below which a column is left out of a file.
+_NEGLIGIBLE: Final = 1e-4
+
+
+def unseen_errors(budget: CountedPosteriors, names: Sequence[str], reported: np.ndarray) -> tuple[UnseenError, ...]:
+    """The errors of an estimate that no residual shows, in the coefficients `names`; `reported` `(n, p)`: the engine's
+    parameters to these."""
+    variance = np.sum((reported @ budget.whole.spread) ** 2, axis=1)
+    rows: list[UnseenError] = []
+    for name, columns in budget.columns.items():
+        for column in (reported @ columns).T:
+            large = column**2 > _NEGLIGIBLE * variance
+            if np.any(large):
+                own = {n: float(v) for n, v in zip(names, column, strict=True) if v != 0.0}
+                rows.append(UnseenError(name=name, coefficients=own))
+    return tuple(rows)
 
 
 def omitted_noise(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:

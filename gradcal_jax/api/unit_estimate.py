@@ -21,6 +21,7 @@ from gradcal_jax.api.systematic import (
     budget_of_unit_estimate,
     omitted_noise_of_unit,
     ramp_of_record,
+    unseen_errors,
 )
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_channel import counting_less
@@ -183,6 +184,11 @@ def _report(
         requirements.append(row)
     requirements = tuple(requirements)
     calibration = _calibration(built, logs, name, solution, tests, channels, requirements, covered, options, sources)
+    own = {f"{c.name}.{n}" for c in calibration.channel for term in c.term for n in term.coefficients}
+    kept = [k for k, n in enumerate(model.names()) if n in own]
+    unseen = unseen_errors(budget, [model.names()[k] for k in kept], model.to_reported[kept])
+    if unseen:
+        calibration = calibration.model_copy(update={"unseen": unseen})
     seen = tuple(_internal(built, solution, covered[0])), _gravity(readings, calibration, temperature)
     report = UnitReport(name, built, done, solution, calibration, requirements, tests, channels, *seen, ())
     names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]

@@ -301,12 +301,15 @@ def _text(report: "EstimateReport") -> str:
                 lines += [_channel(channel)]
         rows = report.verdicts[one.serial_number]
         if rows:
-            shown = [("requirement", "statistic", "residual (1σ)", "at worst", "target", "verdict")]
+            shown = [("requirement", "statistic", "residual (1σ)", "named alone", "at worst", "target", "verdict")]
             for row in rows:
                 target = "" if row.target is None else amount(row.target, row.unit)
                 name, value = f"{row.requirement.name}, axis {row.axis}", amount(row.value, row.unit)
                 worst = "" if row.worst is None else amount(row.worst, row.unit)
-                shown.append((name, row.requirement.statistic, value, worst, target, row.verdict or ""))
+                alone = amount(row.named, row.unit)
+                shown.append((name, row.requirement.statistic, value, alone, worst, target, row.verdict or ""))
+            if all(row.named == row.value for row in rows):
+                shown = [(*cells[:3], *cells[4:]) for cells in shown]
             lines += ["", table(shown, indent="")]
             lines += [f"{row.requirement.name}, axis {row.axis}: {row.rule}" for row in rows if row.rule]
         lines += [f"note: {message}" for message in report.messages[one.serial_number]]

@@ -1,16 +1,18 @@
 """What a log or an estimate shows by itself to be wrong: units of temperature, requirements beyond the data, channels
 that no device has; and the sentences on what counts although no residual shows it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
+from gradcal_jax.estimation import CoarseFit
 from gradcal_jax.files.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
 from gradcal_jax.files.log import LogError
 from gradcal_jax.files.requirement import Requirement, UnitRequirement
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.model import AXIS_NAMES, Channel
 
 # K by which a die may be colder or warmer than the chamber's limits, self-heating included.
 _COLDER, _WARMER = 10.0, 35.0
@@ -105,47 +107,67 @@ def omitted_sentences(spec: Spec | UnitSpec, temperature: np.ndarray, lag_is_fit
 def refuse_implausible(where: str, names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> None:
     """Raise `LogError` for a channel whose coefficients no device has: names as reported (`b00`, `m_y`, `s`), values
     and the standard deviations of their priors in SI, infinite where flat."""
-    for sentence in _implausible(names, values, priors):
-        raise LogError(f"{where}: {sentence}")
-
-
-def _implausible(names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> Iterator[str]:
-    """The reason of each implausible coefficient, the most telling first."""
     by_name = dict(zip(names, map(float, values), strict=True))
     scale = next((by_name[n] for n in ("b00", "b_bin0_0", "s", "s0") if n in by_name), 0.0)
-    across = {n: v for n, v in by_name.items() if n.startswith("m_") and abs(v) > _MISALIGNED}
-    if abs(scale) > SCALE_FACTOR_ERROR:
-        yield f"a scale-factor error of {scale:.4g} is no device's: {_cause_of_scale(scale, across)}"
-    for name, value in across.items():
-        axis = name[2:3]
-        yield (
-            f"a misalignment towards {axis} of {value:.3g} rad is no device's: are this axis and {axis} swapped, or is "
-            "the body turned against the spec's mounting by a quarter turn?"
-        )
+    across = {n[2:3]: v for n, v in by_name.items() if n.startswith("m_")}
+    if sentence := _no_device(1.0 + scale, across):
+        raise LogError(f"{where}: {sentence}")
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(priors > 0.0, np.abs(values) / priors, 0.0)
     worst = int(np.argmax(ratios)) if len(ratios) else 0
     if len(ratios) and ratios[worst] > _PRIORS:
-        yield (
-            f"{names[worst]} is {ratios[worst]:.3g} times the standard deviation that the spec gives it before the "
-            "calibration: is the unit of the column another one, or the prior too small?"
+        raise LogError(
+            f"{where}: {names[worst]} is {ratios[worst]:.3g} times the standard deviation that the spec gives it "
+            "before the calibration: is the unit of the column another one, or the prior too small?"
         )
 
 
-def _cause_of_scale(scale: float, across: dict[str, float]) -> str:
-    if across:
-        axes = ", ".join(name[2:3] for name in across)
-        return f"is this channel's axis swapped with {axes}, or the body turned by a quarter turn?"
-    if abs(scale + 2.0) < 0.2:
-        return "its sign is the opposite of the table's: turn the column's sign, or the mounting"
+def refuse_misaligned(name: str, fits: Mapping[str, CoarseFit], channels: Sequence[Channel]) -> None:
+    """Raise `LogError` where the coarse comparison with the table shows a wrong sign, axis or unit of a channel."""
+    wrong: list[tuple[str, str]] = []
+    for c in channels:
+        fit = fits[c.kind]
+        if fit.seen[c.axis]:
+            row = fit.matrix[c.axis]
+            across = {AXIS_NAMES[j]: float(row[j]) for j in range(3) if j != c.axis and fit.seen[j]}
+            if sentence := _no_device(float(row[c.axis]), across):
+                wrong.append((f"{c.name.replace('_', ' ')}", sentence))
+    if not wrong:
+        return
+    both = [fit.matrix for fit in fits.values() if fit.seen.all()]
+    turned = len(both) == 2 and all(_is_rotation(m) for m in both) and np.max(np.abs(both[0] - both[1])) < _MISALIGNED
+    if turned:
+        raise LogError(
+            f"{name}, {', '.join(channel for channel, _ in wrong)}: gyros and accelerometers agree that the body is "
+            "turned against the spec's mounting, by a quarter turn or so: is [rig.table.mounting] that of the log?"
+        )
+    raise LogError(f"{name}, " + "; ".join(f"{channel}: {sentence}" for channel, sentence in wrong[:3]))
+
+
+def _is_rotation(matrix: np.ndarray) -> bool:
+    return bool(np.max(np.abs(matrix @ matrix.T - np.eye(3))) < _MISALIGNED and np.linalg.det(matrix) > 0.0)
+
+
+def _no_device(own: float, across: Mapping[str, float]) -> str:
+    """Why a channel cannot show `own` times what is along its axis, and so much of the others; empty if it can."""
+    large = [axis for axis, value in across.items() if abs(value) > _MISALIGNED * max(1.0, abs(own))]
+    if abs(own - 1.0) <= SCALE_FACTOR_ERROR and not large:
+        return ""
+    shown = f"it shows {own:.3g} times what is along its axis"
+    if large:
+        parts = ", ".join(f"{across[axis]:.3g} times what is along {axis}" for axis in large)
+        return (
+            f"{shown}, and {parts}: are the axes swapped, or is the body turned against the spec's mounting by a "
+            "quarter turn?"
+        )
+    if abs(own + 1.0) < SCALE_FACTOR_ERROR:
+        return f"{shown}: its sign is the opposite of the table's; turn the sign of the column, or the mounting"
     for ratio, words in (
         (1.0 / 9.80665, "is the column in g, where m/s^2 are expected?"),
         (9.80665, "is the column in m/s^2, where g are expected?"),
         (180.0 / np.pi, "is the column in deg/s, where rad/s are expected?"),
         (np.pi / 180.0, "is the column in rad/s, where deg/s are expected?"),
     ):
-        if abs((1.0 + scale) / ratio - 1.0) < 0.1:
-            return words
-    if abs(scale + 1.0) < 0.2:
-        return "it does not see the turns about its axis: is it another axis, or the body turned by a quarter turn?"
-    return "is the column of another axis, unit or sign?"
+        if abs(abs(own) / ratio - 1.0) < 0.1:
+            return f"{shown}: {words}"
+    return f"{shown}: is the column of another axis, unit or sign?"

@@ -12,7 +12,13 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.api.calibration import excess_of, noise_sentences
 from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of, random_walks, section_of
-from gradcal_jax.api.contradictions import beyond_the_data, omitted_sentences, refuse_implausible, refuse_other_units
+from gradcal_jax.api.contradictions import (
+    beyond_the_data,
+    omitted_sentences,
+    refuse_implausible,
+    refuse_misaligned,
+    refuse_other_units,
+)
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import bridged_temperature, time_of, usable_rows, with_options
 from gradcal_jax.api.prediction import unit_requirement_row
@@ -150,6 +156,7 @@ def _report(
         raise ValueError("the lag of a whole unit is not fitted: give a time, such as --lag 90s")
     temperature = correction.followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)
     model = built.model
+    refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), model.channels)
     threshold = options.threshold if options.robust else None
     done, readings, solution = fitted_twice(built, name, rows, temperature, threshold)
     at = segments_of(done.motion, model)

@@ -24,6 +24,7 @@ from gradcal_jax.information import (
     Posterior,
     SquareRootInformation,
     posterior,
+    row_of_steps,
     segments_of,
     unit_system,
     whiten,
@@ -139,6 +140,11 @@ class UnitReadings(NamedTuple):
             result[rows] = at.sums(output)[at.row_segment[rows]] * (1.0 + table.clock[c.kind])
         return result
 
+    def by_steps(self, values: np.ndarray) -> np.ndarray:
+        """Values of the rows in the order of the noise steps; zero for steps within a segment, which have no row."""
+        row = row_of_steps(self.done.motion, self.model)
+        return np.where(row >= 0, values[row], np.zeros((), values.dtype))
+
     def nominal(self) -> BodyNodes:
         """The nodes of the nominal table."""
         return self._nodes(self.done.motion.geometry)
@@ -159,7 +165,7 @@ class UnitReadings(NamedTuple):
             if isinstance(term, BaseTilt | NonOrthogonality | MountingError):
                 for k in range(begin, begin + term.size):
                     there = about + _SMALL_TURN * np.eye(model.size)[k]
-                    columns[:, k] = (self.expected(there) - here) / _SMALL_TURN
+                    columns[:, k] = self.by_steps((self.expected(there) - here) / _SMALL_TURN)
             begin += term.size
         return steps, columns
 
@@ -241,7 +247,8 @@ def estimate_unit(
     def again(noise: NoiseSteps, last: UnitEstimate) -> UnitEstimate:
         return _solved(readings, noise, columns, used, last.parameters)
 
-    estimate, weights = reweighted(steps, used, estimate, lambda e: e.estimate.residuals[0], again, threshold, _ROUNDS)
+    kept = readings.by_steps(used)
+    estimate, weights = reweighted(steps, kept, estimate, lambda e: e.estimate.residuals[0], again, threshold, _ROUNDS)
     return estimate._replace(weights=weights)
 
 
@@ -250,7 +257,8 @@ def _solved(
 ) -> UnitEstimate:
     """The estimate with these noise steps and derivatives `columns`, iterated from the parameters `about`."""
     model = readings.model
-    jacobian, prior = np.asarray(whiten(steps, columns))[used], model.prior_rows()
+    kept = readings.by_steps(used)
+    jacobian, prior = np.asarray(whiten(steps, columns))[kept], model.prior_rows()
     design = np.concatenate([jacobian, prior])
     norm = np.linalg.norm(design, axis=0)
     scale = np.where(norm > 0.0, norm, 1.0)
@@ -263,8 +271,8 @@ def _solved(
     beta, moved, rounds = np.zeros(model.size) if about is None else about.copy(), np.inf, 0
 
     def left_over() -> np.ndarray:
-        apart = np.where(used, readings.observed - readings.expected(beta), 0.0)
-        return np.asarray(whiten(steps, apart[:, None]))[used, 0]
+        apart = readings.by_steps(np.where(used, readings.observed - readings.expected(beta), 0.0))
+        return np.asarray(whiten(steps, apart[:, None]))[kept, 0]
 
     rest = left_over()
     while moved > _SETTLED and rounds < _ROUNDS:

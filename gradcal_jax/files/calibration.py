@@ -83,8 +83,8 @@ class Covariance(Section):
 
 
 class UnseenError(Section):
-    """An error that no residual of the fit shows, beside the covariance: of a term of the spec, or of one that it omits
-    with a figure typical of the class. The covariance with all of them is `covariance` plus the sum of their squares."""
+    """An error that no residual of the fit shows: of a term of the spec or, with a figure typical of the class, of one
+    that it omits. The covariance with all of them is `covariance` plus the sum of their squares."""
 
     name: Annotated[Text, Field(max_length=200)]
     """Which error."""

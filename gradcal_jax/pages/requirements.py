@@ -25,8 +25,8 @@ class RequirementFact(NamedTuple):
     """A requirement's residual before, predicted and achieved (1σ, in `unit`); None: not observable, or not known.
 
     Both count what the spec omits and, in any run, the turn-on bias; `named`: the last one by the terms that the spec
-    names alone, where it is another. `verdict`: of the achieved residual, else of the predicted one; `limit`: proven for any plan; `coverage`: number of
-    standard deviations that must be within the target.
+    names alone, where it is another. `verdict`: of the achieved residual, else of the predicted one; `limit`: proven
+    for any plan; `coverage`: number of standard deviations that must be within the target.
     """
 
     name: str

@@ -24,7 +24,7 @@ from gradcal_jax.api.posterior_of_plan import (
     verdict,
 )
 from gradcal_jax.api.scenarios import extremes
-from gradcal_jax.api.systematic import CountedPosteriors, budget_of_plan, budget_of_unit
+from gradcal_jax.api.systematic import CountedPosteriors, budget_of_plan, budget_of_unit, shares_of_variance
 from gradcal_jax.api.tested_maps import noticing
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import unit_residual
@@ -67,13 +67,15 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
         )
     built = assemble(spec)
     known = posteriors_of_plan(built)
-    shares = {channel: error_budget(built, channel, of) for channel, of in known.items()} if limits else {}
+    shares: dict[Axis, dict[str, dict[str, float]]] = {}
     rows: list[RequirementRow] = []
     for requirement, channel, budget in _budgets(built, known):
         row = _requirement_row(built, budget, requirement, channel)
         more = _risks(budget, requirement, row) if outlook else {}
         if limits:
-            more["limited_by"] = limited_by(shares[channel].get(row.name))
+            if channel not in shares:
+                shares[channel] = error_budget(budget.built, channel, budget.fit)
+            more["limited_by"] = limited_by(_shares(budget, requirement, shares[channel].get(row.name)))
         rows.append(row.model_copy(update=more))
     return Prediction(
         requirements=tuple(_between(rows, extremes(spec) if limits else [])),
@@ -238,6 +240,35 @@ def _decided(requirement: Requirement | UnitRequirement, of: Callable[[Statistic
         "rule": decision_rule(requirement) or None,
         "specific_risk": None if target is None or worst is None else specific_risk(0.0, worst, target),
     }
+
+
+def counted_shares(spec: Spec) -> dict[tuple[str, Axis], dict[str, float]]:
+    """For each requirement (by name) and axis the share of every error in the variance of what the verdict judges:
+    noise, what no residual shows, and what the spec omits."""
+    built = assemble(spec)
+    shares: dict[tuple[str, Axis], dict[str, float]] = {}
+    of_fit: dict[Axis, dict[str, dict[str, float]]] = {}
+    for requirement, channel, budget in _budgets(built, posteriors_of_plan(built)):
+        if channel not in of_fit:
+            of_fit[channel] = error_budget(budget.built, channel, budget.fit)
+        if (found := _shares(budget, requirement, of_fit[channel].get(requirement.name))) is not None:
+            shares[requirement.name, channel] = found
+    return shares
+
+
+def _shares(
+    budget: CountedPosteriors, requirement: Requirement, of_fit: Mapping[str, float] | None
+) -> dict[str, float] | None:
+    """The shares of all errors in what the verdict judges, the largest first."""
+    if of_fit is None:
+        return None
+
+    def value(of: Posterior) -> float:
+        return statistic_of(requirement, residual_map(budget.built, of, requirement)[2])
+
+    fit, unseen = shares_of_variance(budget, run_of(requirement), value)
+    shares = {name: share * fit for name, share in of_fit.items()}
+    return dict(sorted((shares | unseen).items(), key=lambda item: -item[1]))
 
 
 def _risks(budget: CountedPosteriors, requirement: Requirement, row: RequirementRow) -> dict[str, Any]:

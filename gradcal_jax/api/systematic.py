@@ -10,7 +10,7 @@ column of the posterior's spread: the covariance is `C + Σ v vᵀ`, for predict
 rectangular within ±15.04 deg/h (GUM, 4.3.7).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -29,6 +29,7 @@ from gradcal_jax.information import Posterior
 from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, Map, SensorModel, SignalMap
 from gradcal_jax.trajectory import EARTH_RATE, Trajectory
 
+TURN_ON: Final = "turn-on bias"
 UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
 # Temperatures at which the slope of a map is taken, and the step of the difference, K.
 _AT: Final = 64
@@ -144,7 +145,7 @@ def widened(known: Posterior, columns: Mapping[str, np.ndarray]) -> Posterior:
 def another_run(figures: SystematicFigures, channels: Sequence[ChannelTerms], size: int) -> dict[str, np.ndarray]:
     """Columns for the bias of another power-on."""
     columns = [figures.turn_on[kind] * _constants(terms, size, BIAS) for kind, terms in channels]
-    return {"turn-on bias": np.stack(columns, axis=1)} if any(np.any(c) for c in columns) else {}
+    return {TURN_ON: np.stack(columns, axis=1)} if any(np.any(c) for c in columns) else {}
 
 
 def _constants(terms, size: int, name: str) -> np.ndarray:
@@ -210,39 +211,50 @@ def terms_of_unit(built: AssembledUnit) -> list[ChannelTerms]:
 class CountedPosteriors(NamedTuple):
     """Posteriors of a plan or an estimate. `own`: with what the spec names; `whole`: with what it omits, at its class's
     typical figures; `any_run`: with the bias of another power-on as well. `built`: whose model the last two are of.
-    `columns`: of an estimate, what `whole` has besides the covariance of the fit, by name."""
+    `fit`, `columns`: the parts of `any_run`: of noise and priors alone, and of what no residual shows, by name (in an
+    estimate without the turn-on bias)."""
 
     own: Posterior
     whole: Posterior
     any_run: Posterior
     built: Any
+    fit: Posterior
     columns: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 def budget_of_plan(built: Assembled, known: Posterior, channel: Axis, complete: Assembled) -> CountedPosteriors:
     """The posteriors of one axis of a plan; `complete`: the spec with all that it omits at typical figures."""
-    own = widened(known, _of_plan(built, channel))
-    whole = own
-    if complete is not built:
-        whole = widened(posterior_of_plan(complete, channel), _of_plan(complete, channel))
+    fit = known if complete is built else posterior_of_plan(complete, channel)
     turn_on = another_run(systematic_figures(complete.spec), terms_of_axis(complete.model), complete.model.size)
-    return CountedPosteriors(own, whole, widened(whole, turn_on), complete)
+    return _planned(known, columns_of_plan(built, channel), complete, fit, columns_of_plan(complete, channel), turn_on)
 
 
 def budget_of_unit(built: AssembledUnit, known: Posterior, complete: AssembledUnit) -> CountedPosteriors:
     """The posteriors of a unit's plan."""
-    own = widened(known, _of_unit_plan(built))
-    whole = own if complete is built else widened(posterior_of_unit(complete), _of_unit_plan(complete))
+    fit = known if complete is built else posterior_of_unit(complete)
     turn_on = another_run(systematic_figures(complete.spec), terms_of_unit(complete), complete.model.size)
-    return CountedPosteriors(own, whole, widened(whole, turn_on), complete)
+    return _planned(known, columns_of_unit_plan(built), complete, fit, columns_of_unit_plan(complete), turn_on)
 
 
-def _of_plan(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
+def own_of_unit(built: AssembledUnit, known: Posterior) -> Posterior:
+    """The posterior of a unit's plan with what the spec names."""
+    return widened(known, columns_of_unit_plan(built))
+
+
+def _planned(known: Posterior, named, complete, fit: Posterior, every, turn_on) -> CountedPosteriors:
+    own = widened(known, named)
+    whole = own if fit is known else widened(fit, every)
+    return CountedPosteriors(own, whole, widened(whole, turn_on), complete, fit, every | turn_on)
+
+
+def columns_of_plan(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
+    """Columns of what no residual of a plan's run shows, as far as the spec names it."""
     figures = _without_fitted(systematic_figures(built.spec), built.model)
     return columns_of(figures, terms_of_axis(built.model), built.model.size, ramp_of([built.trajectory(channel)]))
 
 
-def _of_unit_plan(built: AssembledUnit) -> dict[str, np.ndarray]:
+def columns_of_unit_plan(built: AssembledUnit) -> dict[str, np.ndarray]:
+    """The same of a whole unit."""
     ramp = ramp_of([motion.line for motion in (*built.past, built.motion)])
     return columns_of(systematic_figures(built.spec), terms_of_unit(built), built.model.size, ramp)
 
@@ -277,11 +289,42 @@ def _estimated(
     left = widened(known, own)
     columns = {**whole, **noise}
     counted = widened(known, columns) if absent_terms(built.spec) else left
-    return CountedPosteriors(left, counted, widened(counted, turn_on), built, columns)
+    return CountedPosteriors(left, counted, widened(counted, turn_on), built, known, columns)
 
 
 # Share of a coefficient's variance below which a column is left out of a file.
 _NEGLIGIBLE: Final = 1e-4
+
+
+def floor_of_plan(spec: Spec, channel: Axis) -> tuple[Assembled, Posterior]:
+    """What no residual of any plan shows, as a posterior of its own, and the model whose parameters it has: with what
+    the spec omits, at typical figures."""
+    built = assemble(with_typical(spec))
+    nothing = Posterior(np.zeros((built.model.size, 0)), np.zeros((built.model.size, 0)))
+    return built, widened(nothing, columns_of_plan(built, channel))
+
+
+def floor_of_unit_plan(spec: UnitSpec) -> tuple[AssembledUnit, Posterior]:
+    """The same of a whole unit."""
+    built = assemble_unit(with_typical(spec))
+    nothing = Posterior(np.zeros((built.model.size, 0)), np.zeros((built.model.size, 0)))
+    return built, widened(nothing, columns_of_unit_plan(built))
+
+
+def shares_of_variance(
+    budget: CountedPosteriors, run: str, statistic_of: Callable[[Posterior], float]
+) -> tuple[float, dict[str, float]]:
+    """The share of noise and priors in the variance of a statistic, and those of what no residual shows, by name; they
+    add up to one."""
+    columns = {n: c for n, c in budget.columns.items() if run == "any run" or n != TURN_ON}
+    total = statistic_of(widened(budget.fit, columns)) ** 2
+    if not (np.isfinite(total) and total > 0.0):
+        return 1.0, {}
+    without = {n: statistic_of(widened(budget.fit, {m: c for m, c in columns.items() if m != n})) for n in columns}
+    parts = {name: 1.0 - value**2 / total for name, value in without.items()}
+    of_fit = statistic_of(budget.fit) ** 2 / total
+    whole = of_fit + sum(parts.values())
+    return of_fit / whole, {name: part / whole for name, part in parts.items()}
 
 
 def unseen_errors(budget: CountedPosteriors, names: Sequence[str], reported: np.ndarray) -> tuple[UnseenError, ...]:

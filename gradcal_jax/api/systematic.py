@@ -14,11 +14,13 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.posterior_of_plan import posterior_of_plan
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
+from gradcal_jax.design import Criterion
 from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
 from gradcal_jax.files.calibration import UnseenError
 from gradcal_jax.files.changes import AnySpec, changed
@@ -294,6 +296,13 @@ def _estimated(
 
 # Share of a coefficient's variance below which a column is left out of a file.
 _NEGLIGIBLE: Final = 1e-4
+
+
+def counted_criterion(criterion: Criterion, built: Assembled, channel: Axis) -> Criterion:
+    """The criterion with what no residual shows and the spec names: no plan removes it, so that it is a part of the
+    variance from the beginning."""
+    more = sum(np.sum((np.asarray(criterion.rows) @ c) ** 2, axis=1) for c in columns_of_plan(built, channel).values())
+    return eqx.tree_at(lambda c: c.beyond, criterion, criterion.beyond + more)
 
 
 def floor_of_plan(spec: Spec, channel: Axis) -> tuple[Assembled, Posterior]:

@@ -53,7 +53,7 @@ PRESETS: Final[Mapping[str, Mapping[str, str]]] = {
         "angle": "0.05 deg",
         "travel": "720 deg",
         "chamber": "-25 degC, 70 degC, 1 K/min",
-        "targets": "1000 ppm, 100 deg/h",
+        "targets": "1200 ppm, 120 deg/h",
     },
     "tactical-imu": {
         "sensor": "tactical MEMS",
@@ -65,7 +65,7 @@ PRESETS: Final[Mapping[str, Mapping[str, str]]] = {
         "angle": "30 arcsec",
         "travel": "unlimited",
         "chamber": "-40 degC, 85 degC, 1 K/min",
-        "targets": "300 ppm, 30 deg/h",
+        "targets": "300 ppm, 35 deg/h",
     },
 }
 """Answers to all questions, for a class of unit and bench; the first are the defaults of the questions."""

@@ -176,8 +176,8 @@ def _validity(calibration: Calibration) -> tuple[str, ...]:
     rows = [
         "The values hold for the unit as it was, on the day of the recording, within the temperatures and rates above; "
         "beyond, those at the edge are held and are not covered.",
-        "The turn-on bias of another day is not part of the stated uncertainty of the bias corrections; a result on the "
-        "bias counts it, unless its requirement is of one run.",
+        "The turn-on bias of another day is not part of the stated uncertainty of the bias corrections; a result on "
+        "the bias counts it, unless its requirement is of one run.",
     ]
     if names := dict.fromkeys(error.name for axis in calibration.axis for error in axis.unseen):
         rows.append(f"Every uncertainty also counts what no residual of the fit shows: {', '.join(names)}.")

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.contract_rows import finite, fit_rows, provenance_of, random_walks
+from gradcal_jax.api.contract_rows import counted_std, finite, fit_rows, provenance_of, random_walks
 from gradcal_jax.api.contradictions import (
     SCALE_FACTOR_ERROR,
     beyond_the_data,
@@ -52,6 +52,7 @@ from gradcal_jax.files.calibration import (
     Residuals,
     Result,
     ScaleFactorMap,
+    UnseenError,
     bias_names,
     scale_factor_names,
 )
@@ -112,6 +113,11 @@ class EstimateReport(NamedTuple):
     """By unit: sentences to read before the calibration is used."""
     discrepancies: tuple[MeasuredDiscrepancy, ...] = ()
     """By axis and map, of all units together."""
+
+    def unseen_of(self, channel: UnitChannel) -> tuple[UnseenError, ...]:
+        """The errors of a channel that no residual of its fit shows."""
+        axes = (a for c in self.calibrations if c.serial_number == channel.unit for a in c.axis)
+        return next((axis.unseen for axis in axes if axis.name == channel.axis), ())
 
     @property
     def as_wished(self) -> bool:
@@ -485,7 +491,9 @@ def estimate_rows(report: EstimateReport) -> dict[str, Any]:
         "units": [
             {
                 "serial_number": c.serial_number,
-                "channels": [_channel_row(one) for one in report.channels if one.unit == c.serial_number],
+                "channels": [
+                    _channel_row(one, report.unseen_of(one)) for one in report.channels if one.unit == c.serial_number
+                ],
                 "requirements": [_verdict_row(row) for row in report.verdicts[c.serial_number]],
                 "messages": list(report.messages[c.serial_number]),
             }
@@ -494,7 +502,7 @@ def estimate_rows(report: EstimateReport) -> dict[str, Any]:
     }
 
 
-def _channel_row(channel: UnitChannel) -> dict[str, Any]:
+def _channel_row(channel: UnitChannel, unseen: Sequence[UnseenError]) -> dict[str, Any]:
     model = channel.model
     reported = model.to_reported
     names = model.names()
@@ -507,7 +515,13 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
         "readings": len(channel.weights),
         "rows": channel.counts,
         "parameters": [
-            {"name": n, "value": float(v), "std": finite(s), "unit": u}
+            {
+                "name": n,
+                "value": float(v),
+                "std": finite(s),
+                "std_counted": counted_std(n, finite(s), unseen),
+                "unit": u,
+            }
             for n, v, s, u in zip(names, values, deviations, model.units(), strict=True)
         ],
         "covariance": np.where(np.outer(seen, seen), covariance, cast("Any", None)).tolist(),

@@ -62,8 +62,8 @@ def _of_axis(spec: Spec) -> Iterator[AbsentTerm]:
     sensor, table, angle = spec.sensor, spec.rig.table, spec.rig.table.angle
     of_sensor, of_table = terms_of("sensor", sensor_grade(sensor).name), terms_of("table", table_grade(spec).name)
     matters = _matters_of_sensor(spec)
-    for term in _unnamed(sensor, "sensor", [t for t in of_sensor if t.key in matters]):
-        yield term._replace(value=_of_the_maps(term, sensor))
+    own = [term._replace(value=_of_the_maps(term, sensor)) for term in of_sensor if term.key in matters]
+    yield from _unnamed(sensor, "sensor", own)
     matters = _matters_of_table(spec)
     yield from _unnamed(table, "rig.table", [t for t in of_table if t.key in matters and "." not in t.key])
     yield from _unnamed(angle, "rig.table.angle", _below("angle.", [t for t in of_table if t.key in matters]))

@@ -1,7 +1,6 @@
 """Estimates -> calibration files and reports: coefficients in the paper's basis, requirements, verdicts in words."""
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -249,8 +248,8 @@ def _verdicts(budgets: CountedByChannel, channel: UnitChannel) -> list[Verdict]:
         any_run = run_of(requirement) == "any run"
         values = residual_map(built, budget.any_run if any_run else budget.whole, requirement)[2]
         value, worst = (finite(statistic_of(requirement, values, name)) for name in (requirement.statistic, "max"))
-        judged = verdict(requirement, partial(statistic_of, requirement, values))
-        if judged is not None and beyond_the_data(requirement, *_covered(channel)):
+        judged = verdict(requirement, values)
+        if judged in ("met", "missed") and beyond_the_data(requirement, *_covered(channel)):
             judged = "not covered"
         rows.append(
             Verdict(

@@ -1,6 +1,7 @@
 """The posterior covariance after a spec's plan, and residuals on its requirements' boxes."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -193,7 +194,12 @@ def decision_rule(requirement: Requirement | UnitRequirement) -> str:
     return f"guarded: beyond {requirement.target} at the worst place with a chance of {requirement.risk} at most"
 
 
-def verdict(
+def verdict(requirement: Requirement, values: np.ndarray) -> Literal["met", "missed", "unobservable"] | None:
+    """The verdict on a residual map (in `UNIT_OF`, 1σ) by a requirement's decision rule; None without a target."""
+    return verdict_of(requirement, partial(statistic_of, requirement, values))
+
+
+def verdict_of(
     requirement: Requirement | UnitRequirement, statistic_named: Callable[[Statistic], float]
 ) -> Literal["met", "missed", "unobservable"] | None:
     """The verdict by a requirement's decision rule; None without a target. `statistic_named`: the residual's statistics

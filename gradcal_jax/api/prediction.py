@@ -21,7 +21,7 @@ from gradcal_jax.api.posterior_of_plan import (
     run_of,
     statistic_of,
     target_of,
-    verdict,
+    verdict_of,
 )
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.systematic import CountedPosteriors, budget_of_plan, budget_of_unit, shares_of_variance
@@ -235,7 +235,7 @@ def _decided(requirement: Requirement | UnitRequirement, of: Callable[[Statistic
         "unit": UNIT_OF[requirement.quantity][0],
         "target": target,
         "worst": worst,
-        "verdict": verdict(requirement, of),
+        "verdict": verdict_of(requirement, of),
         "coverage": requirement.coverage,
         "rule": decision_rule(requirement) or None,
         "specific_risk": None if target is None or worst is None else specific_risk(0.0, worst, target),

@@ -187,7 +187,8 @@ def _report(
         row = unit_requirement_row(built, budget, requirement)
         if sentence := beyond_the_data(requirement, *covered):
             beyond.append(sentence)
-            row = row.model_copy(update={"verdict": row.verdict and "not covered"})
+            if row.verdict in ("met", "missed"):
+                row = row.model_copy(update={"verdict": "not covered"})
         requirements.append(row)
     requirements = tuple(requirements)
     calibration = _calibration(built, logs, name, solution, tests, channels, requirements, covered, options, sources)

@@ -24,7 +24,7 @@ def spec() -> files.Spec:
 
 
 def value(spec: files.Spec) -> float:
-    return predict(spec).requirements[0].decisive
+    return predict(spec).requirements[0].judged
 
 
 def test_uncertain_figures_make_a_range_that_holds_every_draw(spec):

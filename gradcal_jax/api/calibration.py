@@ -57,6 +57,7 @@ from gradcal_jax.files.calibration import (
 )
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.points import RatePoints
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement import Requirement
@@ -232,7 +233,8 @@ def _budget(built: Assembled, channel: UnitChannel, noise: Mapping[Axis, dict[st
     done = EstimatedRun(
         channel.estimate.parameters[0],
         channel.valid_temperature_c,
-        ramp_of_record(seen.time_s, seen.temperature_c),
+        # At stable temperatures nothing lags, and between them no data are used.
+        0.0 if isinstance(built.spec.plan, StandardPlan) else ramp_of_record(seen.time_s, seen.temperature_c),
         channel.lag_std_s,
     )
     of_axis = noise.get(cast("Axis", channel.axis), noise[built.channels[0]])

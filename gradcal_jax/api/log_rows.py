@@ -117,7 +117,10 @@ def default_clock(log: Log) -> Literal["sensor", "host"]:
         fit = clock_fit(log)
     except LogError:
         return "sensor"
-    return "host" if fit.std is None or fit.std < _POOR_CLOCK else "sensor"
+    if fit.std is None:
+        # Equal columns are one clock; others that lie on a line to the last digit are two.
+        return "sensor" if fit.slope == 1.0 else "host"
+    return "host" if fit.std < _POOR_CLOCK else "sensor"
 
 
 def clock_fit(log: Log) -> ClockFit:

@@ -188,6 +188,22 @@ def test_the_computers_clock_counts_one_ppm():
     assert "sensor.sample_clock_error" not in {t.key for t in absent_terms(gj.changed(BARE, {"sensor.clock": "host"}))}
 
 
+def test_a_limit_a_derivative_and_a_sensitivity_count_what_no_residual_shows():
+    """Half a degree of the input axis: 108 ppm, however long a plan goes on."""
+    floor = 2**0.5 * np.radians(0.5) ** 2 * 1e6
+    named = gj.changed(EXACT, {"rig.table.mounting_accuracy": "0.5 deg"})
+    row = left(named, "M")
+    assert gj.differentiable(named)({})["M"] == pytest.approx(row.decisive, rel=1e-9)
+    found = gj.sensitivity(named)
+    assert found.residuals["M"][0] == pytest.approx(row.decisive, rel=1e-6)
+    (share,) = (r.percent for r in found.rows if r.requirement == "M" and r.figure.startswith("input axis"))
+    assert share == pytest.approx((floor / row.decisive) ** 2, rel=1e-3)
+    (limit,) = (one for one in gj.limit(named) if one.name == "M")
+    assert floor < limit.certified < limit.value == pytest.approx(row.decisive)
+    (counted,) = (one for one in gj.limit(without("rig.table.mounting_accuracy")) if one.name == "M")
+    assert (counted.certified, counted.value) == pytest.approx((limit.certified, limit.value), rel=1e-6)
+
+
 # --- whole units ------------------------------------------------------------------------------------------------------
 
 UNIT = gj.presets.text("ferraris")

@@ -56,10 +56,21 @@ class ChamberDevice(Section):
     """How far the air may be behind its course in time before a run pauses."""
     band: PositiveTemperatureDifference = Quantity(3.0, "3 K", "temperature difference")
     """How far the air may be beside its course before a run pauses."""
+    never_above: Temperature | None = None
+    """Air or load warmer than this ends a run in every state; absent: the chamber's own limit and `band`."""
+    never_below: Temperature | None = None
+    """Air or load colder than this ends a run in every state; absent: the chamber's own limit and `band`."""
     serial_number: Text | None = None
     """The device's own number; another device on the same cable is refused."""
     options: Options = Field(default_factory=dict)
     """What the driver leaves open; its documentation says which."""
+
+    def _problems(self) -> Iterator[Problem]:
+        above, below = self.never_above, self.never_below
+        if above is not None and float(self.ambient) > float(above):
+            yield Problem(("never_above",), "it is below `ambient`; expected more", above.text)
+        if below is not None and float(self.ambient) < float(below):
+            yield Problem(("never_below",), "it is above `ambient`; expected less", below.text)
 
 
 class EncoderDevice(Section):
@@ -178,6 +189,8 @@ class RigFile(TitledFile):
     """Axes of the table."""
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
     """Units under calibration."""
+    longest_pause: Time = Quantity(1800.0, "30 min", "time")
+    """How long a run that paused by itself waits for somebody before it ends, everything safe."""
     alarm: Alarm | None = None
     """The command that calls the operator."""
     operator: OperatorPlace | None = None

@@ -13,6 +13,9 @@ everything else at least once a second.
 
 One thread writes, in order of time; only the caller of an event waits for the disk. A disk that stalls for seconds
 therefore costs memory, and no bytes of a line whose buffer holds a quarter of a second.
+
+Writing raises nothing, because the caller may be about to stop an axis: a journal that can no longer be written has a
+`problem`, an interlock ends the run with it, and everything is made safe without a journal.
 """
 
 import errno
@@ -36,6 +39,7 @@ _HEAD = struct.Struct("<BBId")
 _EVENT, _RECEIVED, _SENT = 1, 2, 3
 _LONGEST = 1 << 26
 _MOST_WAITING = 1 << 28
+_LONGEST_WAIT_S = 15.0
 LINE_EVENT = "line"
 _NUMBER = (int, float)
 # The fields of events that are read back, and their types.
@@ -60,10 +64,6 @@ Direction = Literal[">", "<", "#"]
 """To the device, from it, or a remark about the line."""
 Recorder = Callable[[float, Direction, bytes], None]
 """Records the bytes of a line: time, direction, bytes."""
-
-
-class JournalFull(HardwareError):
-    """The journal cannot be written: a run must not continue without it."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,8 @@ class Journal(AbstractContextManager["Journal"]):
         else:
             self._first_number = 0
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)
-        self._problem: JournalFull | None = None
+        self.problem = ""
+        """Why nothing more can be written, for the operator; empty while it can."""
         self._closing = False
         # Guards the waiting records, and the numbers of records queued, requested on disk, and on disk.
         self._change = threading.Condition()
@@ -127,24 +128,24 @@ class Journal(AbstractContextManager["Journal"]):
         self._writer.start()
 
     def event(self, time_s: float, name: str, /, *, at_once: bool = True, **data: Any) -> None:
-        """Write an event; with `at_once` wait until the disk has it. Raises `JournalFull`."""
+        """Write an event; with `at_once` wait until the disk has it, or until there is a `problem`."""
         payload = json.dumps({"event": name, **data}, separators=(",", ":"), allow_nan=False).encode()
         with self._change:
             self._append(_EVENT, 0, time_s, payload)
             if at_once:
                 mine = self._wanted = self._put_in
-                self._change.wait_for(lambda: self._on_disk >= mine or self._problem is not None)
-                if self._on_disk < mine and self._problem is not None:
-                    raise self._problem
+                if not self._change.wait_for(lambda: self._on_disk >= mine or self.problem, _LONGEST_WAIT_S):
+                    self._fail(f"the disk has not answered for {_LONGEST_WAIT_S:g} s")
 
     def bytes_of(self, line: str, time_s: float, data: bytes, *, received: bool) -> None:
-        """Write bytes of a line; they are on the disk within `sync_every_s`. Raises `JournalFull`."""
+        """Write bytes of a line; they are on the disk within `sync_every_s`."""
         with self._change:
             number = self._lines.get(line)
             if number is None:
                 number = self._first_number + len(self._lines)
                 if number > 255:
-                    raise HardwareError("A journal holds 256 lines at most, resumed runs included.")
+                    self._fail("it holds 256 lines at most, resumed runs included")
+                    return
                 self._lines[line] = number
                 note = json.dumps({"event": LINE_EVENT, "number": number, "name": line}).encode()
                 self._append(_EVENT, 0, time_s, note)
@@ -159,25 +160,20 @@ class Journal(AbstractContextManager["Journal"]):
         with self._change:
             self._closing = True
             self._change.notify_all()
-        self._writer.join()
+        self._writer.join(_LONGEST_WAIT_S if self.problem else None)
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
     def _append(self, kind: int, line: int, time_s: float, payload: bytes) -> None:
         """Queue a record for the disk. The caller holds the lock."""
-        if self._problem is not None:
-            raise self._problem
-        if self._closing:
-            raise JournalFull("The journal is closed.")
+        if self.problem or self._closing:
+            return
         body = _HEAD.pack(kind, line, len(payload), time_s) + payload
         record = _SYNC + body + zlib.crc32(body).to_bytes(4, "little")
         if self._waiting_bytes + len(record) > _MOST_WAITING:
-            self._problem = JournalFull(
-                f"The disk does not keep up with the journal {self.path}: {_MOST_WAITING >> 20} MB wait to be written. "
-                "Use a faster disk; what was written before is sound and the run can be resumed."
-            )
-            raise self._problem
+            self._fail(f"the disk does not keep up, {_MOST_WAITING >> 20} MB wait to be written")
+            return
         self._waiting.append(record)
         self._waiting_bytes += len(record)
         self._put_in += 1
@@ -203,8 +199,10 @@ class Journal(AbstractContextManager["Journal"]):
                 if dirty and (at_once or time.monotonic() - synced_s >= self._sync_every_s):
                     os.fsync(self._file)
                     synced_s, dirty = time.monotonic(), False
-            except OSError as problem:
-                self._fail(problem)
+            except Exception as problem:
+                full = isinstance(problem, OSError) and problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+                with self._change:
+                    self._fail("the disk is full" if full else f"{getattr(problem, 'strerror', None) or problem}")
                 break
             with self._change:
                 if not dirty:
@@ -214,15 +212,13 @@ class Journal(AbstractContextManager["Journal"]):
                     break
         os.close(self._file)
 
-    def _fail(self, problem: OSError) -> None:
-        full = problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-        what = "the disk is full" if full else f"{problem.strerror or problem}"
-        with self._change:
-            self._problem = JournalFull(
-                f"The journal {self.path} cannot be written: {what}. Free some space or choose another folder; what "
-                "was written before is sound and the run can be resumed."
-            )
-            self._change.notify_all()
+    def _fail(self, why: str) -> None:
+        """Nothing more is written. The caller holds the lock."""
+        self.problem = self.problem or (
+            f"The journal {self.path} cannot be written: {why}. Free some space or choose another folder; what was "
+            "written before is sound and the run can be resumed."
+        )
+        self._change.notify_all()
 
 
 def read_journal(path: Path) -> JournalContents:

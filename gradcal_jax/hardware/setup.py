@@ -39,8 +39,10 @@ ENTRY_POINTS: Final = "gradcal.drivers"
 class Driver:
     """A driver's module, and the names of its device's and its configuration's class in it.
 
-    The module also has `open_exchange(line, clock, config)` or, for a unit, `decoder_of(config, registers)`. A new
-    driver is a module beside the others and a line in `DRIVERS`, or another package's entry point.
+    The module also has `open_exchange(line, clock, config)` or, for a unit, `decoder_of(config, registers)`. A
+    configuration may have `lacks_for(safe)`: a sentence where a device with these options cannot take a safe state of
+    the rig file, else an empty text. A new driver is a module beside the others and a line in `DRIVERS`, or another
+    package's entry point.
     """
 
     role: Role | None
@@ -196,6 +198,8 @@ def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     for role, place, device in _devices(rig):
         try:
             configs[place] = config_of(device, role, place)
+            if not isinstance(device, ImuDevice) and (lack := _lacks_for(configs[place], device.safe)):
+                problems.append(Problem((*place, "safe"), f"this device cannot be left so: {lack}", device.safe))
             if isinstance(device, AxisDevice) and device.encoder is not None:
                 configs[*place, "encoder"] = config_of(device.encoder, role, (*place, "encoder"))
         except SpecError as error:
@@ -203,6 +207,12 @@ def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     if problems:
         raise SpecError(problems)
     return configs
+
+
+def _lacks_for(config: Any, safe: str) -> str:
+    """What a device lacks for a safe state. Drivers that declare nothing can take them all."""
+    declared: Callable[[str], str] = getattr(config, "lacks_for", lambda safe: "")
+    return declared(safe)
 
 
 def _spelt(name: str) -> tuple[str, str, str]:
@@ -256,6 +266,12 @@ class Bench(AbstractContextManager["Bench"]):
     def settings(self) -> dict[str, KeptSettings]:
         """The settings changed by the drivers of axes and units, by device."""
         return {name: device.settings for name, device in (*self.axes.items(), *self.imus.items())}
+
+    def chamber_limits(self) -> ChamberLimits | None:
+        """The limits of the chamber, within those of the rig file."""
+        if self.chamber is None or self.rig.chamber is None:
+            return None
+        return within_rig(self.chamber.limits(), self.rig.chamber)
 
     def devices(self) -> list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]]:
         """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
@@ -368,6 +384,24 @@ def only_of(rig: RigFile, names: Collection[str]) -> RigFile:
     return rig.model_copy(update=chosen)
 
 
+def within_rig(limits: ChamberLimits, chamber: ChamberDevice) -> ChamberLimits:
+    """The limits of a chamber that the rig file allows."""
+    lowest, highest = limits.lowest_c, limits.highest_c
+    if chamber.never_below is not None:
+        lowest = max(lowest, float(chamber.never_below))
+    if chamber.never_above is not None:
+        highest = min(highest, float(chamber.never_above))
+    return dataclasses.replace(limits, lowest_c=lowest, highest_c=highest)
+
+
+def lines_of(rig: RigFile) -> dict[str, tuple[str, str]]:
+    """The port and the safe state of every device, by its name: axes, chamber, units."""
+    lines = {entry.name: (entry.port, entry.safe) for entry in rig.axis}
+    if rig.chamber is not None:
+        lines["chamber"] = rig.chamber.port, rig.chamber.safe
+    return lines | {entry.name: (entry.port, "left streaming") for entry in rig.imu}
+
+
 def check_rig(bench: Bench) -> list[DeviceReport]:
     """Ask every device for its identity and limits; compare serial numbers with the rig file. Nothing moves."""
     # The chamber first, as in the rig file.
@@ -394,6 +428,8 @@ def _report(name: str, entry: Device, device: MotionAxis | TemperatureChamber | 
         identity = device.identify()
         require_identity(name, entry, identity)
         limits = device.configure() if isinstance(device, ImuStream) else device.limits()
+        if isinstance(entry, ChamberDevice) and isinstance(limits, ChamberLimits):
+            limits = within_rig(limits, entry)
         return DeviceReport(name, entry.driver, entry.port, identity, limits)
     except HardwareError as problem:
         return DeviceReport(name, entry.driver, entry.port, identity, problem=str(problem))

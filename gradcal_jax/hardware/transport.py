@@ -1,8 +1,9 @@
 """A serial line: opened exclusively, read and written with time-outs, every byte recorded.
 
 A small class around pyserial, so that a fork can replace it. The code depends on these properties of pyserial 3.5: a
-vanished pty or adapter raises `SerialException` from `read` and `write` but a bare `OSError` from `in_waiting`; a
-`socket://` line reports at most one waiting byte; without a write time-out a stuck peer blocks for ever; an exclusive
+vanished pty or adapter raises `SerialException` from `read` and `write` but a bare `OSError` from `in_waiting`,
+`TypeError` where another thread has just closed it, and `termios.error`, which is neither, from an open; a `socket://`
+line reports at most one waiting byte; without a write time-out a stuck peer blocks for ever; an exclusive
 open does not exclude openers that are not exclusive, hence the additional lock file.
 """
 
@@ -19,7 +20,7 @@ import serial
 
 from .clock import Clock
 from .errors import Disconnected, PortRefused, PortTaken
-from .journal import Recorder
+from .journal import Direction, Recorder
 
 if sys.platform == "win32":
     import msvcrt
@@ -129,8 +130,11 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
             if "://" not in url:
                 port.exclusive = True
             port.open()
-        except (serial.SerialException, OSError, ValueError) as problem:
+        except BaseException as problem:
             self._lock.release()
+            # Not only `SerialException` and `OSError`: pyserial lets `termios.error` through.
+            if not isinstance(problem, Exception):
+                raise
             # pyserial adds its own words to the system's message, with number and name twice.
             why = str(problem).rpartition("] ")[2].removesuffix(f": {url!r}")
             raise PortRefused(
@@ -152,8 +156,7 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
     def write(self, data: bytes) -> None:
         if self._terminator:
             data = data.rstrip(b"\r\n") + self._terminator
-        if self._recorder is not None:
-            self._recorder(self._clock.now(), ">", data)
+        now = self._clock.now()
         self._link.change(to_device=len(data), host_is_there=True)
         self._silent = False
         try:
@@ -163,9 +166,10 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
                 f"The port {self.url} takes no bytes: {len(data)} waited {_WRITE_TIMEOUT_S} s to be written. "
                 "Check flow control and that the device is on."
             ) from None
-        except (serial.SerialException, OSError, TypeError) as problem:
-            # TypeError: pyserial waits for a descriptor that another thread has just closed.
+        except Exception as problem:
             raise self._gone(problem) from None
+        finally:
+            self._record(now, ">", data)
 
     def read(self, timeout_s: float) -> bytes:
         """The waiting bytes, as soon as there are any; empty when nothing came in `timeout_s` real seconds."""
@@ -184,13 +188,11 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
                     data += self._port.read(_MOST - 1)
                 elif (waiting := min(self._port.in_waiting, _MOST - 1)) > 0:
                     data += self._port.read(waiting)
-        except (serial.SerialException, OSError, TypeError) as problem:
-            # TypeError: pyserial reads through a descriptor that another thread has just closed.
+        except Exception as problem:
             raise self._gone(problem) from None
         now = self._clock.now()
         if data:
-            if self._recorder is not None:
-                self._recorder(now, "<", data)
+            self._record(now, "<", data)
             # Counted after the stamp: virtual time cannot have moved between arrival and stamp.
             self._link.change(to_host=-len(data), host_is_there=True)
         return data, now
@@ -211,7 +213,7 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
             return
         self._closed = True
         self._link.change(attached=False)
-        with contextlib.suppress(serial.SerialException, OSError):
+        with contextlib.suppress(Exception):
             self._port.close()
         self._lock.release()
 
@@ -221,6 +223,12 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
     def _set_timeout(self, timeout_s: float) -> None:
         if self._port.timeout != timeout_s:
             self._port.timeout = timeout_s
+
+    def _record(self, time_s: float, direction: Direction, data: bytes) -> None:
+        """After the bytes were sent: no recorder keeps a stop off the wire, whatever it raises."""
+        if self._recorder is not None:
+            with contextlib.suppress(Exception):
+                self._recorder(time_s, direction, data)
 
     def _gone(self, problem: Exception) -> Disconnected:
         return Disconnected(f"The port {self.url} is gone ({problem}). Check the cable and the device's power.")

@@ -113,7 +113,7 @@ def test_a_port_that_is_gone_keeps_no_other_device_from_being_made_safe(
     }  # fmt: skip
     assert "cannot be opened" in outcomes["unit1"].evidence
     devices = [event.data.get("device") for event in by_guard(tmp_path / "journal")]
-    assert devices == [None, "unit1", "table", "chamber"]
+    assert devices == [None, "table", "chamber", "unit1"]
 
 
 # ------------------------------------------------------------------------------------------------------- when it acts

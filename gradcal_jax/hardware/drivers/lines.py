@@ -83,6 +83,12 @@ class LinesConfig:
     def role(self) -> Literal["chamber", "axis"]:
         return self.described.role
 
+    def lacks_for(self, safe: str) -> str:
+        """What a safe state needs and this protocol lacks, empty where nothing."""
+        if safe != AxisSafe.UNPOWER.value or {"off", "powered"} <= {*self.described.tell, *self.described.state}:
+            return ""
+        return 'its protocol has no [tell.off] with a [state.powered] that shows it: add both, or choose "hold"'
+
     @property
     def line_settings(self) -> dict[str, Any]:
         line = self.described.line
@@ -458,8 +464,8 @@ class LinesAxis(_Spoken, Unwatched):
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
         if policy is AxisSafe.UNPOWER:
-            if "off" not in self._protocol.tell:
-                raise Rejected(f"The protocol of {self._title} cannot unpower it; choose the safe policy 'hold'.")
+            if lack := self._config.lacks_for(policy.value):
+                raise Rejected(f"{self._title} cannot be unpowered: {lack}.")
             self._switch("off", "powered", False)
         reading = self.read()
         state = "; ".join(reading.faults) or "no faults"

@@ -187,11 +187,11 @@ class AxisControl:
         """A sentence for each axis that should have arrived, still pushes, and does not move."""
         sentences: list[str] = []
         for name, ends_s in self._ends_s.items():
-            place_deg, since_s = self._stands.get(name, (math.nan, math.inf))
+            _, since_s = self._stands.get(name, (math.nan, math.inf))
             reading = self.newest[name]
             if reading.moving and reading.time_s - max(ends_s, since_s) >= _STALL_S:
                 sentences.append(
-                    f"axis {name} has stood at {place_deg:.1f} deg for {reading.time_s - since_s:.0f} s and was to be "
+                    f"axis {name} has stood at {reading.position_deg:.1f} deg for {reading.time_s - since_s:.0f} s and was to be "
                     f"at {self._goal_deg[name]:.1f} deg {reading.time_s - ends_s:.0f} s ago: it is jammed, or its "
                     "motor has no power"
                 )

@@ -27,7 +27,7 @@ from typing import IO, Any
 
 from ..files.rig import RigFile, read_rig
 from .clock import Clock, RealClock
-from .errors import HardwareError, PortRefused, PortTaken
+from .errors import HardwareError, PortRefused, PortTaken, sentence_of
 from .journal import Journal
 from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, configs_of, lines_of, only_of, open_rig
@@ -282,8 +282,7 @@ def _try_once(
             taken = {name: SafeOutcome(name, "left to another run", True, str(problem)) for name in names}
             outcomes.update(taken)
         except BaseException as problem:
-            what = str(problem) if isinstance(problem, HardwareError) else f"{type(problem).__name__}: {problem}"
-            outcomes.update((name, SafeOutcome(name, lines[name][1], False, what)) for name in names)
+            outcomes.update((name, SafeOutcome(name, lines[name][1], False, sentence_of(problem))) for name in names)
 
     groups: dict[str, list[str]] = {}
     for name, (port, _) in lines.items():

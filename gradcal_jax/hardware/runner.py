@@ -29,7 +29,7 @@ from ..files.rig import ImuDevice
 from .axis_control import AxisControl
 from .chamber_control import ChamberControl
 from .clock import Clock, beside
-from .errors import HardwareError, LimitExceeded
+from .errors import HardwareError, LimitExceeded, sentence_of
 from .interlocks import Interlocks, Situation, standard_rules
 from .journal import Journal, event_fields
 from .losses import ExecutedStep, SampleLosses, StepNotDone
@@ -193,12 +193,10 @@ class Runner:
                 self._execute()
             except _Ended as end:
                 status, reason = end.status, str(end)
-            except HardwareError as problem:
-                status, reason = "aborted", str(problem)
             except KeyboardInterrupt:
                 status, reason = "aborted", "interrupted from the keyboard"
             except Exception as problem:
-                status, reason = "aborted", f"{type(problem).__name__}: {problem}"
+                status, reason = "aborted", sentence_of(problem)
             outcomes = self._end(status, reason)
             self._working.clear()
             with self.clock.aside():

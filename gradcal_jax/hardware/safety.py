@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from .clock import Clock
-from .errors import HardwareError
+from .errors import sentence_of
 from .roles import AxisSafe, ChamberSafe, SafeReport
 from .setup import Bench
 
@@ -84,8 +84,8 @@ def put_back(bench: Bench) -> dict[str, str]:
             try:
                 settings.put_back()
                 problems[name] = ""
-            except HardwareError as problem:
-                problems[name] = str(problem)
+            except Exception as problem:
+                problems[name] = sentence_of(problem)
     return problems
 
 
@@ -97,11 +97,9 @@ def _try(attempt: SafeOutcome, act: Callable[[], SafeReport], clock: Clock, bega
                 report = act()
                 attempt.evidence = report.evidence
                 attempt.verified = report.verified
-            except HardwareError as problem:
-                attempt.evidence = str(problem)
-            except Exception as problem:
-                # No error of a driver prevents the next try.
-                attempt.evidence = f"{type(problem).__name__}: {problem}"
+            except BaseException as problem:
+                # No error of a driver, of whatever kind, prevents the next try.
+                attempt.evidence = sentence_of(problem)
             if attempt.verified or time.monotonic() >= began_s + deadline_s:
                 attempt.took_s = time.monotonic() - began_s
                 return

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,10 @@ SPINS = Track((TrackStep("spin", 60.0, temperature_c=40.0, moves=(SPIN,)),))
 def spinning(folder: Path, *, stage: bool) -> Iterator[tuple[Rig, Runner]]:
     """A run that records all of its lines."""
     clock = RealClock()
-    with Rig(clock, stage=stage) as rig, Journal(folder / "journal") as journal:
-        with open_rig(rig.rig, clock, lambda url: journal.recorder(f"port {url}")) as bench:
-            yield rig, Runner(SPINS, bench, journal, clock, safe_deadline_s=10.0, chamber_every_s=0.5)
+    with ExitStack() as stack:
+        rig, journal = stack.enter_context(Rig(clock, stage=stage)), stack.enter_context(Journal(folder / "journal"))
+        bench = stack.enter_context(open_rig(rig.rig, clock, lambda url: journal.recorder(f"port {url}")))
+        yield rig, Runner(SPINS, bench, journal, clock, safe_deadline_s=10.0, chamber_every_s=0.5)
 
 
 def run_with(rig: Rig, runner: Runner, harm: Any) -> tuple[RunResult, float]:

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from gradcal_jax.files.recipe import Recipe
     from gradcal_jax.files.rig import RigFile
     from gradcal_jax.hardware.execute import Attended
-    from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
+    from gradcal_jax.hardware.runner import Runner
+    from gradcal_jax.hardware.states import RunProgress, RunResult
 
 _REHEARSAL = "simulated devices: a rehearsal, not a measurement"
 

@@ -190,10 +190,10 @@ class AxisControl:
             _, since_s = self._stands.get(name, (math.nan, math.inf))
             reading = self.newest[name]
             if reading.moving and reading.time_s - max(ends_s, since_s) >= _STALL_S:
+                stood_s, late_s = reading.time_s - since_s, reading.time_s - ends_s
                 sentences.append(
-                    f"axis {name} has stood at {reading.position_deg:.1f} deg for {reading.time_s - since_s:.0f} s and was to be "
-                    f"at {self._goal_deg[name]:.1f} deg {reading.time_s - ends_s:.0f} s ago: it is jammed, or its "
-                    "motor has no power"
+                    f"axis {name} has stood at {reading.position_deg:.1f} deg for {stood_s:.0f} s and was to be at "
+                    f"{self._goal_deg[name]:.1f} deg {late_s:.0f} s ago: it is jammed, or its motor has no power"
                 )
         return tuple(sentences)
 

@@ -14,13 +14,14 @@ from ..files.unit_spec import UnitSpec
 from ..files.writing import write_whole
 from .clock import RealClock
 from .run_folder import RunFolder, mounting_of, new_folder, prepare_resume
-from .runner import Runner, RunProgress, RunResult
+from .runner import Runner
 from .session import run_session
 from .setup import configs_of
 from .simulate.lab import SimulatedLab
 from .simulate.stim300 import RATES_HZ
 from .simulate.unit_lab import SimulatedUnitLab
 from .simulate.virtual_clock import VirtualClock
+from .states import RunProgress, RunResult
 from .supervision import Knows
 from .terminal import Terminal
 

@@ -1,9 +1,9 @@
 """Executes a track on a bench: one clock, everything journalled, safe at every kind of end.
 
-`WAYS` has the states and the transitions between them; each change is an event of the journal. Requests (pause, stop,
-abort) may come from any thread or signal handler and take effect within a quarter of a second of the run's clock, or
-when the device that has the current command has answered. Nothing turns while a run is paused, and interlocks can still
-end it. A step that was interrupted, by a pause or by the end of the process, is repeated from its beginning: the
+`states.WAYS` has the states and the transitions between them; each change is an event of the journal. Requests (pause,
+stop, abort) may come from any thread or signal handler and take effect within a quarter of a second of the run's clock,
+or when the device that has the current command has answered. Nothing turns while a run is paused; interlocks hold in
+every state, also while an axis searches its reference or the chamber acknowledges. A step that was interrupted, by a pause or by the end of the process, is repeated from its beginning: the
 chamber goes to the step's first temperature and is stable there, the axes go to their angles, and the journal marks the
 interruption.
 
@@ -21,7 +21,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import partial
 from typing import Any, Literal
 
@@ -33,33 +32,11 @@ from .errors import HardwareError, LimitExceeded, sentence_of
 from .interlocks import Interlocks, Situation, standard_rules
 from .journal import Journal, event_fields
 from .losses import ExecutedStep, SampleLosses, StepNotDone
-from .roles import AxisReading, ChamberReading, MotionAxis
+from .roles import MotionAxis
 from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, require_identity
+from .states import WAYS, RunProgress, RunResult, RunState
 from .track import Course, Stable, Track, TrackStep, beyond_limits
-
-
-class RunState(Enum):
-    IDLE = "idle"
-    RUNNING = "running"
-    PAUSING = "pausing"
-    PAUSED = "paused"
-    STOPPING = "stopping"
-    ABORTING = "aborting"
-    SAFE = "safe"
-    FAILED = "failed"
-
-
-WAYS: Mapping[RunState, frozenset[RunState]] = {
-    RunState.IDLE: frozenset({RunState.RUNNING, RunState.ABORTING}),
-    RunState.RUNNING: frozenset({RunState.PAUSING, RunState.STOPPING, RunState.ABORTING}),
-    RunState.PAUSING: frozenset({RunState.RUNNING, RunState.PAUSED, RunState.STOPPING, RunState.ABORTING}),
-    RunState.PAUSED: frozenset({RunState.RUNNING, RunState.STOPPING, RunState.ABORTING}),
-    RunState.STOPPING: frozenset({RunState.SAFE, RunState.FAILED}),
-    RunState.ABORTING: frozenset({RunState.SAFE, RunState.FAILED}),
-    RunState.SAFE: frozenset(),
-    RunState.FAILED: frozenset(),
-}
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
 _SLICE_S = 0.25
@@ -70,41 +47,6 @@ _TRIES = 3
 _ALARM_AGAIN_S = 300.0
 # The chamber's temperature while the operator reaches into it.
 _FOR_HANDS_C = 23.0
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """How a run ended: "success", "stopped" (on request) or "aborted", why, and the final state of every device."""
-
-    exit_status: Literal["success", "stopped", "aborted"]
-    reason: str
-    outcomes: tuple[SafeOutcome, ...]
-    steps_done: int
-
-    @property
-    def verified_safe(self) -> bool:
-        return all(outcome.verified for outcome in self.outcomes)
-
-
-@dataclass(frozen=True)
-class RunProgress:
-    """The argument of `on_progress`, called once for each chamber reading in the run's own thread: the run waits until
-    it returns."""
-
-    state: RunState
-    step: str
-    steps_done: int
-    steps: int
-    step_left_s: float | None
-    track_left_s: float
-    chamber: ChamberReading | None
-    axes: Mapping[str, AxisReading]
-    course_c: tuple[float, float] | None = None
-    """The lowest and the highest temperature of the air by the recipe now, without the band."""
-    samples: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
-    """Samples of each unit: received, and missing between them."""
-    why: str = ""
-    """Why the run is paused, or will be."""
 
 
 class _Interrupted(Exception):

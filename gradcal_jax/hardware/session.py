@@ -23,8 +23,9 @@ from .interlocks import InterlockLimits, Interlocks, standard_rules
 from .journal import Journal, Recorder
 from .pose import drawn
 from .run_folder import RunFolder, begin_session, mounting_of, require_same_devices, sessions
-from .runner import Runner, RunProgress, RunResult, RunState
+from .runner import Runner
 from .setup import open_rig
+from .states import RunProgress, RunResult, RunState
 from .supervision import Knows, StatusFile, sound_alarm
 from .terminal import Terminal
 

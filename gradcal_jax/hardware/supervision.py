@@ -16,7 +16,7 @@ from typing import Any, Final
 from ..files.rig import RigFile
 from ..files.writing import write_whole
 from .journal import json_of
-from .runner import RunProgress, RunResult
+from .states import RunProgress, RunResult
 
 STATUS: Final = "status.json"
 FORMAT: Final = "gradcal-status/1"

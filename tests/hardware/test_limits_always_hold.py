@@ -368,7 +368,7 @@ def test_a_jammed_axis_is_said_to_stand_and_is_not_pushed_for_long(tmp_path: Pat
 
 def test_a_pause_in_a_turn_is_no_overspeed(tmp_path: Path) -> None:
     moves = (AxisCommand(0.0, "table", "turn", rate_dps=150.0, acceleration_dps2=300.0, angle_deg=3600.0),)
-    with lab(tmp_path, Track((TrackStep("turn", 60.0, moves=moves),)), attended=True) as (rig, runner):
+    with lab(tmp_path, Track((TrackStep("turn", 60.0, moves=moves),)), attended=True) as (_, runner):
         amiss: list[float] = []
 
         def wrong(now: Situation) -> str:

@@ -4,6 +4,7 @@ The file names drivers and ports; `gradcal_jax.hardware.setup` reads a driver's 
 serial library.
 """
 
+import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -39,6 +40,11 @@ def _port(text: str) -> str:
 
 
 Port = Annotated[Text, AfterValidator(_port)]
+
+
+def _adapter(port: str) -> str:
+    """One text for all names of an adapter on this computer."""
+    return os.path.realpath(port) if port.startswith("/") else port
 
 
 class ChamberDevice(Section):
@@ -218,10 +224,11 @@ class RigFile(TitledFile):
     def _shared_ports(self) -> list[Problem]:
         """Only axes of one controller share a port: they speak one protocol, by address."""
         encoders = [axis.encoder for axis in self.axis if axis.encoder is not None]
-        users = Counter([device.port for device in (*self.imu, *encoders, *([self.chamber] if self.chamber else []))])
+        alone = (*self.imu, *encoders, *([self.chamber] if self.chamber else []))
+        users = Counter([_adapter(device.port) for device in alone])
         drivers: dict[str, set[str]] = {}
         for axis in self.axis:
-            drivers.setdefault(axis.port, set()).add(axis.driver)
+            drivers.setdefault(_adapter(axis.port), set()).add(axis.driver)
         wrong = {port for port in (*users, *drivers) if users[port] + len(drivers.get(port, ())) > 1}
         places = [
             *((("chamber", "port"), device) for device in ([self.chamber] if self.chamber else [])),
@@ -231,7 +238,7 @@ class RigFile(TitledFile):
         return [
             Problem(key, "two devices use this port; only axes of one controller can share one", device.port)
             for key, device in places
-            if device.port in wrong
+            if _adapter(device.port) in wrong
         ]
 
 

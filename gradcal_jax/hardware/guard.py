@@ -1,15 +1,15 @@
 """The guard: a process beside the run that makes the rig safe when the run no longer can.
 
 It reads all that it needs before anything moves: the rig file, the drivers, the folder of the journal. Then it sends
-"ready". A pipe in each direction connects the two. The run sends "begun" before its first motion, "before" with every
+"ready". A pipe in each direction connects the two. The run sends "begun" before its first command, "before" with every
 setting of a device before the first change, "alive" every second, and "done" when it has ended by itself with
-everything verified safe. The guard replies "alive".
+everything verified safe, or before it commanded anything. The guard replies "alive".
 
-When the pipe closes after "begun" and without "done", the run was killed, broken off, or could not reach a device. When
-the pipe stays open and silent, the run hangs: the guard ends it. Then the ports are free; the guard opens them, makes
-every device safe, restores the settings, and appends the outcome to the run's journal. A device that does not answer is
-tried again for an hour, unless another run takes its port. A guard that does not reply is replaced, which is an event
-of the run's journal.
+When the pipe closes after "begun" or "before" and without "done", the run was killed, broken off, or could not reach a
+device. When the pipe stays open and silent, the run hangs: the guard ends it. Then the ports are free; the guard opens
+them, makes every device safe, restores the settings, and appends the outcome to the run's journal and its status. A
+device that does not answer is tried again for an hour, unless another run takes its port. A guard that does not reply
+is replaced, which is an event of the run's journal.
 """
 
 import json
@@ -26,12 +26,13 @@ from pathlib import Path
 from typing import IO, Any
 
 from ..files.rig import RigFile, read_rig
+from . import transport
 from .clock import Clock, RealClock
 from .errors import HardwareError, PortRefused, PortTaken, sentence_of
 from .journal import Journal
 from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, configs_of, lines_of, only_of, open_rig
-from .supervision import sound_alarm
+from .supervision import end_status, sound_alarm
 
 Settings = dict[str, dict[str, str]]
 """Settings of devices before the run changed them, by device and name."""
@@ -66,12 +67,13 @@ class Guard:
 
     def remember(self, device: str, name: str, value: str) -> None:
         """Send the present value of a device's setting, before it is changed."""
+        self._begun = True
         self._before.append("before " + json.dumps([device, name, value]))
         self._say(self._before[-1])
 
     def done(self) -> None:
         """Everything was verified safe: the guard has nothing to do."""
-        self._begun = False
+        self._begun, self._before = False, []
         self._say("done")
 
     def beat(self) -> str:
@@ -166,6 +168,7 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
     """Wait for the run's end on standard input; make safe if it began and then ended or hangs without "done"."""
     # Its working folder keeps the guard with a run's folder that is moved.
     os.chdir(folder)
+    transport.owner = f"the guard of the run {folder.absolute()}"
     rig = read_rig("rig.toml")
     configs_of(rig)
     run = os.getppid()
@@ -194,15 +197,17 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
             continue
         if line is None:
             break
-        if line in (b"begun", b"done"):
-            begun = line == b"begun"
+        if line == b"begun":
+            begun = True
+        elif line == b"done":
+            begun, before = False, {}
         elif line == b"alive":
             with suppress(OSError):
                 print("alive", flush=True)
         elif line.startswith(b"before "):
             device, name, value = json.loads(line.removeprefix(b"before "))
             before.setdefault(device, {}).setdefault(name, value)
-    if not begun:
+    if not (begun or before):
         return []
     why = "the run did not answer any more and was ended" if hangs else "the run is gone, or left something unsafe"
     # The alarm comes first: a device that does not answer may take an hour.
@@ -250,6 +255,9 @@ def make_folder_safe(
             _write(folder / "journal", happened)
         happened.clear()
         if not again:
+            end_status(folder, why, list(outcomes.values()))
+            safe = "NOT VERIFIED SAFE: " + ", ".join(left) if left else "everything is verified safe"
+            _say(f"{transport.owner or 'the guard'}: {why}; {safe}")
             return list(outcomes.values())
         time.sleep(pause_s)
         pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)

@@ -3,9 +3,9 @@
 `states.WAYS` has the states and the transitions between them; each change is an event of the journal. Requests (pause,
 stop, abort) may come from any thread or signal handler and take effect within a quarter of a second of the run's clock,
 or when the device that has the current command has answered. Nothing turns while a run is paused; interlocks hold in
-every state, also while an axis searches its reference or the chamber acknowledges. A step that was interrupted, by a pause or by the end of the process, is repeated from its beginning: the
-chamber goes to the step's first temperature and is stable there, the axes go to their angles, and the journal marks the
-interruption.
+every state, also while an axis searches its reference or the chamber acknowledges. A step that was interrupted, by a
+pause or by the end of the process, is repeated from its beginning: the chamber goes to the step's first temperature and
+is stable there, the axes go to their angles, and the journal marks the interruption.
 
 Beside the executing thread, one thread reads the chamber, one feeds the watchdogs of axes, and one for each unit writes
 its bytes to the disk: no slow device delays a move or lets a watchdog expire.
@@ -78,6 +78,8 @@ class Runner:
     first_step: int = 0
     mounting: int = 0
     """How the units hang when the run begins, as `Step.mounting`; 0: unknown."""
+    on_begin: Callable[[], None] = lambda: None
+    """Called once, before the first command that can make anything unsafe."""
     draw: Callable[[Mapping[str, float], int], str] | None = None
     """The drawing of a unit at angles (deg) of the axes, in a mounting, for the operator who turns them."""
 
@@ -89,6 +91,8 @@ class Runner:
         self._why, self._by_rule = "", False
         self._paused_s: float | None = None
         self._range_c = (-math.inf, math.inf)
+        self.begun = False
+        """Whether anything was commanded."""
         chamber = self.bench.chamber
         self._chamber = None if chamber is None else ChamberControl(chamber, self.clock, self._event)
         latest_s, alone = self.interlocks.limits.latest_s, not self.bench.imus
@@ -152,7 +156,7 @@ class Runner:
                 unsafe = ", ".join(outcome.name for outcome in outcomes if not outcome.verified)
                 self.on_alarm(f"The run was {status}: {reason}" + (f" NOT VERIFIED SAFE: {unsafe}" if unsafe else ""))
             self._event("end", exit_status=status, reason=reason, verified_safe=good)
-        return RunResult(status, reason, outcomes, self._steps_done)
+        return RunResult(status, reason, outcomes, self._steps_done, self.begun)
 
     def _drawn(self, angles_deg: Mapping[str, float]) -> str:
         return "" if self.draw is None else self.draw(angles_deg, self.mounting)
@@ -180,6 +184,8 @@ class Runner:
             self._range_c = min(limits.lowest_c, reading.air_c), max(limits.highest_c, reading.air_c)
             self._chamber.heard(reading)
             start(self._chamber.watch, self.chamber_every_s, self._watching, self._fail)
+        self.begun = True
+        self.on_begin()
         # The search for references lets go of a watchdog, and the units' data begin after it.
         self._axes.home(self.track.moved, self._duties)
         guarded = [axis for axis in self.bench.axes.values() if axis.limits().hardware_watchdog]

@@ -108,11 +108,12 @@ def run_session(
         if handle_signals:
             stack.enter_context(signals_to(runner))
         if watched is not None:
-            watched.begun()
+            runner.on_begin = watched.begun
             stack.enter_context(_beating(watched, runner, journal, clock))
         result = runner.run()
         status.end(result)
-        if watched is not None and result.verified_safe:
+        # A start that commanded nothing leaves nothing to the guard, which would keep the ports from the next one.
+        if watched is not None and (result.verified_safe or not result.begun):
             watched.done()
         return result
 

@@ -25,7 +25,7 @@ from .journal import Recorder
 from .roles import AxisLimits, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis, TemperatureChamber
 from .settings import KeptSettings
 from .terminal import Terminal, TextLine
-from .transport import Transport
+from .transport import Transport, same_port
 
 Role = Literal["chamber", "axis", "imu"]
 Device = ChamberDevice | AxisDevice | ImuDevice
@@ -326,9 +326,9 @@ def open_rig(
     def axis_or_chamber(device: Device | EncoderDevice, config: Any, *more: Any) -> Any:
         driver = _known(device.driver)
         module = driver.load()
-        if device.port not in exchanges:
-            exchanges[device.port] = module.open_exchange(opened(device, config), clock, config)
-        return getattr(module, driver.device_class)(exchanges[device.port], config, *more)
+        if same_port(device.port) not in exchanges:
+            exchanges[same_port(device.port)] = module.open_exchange(opened(device, config), clock, config)
+        return getattr(module, driver.device_class)(exchanges[same_port(device.port)], config, *more)
 
     try:
         for _, place, device in _devices(rig):
@@ -403,7 +403,7 @@ def lines_of(rig: RigFile) -> dict[str, tuple[str, str]]:
 
 
 def check_rig(bench: Bench) -> list[DeviceReport]:
-    """Ask every device for its identity and limits; compare serial numbers with the rig file. Nothing moves."""
+    """Ask every device for identity, limits and a reading; compare serial numbers with the rig file. Nothing moves."""
     # The chamber first, as in the rig file.
     return [_report(*device) for device in sorted(bench.devices(), key=lambda device: device[0] != "chamber")]
 
@@ -430,6 +430,9 @@ def _report(name: str, entry: Device, device: MotionAxis | TemperatureChamber | 
         limits = device.configure() if isinstance(device, ImuStream) else device.limits()
         if isinstance(entry, ChamberDevice) and isinstance(limits, ChamberLimits):
             limits = within_rig(limits, entry)
+        if not isinstance(device, ImuStream):
+            # Identity and limits may stand in the rig file alone: at least this is asked of the device.
+            device.read()
         return DeviceReport(name, entry.driver, entry.port, identity, limits)
     except HardwareError as problem:
         return DeviceReport(name, entry.driver, entry.port, identity, problem=str(problem))

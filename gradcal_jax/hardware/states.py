@@ -40,6 +40,8 @@ class RunResult:
     reason: str
     outcomes: tuple[SafeOutcome, ...]
     steps_done: int
+    begun: bool = True
+    """Whether anything was commanded to a device."""
 
     @property
     def verified_safe(self) -> bool:

@@ -30,13 +30,20 @@ else:
 Parity = Literal["N", "E", "O"]
 _MOST = 65536  # bytes read at once
 _WRITE_TIMEOUT_S = 2.0
+owner = ""
+"""What holds the ports of this process, for whoever finds one taken; empty: its number is said."""
+
+
+def same_port(url: str) -> str:
+    """One text for all names of a port: an adapter has several."""
+    return os.path.realpath(url) if url.startswith("/") else url
 
 
 class PortLock:
     """One process, one port: a lock file that the operating system releases when its owner dies."""
 
     def __init__(self, url: str) -> None:
-        identity = os.path.realpath(url) if "://" not in url else url
+        identity = same_port(url)
         folder = Path(tempfile.gettempdir()) / "gradcal-ports"
         self._path = folder / (hashlib.sha256(identity.encode()).hexdigest()[:24] + ".lock")
         try:
@@ -50,17 +57,18 @@ class PortLock:
         try:
             self._take()
         except OSError:
-            owner = os.pread(self._handle, 200, 1).decode("utf-8", "replace").strip() if os.name == "posix" else ""
+            holds = os.pread(self._handle, 200, 1).decode("utf-8", "replace").strip() if os.name == "posix" else ""
             os.close(self._handle)
             raise PortTaken(
-                f"The port {url} is in use by another run{f' ({owner})' if owner else ''}. "
+                f"The port {url} is in use by another run{f' ({holds})' if holds else ''}. "
                 "Wait until it ends or give this run another port."
             ) from None
         # A full disk must not block a port: the name of its owner is only information.
         with contextlib.suppress(OSError):
             os.ftruncate(self._handle, 0)
             # The first byte belongs to the lock (Windows locks a byte range), the note begins behind it.
-            os.write(self._handle, f"\nprocess {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n".encode())
+            holds = owner or f"process {os.getpid()}"
+            os.write(self._handle, f"\n{holds}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n".encode())
 
     def _open(self, folder: Path) -> int:
         """Open the lock file without following links, of folder or file: their target would be changed."""

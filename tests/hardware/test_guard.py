@@ -280,7 +280,10 @@ def test_what_the_run_leaves_unsafe_is_made_safe(how: str, tmp_path: Path, monke
         if lab.chamber.mode != "STANDBY":
             raise KeyboardInterrupt
 
+    left: list[str] = []
+
     def hindered(*_: object, **__: object) -> list[SafeOutcome]:
+        left.append(lab.chamber.mode)
         if how == "broken off":
             raise KeyboardInterrupt
         return [SafeOutcome("chamber", "standby", False, "has not answered yet", 1, 60.0)]
@@ -294,7 +297,7 @@ def test_what_the_run_leaves_unsafe_is_made_safe(how: str, tmp_path: Path, monke
                 run_of(lab, folder, clock, on_progress=interrupt)
         else:
             assert not run_of(lab, folder, clock, on_progress=interrupt).verified_safe
-        assert lab.chamber.mode != "STANDBY"
+        assert left == ["CONSTANT"]
         end = time.monotonic() + 60.0
         while time.monotonic() < end and len(by_guard(folder.journal_path)) < 4:
             time.sleep(0.1)

@@ -99,6 +99,8 @@ class Runner:
         self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, self._drawn, keep_track=alone)
         self._imu_heard_s: dict[str, float] = {}
         self._losses: dict[str, SampleLosses] = {}
+        # Units that are to be configured anew: one that restarted has the settings that it stores.
+        self._unfit: set[str] = set()
         self._unconfirmed: list[ExecutedStep] = []
         self._tries: dict[int, int] = {}
         self._shortfall: StepNotDone | None = None
@@ -167,10 +169,8 @@ class Runner:
             require_identity(name, entry, identity)
             self._event("identity", device=name, **event_fields(identity))
             if isinstance(entry, ImuDevice):
-                unit = self.bench.imus[name]
-                settings = unit.configure()
-                self._event("configuration", device=name, **event_fields(settings))
-                self._losses[name] = SampleLosses(unit.decoder(), settings.sample_rate_hz)
+                rate_hz = self._configure(name)
+                self._losses[name] = SampleLosses(self.bench.imus[name].decoder(), rate_hz)
         if problems := self.dry_run():
             raise LimitExceeded("The run was not started. " + " ".join(problems))
 
@@ -198,6 +198,12 @@ class Runner:
             self._imu_heard_s[name] = self.clock.now()
             start(self._carry_bytes, name)
 
+    def _configure(self, name: str) -> float:
+        """Bring a unit to the settings of the rig file. Returns its sample rate, Hz."""
+        settings = self.bench.imus[name].configure()
+        self._event("configuration", device=name, **event_fields(settings))
+        return settings.sample_rate_hz
+
     def _feed_watchdogs(self, axes: list[MotionAxis]) -> None:
         with self.clock.party():
             while self._working.is_set():
@@ -218,6 +224,13 @@ class Runner:
         unit, losses = self.bench.imus[name], self._losses[name]
         while self._working.is_set():
             try:
+                if name in self._unfit:
+                    with self.clock.party():
+                        self._configure(name)
+                        losses.begin_again(unit.decoder())
+                        unit.start()
+                    self._imu_heard_s[name] = self.clock.now()
+                    self._unfit.discard(name)
                 data, time_s = unit.read_bytes(0.2)
                 if data:
                     self.journal.bytes_of(name, time_s, data, received=True)
@@ -265,6 +278,12 @@ class Runner:
         if self._tries[number] == _TRIES:
             raise HardwareError(f"Step {name!r} was not executed as written, {_TRIES} times. The last time: {why}.")
         self._axes.stop()
+        while self._unfit:
+            try:
+                self._duties()
+            except _Interrupted:
+                self._wait_paused()
+            self.clock.sleep(_SLICE_S)
         self._shortfall = None
         self._steps_done = number
         self._unconfirmed = [executed for executed in self._unconfirmed if executed.number < number]
@@ -291,8 +310,10 @@ class Runner:
             self._heard_end_s = math.inf
             executed = self._unconfirmed.pop(0)
             step = self.track.steps[executed.number]
+            limits = self.interlocks.limits
             for name, losses in self._losses.items() if step.read_at_s else ():
-                if lost := losses.between(executed, self.interlocks.limits.lost_share):
+                if lost := losses.between(executed, limits.lost_share, limits.latest_s, step.turned_deg):
+                    self._unfit.add(name)
                     self._shortfall = StepNotDone(executed.number, f"{name}: {lost}")
                     return
             self._event("step done", step=step.name, number=executed.number)
@@ -442,7 +463,7 @@ class Runner:
             raise HardwareError(problem)
         self._axes.watch()
         now = self.clock.now()
-        ages = {name: now - latest_s for name, latest_s in self._imu_heard_s.items()}
+        ages = {name: now - heard_s for name, heard_s in self._imu_heard_s.items() if name not in self._unfit}
         free = shutil.disk_usage(self.journal.path.parent).free
         chamber, paused_s = self._chamber, None if self._paused_s is None else now - self._paused_s
         situation = Situation(

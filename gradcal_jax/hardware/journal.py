@@ -29,8 +29,9 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, BinaryIO, Literal, cast
 
 from .errors import HardwareError
 
@@ -38,6 +39,7 @@ _SYNC = b"\xa7\x4a"
 _HEAD = struct.Struct("<BBId")
 _EVENT, _RECEIVED, _SENT = 1, 2, 3
 _LONGEST = 1 << 26
+_BLOCK = 1 << 22
 _MOST_WAITING = 1 << 28
 _LONGEST_WAIT_S = 15.0
 LINE_EVENT = "line"
@@ -87,10 +89,11 @@ class Chunk:
 
 @dataclass
 class JournalContents:
-    """Everything that a journal holds, in order. `damaged_bytes` belong to no sound record."""
+    """Everything that a journal holds, in order. `damaged_bytes` belong to no sound record; `latest_s`: last time."""
 
     records: list[Event | Chunk] = field(default_factory=list[Event | Chunk])
     damaged_bytes: int = 0
+    latest_s: float = 0.0
 
     @property
     def events(self) -> list[Event]:
@@ -111,7 +114,9 @@ class Journal(AbstractContextManager["Journal"]):
         self._lines: dict[str, int] = {}
         if path.exists():
             # Numbers of lines continue after the last session's: one number never means two lines.
-            known = [event.data["number"] for event in read_journal(path).events if event.name == LINE_EVENT]
+            known = [
+                event.data["number"] for event in read_journal(path, chunks=False).events if event.name == LINE_EVENT
+            ]
             self._first_number = max(known, default=-1) + 1
         else:
             self._first_number = 0
@@ -221,50 +226,71 @@ class Journal(AbstractContextManager["Journal"]):
         self._change.notify_all()
 
 
-def read_journal(path: Path) -> JournalContents:
-    """All sound records of a journal, however it ends. Raises `HardwareError` where there is no such file."""
+def read_journal(path: Path, *, chunks: bool = True) -> JournalContents:
+    """All sound records of a journal, however it ends; without `chunks` its events alone, which take little memory.
+    Raises `HardwareError` where there is no such file."""
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            return _parse(file, chunks)
     except OSError as problem:
         raise HardwareError(f"The journal {path} cannot be read: {problem.strerror}.") from None
-    return parse_journal(data)
 
 
 def parse_journal(data: bytes) -> JournalContents:
+    return _parse(BytesIO(data), True)
+
+
+def _parse(file: BinaryIO, chunks: bool) -> JournalContents:
+    """Read block by block: a journal of a day is larger than what a computer can spare."""
     contents = JournalContents()
     names: dict[int, str] = {}
-    position = 0
-    while (start := data.find(_SYNC, position)) >= 0:
-        contents.damaged_bytes += start - position
-        record, end = _record(data, start, names)
-        if record is None:
-            # Two bytes that look like a head: the true head may be one byte later.
-            contents.damaged_bytes += 1
-            position = start + 1
-            continue
-        if isinstance(record, Event) and record.name == LINE_EVENT:
-            names[int(record.data["number"])] = str(record.data["name"])
-        contents.records.append(record)
-        position = end
-    contents.damaged_bytes += len(data) - position
+    buffer, origin, ended = b"", 0, False
+    while not ended:
+        block = file.read(_BLOCK)
+        buffer, ended, position = buffer + block, not block, 0
+        while (start := buffer.find(_SYNC, position)) >= 0:
+            contents.damaged_bytes += start - position
+            record, position = _record(buffer, start, origin, names)
+            if record is None and position > len(buffer) and not ended:
+                # Its end is in the next block.
+                position = start
+                break
+            if record is None:
+                # Two bytes that look like a head: the true head may be one byte later.
+                contents.damaged_bytes += 1
+                position = start + 1
+                continue
+            if isinstance(record, Event) and record.name == LINE_EVENT:
+                names[int(record.data["number"])] = str(record.data["name"])
+            contents.latest_s = max(contents.latest_s, record.time_s)
+            if chunks or isinstance(record, Event):
+                contents.records.append(record)
+        else:
+            rest = len(buffer) - (not ended and buffer.endswith(_SYNC[:1]))
+            contents.damaged_bytes += rest - position
+            position = rest
+        buffer, origin = buffer[position:], origin + position
     return contents
 
 
-def _record(data: bytes, start: int, names: dict[int, str]) -> tuple[Event | Chunk | None, int]:
+def _record(data: bytes, start: int, origin: int, names: dict[int, str]) -> tuple[Event | Chunk | None, int]:
+    """The record at `start` and its end; None where there is none, or where it ends beyond the data."""
     head = start + len(_SYNC)
     if len(data) < head + _HEAD.size + 4:
-        return None, start
+        return None, head + _HEAD.size + 4
     kind, line, length, time_s = _HEAD.unpack_from(data, head)
     end = head + _HEAD.size + length + 4
-    if length > _LONGEST or end > len(data):
+    if length > _LONGEST:
         return None, start
+    if end > len(data):
+        return None, end
     if zlib.crc32(memoryview(data)[head : end - 4]) != int.from_bytes(data[end - 4 : end], "little"):
         return None, start
     payload = data[head + _HEAD.size : end - 4]
     if not math.isfinite(time_s):
-        raise _strange(start, "its time is no number")
+        raise _strange(origin + start, "its time is no number")
     if kind == _EVENT:
-        return _event(start, time_s, payload), end
+        return _event(origin + start, time_s, payload), end
     return Chunk(time_s, names.get(line, f"line {line}"), kind == _RECEIVED, payload), end
 
 

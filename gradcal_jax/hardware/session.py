@@ -60,7 +60,7 @@ def run_session(
     """
     recipe = folder.recipe()
     track = track_of(recipe, [axis.name for axis in rig.axis])
-    resumed = folder.contents() if folder.journal_path.exists() else None
+    resumed = folder.events() if folder.journal_path.exists() else None
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(folder.journal_path))
         # Before the ports are opened: they are closed again when the guard takes over.

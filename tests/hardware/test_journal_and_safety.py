@@ -14,6 +14,7 @@ from hardware_bench import Rig
 from simulated_devices.faults import Faults
 
 from gradcal_jax.decoding.clockmap import fit_clock
+from gradcal_jax.hardware import journal as journal_module
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import (
@@ -119,6 +120,46 @@ def test_journal_of_a_killed_process_has_every_acknowledged_event(tmp_path: Path
             sum(chunk.time_s == float(i) for i in range(acknowledged + 1) for chunk in chunks[-10_000:]) > acknowledged
         )
         path.unlink()
+
+
+@pytest.mark.parametrize("block", [1, 7, 64, 1000])
+def test_a_journal_reads_the_same_in_blocks_of_any_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
+) -> None:
+    write_some(tmp_path / "j")
+    generator = np.random.default_rng(3)
+    data = bytearray((tmp_path / "j").read_bytes() * 3)
+    for place in generator.integers(0, len(data), 12):
+        data[place] ^= 0x40
+    data += b"\xa7\x4a\x02"
+    whole = parse_journal(bytes(data))
+    assert whole.damaged_bytes > 100
+    (tmp_path / "j").write_bytes(data)
+    monkeypatch.setattr(journal_module, "_BLOCK", block)
+    found = read_journal(tmp_path / "j")
+    assert (found.records, found.damaged_bytes) == (whole.records, whole.damaged_bytes)
+    events = read_journal(tmp_path / "j", chunks=False)
+    assert (events.records, events.latest_s) == (whole.events, whole.latest_s)
+
+
+def test_the_events_of_a_long_journal_take_little_memory(tmp_path: Path) -> None:
+    """Bytes of an hour of two units at full rate: a resumed run, and its status, read nothing but events."""
+    with Journal(tmp_path / "j") as journal:
+        for k in range(400_000):
+            journal.bytes_of(f"unit{k % 2}", 0.009 * k, bytes(150), received=True)
+            if k % 1000 == 0:
+                journal.event(0.009 * k, "chamber", at_once=False, air_c=20.0)
+    assert (tmp_path / "j").stat().st_size > 60e6
+    program = (
+        "import resource, sys, pathlib; from gradcal_jax.hardware.journal import Journal, read_journal\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "contents = read_journal(pathlib.Path(sys.argv[1]), chunks=False); Journal(pathlib.Path(sys.argv[1])).close()\n"
+        "print(len(contents.events), (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)\n"
+    )
+    words = [sys.executable, "-c", program, str(tmp_path / "j")]
+    count, megabytes = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
+    assert int(count) == 402
+    assert float(megabytes) < 30.0
 
 
 def test_full_disk_is_a_sentence_and_what_was_written_stays(tmp_path: Path) -> None:

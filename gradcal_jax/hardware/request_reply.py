@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager
 from typing import TypeVar
 
 from .clock import Clock, holding
-from .errors import ChecksumError, FramingError, NotVerified, ReplyTimeout, printable
+from .errors import ChecksumError, FramingError, NotVerified, Rejected, ReplyTimeout, printable
 from .framing import Framer
 from .transport import Transport
 
@@ -120,6 +120,9 @@ class Exchange:
                     return parse(frame)
                 except NotThisReply:
                     continue
+                except Rejected as refusal:
+                    what = f"{self.device} at {self.transport.url} was sent {printable(request)!r}. {refusal}"
+                    raise Rejected(what, code=refusal.code, text=refusal.text) from None
                 except ChecksumError:
                     # The reply to this request is damaged: no other will come.
                     raise

@@ -260,6 +260,8 @@ class Bench(AbstractContextManager["Bench"]):
     imus: dict[str, ImuStream] = field(default_factory=dict[str, ImuStream])
     console: Console | None = None
     """Where the operator is asked to hang the units anew."""
+    lines: dict[str, Transport] = field(default_factory=dict[str, Transport])
+    """The open serial line of every device, by its name; absent for the terminal."""
     _ports: ExitStack = field(default_factory=ExitStack)
 
     @property
@@ -305,6 +307,7 @@ def open_rig(
     configs = configs_of(rig)
     bench = Bench(rig)
     exchanges: dict[str, Any] = {}
+    lines: dict[str, Transport] = {}
 
     def opened(device: Device | EncoderDevice | OperatorPlace, config: Any) -> TextLine:
         url = device.port
@@ -319,7 +322,7 @@ def open_rig(
             if "terminator" in settings:
                 settings["terminator"] = _TERMINATORS[settings["terminator"]]
             settings["baudrate"] = config.baudrate
-            line = Transport(url, clock=clock, recorder=recorder, **settings)
+            line = lines[same_port(url)] = Transport(url, clock=clock, recorder=recorder, **settings)
         bench._ports.callback(line.close)  # pyright: ignore[reportPrivateUsage]
         return line
 
@@ -346,6 +349,9 @@ def open_rig(
                     read = None if encoder is None else axis_or_chamber(encoder, configs[*place, "encoder"])
                     more = (clock, device.name, read)
                 bench.axes[device.name] = axis_or_chamber(device, config, *more)
+        for name, (port, _) in lines_of(rig).items():
+            if same_port(port) in lines:
+                bench.lines[name] = lines[same_port(port)]
         consoles = [exchange for exchange in exchanges.values() if isinstance(exchange, Console)]
         place = rig.operator or OperatorPlace()
         if consoles:

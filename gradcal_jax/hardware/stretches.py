@@ -85,10 +85,11 @@ def stretches_of(folder: RunFolder) -> list[StretchDone]:
 
 def goes_on_at(folder: RunFolder) -> float:
     """Where a run will continue, on its plan's clock (s): while it is under way, the end of its last stretch."""
-    contents, done = folder.events(), stretches_of(folder)
+    contents, recipe = folder.events(), len(folder.recipes()) - 1
+    done = stretches_done(contents, folder.track(), recipe)
     if done and exit_status(contents) == "lost":
         return done[-1].end_s
-    return sum(step.duration_s for step in folder.track().steps[: steps_done(contents, len(folder.recipes()) - 1)])
+    return sum(step.duration_s for step in folder.track().steps[: steps_done(contents, recipe)])
 
 
 def _until(part: StretchDone, end_s: float) -> StretchDone:

@@ -106,6 +106,15 @@ def _share(handle: int, mode: int) -> None:
         os.fchmod(handle, mode)
 
 
+def _refused(url: str, problem: BaseException) -> PortRefused:
+    # pyserial adds its own words to the system's message, with number and name twice.
+    why = str(problem).rpartition("] ")[2].removesuffix(f": {url!r}")
+    return PortRefused(
+        f"The port {url} cannot be opened: {why}. Check its name, the cable, the rights of your account, and that no "
+        "other program holds it."
+    )
+
+
 class Transport(contextlib.AbstractContextManager["Transport"]):
     """Bytes to and from one port.
 
@@ -143,18 +152,25 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
             # Not only `SerialException` and `OSError`: pyserial lets `termios.error` through.
             if not isinstance(problem, Exception):
                 raise
-            # pyserial adds its own words to the system's message, with number and name twice.
-            why = str(problem).rpartition("] ")[2].removesuffix(f": {url!r}")
-            raise PortRefused(
-                f"The port {url} cannot be opened: {why}. Check its name, the cable, the rights of your account, "
-                "and that no other program holds it."
-            ) from None
+            raise _refused(url, problem) from None
         self._port = port
         self._is_socket = url.startswith("socket://")
         self._link = clock.link(url)
         self._link.change(attached=True)
         self._silent = False
         self._closed = False
+
+    def reopen(self) -> None:
+        """Open the port once more, after its cable was out. Raises `PortRefused`."""
+        if self._closed:
+            raise Disconnected(f"The port {self.url} was closed.")
+        with contextlib.suppress(Exception):
+            self._port.close()
+        try:
+            self._port.open()
+        except Exception as problem:
+            raise _refused(self.url, problem) from None
+        self._link.change(attached=True)
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from hardware_bench import Rig, cts_bench, grbl_bench, short_recipe
+from hardware_bench import Rig, cts_bench, espec_bench, grbl_bench, short_recipe, zaber_bench
 
 from gradcal_jax.cli import main
 from gradcal_jax.cli.run import progress_text
@@ -20,11 +20,12 @@ from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware import guard
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.lines import LinesConfig
-from gradcal_jax.hardware.errors import PortTaken, Rejected
+from gradcal_jax.hardware.errors import Disconnected, PortTaken, Rejected
 from gradcal_jax.hardware.guard import Guard
 from gradcal_jax.hardware.journal import read_journal
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
+from gradcal_jax.hardware.safety import make_safe
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import check_each, open_rig
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
@@ -229,3 +230,29 @@ def test_a_pause_states_its_reason(tmp_path: Path) -> None:
         assert "paused: the operator heard something; step" in seen[1]
     asked = [e.data["reason"] for e in read_journal(run.journal_path).events if e.name == "request"]
     assert asked[:1] == ["the operator heard something"]
+
+
+def test_a_cable_that_is_in_again_is_used_to_make_safe() -> None:
+    clock = RealClock()
+    with Rig(clock, stage=True) as rig, open_rig(rig.rig, clock) as bench:
+        bench.axes["table"].spin(60.0, 300.0)
+        rig.ports[1].unplug()
+        with pytest.raises(Disconnected):
+            bench.axes["table"].read()
+        again = threading.Timer(1.0, rig.ports[1].replug)
+        again.start()
+        outcomes = {outcome.name: outcome for outcome in make_safe(bench, clock, deadline_s=8.0)}
+        again.join()
+        assert outcomes["table"].verified, outcomes["table"].evidence
+        assert rig.axis.state(clock.now())[1] == 0.0
+
+
+def test_a_refusal_names_device_and_port() -> None:
+    with espec_bench(VirtualClock()) as (chamber, device, port):
+        device._command = lambda text: "PROTECT ON"
+        with pytest.raises(Rejected, match=f"The ESPEC chamber at {port.url} was sent 'TEMP, S40.0.*PROTECT ON"):
+            chamber.hold(40.0)
+    with zaber_bench(VirtualClock()) as (axis, device, port):
+        device._move = lambda *_: (False, "BADDATA")
+        with pytest.raises(Rejected, match=f"The Zaber stage at {port.url} refuses"):
+            axis.spin(10.0, 100.0)

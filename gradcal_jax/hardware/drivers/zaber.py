@@ -245,7 +245,8 @@ class ZaberAxis(ExchangeDriver[ZaberConfig], Unwatched):
             reply = self._exchange.query(command(config.device, number, message_id, words), parse)
         if not reply.accepted:
             text = f"{reply.data}, {reply.warning}" if reply.warning != "--" else reply.data
-            raise Rejected(f"The stage refuses {words!r}: {text}.", code=reply.data, text=reply.warning)
+            where = f"The Zaber stage at {self._exchange.transport.url}"
+            raise Rejected(f"{where} refuses {words!r}: {text}.", code=reply.data, text=reply.warning)
         return reply
 
     def _start(self, words: str) -> None:

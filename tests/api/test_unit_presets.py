@@ -92,13 +92,14 @@ def test_keys_of_a_unit_are_changed_as_those_of_an_axis_and_moves_are_written_as
     moves = {
         "plan.cycle.moves[1].turn": "720 deg",
         "plan.cycle.moves[3].turn": "-720 deg",
-        "rig.table.axis[0].angle.reading_noise": 1e-5,
+        "rig.table.axis[0].angle.reading_noise": "2 arcsec",
     }
     other = gj.changed(spec, moves)
     assert isinstance(other, gj.UnitSpec)
     assert gj.tables_of(other)["plan"]["cycle"]["moves"][1] == {"turn": "720 deg", "axis": "spin"}
-    assert other.rig.table.axis[0].angle.reading_noise.text.endswith(" arcsec")
-    assert float(other.rig.table.axis[0].angle.reading_noise) == pytest.approx(1e-5, rel=1e-12)
+    assert other.rig.table.axis[0].angle.reading_noise.text == "2 arcsec"
+    with pytest.raises(gj.SpecError, match="an angle as text with a unit"):
+        gj.changed(spec, {"rig.table.axis[0].angle.reading_noise": 1e-5})
     assert other.schedule.period < spec.schedule.period
     assert gj.parse_unit_spec(to_toml(other)) == other
     with pytest.raises(gj.SpecError, match="max_rates"):

@@ -267,6 +267,9 @@ def ran(line):
     words = shell.stdout.splitlines()
     if words[0] == "start":
         words.append("--force")
+    if words[0] == "run" and "--rig" in words and "--dry-run" not in words:
+        # There is no terminal at which to confirm the list.
+        words.append("--yes")
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         status = main(words)

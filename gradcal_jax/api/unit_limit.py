@@ -28,6 +28,7 @@ from gradcal_jax.api.systematic import floor_of_unit_plan
 from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.design import criterion, limit
+from gradcal_jax.files.absent import with_typical
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
 from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -73,12 +74,12 @@ def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
             "a limit of a unit is proven for biases, scale factors that are polynomials, misalignments to the table or "
             "the case, acceleration sensitivity and second order; the spec has no requirement on one of these"
         )
-    judged = {row.name: row.judged for row in requirement_rows(spec)}
-    model, floor = floor_of_unit_plan(spec)
+    rows = {row.name: row for row in requirement_rows(spec)}
+    floors = [floor_of_unit_plan(one) for one in (spec, with_typical(spec))]
     # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value over the elements.
     return [
-        plan_limit(r, UNIT_OF[r.quantity], bound, judged[r.name], _RELAXED).above(
-            float(np.min(unit_residual(model, floor, r).values))
+        plan_limit(r, UNIT_OF[r.quantity], bound, rows[r.name].decisive, _RELAXED).above(
+            *(float(np.min(unit_residual(built, floor, r).values)) for built, floor in floors), rows[r.name].judged
         )
         for r, bound in proven
     ]

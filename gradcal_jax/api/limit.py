@@ -107,10 +107,10 @@ def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     proven: list[PlanLimit] = []
     for requirement in wanted:
         found = window.limit(requirement, predicted[requirement.name])
-        least = [0.0, 0.0]
+        named = every = 0.0
         if requirement.quantity in ("scale_factor", "north"):
-            least = [float(np.min(residual_map(model, floor, requirement)[2])) for model, floor in floors]
-        proven.append(found.above(*least, predicted[requirement.name].judged))
+            named, every = (float(np.min(residual_map(of, floor, requirement)[2])) for of, floor in floors)
+        proven.append(found.above(named, every, predicted[requirement.name].judged))
     return proven
 
 

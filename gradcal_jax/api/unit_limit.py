@@ -77,12 +77,12 @@ def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
     rows = {row.name: row for row in requirement_rows(spec)}
     floors = [floor_of_unit_plan(one) for one in (spec, with_typical(spec))]
     # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value over the elements.
-    return [
-        plan_limit(r, UNIT_OF[r.quantity], bound, rows[r.name].decisive, _RELAXED).above(
-            *(float(np.min(unit_residual(built, floor, r).values)) for built, floor in floors), rows[r.name].judged
-        )
-        for r, bound in proven
-    ]
+    limits: list[PlanLimit] = []
+    for r, bound in proven:
+        named, every = (float(np.min(unit_residual(of, floor, r).values)) for of, floor in floors)
+        found = plan_limit(r, UNIT_OF[r.quantity], bound, rows[r.name].decisive, _RELAXED)
+        limits.append(found.above(named, every, rows[r.name].judged))
+    return limits
 
 
 def _certified(built: AssembledUnit, requirement: UnitRequirement) -> tuple[float, float] | None:

@@ -104,7 +104,7 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
                 before_is = f"the plan of {sources.before_name}, on the rig of that file"
             drawn.append(("before", earlier))
         if isinstance(requirement, HeadingRequirement):
-            curves = error_curves(built, known[row.axis], requirement)
+            curves = error_curves(built, known[cast("Axis", row.axis)], requirement)
             names = [f"calibration, {c.file}" if len(curves) > 1 else "calibration" for c in curves]
             maps.append(MapFact(row.name, row.axis, row.quantity, (), tuple(zip(names, curves, strict=True))))
             continue

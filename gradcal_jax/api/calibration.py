@@ -38,7 +38,7 @@ from gradcal_jax.api.systematic import (
 )
 from gradcal_jax.api.tested_maps import tested_maps
 from gradcal_jax.api.unit_channel import UnitChannel
-from gradcal_jax.estimation import Consistency, StructureTest, size_of
+from gradcal_jax.estimation import Consistency, StructureTest, Test, contradictions, size_of
 from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import (
     FORMAT,
@@ -125,7 +125,7 @@ class EstimateReport(NamedTuple):
         rows = [row for rows in self.verdicts.values() for row in rows]
         met = all(row.verdict in (None, "met") for row in rows)
         seen = all(not channel.estimate.known[0].hidden.shape[1] for channel in self.channels)
-        return met and seen and all(consistent(channel) for channel in self.channels)
+        return met and seen and not any(contradictions_of(channel) for channel in self.channels)
 
 
 def estimate_calibration(
@@ -218,11 +218,24 @@ def _refuse_the_absurd(channel: UnitChannel) -> None:
         )
 
 
-def consistent(channel: UnitChannel) -> bool:
-    """Whether every test of the fit passes."""
-    tests = channel.consistency
-    structure = not any(test.noticed for test in channel.structure)
-    return structure and tests.fit.passed and tests.whiteness.passed and all(s.agreement.passed for s in tests.splits)
+def contradictions_of(channel: UnitChannel) -> list[str]:
+    """The tests of a channel's fit that fail, by name: its data contradict the model."""
+    structure = {f"structure of the {test.quantity.replace('_', ' ')}": test.test for test in channel.structure}
+    return contradictions(_tests_of(channel.consistency) | structure)
+
+
+def _tests_of(tests: Consistency) -> dict[str, Test]:
+    named = {"χ² of the fit": tests.fit, "whiteness of the residuals": tests.whiteness}
+    return named | {split.name: split.agreement for split in tests.splits}
+
+
+def not_valid(contradicted: Sequence[str], where: str = "") -> list[str]:
+    """A sentence on tests that fail, where any does."""
+    if not contradicted:
+        return []
+    return [
+        f"{where}not valid: {'; '.join(contradicted)}: the data contradict the model, and no stated uncertainty holds"
+    ]
 
 
 def _budget(built: Assembled, channel: UnitChannel, noise: Mapping[Axis, dict[str, np.ndarray]]) -> CountedPosteriors:
@@ -245,6 +258,7 @@ def _verdicts(budgets: CountedByChannel, channel: UnitChannel) -> list[Verdict]:
     budget = budgets[channel.unit, channel.axis]
     built = budget.built
     rows: list[Verdict] = []
+    contradicted = contradictions_of(channel)
     for requirement in built.spec.requirement:
         in_this = residual_map(built, budget.own, requirement)[2]
         any_run = run_of(requirement) == "any run"
@@ -253,6 +267,7 @@ def _verdicts(budgets: CountedByChannel, channel: UnitChannel) -> list[Verdict]:
         judged = verdict(requirement, values)
         if judged in ("met", "missed") and beyond_the_data(requirement, *_covered(channel)):
             judged = "not covered"
+        judged = "not valid" if contradicted else judged
         rows.append(
             Verdict(
                 requirement,
@@ -291,7 +306,8 @@ def words(channel: UnitChannel, several: bool = False) -> list[str]:
     """Where the data contradict the model or do not observe it, in sentences."""
     tests = channel.consistency
     where = f"axis {channel.axis}: " if several else ""
-    sentences, names = [where + message for message in channel.messages], channel.model.names()
+    sentences, names = not_valid(contradictions_of(channel), where), channel.model.names()
+    sentences += [where + message for message in channel.messages]
     unseen = unobservable_combinations(channel.estimate.known[0], channel.model)
     sentences += [f"{where}the data say nothing of {combination}" for combination in unseen]
     if tests.fit.degrees > 0:
@@ -448,10 +464,10 @@ def _axis(spec: Spec, channel: UnitChannel, budget: CountedPosteriors) -> AxisCa
         fields["bias_temperature_gradient"] = float(values[model.where(TEMPERATURE_GRADIENT)][0])
     if channel.lag_s > 0.0:
         fields["thermal_lag"] = Quantity.of(channel.lag_s, "s")
-    tests = channel.consistency
-    named = [("χ² of the fit", tests.fit), ("whiteness of the residuals", tests.whiteness)]
-    named += [(split.name, split.agreement) for split in tests.splits]
+    named = _tests_of(channel.consistency).items()
     fields["fit"] = fit_rows((n, t) for n, t in named if np.isfinite(t.statistic) and np.isfinite(t.probability))
+    if contradicted := contradictions_of(channel):
+        fields["contradicted"] = tuple(contradicted)
     fields["residuals"] = _residuals(channel.estimate.residuals[0])
     hidden = tuple(unobservable_combinations(known, model))
     if hidden:

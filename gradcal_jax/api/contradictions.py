@@ -157,8 +157,8 @@ def _no_device(own: float, across: Mapping[str, float]) -> str:
     if large:
         parts = ", ".join(f"{across[axis]:.3g} times what is along {axis}" for axis in large)
         return (
-            f"{shown}, and {parts}: are the axes swapped, or is the body turned against the spec's mounting by a "
-            "quarter turn?"
+            f"{shown}, and {parts}: are the axes of the unit, or of the table, swapped, or is the body turned "
+            "against the spec's mounting by a quarter turn?"
         )
     if abs(own + 1.0) < SCALE_FACTOR_ERROR:
         return f"{shown}: its sign is the opposite of the table's; turn the sign of the column, or the mounting"

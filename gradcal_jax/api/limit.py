@@ -28,6 +28,7 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.design.noise_floor import Course
 from gradcal_jax.files import Spec
+from gradcal_jax.files.absent import with_typical
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.schedule import ResolvedCycle, StandardSchedule
@@ -53,7 +54,9 @@ class PlanLimit(NamedTuple):
     """No plan leaves less than `certified` (`unit`) of a requirement; `reached`: the optimum of the relaxed problem.
 
     `value`: what the spec's plan leaves (None: not observable); `efficiency`: certified over value. `relaxed`: limits
-    of the rig that the proof leaves out; `kept`: what all plans of the proof have in common; both in words.
+    of the rig that the proof leaves out; `kept`: what all plans of the proof have in common; both in words. All of that
+    is by the terms that the spec names; `counted`, `judged`: certified and value with those that it omits, at typical
+    figures.
     """
 
     name: str
@@ -65,12 +68,18 @@ class PlanLimit(NamedTuple):
     efficiency: float | None
     relaxed: tuple[str, ...]
     kept: tuple[str, ...] = ()
+    counted: float | None = None
+    judged: float | None = None
 
-    def above(self, floor: float) -> "PlanLimit":
-        """The limit where an error of at least `floor` (`unit`) at every place adds in quadrature."""
-        certified, reached = (float(np.hypot(value, floor)) for value in (self.certified, self.reached))
+    def above(self, named: float, every: float, judged: float | None) -> "PlanLimit":
+        """The limit where what no residual shows, and no plan removes, adds in quadrature: at least `named` (`unit`) at
+        every place by what the spec names, `every` with what it omits. `judged`: what a verdict judges."""
+        certified, reached = (float(np.hypot(value, named)) for value in (self.certified, self.reached))
         efficiency = None if self.value is None else certified / self.value
-        return self._replace(certified=certified, reached=reached, efficiency=efficiency)
+        counted = float(np.hypot(self.certified, every))
+        return self._replace(
+            certified=certified, reached=reached, efficiency=efficiency, counted=counted, judged=judged
+        )
 
 
 def plan_limit(
@@ -97,13 +106,14 @@ def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     predicted = {row.name: row for row in requirement_rows(spec) if row.axis == built.channels[0]}
     window = _window(spec, built, motion)
     # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value in the box.
-    model, floor = floor_of_plan(spec, built.channels[0])
+    floors = [floor_of_plan(one, built.channels[0]) for one in (spec, with_typical(spec))]
     proven: list[PlanLimit] = []
     for requirement in spec.requirement:
         found = window.limit(requirement, predicted[requirement.name])
+        named = every = 0.0
         if requirement.quantity != "heading":
-            found = found.above(float(np.min(residual_map(model, floor, requirement)[2])))
-        proven.append(found)
+            named, every = (float(np.min(residual_map(of, floor, requirement)[2])) for of, floor in floors)
+        proven.append(found.above(named, every, predicted[requirement.name].judged))
     return proven
 
 
@@ -141,7 +151,7 @@ class _Window(NamedTuple):
             result, relaxed = self._of_functionals(criterion)
         if criterion.alone is not None:
             relaxed = (*relaxed, "what the data say of the discrepancy is part of the calibration")
-        return plan_limit(requirement, UNIT_OF[requirement.quantity], result, row.judged, relaxed, self.kept)
+        return plan_limit(requirement, UNIT_OF[requirement.quantity], result, row.decisive, relaxed, self.kept)
 
     def _of_scale_factor(self, criterion: Criterion, sure: np.ndarray) -> Limit:
         """The limit of a criterion on the scale factor, the bias known; `sure`: a variance that no plan removes."""

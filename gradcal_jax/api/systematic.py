@@ -310,18 +310,19 @@ def counted_criterion(criterion: Criterion, built: Assembled, channel: Axis) -> 
 
 
 def floor_of_plan(spec: Spec, channel: Axis) -> tuple[Assembled, Posterior]:
-    """What no residual of any plan shows, as a posterior of its own, and the model whose parameters it has: with what
-    the spec omits, at typical figures."""
-    built = assemble(with_typical(spec))
-    nothing = Posterior(np.zeros((built.model.size, 0)), np.zeros((built.model.size, 0)))
-    return built, widened(nothing, columns_of_plan(built, channel))
+    """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
+    built = assemble(spec)
+    return built, _alone(built.model.size, columns_of_plan(built, channel))
 
 
 def floor_of_unit_plan(spec: UnitSpec) -> tuple[AssembledUnit, Posterior]:
     """The same of a whole unit."""
-    built = assemble_unit(with_typical(spec))
-    nothing = Posterior(np.zeros((built.model.size, 0)), np.zeros((built.model.size, 0)))
-    return built, widened(nothing, columns_of_unit_plan(built))
+    built = assemble_unit(spec)
+    return built, _alone(built.model.size, columns_of_unit_plan(built))
+
+
+def _alone(size: int, columns: Mapping[str, np.ndarray]) -> Posterior:
+    return widened(Posterior(np.zeros((size, 0)), np.zeros((size, 0))), columns)
 
 
 def shares_of_variance(

@@ -12,7 +12,7 @@ import numpy as np
 
 from gradcal_jax import estimation, trajectory
 from gradcal_jax.api.build import move_of
-from gradcal_jax.api.calibration import excess_of, noise_sentences
+from gradcal_jax.api.calibration import excess_of, noise_sentences, not_valid
 from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of, random_walks, section_of
 from gradcal_jax.api.contradictions import (
     beyond_the_data,
@@ -92,15 +92,16 @@ class UnitReport(NamedTuple):
     @property
     def as_wished(self) -> bool:
         """Whether every target is met, every parameter observable and every test passed."""
-        tests = [self.consistency.fit, *(t for pair in self.channels.values() for t in pair)]
-        tests += [split.agreement for split in self.consistency.splits]
         met = all(row.verdict in (None, "met") for row in self.requirements)
-        return met and not self.calibration.unobservable and all(test.probability > _rare(len(tests)) for test in tests)
+        return met and not self.calibration.unobservable and not self.calibration.contradicted
 
 
-def _rare(tests: int) -> float:
-    """The level of each of several tests, such that with 1 % chance any of them fails by chance."""
-    return 0.01 / tests
+def _tests_of(tests: Consistency, channels: dict[str, tuple[Test, Test]]) -> dict[str, Test]:
+    """All tests of a fit, by the names that they have in the calibration file."""
+    named = {"chi-squared of the fit": tests.fit}
+    for channel, (size, white) in channels.items():
+        named |= {f"{channel}: chi-squared": size, f"{channel}: whiteness": white}
+    return named | {split.name: split.agreement for split in tests.splits}
 
 
 def estimate_units(
@@ -181,6 +182,7 @@ def _report(
     record = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
     ramp = ramp_of_record(rows.time_s[record], temperature[record])
     budget = budget_of_unit_estimate(built, known, EstimatedRun(solution.parameters, covered[0], ramp), noise)
+    contradicted = estimation.contradictions(_tests_of(tests, channels))
     requirements, beyond = [], list[str]()
     for requirement in built.spec.requirement:
         row = unit_requirement_row(built, budget, requirement)
@@ -188,6 +190,8 @@ def _report(
             beyond.append(sentence)
             if row.verdict in ("met", "missed"):
                 row = row.model_copy(update={"verdict": "not covered"})
+        if contradicted:
+            row = row.model_copy(update={"verdict": "not valid"})
         requirements.append(row)
     requirements = tuple(requirements)
     calibration = _calibration(built, logs, name, solution, tests, channels, requirements, covered, options, sources)
@@ -410,25 +414,25 @@ def _gravity(
 
 def _words(report: UnitReport, solution: UnitEstimate) -> list[str]:
     """Where the data contradict the model or do not observe it, in sentences."""
-    tests, sentences = report.consistency, []
-    rare = _rare(1 + 2 * len(report.channels) + len(tests.splits))
+    tests, failed = report.consistency, report.calibration.contradicted
+    sentences = not_valid([name.replace("_", " ") for name in failed])
     if solution.moved > 1e-2:
         sentences.append(
             f"the estimate has not converged: its last step is {solution.moved:.2g} of its standard deviations; "
             "the table differs from the spec by more than small angles"
         )
-    sentences += noise_sentences(tests, tests.fit.probability < rare and tests.noise_scale > 1.0, "unit")
-    for name, (size, white) in report.channels.items():
+    sentences += noise_sentences(tests, "chi-squared of the fit" in failed, "unit")
+    for name, (size, _) in report.channels.items():
         where = name.replace("_", " ")
-        if size.probability < rare:
+        if f"{name}: chi-squared" in failed:
             scale = np.sqrt(size.statistic / max(size.degrees, 1))
             sentences.append(f"{where}: its residuals are {scale:.3g} times what the spec's noise says")
-        if white.probability < rare:
+        if f"{name}: whiteness" in failed:
             sentences.append(
                 f"{where}: its residuals are not white: the spec's noise does not explain their correlation"
             )
     for split in tests.splits:
-        if split.agreement.probability < rare:
+        if split.name in failed:
             sentences.append(f"{split.name}: the parts disagree (chance {split.agreement.probability:.1g})")
     for error in report.calibration.table:
         if abs(error.value) > _CONTRADICTED * error.prior:
@@ -456,7 +460,7 @@ def _calibration(
     options: Options,
     sources: dict[str, str],
 ) -> UnitCalibration:
-    model, spec = built.model, built.spec
+    model, spec, named = built.model, built.spec, _tests_of(tests, channels)
     reported = model.to_reported
     values, deviations = reported @ solution.parameters, solution.known.deviations(reported)
     names, units = model.names(), model.units()
@@ -466,9 +470,6 @@ def _calibration(
     kept = {f"{c.name}.{n}" for c in held for term in c.term for n in term.coefficients}
     covariant = [k for k in range(model.calibrated) if np.isfinite(deviations[k]) and names[k] in kept]
     matrix = solution.known.covariance(reported[own])[np.ix_(covariant, covariant)]
-    fits = [("chi-squared of the fit", tests.fit)]
-    for channel, (size, white) in channels.items():
-        fits += [(f"{channel}: chi-squared", size), (f"{channel}: whiteness", white)]
     frame = spec.sensor.frame
     case = frame is not None and frame.fixed_by == "case"
     section: dict[str, Any] = {
@@ -494,7 +495,8 @@ def _calibration(
             )
             for k in range(model.calibrated, model.size)
         ),
-        "fit": fit_rows([*fits, *((split.name, split.agreement) for split in tests.splits)]),
+        "fit": fit_rows(named.items()),
+        "contradicted": tuple(estimation.contradictions(named)),
         "unobservable": tuple(n for n in unobserved_parameters(built, solution.known) if n in kept),
         "noise": _noise(spec, logs[0]),
         "result": tuple(_result(row) for row in requirements),

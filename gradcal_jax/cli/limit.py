@@ -40,6 +40,12 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
         table.append((f"{row.name} ({row.statistic})", *bounds, amount(row.value, row.unit), share))
     print(strong(specification.title or str(spec)))
     print(columns(table, indent=""))
+    for row in rows:
+        if row.judged is not None and row.judged != row.value:
+            print(
+                f"{row.name}: with what the file leaves out, at typical figures, no plan leaves less than "
+                f"{amount(row.counted, row.unit)}, and this one leaves {amount(row.judged, row.unit)}"
+            )
     for kept in dict.fromkeys(row.kept for row in rows if row.kept):
         print("of plans that keep: " + "; ".join(kept))
     for relaxed in dict.fromkeys(row.relaxed for row in rows):

@@ -137,6 +137,8 @@ class AxisCalibration(Section):
     """Errors that no residual shows, and that the results and every stated uncertainty count."""
     fit: Annotated[tuple[FitTest, ...], Field(max_length=100)] = ()
     """Tests of the fit."""
+    contradicted: Annotated[tuple[Text, ...], Field(max_length=100)] = ()
+    """Tests of the fit that fail: the data contradict the model, and no stated uncertainty is valid."""
     residuals: Residuals | None = None
     """Residuals of the fit."""
     unobservable: tuple[Text, ...] = ()

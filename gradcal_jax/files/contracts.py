@@ -314,7 +314,7 @@ class RequirementRow(Section):
     """Root mean square."""
     target: Size | None = None
     """Limit on the error."""
-    verdict: Literal["met", "missed", "unobservable", "not covered"] | None = None
+    verdict: Literal["met", "missed", "unobservable", "not covered", "not valid"] | None = None
     """Whether the target is met; "not covered": the requirement asks for what the data of an estimate lack."""
     coverage: Size = 1.0
     """Standard deviations that must be within the target."""

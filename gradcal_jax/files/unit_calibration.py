@@ -185,6 +185,8 @@ class UnitCalibration(TitledFile):
     """Estimated errors of the table."""
     fit: Annotated[tuple[FitTest, ...], Field(max_length=100)] = ()
     """Tests of the fit."""
+    contradicted: Annotated[tuple[Text, ...], Field(max_length=100)] = ()
+    """Tests of the fit that fail: the data contradict the model, and no stated uncertainty is valid."""
     unobservable: Annotated[tuple[Text, ...], Field(max_length=5000)] = ()
     """Coefficients that the data hardly determine."""
     noise: UnitNoise | None = None

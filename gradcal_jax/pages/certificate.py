@@ -178,6 +178,12 @@ def _conditions(calibration: Calibration) -> tuple[tuple[str, str], ...]:
 
 def _validity(calibration: Calibration) -> tuple[str, ...]:
     rows = [
+        f"NOT VALID: axis {axis.name}: the data contradict the model ({'; '.join(axis.contradicted)}); no uncertainty is "
+        "certified."
+        for axis in calibration.axis
+        if axis.contradicted
+    ]
+    rows += [
         "The values hold for the unit as it was, on the day of the recording, within the temperatures and rates above; "
         "beyond, those at the edge are held and are not covered.",
         "The turn-on bias of another day is not part of the stated uncertainty of the bias corrections; a result on "
@@ -195,6 +201,9 @@ def _validity(calibration: Calibration) -> tuple[str, ...]:
 
 def _result(row: Result) -> ResultRow:
     k = row.coverage or _COVERAGE
+    if row.verdict == "not valid":
+        # Nothing is certified of a unit whose data contradict the model.
+        row = row.model_copy(update={"value": None, "worst": None})
     expanded = None if row.value is None else k * row.value
     risk = None
     if row.target is not None and row.worst is not None:
@@ -212,7 +221,7 @@ def _budgets(sources: Sources):
     reached = {(row.name, row.axis): row for row in sources.calibration.result}
     for (name, channel), parts in counted_shares(spec).items():
         row = reached.get((name, channel))
-        if row is None or row.value is None:
+        if row is None or row.value is None or row.verdict == "not valid":
             continue
         inputs: list[Input] = []
         for part, share in parts.items():
@@ -239,6 +248,8 @@ def _corrections(axis: AxisCalibration, axes: int) -> list[Correction]:
         if scale is not None:
             m = float(scale[0].values[k, 0]), float(scale[0].values[k, -1])
             u_m = _COVERAGE * float(np.max(scale[1].values[k]))
+        if axis.contradicted:
+            u_b = u_m = None
         rows.append(Correction(axis.name, float(at), b, finite(u_b), m, finite(u_m)))
     return rows
 

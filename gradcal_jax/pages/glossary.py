@@ -100,7 +100,7 @@ OF_THE_FIELD: Final[dict[str, str]] = {
     "turn-on bias": "The part of the bias that is drawn anew each time the sensor is switched on.",
     "unit": "One sensor; several may share a table.",
     "validation": "Holding a calibration against a log that it was not made from.",
-    "verdict": "Met, missed or unobservable: a requirement's residual against its target.",
+    "verdict": "Met, missed, not covered, unobservable or not valid: a requirement's residual against its target.",
 }
 # Further terms of commands.
 OF_THE_PROGRAM: Final[dict[str, str]] = {

@@ -118,6 +118,9 @@ def _verdict(data: ReportData) -> str:
     achieved = any(row.achieved is not None for row in data.requirements)
     with_target = [row for row in data.requirements if row.target is not None]
     done = "achieved" if achieved else "predicted"
+    if data.verdict == "not valid":
+        failed = dict.fromkeys(test.replace("_", " ") for axis in data.axes for test in axis.contradicted)
+        return f"Not valid: the data contradict the model ({'; '.join(failed)}), so that no stated uncertainty holds."
     if data.verdict == "met":
         return f"Met: every target is met by the {done} residuals ({_against(with_target)})."
     if data.verdict == "missed":

@@ -16,6 +16,7 @@ from gradcal_jax.pages.sources import Sources
 
 class AxisFact(NamedTuple):
     """The calibration of one axis. `fit`: tests of the fit, each with its name, χ², degrees of freedom and chance;
+    `contradicted`: those that fail;
     `agreement`: χ² of the estimate against a simulation's truth, its degrees, its chance."""
 
     axis: str
@@ -23,6 +24,7 @@ class AxisFact(NamedTuple):
     valid_temperature: tuple[str, str]
     valid_rate: tuple[str, str]
     unobservable: tuple[str, ...]
+    contradicted: tuple[str, ...]
     fit: tuple[tuple[str, float, int, float], ...]
     agreement: tuple[float, int, float] | None
 
@@ -46,10 +48,10 @@ class ReportData(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """The verdict of all requirements together: "met", "missed", "not covered" or "unobservable"; empty where none
+        """The verdict of all requirements together: "met", "missed", "not covered", "unobservable" or "not valid"; empty where none
         has a target."""
         verdicts = {row.verdict for row in self.requirements}
-        for word in ("unobservable", "not covered", "missed", "met"):
+        for word in ("not valid", "unobservable", "not covered", "missed", "met"):
             if word in verdicts:
                 return word
         return ""
@@ -125,6 +127,7 @@ def axis_fact(
         (str(of.valid_temperature[0]), str(of.valid_temperature[1])),
         (str(of.valid_rate[0]), str(of.valid_rate[1])),
         of.unobservable,
+        of.contradicted,
         tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in of.fit),
         agreed,
     )

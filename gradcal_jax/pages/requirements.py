@@ -104,11 +104,11 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
                 before_is = f"the plan of {sources.before_name}, on the rig of that file"
             drawn.append(("before", earlier))
         if isinstance(requirement, HeadingRequirement):
-            curves = error_curves(built, known[row.axis], requirement)
+            curves = error_curves(built, known[cast("Axis", row.axis)], requirement)
             names = [f"calibration, {c.file}" if len(curves) > 1 else "calibration" for c in curves]
             maps.append(MapFact(row.name, row.axis, row.quantity, (), tuple(zip(names, curves, strict=True))))
             continue
-        values = _judged_map(counted[row.axis], requirement)
+        values = _judged_map(counted[cast("Axis", row.axis)], requirement)
         drawn.append(("predicted", Box(*values, row.unit)))
         axis = axes.get(row.axis)
         if axis is not None and requirement.quantity in _quantities(axis):

@@ -19,11 +19,11 @@ _TOGETHER_S = 0.25
 
 
 class StepNotDone(Exception):
-    """A step was not executed as written."""
+    """A step was not executed as written; `unit`: the one whose samples it lacks."""
 
-    def __init__(self, number: int, why: str) -> None:
+    def __init__(self, number: int, why: str, unit: str = "") -> None:
         Exception.__init__(self, why)
-        self.number = number
+        self.number, self.unit = number, unit
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from .errors import HardwareError, LimitExceeded, sentence_of
 from .interlocks import Interlocks, Situation, standard_rules
 from .journal import Journal, event_fields
 from .losses import ExecutedStep, SampleLosses, StepNotDone
-from .roles import MotionAxis
+from .roles import ImuSettings, MotionAxis
 from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, require_identity
 from .states import WAYS, RunProgress, RunResult, RunState
@@ -80,6 +80,8 @@ class Runner:
     """How the units hang when the run begins, as `Step.mounting`; 0: unknown."""
     on_begin: Callable[[], None] = lambda: None
     """Called once, before the first command that can make anything unsafe."""
+    on_new_session: Callable[[int], None] = lambda first_step: None
+    """Called where a unit's samples count anew, with the step at which the run goes on."""
     draw: Callable[[Mapping[str, float], int], str] | None = None
     """The drawing of a unit at angles (deg) of the axes, in a mounting, for the operator who turns them."""
 
@@ -101,6 +103,7 @@ class Runner:
         self._losses: dict[str, SampleLosses] = {}
         # Units that are to be configured anew: one that restarted has the settings that it stores.
         self._unfit: set[str] = set()
+        self._settings: dict[str, ImuSettings] = {}
         self._unconfirmed: list[ExecutedStep] = []
         self._tries: dict[int, int] = {}
         self._shortfall: StepNotDone | None = None
@@ -169,8 +172,10 @@ class Runner:
             require_identity(name, entry, identity)
             self._event("identity", device=name, **event_fields(identity))
             if isinstance(entry, ImuDevice):
-                rate_hz = self._configure(name)
-                self._losses[name] = SampleLosses(self.bench.imus[name].decoder(), rate_hz)
+                unit = self.bench.imus[name]
+                settings = self._settings[name] = unit.configure()
+                self._event("configuration", device=name, **event_fields(settings))
+                self._losses[name] = SampleLosses(unit.decoder(), settings.sample_rate_hz)
         if problems := self.dry_run():
             raise LimitExceeded("The run was not started. " + " ".join(problems))
 
@@ -198,12 +203,6 @@ class Runner:
             self._imu_heard_s[name] = self.clock.now()
             start(self._carry_bytes, name)
 
-    def _configure(self, name: str) -> float:
-        """Bring a unit to the settings of the rig file. Returns its sample rate, Hz."""
-        settings = self.bench.imus[name].configure()
-        self._event("configuration", device=name, **event_fields(settings))
-        return settings.sample_rate_hz
-
     def _feed_watchdogs(self, axes: list[MotionAxis]) -> None:
         with self.clock.party():
             while self._working.is_set():
@@ -226,7 +225,11 @@ class Runner:
             try:
                 if name in self._unfit:
                     with self.clock.party():
-                        self._configure(name)
+                        self._settings[name] = unit.configure()
+                        # Its samples count anew from here, as in a run that is resumed.
+                        self.on_new_session(self._steps_done)
+                        for device, settings in self._settings.items():
+                            self._event("configuration", device=device, **event_fields(settings))
                         losses.begin_again(unit.decoder())
                         unit.start()
                     self._imu_heard_s[name] = self.clock.now()
@@ -278,6 +281,9 @@ class Runner:
         if self._tries[number] == _TRIES:
             raise HardwareError(f"Step {name!r} was not executed as written, {_TRIES} times. The last time: {why}.")
         self._axes.stop()
+        self._steps_done = number
+        if shortfall.unit:
+            self._unfit.add(shortfall.unit)
         while self._unfit:
             try:
                 self._duties()
@@ -285,7 +291,6 @@ class Runner:
                 self._wait_paused()
             self.clock.sleep(_SLICE_S)
         self._shortfall = None
-        self._steps_done = number
         self._unconfirmed = [executed for executed in self._unconfirmed if executed.number < number]
         self._event("seam", step=name, why="the step is made again; it was not executed as written")
 
@@ -313,8 +318,7 @@ class Runner:
             limits = self.interlocks.limits
             for name, losses in self._losses.items() if step.read_at_s else ():
                 if lost := losses.between(executed, limits.lost_share, limits.latest_s, step.turned_deg):
-                    self._unfit.add(name)
-                    self._shortfall = StepNotDone(executed.number, f"{name}: {lost}")
+                    self._shortfall = StepNotDone(executed.number, f"{name}: {lost}", name)
                     return
             self._event("step done", step=step.name, number=executed.number)
 

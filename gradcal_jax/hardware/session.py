@@ -3,6 +3,7 @@
 While it runs, Ctrl-C pauses after the step; a second Ctrl-C makes safe and ends. SIGTERM and SIGHUP make safe and end.
 """
 
+import itertools
 import math
 import signal
 import sys
@@ -73,8 +74,13 @@ def run_session(
 
         bench = stack.enter_context(open_rig(rig, clock, recorder_of, terminal=terminal))
         number = 0 if resumed is None else sessions(resumed)
-        part = {"first_step": first_step, "recipe": len(folder.recipes()) - 1}
-        begin_session(journal, clock.now(), number, rig, simulated=simulated, **part)
+        numbers, recipes = itertools.count(number), len(folder.recipes())
+
+        def new_session(first_step: int) -> None:
+            part = {"first_step": first_step, "recipe": recipes - 1}
+            begin_session(journal, clock.now(), next(numbers), rig, simulated=simulated, **part)
+
+        new_session(first_step)
         if journal.problem:
             raise HardwareError(journal.problem)
         for name, settings in bench.settings.items():
@@ -103,6 +109,7 @@ def run_session(
             mounting=0 if resumed is None else mounting_of(resumed),
             draw=partial(drawn, recipe.spec) if isinstance(recipe.spec, UnitSpec) else None,
         )
+        runner.on_new_session = new_session
         if with_runner is not None:
             with_runner(runner)
         if handle_signals:

@@ -235,6 +235,8 @@ def test_chamber_alarm_fault_and_pulled_cables_abort_and_the_rest_is_made_safe(t
         folder.mkdir()
         with lab(folder) as (rig, runner):
             runner.safe_deadline_s = 3.0
+            # Before the first turn: a motor that was powered and is stopped by its emergency stop cannot be held.
+            runner.chamber_every_s = 0.5
             when_step_begins(runner, 1, lambda harm=harm, rig=rig: harm(rig))
             result = runner.run()
             assert result.exit_status == "aborted", name

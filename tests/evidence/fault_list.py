@@ -64,13 +64,15 @@ STEPS_OF_T = r"thermometer|temperature.*(resolution|steps|coarse|quanti)|resolut
 
 @dataclass(frozen=True)
 class Fault:
-    """`group`: its kind; `scene`: axis or unit, of a lean or a full user; `words`: a regular expression."""
+    """`scene`: axis or unit, of a lean or a full user; `words`: a regular expression; `always`: the log shows it by
+    itself, so that it is to be said even where U covers it."""
 
     name: str
     scene: str
     words: str
     change: Callable[[Scene], None]
     both_ways: bool | None = None
+    always: bool = False
 
     def made(self, seed: int) -> Scene:
         kind, _, user = self.scene.partition(", ")
@@ -297,13 +299,13 @@ FAULTS: tuple[Fault, ...] = (
                every(along=(0.0, 1.0, 0.0)))),
     Fault("clock 50 ppm fast", AXIS, CLOCK, chain(clock=50 * PPM)),
     Fault("clock 500 ppm fast", AXIS, CLOCK, chain(clock=500 * PPM)),
-    Fault("clock 50 ppm fast, host time in the log", AXIS, CLOCK, chain(clock=50 * PPM, host=2e-4)),
-    Fault("clock 500 ppm fast, host time in the log", AXIS, CLOCK, chain(clock=500 * PPM, host=2e-4)),
+    Fault("clock 50 ppm fast, host time in the log", AXIS, CLOCK, chain(clock=50 * PPM, host=2e-4), always=True),
+    Fault("clock 500 ppm fast, host time in the log", AXIS, CLOCK, chain(clock=500 * PPM, host=2e-4), always=True),
     Fault("clock 50 ppm fast", UNIT, CLOCK, chain(clock=50 * PPM)),
     Fault("clock 500 ppm fast", UNIT, CLOCK, chain(clock=500 * PPM)),
-    Fault("clock 500 ppm fast, host time in the log", UNIT, CLOCK, chain(clock=500 * PPM, host=2e-4)),
+    Fault("clock 500 ppm fast, host time in the log", UNIT, CLOCK, chain(clock=500 * PPM, host=2e-4), always=True),
     Fault("clock 100 ppm fast where the spec says 5, host time in the log", AXIS_FULL, CLOCK,
-          chain(clock=100 * PPM, host=2e-4)),
+          chain(clock=100 * PPM, host=2e-4), always=True),
     Fault("encoder scale 1e-4", AXIS, ENCODER_SCALE, encoders(scale=1e-4)),
     Fault("encoder scale 1e-4 of the inner axis", UNIT, ENCODER_SCALE, encoders(scale=1e-4)),
     Fault("input axis 1 degree off the table's", AXIS, INPUT_AXIS, tipped),
@@ -353,8 +355,8 @@ FAULTS: tuple[Fault, ...] = (
           rows(lambda r: replace(r, angles=r.angles / DEG))),
     Fault("angles of the table wrapped at 360 degrees", AXIS, WRAPPED, rows(wrapped)),
     # Less than the plan.
-    Fault("run cut at a fifth of the plan", AXIS, CUT, stopped_after(117 / 600)),
-    Fault("run cut at a fifth of the plan", UNIT_FULL, CUT, stopped_after(117 / 600)),
+    Fault("run cut at a fifth of the plan", AXIS, CUT, stopped_after(117 / 600), always=True),
+    Fault("run cut at a fifth of the plan", UNIT_FULL, CUT, stopped_after(117 / 600), always=True),
     Fault("run cut at two thirds", UNIT, BEYOND_T, stopped_after(0.66)),
     Fault("the chamber stays at 20 degC", AXIS, BEYOND_T, half_heated),
     Fault("the chamber stays at 20 degC", UNIT, BEYOND_T, half_heated),

@@ -9,6 +9,9 @@ calibration file states for that requirement. A fault is handled
 * where each requirement whose error is beyond its U has a verdict other than "met" (or there is none), the exit status
   is 1 or 2, *and* a sentence on the terminal names the kind of fault.
 
+What a log shows by itself (the computer's stamps contradict the sensor's, a part of the plan is missing) must be named
+even where U covers it.
+
 A sentence is a line of words: not a heading, not a row of numbers, not what is printed of every log. All faults have
 the noise of one seed, of which the same run without a fault is within U and silent; other seeds are tried without one.
 """
@@ -78,8 +81,8 @@ def outcome(fault: Fault, folder: Path, seed: int = SEED) -> Outcome:
 
 
 def handled(fault: Fault, found: Outcome) -> bool:
-    covered = bool(found.judged) and not found.beyond
-    return covered or (found.refused and bool(found.named(fault.words)))
+    covered, named = bool(found.judged) and not found.beyond, bool(found.named(fault.words))
+    return (covered and (named or not fault.always)) or (found.refused and named)
 
 
 # --- the committed table ----------------------------------------------------------------------------------------------

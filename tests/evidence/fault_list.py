@@ -265,9 +265,11 @@ def skewed(scene: Scene) -> None:
 
 
 def wobbling(size: float) -> Callable[[Scene], None]:
+    """Twice a turn: a cone drawn once a turn is a stage mounted askew, and no wobble."""
+
     def change(scene: Scene) -> None:
         for axis in scene.bench.axes:
-            axis.wobble = size
+            axis.wobble, axis.wobble_order = size, 2
 
     return change
 
@@ -397,7 +399,8 @@ FAULTS: tuple[Fault, ...] = (
     Fault("'in position' 0.3 s too early", UNIT_FULL, STILL, rows(early)),
     Fault("base tilted by 3 mrad", UNIT, TABLE, bench(base=(3e-3, 0.0, 0.0))),
     Fault("axes 2 mrad off a right angle", UNIT, TABLE, skewed),
-    Fault("gravity 500 ug less than stated", UNIT_FULL, SITE, bench(gravity=G * (1 - 500e-6))),
+    Fault("gravity not stated, 180 ug more than standard", UNIT, SITE,
+          also(without("gravity ="), bench(gravity=G * (1 + 180e-6)))),
     Fault("latitude of another town, 10 degrees off", UNIT_FULL, SITE, bench(latitude=38.0)),
     # Vibration and noise.
     Fault("vibration on the move, 3 deg/s rms", AXIS_FULL, VIBRATION, every(vibration=3 * DEG)),

@@ -30,6 +30,8 @@ from fault_scenes import Judged, judge
 from gradcal_jax.cli import main
 
 SEED = 3
+# In the suite itself; the others are marked as evidence.
+QUICK = ("the Earth's rate, no latitude, axis, lean", "wrong sign of the axis, axis, lean", "forces in g, unit, full")
 REPORT = Path(__file__).parents[2] / "experiments" / "evidence" / "faults.md"
 # Lines that are printed of every log, whatever it holds.
 _ALWAYS = re.compile(
@@ -128,6 +130,22 @@ def test_there_are_enough_faults_of_both_kinds() -> None:
     assert len({str(fault) for fault in FAULTS}) == len(FAULTS) >= 40
     assert kinds.count("axis") >= 20
     assert kinds.count("unit") >= 20
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_few_in_every_run(name: str, tmp_path: Path) -> None:
+    (fault,) = (fault for fault in FAULTS if str(fault) == name)
+    found = outcome(fault, tmp_path)
+    assert handled(fault, found), found.printed
+
+
+def test_a_sound_log_accuses_nobody(tmp_path: Path) -> None:
+    """Of a spec that gives every term: met, within U, and silent."""
+    found = outcome(Fault("no fault", AXIS_FULL, "", none), tmp_path)
+    assert found.status == 0, found.printed
+    assert [one.verdict for one in found.judged] == ["met", "met"]
+    assert not found.beyond, found.beyond
+    assert not [line for line in found.sentences if ACCUSES.search(line)]
 
 
 @pytest.mark.evidence

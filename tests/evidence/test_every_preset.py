@@ -22,22 +22,39 @@ EXPERIMENTS = tuple(
     for path in sorted((ROOT / "experiments").rglob("*.toml"))
     if tomllib.loads(path.read_text(encoding="utf-8")).get("format") in ("gradcal-spec/1", "gradcal-recipe/1")
 )
-# In the suite itself: the paper's, one static, one standard, a unit on two axes, and one by hand; their plans are
-# thinned to minutes, and what is thinned is said.
+# In the suite itself: the paper's, one static, one standard, a unit on two axes, and one by hand. Thinned: ramps of some
+# twenty minutes in the place of hours, and requirements ("box") within the temperatures that are left.
 QUICK = {
-    "paper-dynamic-gradient": {"plan.temperature": ["0 degC", "36 degC"], "plan.gradient": "1.5 K/min"},
-    "paper-static-gradient": {"plan.temperature": ["0 degC", "20 degC"], "plan.soak.duration": "5 min"},
+    "paper-dynamic-gradient": {
+        "plan.temperature": ["10 degC", "40 degC"],
+        "plan.gradient": "1.5 K/min",
+        "plan.soak.duration": "5 min",
+        "box": ["15 degC", "35 degC"],
+    },
+    "paper-static-gradient": {
+        "plan.temperature": ["10 degC", "30 degC"],
+        "plan.soak.duration": "5 min",
+        "box": ["14 degC", "26 degC"],
+    },
     "paper-dynamic-standard": {
-        "plan.temperatures": ["-30 degC", "0 degC", "35 degC", "70 degC"],
-        "plan.soak": "25 min",
-        "plan.integration": "2 min",
+        "plan.temperatures": ["6 degC", "14 degC", "22 degC", "30 degC"],
+        "plan.soak": "8 min",
+        "plan.integration": "30 s",
+        "box": ["10 degC", "30 degC"],
     },
     "two-axis-table": {
-        "plan.temperature": ["0 degC", "30 degC"],
+        "plan.temperature": ["5 degC", "35 degC"],
         "plan.gradient": "2 K/min",
-        "plan.soak.duration": "10 min",
+        "plan.soak.duration": "5 min",
+        "sensor.thermal_lag": "20 s",
+        "box": ["8 degC", "30 degC"],
     },
-    "gimbal-by-hand": {},
+    "gimbal-by-hand": {
+        "plan.temperature": ["10 degC", "30 degC"],
+        "plan.gradient": "1 K/min",
+        "plan.soak.duration": "1 min",
+        "box": ["14 degC", "26 degC"],
+    },
 }
 
 
@@ -115,9 +132,13 @@ def written(name: str, folder: Path, changes: dict[str, object] | None = None) -
 
 
 def thinned(text: str, changes: dict[str, object]) -> str:
-    """A spec's text with some keys set."""
+    """A spec's text with some keys set; "box": the temperatures of all requirements."""
     tables = tomllib.loads(text)
+    for requirement in tables["requirement"]:
+        requirement["temperature"] = changes["box"]
     for key, value in changes.items():
+        if key == "box":
+            continue
         *path, last = key.split(".")
         here = tables
         for part in path:

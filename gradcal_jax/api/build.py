@@ -178,7 +178,7 @@ def _schedules(
         after.append(trajectory.rest(cycle.idle))
     plans: dict[Axis, Schedule] = {
         cast("Axis", channel): trajectory.gradient_plan(
-            programme, moves, tuple(after), channel=channel, used=used, read_every=cycle.other_read_every
+            programme, moves, tuple(after), channel=channel, used=used, read_every=cycle.left_read_every
         )
         for channel in trajectory.channels_of(moves)
     }

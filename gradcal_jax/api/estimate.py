@@ -71,7 +71,9 @@ def _channel(built: Assembled, log: Log, axis: str, units: list[int], options: O
     groups: dict[bytes, list[int]] = {}
     for unit in units:
         one = rows[unit]
-        groups.setdefault(np.packbits(one.usable).tobytes() + np.packbits(one.standing).tobytes(), []).append(unit)
+        groups.setdefault(
+            b"".join(np.packbits(x).tobytes() for x in (one.usable, one.standing, one.reading)), []
+        ).append(unit)
     result: dict[int, UnitChannel] = {}
     for members in groups.values():
         result.update(_gradient_channels(built, log, axis, members, rows, options))
@@ -86,22 +88,16 @@ def _gradient_channels(
     first = rows[members[0]]
     model = built.model
     rest_bias = float(np.mean(first.rate[first.standing & first.usable])) if first.standing.any() else 0.0
-    stands = first.standing
-    reading_rows = None
-    if first.angle is not None:
-        if float(model.reference.reading_noise) > 0.0 and _repeats(first.angle, stands):
-            reading_rows = estimation.distinct_readings(first.time, first.angle, stands, options.read_every)
-        stands = stands | estimation.momentary_stops(first.rate - rest_bias, stands, first.angle, first.step)
     done = estimation.executed(
         first.time,
         first.temperature,
         first.rate - rest_bias,
         first.angle,
-        stands,
+        first.standing,
         first.usable,
-        read_every=options.read_every,
+        first.reading,
         longest_piece=_longest_piece(model),
-        reading_rows=reading_rows,
+        readings_in_row=first.readings_in_row,
     )
     messages = list(first.messages)
     if first.angle is None:
@@ -175,12 +171,6 @@ def _gradient_channels(
         recorded = Recorded(axis, log.units[unit], rows[unit], done, count_rows(log, unit, used), messages)
         result[unit] = finished_channel(recorded, model, own, single, options, (lag, lag_std), beyond)
     return result
-
-
-def _repeats(angle: np.ndarray, standing: np.ndarray) -> bool:
-    """Whether most rows at rest repeat the angle of the row before, to the last digit."""
-    both = standing[1:] & standing[:-1]
-    return bool(np.mean(angle[1:][both] == angle[:-1][both]) > 0.5) if both.any() else False
 
 
 def _longest_piece(model: SensorModel) -> float:

@@ -9,7 +9,7 @@ from gradcal_jax import estimation
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.files import correction
-from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.spec import Spec
@@ -26,8 +26,13 @@ class Rows(NamedTuple):
     rate: np.ndarray
     temperature: np.ndarray
     angle: np.ndarray | None
+    """The table's, rad, at the rows with a reading; interpolated between them."""
     table_rate: np.ndarray | None
     standing: np.ndarray
+    reading: np.ndarray
+    """Rows at whose ends the standing table was read."""
+    readings_in_row: np.ndarray
+    """How many readings with the noise of the spec each of these is worth."""
     usable: np.ndarray
     starts: np.ndarray
     """Indices at which each unbroken stretch begins."""
@@ -41,7 +46,6 @@ def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) 
     rate, usable = np.where(np.isfinite(raw), raw, 0.0), usable_rows(log, unit) & np.isfinite(raw)
     temperature = estimation.smoothed_temperature(time, bridged_temperature(log, unit, options.temperature_c))
     table = table_axis_of(log, axis, options.table_axis)
-    angle = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
     table_rate = None if table is None or log.table_rate_rad_per_s is None else log.table_rate_rad_per_s[:, table]
     if log.standstill is not None:
         standing = log.standstill >= 0
@@ -51,19 +55,76 @@ def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) 
         number = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
         standing = number >= 0
         messages.append(f"the log marks no standstills: {int(number.max()) + 1} were found where the rates are quiet")
-    if angle is not None:
-        known = np.isfinite(angle)
+    if isinstance(built.spec.schedule, StandardSchedule):
+        # The reference is the held rate: no angle is read.
+        read = TableReadings(np.zeros(0, int), np.zeros(0), np.zeros(0))
+        if table_rate is None and table is not None and log.table_angle_rad is not None:
+            table_rate = np.gradient(log.table_angle_rad[:, table], time)
+    else:
+        noise = float(built.model.reference.reading_noise)
+        read, standing = table_readings(log, table, standing, options.read_every, messages, noise)
+    angle, reading, worth = read.at_rows(len(time))
+    step = np.diff(time, prepend=time[0])
+    return Rows(
+        time, step, rate, temperature, angle, table_rate, standing, reading, worth, usable, log.stretch_starts,
+        tuple(messages),
+    )  # fmt: skip
+
+
+class TableReadings(NamedTuple):
+    """Rows with a reading of the table `(R,)`, its angle (rad; NaN: unknown), and the readings of the spec's noise that
+    it is worth."""
+
+    rows: np.ndarray
+    angle: np.ndarray
+    worth: np.ndarray
+
+    def at_rows(self, count: int) -> tuple[np.ndarray | None, np.ndarray, np.ndarray]:
+        """`(count,)`: the angle, interpolated between the readings (None: unknown), whether a row has a reading, and
+        what it is worth."""
+        reading, worth = np.zeros(count, bool), np.ones(count)
+        reading[self.rows], worth[self.rows] = True, self.worth
+        known = len(self.rows) > 0 and bool(np.isfinite(self.angle).all())
+        return np.interp(np.arange(count), self.rows, self.angle) if known else None, reading, worth
+
+
+def table_readings(
+    log: Log,
+    table: int | None,
+    standing: np.ndarray,
+    every: float,
+    messages: list[str],
+    noise: float = 0.0,
+    *,
+    every_kind: bool = False,
+) -> tuple[TableReadings, np.ndarray]:
+    """The readings of a table axis (its index; None: there is none), and the rows `(n,)` where it stands.
+
+    The log's events that the recipe asked for (`every_kind`: all of the standing axis), of several in one row the mean;
+    in a log with the angle at every row those `every` s apart. `noise`: standard deviation of a reading by the spec,
+    rad. Raises `LogError` where the angle is missing at rest; adds to `messages` what is left out.
+    """
+    if table is not None and log.readings is not None:
+        kinds = (ReadingKind.PLANNED, ReadingKind.STANDING) if every_kind else (ReadingKind.PLANNED,)
+        events = log.readings.of_axis(table, *kinds)
+        known = np.isfinite(events.standard_deviation_rad) & (noise > 0.0)
+        own = np.where(known, noise / np.where(known, events.standard_deviation_rad, 1.0), 1.0) ** 2
+        rows, place = np.unique(events.row, return_inverse=True)
+        worth = np.bincount(place, own, len(rows))
+        angle = np.bincount(place, own * events.angle_rad, len(rows)) / worth
+        return TableReadings(rows, angle, worth), estimation.standing_with(standing, rows, angle)
+    column = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
+    if column is not None:
+        known = np.isfinite(column)
         if standing.any() and not known[standing].any():
             raise LogError("the table's angle is missing wherever it stands: it is the reference")
         if not known[standing].all():
             count = int(np.count_nonzero(standing & ~known))
             messages.append(f"{count} rows of rest without a table angle are no reference, and are not read")
             standing = standing & known
-        angle = angle if known.all() else np.interp(time, time[known], angle[known])
-    step = np.diff(time, prepend=time[0])
-    return Rows(
-        time, step, rate, temperature, angle, table_rate, standing, usable, log.stretch_starts, tuple(messages)
-    )  # fmt: skip
+    rows = np.flatnonzero(estimation.column_readings(log.time_s, column, standing, every))
+    angle = np.full(len(rows), np.nan) if column is None else column[rows]
+    return TableReadings(rows, angle, np.ones(len(rows))), standing
 
 
 def usable_rows(log: Log, unit: int) -> np.ndarray:

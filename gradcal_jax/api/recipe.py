@@ -49,7 +49,7 @@ def recipe(
         seed = plan.spec.design.seed if seed is None and plan.spec.design is not None else seed
     steps = resolution or steps_of(spec)
     executable = rounded(spec, steps, keep_shapes=keep_shapes)
-    chamber, motion = tracks_of(executable.spec)
+    chamber, motion = tracks_of(executable.spec, None if steps.acceleration is None else float(steps.acceleration))
     rows = Predicted.of(predict(executable.spec, limits=True, notices=True))
     fields: dict[str, Any] = {
         "format": FORMAT,
@@ -60,7 +60,7 @@ def recipe(
         "made": RecipeOrigin(
             by=f"gradcal {gradcal_jax.__version__}", versions=versions_of(_VERSIONS), **_without_none(seed=seed)
         ),
-        "resolution": ControllerSteps(**{name: getattr(steps, name) for name in type(steps).model_fields}),
+        "resolution": ControllerSteps(**_without_none(**{n: getattr(steps, n) for n in ControllerSteps.model_fields})),
         # With defaults, which may change in another version.
         "stability": Stability(**{n: getattr(stability or Stability(), n) for n in Stability.model_fields}),
         "chamber": chamber,

@@ -31,12 +31,9 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
     planned = np.asarray(schedule.rates, float)
     table_rate = rows.table_rate
     if table_rate is None:
-        if rows.angle is not None:
-            table_rate = np.gradient(rows.angle, rows.time)
-        elif np.all(planned == 0.0):
-            table_rate = np.zeros(len(rows.time))
-        else:
+        if np.any(planned != 0.0):
             raise LogError("the log has no table rate, which is the reference of the standard method")
+        table_rate = np.zeros(len(rows.time))
     points = estimation.plateaus(
         rows.time,
         rows.temperature,
@@ -81,7 +78,7 @@ def point_channel(built: Assembled, points: RatePoints, options: Options) -> Uni
     nothing, usable = np.zeros(count + 1, bool), np.arange(count + 1) > 0
     rows = Rows(
         time, np.diff(time, prepend=0.0), before(points.output_rad_per_s), temperature, None, reference, nothing,
-        usable, np.zeros(1, np.int64), (),
+        nothing, np.ones(count + 1), usable, np.zeros(1, np.int64), (),
     )  # fmt: skip
     every, none = np.ones(count, bool), np.zeros(count, bool)
     line = held(

@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from gradcal_jax import estimation
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, temperature_followed
 from gradcal_jax.estimation import Estimate, Observations, Smoothness, StructureTest, Whitened
+from gradcal_jax.information import noise_steps
 from gradcal_jax.model import SCALE_FACTOR, Discrepancy, SensorModel
 
 LONGEST_LAG_S = 1800.0
@@ -83,7 +85,11 @@ def finished_channel(
     if options.robust:
         estimate, white, weights = estimation.estimate_robustly(observations, model, threshold=options.threshold)
         messages += counting_less(weights, observations.time_s[observations.used])
-    tests = estimation.consistency(estimate, white, 0, _subsets(observations, rows), model.to_reported)
+    # An error that never changes is common to both parts of the data: it is no noise when they are compared.
+    constant = noise_steps(done.line, _with_changing_noise(model))
+    compared = estimation.whitened(observations, model, constant) if not options.robust else white
+    subsets = _subsets(observations, rows)
+    tests = estimation.consistency(estimate, white, 0, subsets, model.to_reported, compared=compared)
     if lag_std is not None and lag > 0.99 * LONGEST_LAG_S:
         messages.append(f"the lag is at the longest allowed, {lag:.0f} s: the data do not determine it")
     if lag_std is not None and lag < 2.0 * lag_std:
@@ -100,6 +106,13 @@ def finished_channel(
         axis, unit, model, observations, estimate, white, tests, weights, lag, lag_std, smoothness, *ranges, counts,
         sentences, groups, structure_tests,
     )  # fmt: skip
+
+
+def _with_changing_noise(model: SensorModel) -> SensorModel:
+    """The model without its constant processes, such as the error of the sample clock."""
+    p = model.processes
+    changes = (p.decay != 0.0) | (p.diffusion != 0.0)
+    return eqx.tree_at(lambda m: m.processes.initial_std, model, np.where(changes, p.initial_std, 0.0))
 
 
 def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str] = ()) -> list[str]:

@@ -22,7 +22,7 @@ from gradcal_jax.estimation import Consistency, ExecutedUnit, Test, UnitEstimate
 from gradcal_jax.files import correction
 from gradcal_jax.files.calibration import FORMAT, Covariance
 from gradcal_jax.files.contracts import RequirementRow
-from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.unit_calibration import (
     UNIT_ORDER,
@@ -242,7 +242,7 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
         )
     rates[:, ~gyros] = np.nan
     temperature = bridged_temperature(log, number, options.temperature_c)
-    angles = _table_angles(built, log)
+    angles, at_a_stop = _table_angles(built, log)
     if log.standstill is not None:
         standing = log.standstill >= 0
         # One standstill directly follows another where a run was interrupted at rest and resumed at rest elsewhere.
@@ -257,22 +257,32 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
         raise LogError("a log without gyros must mark its standstills (a column standstill in the column map)")
     smooth = estimation.smoothed_temperature(time, temperature)
     mounting = np.zeros(len(time), int) if log.mounting is None else log.mounting
-    return UnitRows(time, rates, force, smooth, angles, standing, usable, mounting), messages
+    return UnitRows(time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop), messages
 
 
-def _table_angles(built: AssembledUnit, log: Log) -> np.ndarray:
-    """The table's angles `(n, L)` about the spec's axes, in its order."""
-    names = [axis.name for axis in built.spec.rig.table.axis]
-    if log.table_angle_rad is None:
+def _table_angles(built: AssembledUnit, log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """The table's angles `(n, L)` about the spec's axes, in its order, NaN where not read, and whether a row's are
+    readings of standing axes."""
+    names, count = [axis.name for axis in built.spec.rig.table.axis], len(log.time_s)
+    if log.table_angle_rad is None and log.readings is None:
         raise LogError(f"the log has no angles of the table ({', '.join(names)}), which are the reference")
     if missing := [name for name in names if name not in log.table_axes]:
-        if len(names) == len(log.table_axes) == 1:
-            return log.table_angle_rad
-        raise LogError(
-            f"the log has no table axis {', '.join(missing)}: it has {', '.join(log.table_axes) or 'none'}. Name the "
-            "axes alike in the spec's [[rig.table.axis]] and in the log's column map"
-        )
-    return log.table_angle_rad[:, [log.table_axes.index(name) for name in names]]
+        if not len(names) == len(log.table_axes) == 1:
+            raise LogError(
+                f"the log has no table axis {', '.join(missing)}: it has {', '.join(log.table_axes) or 'none'}. Name "
+                "the axes alike in the spec's [[rig.table.axis]] and in the log's column map"
+            )
+        names = list(log.table_axes)
+    places = [log.table_axes.index(name) for name in names]
+    if log.readings is None:
+        assert log.table_angle_rad is not None
+        return log.table_angle_rad[:, places], np.zeros(count, bool)
+    angles = np.full((count, len(places)), np.nan)
+    for k, place in enumerate(places):
+        read = log.readings.of_axis(place, ReadingKind.PLANNED, ReadingKind.STANDING)
+        rows, of_row = np.unique(read.row, return_inverse=True)
+        angles[rows, k] = np.bincount(of_row, read.angle_rad, len(rows)) / np.bincount(of_row, None, len(rows))
+    return angles, np.isfinite(angles).sum(axis=1) > 0
 
 
 def _covered(done, rows: UnitRows, temperature: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:

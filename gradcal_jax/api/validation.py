@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gradcal_jax import estimation, formulas
-from gradcal_jax.api.log_rows import count_rows, table_axis_of, usable_rows
+from gradcal_jax.api.log_rows import count_rows, table_axis_of, table_readings, usable_rows
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM
 from gradcal_jax.api.unit_channel import integrated_rows
 from gradcal_jax.files import correction
@@ -135,13 +135,14 @@ def _axis(
     new = corrected.rate_rad_per_s[0, :, column]
     usable = usable_rows(log, unit) & np.isfinite(raw)
     table = table_axis_of(log, axis, table_axis)
-    angle = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
     if log.standstill is not None:
         standing = log.standstill >= 0
     else:
         number = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
         standing = number >= 0
         messages.append("the log marks no standstills: they were found where the rates are quiet")
+    read, standing = table_readings(log, table, standing, np.inf, messages, every_kind=True)
+    angle, reading, _ = read.at_rows(len(raw))
     temperature = log.temperature_c[unit] if log.temperature_c is not None else np.full(len(raw), np.nan)
     done = estimation.executed(
         log.time_s,
@@ -150,7 +151,7 @@ def _axis(
         angle,
         standing,
         usable,
-        read_every=np.inf,
+        reading,
         longest_piece=np.inf,
     )
     step = np.diff(log.time_s, prepend=log.time_s[0])

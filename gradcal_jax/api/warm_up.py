@@ -107,7 +107,7 @@ def _unit(log: Log, unit: str, axes: Sequence[str], options: Options, sources: d
 def _marked(log: Log, unit: str) -> Log:
     """The log with standstills marked, and the steps of a coarse thermometer interpolated."""
     index = log.unit_index(unit)
-    if log.table_angle_rad is not None or log.table_rate_rad_per_s is not None:
+    if log.table_axes:
         raise LogError("the log has a table's motion: its calibration needs a spec (--spec), which says what it is")
     if log.temperature_c is None or not np.isfinite(temperature := log.temperature_c[index]).any():
         raise LogError(f"the log has no temperature of unit {unit}, and a bias over temperature needs one")

@@ -2,10 +2,10 @@
 
 Only rows of stretches with data are kept; soaks, waiting times, everything before a stretch and pauses are counted as
 removed. A pause ends stretches and standstills, because the state of the rig in it is unknown. In a standstill all axes
-stand, and a row carries the readings of the table's angles that are nearest to it in time. While other axes move, an
-axis that stands carries its own nearest reading, and an axis that a motor turns follows the commanded trapezoid between
-its readings before and after. Every other angle is interpolated linearly between readings: good enough for a plot, not
-for estimation.
+stand. Every poll of an axis's angle is one reading, at the row at whose end the axis stands there.
+
+Between readings the angle is a reconstruction, for pictures: in a standstill the nearest reading; an axis that a motor
+turns follows the commanded trapezoid between its readings before and after; every other angle is interpolated linearly.
 
 The time stamp of a row is the sensor's clock, aligned with the computer's where data begin. `host_time` is the
 computer's clock, by a straight line through the quickest arrivals, whose slope and residuals are in the log's
@@ -13,7 +13,6 @@ provenance. Where a run was resumed or a unit restarted, the computer's clock gi
 """
 
 import itertools
-import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.log import Finding, Log, Reason
+from ..files.log import Finding, Log, Readings, Reason
 from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
 from ..files.unit_spec import UnitSpec
@@ -33,22 +32,16 @@ from ..hardware.roles import STANDARD_GRAVITY, ImuBatch, ImuDecoder, join
 from ..hardware.run_folder import SESSION, RunFolder, exit_status, rig_as_run
 from ..hardware.setup import config_of, driver_of
 from ..hardware.stretches import breaks_off
-from ..hardware.track import AxisCommand
 from .alignment import Alignment, AngleTrack, align
 from .clockmap import ClockMap, fit_clock
 from .counter_wraps import Doubt, wraps_resolved
+from .table_angles import MARGIN_S, MOVE_COMMANDS, SETTLED_S, TableAngles, standstills, table_angles
 
-_MARGIN_S: Final = 0.02
-# Unit, adapter and system delay the stamps of samples by an unknown time. A row of rest that is lost costs nothing; a
-# row of motion that counted as rest would be an error.
-_SETTLED_S: Final = 0.1
 # The length of an interruption that no clock measured.
 _BETWEEN_SESSIONS_S: Final = 60.0
 # A jump of the wall clock by less than this does not mean that the computer was off or asleep.
 _CLOCK_SET_S: Final = 10.0
 _FEWEST_ARRIVALS: Final = 3
-# A motor whose move takes longer than its trapezoid by more than this did not follow it.
-_LATE_S: Final = 0.2
 Floats = NDArray[np.float64]
 
 
@@ -234,7 +227,7 @@ def _sessions(contents: JournalContents) -> list[_Session]:
 def _axes_of(sessions: Sequence[_Session], names: Sequence[str]) -> list[str]:
     """The rig's axes with a command of motion or a reading; nothing depends on the others."""
     active = {
-        str(e.data["axis"]) for session in sessions for e in session.events if e.name in ("angle", *_MOVE_COMMANDS)
+        str(e.data["axis"]) for session in sessions for e in session.events if e.name in ("angle", *MOVE_COMMANDS)
     }
     return [name for name in names if name in active]
 
@@ -247,9 +240,6 @@ def _labels(axes: Sequence[str], recipe: Recipe, rig: RigFile) -> tuple[str, ...
 
 # ------------------------------------------------------------------------------------------------------ one session
 
-# Not "stopped": what stood stands on, and what moved was told to.
-_MOVE_COMMANDS: Final = ("move", "homing")
-
 
 @dataclass
 class _Part:
@@ -260,7 +250,7 @@ class _Part:
     device_s: Floats
     host_s: Floats
     clock: ClockMap
-    angles_deg: Floats
+    table: TableAngles
     standstill: NDArray[np.int64]
     mounting: NDArray[np.int64]
     starts: list[int]
@@ -325,20 +315,16 @@ def _part_with_table(
     missing = samples.gap_before[rows]
     starts = np.flatnonzero(broken | (missing > 0))
     at_s = host[rows]
-    standing = _standstills(session.events, axes)
+    standing = standstills(session.events, axes)
     number = np.full(len(rows), -1, np.int64)
     # The stamps are as uncertain as the residuals of the clocks' line: a row may be earlier or later by that much.
     unsure_s = clock.residual_max_s
     for place, (start, end) in enumerate(standing):
-        begin, over = start + _SETTLED_S + sample_s + unsure_s, end - _MARGIN_S - unsure_s
+        begin, over = start + SETTLED_S + sample_s + unsure_s, end - MARGIN_S - unsure_s
         first, last = np.searchsorted(at_s, [begin, over])
         number[first : max(first, last)] = place
-    angles = (
-        np.stack([_angles(session.events, axis, at_s, number) for axis in axes], axis=-1)
-        if axes
-        else np.zeros((len(rows), 0))
-    )
-    number[~np.isfinite(angles).all(axis=-1)] = -1
+    table = table_angles(session.events, axes, at_s, number, sample_s + unsure_s)
+    number[~np.isfinite(table.course_deg).all(axis=-1)] = -1
     # Numbered anew: of a standstill that a pause cut short no row may be left.
     left = np.unique(number[number >= 0])
     number[number >= 0] = np.searchsorted(left, number[number >= 0])
@@ -348,7 +334,7 @@ def _part_with_table(
         samples.device_time_s[rows],
         at_s,
         clock,
-        angles,
+        table,
         number,
         _mountings(session, at_s),
         [int(start) for start in starts],
@@ -396,111 +382,11 @@ def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:
     return merged
 
 
-def _standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[float, float]]:
-    """When no axis moves: from the reading that shows it to the next command of motion, or to the run's interruption.
-
-    An axis that stood at an interruption stands again where the next step begins: a typed angle is not read again.
-    """
-    moving = set(axes)
-    intervals: list[tuple[float, float]] = []
-    since: float | None = None
-    latest = 0.0
-    for event in events:
-        latest = max(latest, event.time_s)
-        if event.name == "angle" and not event.data["moving"] and event.data["axis"] in moving:
-            moving.discard(str(event.data["axis"]))
-            if not moving:
-                since = float(event.data["time_s"])
-        elif event.name == "step begins" and since is None and axes and not moving:
-            since = float(event.data["begins_s"])
-        elif event.name in _MOVE_COMMANDS or breaks_off(event):
-            if since is not None:
-                intervals.append((since, float(event.data.get("began_s", event.time_s))))
-                since = None
-            if event.name in _MOVE_COMMANDS:
-                moving.add(str(event.data["axis"]))
-    if since is not None:
-        intervals.append((since, latest))
-    return [(start, end) for start, end in intervals if end > start]
-
-
 def _mountings(session: _Session, host: Floats) -> NDArray[np.int64]:
     """The number of the mounting of every row, from 1; 0 where the operator was never asked to mount the units."""
     hung = [(event.time_s, int(event.data["mounting"])) for event in session.events if event.name == "hung"]
     numbers = np.array([session.mounting, *(number for _, number in hung)], np.int64)
     return numbers[np.searchsorted(np.array([time for time, _ in hung]), host, side="right")]
-
-
-def _angles(events: Sequence[Event], axis: str, host: Floats, standstill: NDArray[np.int64]) -> Floats:
-    """The axis's angle at every row, deg: in a standstill the nearest reading since the axis's last command of motion
-    (a typed angle holds until the axis is turned again), else from its own moves."""
-    readings = [
-        e for e in events if e.name == "angle" and e.data["axis"] == axis and e.data["position_deg"] is not None
-    ]
-    if not readings:
-        return np.full(len(host), np.nan)
-    times = np.array([float(e.data["time_s"]) for e in readings])
-    values = np.array([float(e.data["position_deg"]) for e in readings])
-    still = np.array([not e.data["moving"] for e in readings])
-    moves = [e for e in events if e.name in _MOVE_COMMANDS and e.data["axis"] == axis]
-    moved = np.array([float(e.data.get("began_s", e.time_s)) for e in moves])
-    result = _own_course(np.interp(host, times, values), host, moves, moved, times[still], values[still])
-    edges = np.flatnonzero(np.diff(standstill, prepend=-1, append=-1))
-    for begin, end in itertools.pairwise(edges):
-        if begin >= len(standstill) or standstill[begin] < 0:
-            continue
-        number = int(np.searchsorted(moved, float(host[begin])))
-        low, high = moved[number - 1] if number else -math.inf, host[end - 1] + 2.0 * _MARGIN_S
-        inside = np.flatnonzero(still & (times >= low) & (times <= high))
-        if not len(inside):
-            result[begin:end] = np.nan
-            continue
-        result[begin:end] = _nearest(times[inside], values[inside], host[begin:end])
-    return result
-
-
-def _nearest(times: Floats, values: Floats, at: Floats) -> Floats:
-    """Of the `values` at increasing `times` the nearest to each time of `at`."""
-    return values[np.searchsorted((times[1:] + times[:-1]) / 2.0, at)]
-
-
-def _own_course(
-    straight: Floats, host: Floats, commands: Sequence[Event], moved: Floats, times: Floats, values: Floats
-) -> Floats:
-    """An axis's angle at every row, deg, independent of other axes: the nearest of its readings `values` at `times`
-    while it stands, and the commanded trapezoid from one to the next; `straight` where neither is known."""
-    result = straight.copy()
-    for k in range(-1, len(commands)):
-        begin = moved[k] if k >= 0 else -math.inf
-        until = moved[k + 1] if k + 1 < len(commands) else math.inf
-        # A reading at the time of a command belongs to the standstill before it.
-        first, last = np.searchsorted(times, np.array([begin, until]), side="right")
-        if first == last:
-            continue
-        low, middle, high = np.searchsorted(host, np.array([begin, float(times[first]), until]))
-        result[middle:high] = _nearest(times[first:last], values[first:last], host[middle:high])
-        move = commands[k].data if k >= 0 else {}
-        if first == 0 or move.get("kind") not in ("go", "turn") or not move.get("acceleration_dps2"):
-            continue
-        angle, rate = float(values[first] - values[first - 1]), float(move["rate_dps"])
-        turn = AxisCommand(0.0, "", "turn", rate_dps=rate, acceleration_dps2=move["acceleration_dps2"], angle_deg=angle)
-        # An operator, or a stage that was held up, does not follow the trapezoid.
-        if turn.duration_s + _LATE_S > times[first] - begin:
-            result[low:middle] = values[first - 1] + _turned(turn, host[low:middle] - begin)
-    return result
-
-
-def _turned(turn: AxisCommand, since: Floats) -> Floats:
-    """How far a turn has come (deg), seconds after it began."""
-    size, whole = abs(turn.angle_deg), turn.duration_s
-    if whole == 0.0:
-        return np.full(len(since), turn.angle_deg)
-    peak = min(abs(turn.rate_dps), math.sqrt(size * turn.acceleration_dps2))
-    ramp = peak / turn.acceleration_dps2
-    near = 0.5 * turn.acceleration_dps2 * np.clip(np.minimum(since, whole - since), 0.0, ramp) ** 2
-    sides = np.where(since < 0.5 * whole, near, size - near)
-    flat = (since > ramp) & (since < whole - ramp)
-    return math.copysign(1.0, turn.angle_deg) * np.where(flat, peak * (since - 0.5 * ramp), sides)
 
 
 # ------------------------------------------------------------------------------------------------------------ joined
@@ -517,6 +403,7 @@ def _joined(
     times: list[Floats] = []
     standstills: list[NDArray[np.int64]] = []
     starts: list[int] = []
+    readings: list[Readings] = []
     row, numbered = 0, 0
     hosts = _on_one_clock(parts)
     for place, (part, host) in enumerate(zip(parts, hosts, strict=True)):
@@ -526,6 +413,10 @@ def _joined(
         standstills.append(np.where(part.standstill >= 0, part.standstill + numbered, -1))
         numbered += int(part.standstill.max(initial=-1)) + 1
         starts += sorted({row, *(row + start for start in part.starts)})
+        # The reading's time by the rows' two clocks, which differ by less than a part in a thousand.
+        own = part.table.readings
+        since = own.time_s - part.host_s[own.row]
+        readings.append(replace(own, time_s=times[-1][own.row] + since, row=own.row + row))
         row += len(host)
     samples = join([part.samples for part in parts])
     marked = np.where(samples.status != 0, np.uint16(Reason.MARKED.value), np.uint16(0)).astype(np.uint16)
@@ -541,7 +432,9 @@ def _joined(
         force_axes=("x", "y", "z") if np.isfinite(force).any() else (),
         temperature_c=samples.temperature_c.mean(axis=1)[None],
         table_axes=labels,
-        table_angle_rad=np.radians(np.concatenate([part.angles_deg for part in parts])) if labels else None,
+        table_course_rad=np.radians(np.concatenate([part.table.course_deg for part in parts])) if labels else None,
+        table_rate_rad_per_s=np.radians(np.concatenate(rates)) if (rates := _rates(parts)) else None,
+        readings=Readings.in_order(readings) if labels else None,
         standstill=np.concatenate(standstills),
         mounting=mounting - 1 if mounting.all() else None,
         host_time_s=np.concatenate(hosts),
@@ -553,6 +446,12 @@ def _joined(
         simulated=any(part.session.simulated for part in parts),
         provenance=provenance,
     )
+
+
+def _rates(parts: Sequence[_Part]) -> list[Floats]:
+    """The held rates of all parts, deg/s, where an axis spins."""
+    rates = [part.table.rates_dps for part in parts]
+    return [own for own in rates if own is not None] if all(own is not None for own in rates) else []
 
 
 def _on_one_clock(parts: Sequence[_Part]) -> list[Floats]:
@@ -587,7 +486,7 @@ def _findings(parts: Sequence[_Part]) -> tuple[Finding, ...]:
     lateness = f"the computer was so busy that its stamps are sure to {unsure:.2g} s only: so much more is left away"
     times = f"{anew} time{'s' * (anew > 1)} in the run; what it would have sent is not counted"
     others = [
-        (unsure > _SETTLED_S, Finding("late stamps", "mask", 0, f"{lateness} at both ends of every standstill")),
+        (unsure > SETTLED_S, Finding("late stamps", "mask", 0, f"{lateness} at both ends of every standstill")),
         (anew, Finding("unit restarted", "split", anew, f"the unit began anew {times}")),
         (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no sound datagram")),
         (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams came twice and count once")),

@@ -1,7 +1,7 @@
 """From readings to parameters with covariance, by the measurement model of the prediction."""
 
 from gradcal_jax.estimation.consistency import Consistency, Test, chi_squared_test, consistency, split, whiteness
-from gradcal_jax.estimation.executed import Executed, distinct_readings, executed, momentary_stops
+from gradcal_jax.estimation.executed import Executed, column_readings, executed, standing_with
 from gradcal_jax.estimation.neighbours import Group, closest_neighbours, like_rates, moves_between_rests
 from gradcal_jax.estimation.plateaus import plateaus
 from gradcal_jax.estimation.robust import HUBER, estimate_robustly

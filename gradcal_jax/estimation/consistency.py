@@ -76,14 +76,17 @@ def consistency(
     subsets: dict[str, np.ndarray],
     to_reported: np.ndarray,
     taken: np.ndarray | None = None,
+    compared: Whitened | None = None,
 ) -> Consistency:
     """All tests of one unit. `subsets`: by name, a truth value for each reading used; `to_reported` `(p, p)`; `taken`:
-    result of `taken_up`, if known."""
+    result of `taken_up`, if known; `compared`: the unit's rows in the split tests, without the errors that are common
+    to all readings, if not those of `white`."""
     residual = estimate.residuals[unit]
     degrees = int(estimate.degrees[unit])
     fit = chi_squared_test(float(estimate.chi_squared[unit]), degrees)
     single = white.of_unit(unit)
-    splits = [split(single, name, subset, to_reported) for name, subset in subsets.items()]
+    parts = single if compared is None else compared
+    splits = [split(parts, name, subset, to_reported) for name, subset in subsets.items()]
     return Consistency(
         fit,
         float(np.sqrt(estimate.chi_squared[unit] / degrees)) if degrees > 0 else float("nan"),

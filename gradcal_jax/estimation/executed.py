@@ -1,14 +1,16 @@
-"""The executed plan: a log's standstills and moves as a trajectory of the prediction's kind.
+"""The executed plan: a log's standstills, moves and readings as a trajectory of the prediction's kind.
 
-A reading is taken at the first and the last row of every standstill and every `read_every` between. The pieces between
-readings are those of a plan's trajectory. Consecutive moves without a rest stop for an instant between them, and the
-row of that instant is read, too. Moves are divided for the noise that the rate drives. Only the noise depends on the
-motion within a piece (mean rates suffice); the regressors come from the samples themselves (`estimation.samples`).
+A reading is taken where the log has one. Pieces from one reading to the next are those of a plan's trajectory: a rest,
+or a move with the rests beside it. Consecutive moves without a rest stop for an instant between them, and the row of
+that instant is read, too, if the log has a reading there. Moves are divided for the noise that the rate drives. Only
+the noise depends on the motion within a piece (mean rates suffice); the regressors come from the samples themselves
+(`estimation.samples`).
 
 Row `i` of a log represents the time from row `i − 1` to itself. Where rows are missing or masked the integral is
-interrupted: a new origin of the angle is read at the first row of rest after it (a gap piece).
+interrupted: a new origin of the angle is read at the first reading after it (a gap piece).
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,11 +19,10 @@ from gradcal_jax.formulas import runs
 from gradcal_jax.trajectory import Trajectory, held
 
 _MOVE_PARTS = 8
-# The speed at a stop is this many times below that on both sides; speeds below this share of the fastest are noise.
-_DIP = 10.0
-_SLOWEST = 1e-4
-# Largest difference between the angles of table and sensor on the move, as a share of the move's extent.
-_FOLLOWS = 0.02
+# Readings of a standing axis with less between them (rad) are of one standstill, whatever other axes do.
+_SAME_STANDSTILL = np.radians(0.5)
+# A value that a column repeats for longer than this many spacings of readings was read at its end, too.
+_HELD = 3.0
 
 
 class Executed(NamedTuple):
@@ -39,25 +40,23 @@ def executed(
     angle_rad: np.ndarray | None,
     standing: np.ndarray,
     usable: np.ndarray,
+    reading: np.ndarray,
     *,
-    read_every: float = 1.0,
     longest_piece: float = np.inf,
-    reading_rows: np.ndarray | None = None,
+    readings_in_row: np.ndarray | None = None,
 ) -> Executed:
     """The timeline of a log's rows, all arrays `(n,)`.
 
     `standing`: whether the axis stands (rows of one standstill are neighbours); `usable`: whether the row's sample may
-    be integrated (false also where rows are missing before it); `angle_rad` of the table, None if unknown: then moves
-    have no reference and are gaps. `rate_rad_per_s` is used for the noise only. `reading_rows` `(n,)`: the rows at
-    which the table was read, if known; a standstill without any is read at its first row. Errors: `ValueError` where
-    the log never stands for two readings.
+    be integrated (false also where rows are missing before it); `reading`: the rows at whose ends the standing table
+    was read, in a standstill or in an instant between two moves; `angle_rad` of the table there, None if unknown: then
+    moves have no reference and are gaps. `rate_rad_per_s` is used for the noise only. `readings_in_row`: how many
+    readings of the spec's noise a row's is worth. Errors: `ValueError` where there are fewer than two readings.
     """
-    if not read_every > 0.0:
-        raise ValueError(f"the spacing of readings must be positive, not {read_every}")
-    spans = _runs(standing)
-    if not spans or not any(last > first for first, last in spans):
-        raise ValueError("the log never stands still for two rows, so nothing can be read from it")
-    at = [_readings(time_s, first, last, read_every, reading_rows) for first, last in spans]
+    at = [np.flatnonzero(reading[a:b]) + a for a, b in runs(standing | reading)]
+    at = [rows.tolist() for rows in at if len(rows)]
+    if sum(map(len, at)) < 2:
+        raise ValueError("the log never stands still for two readings, so nothing can be read from it")
     rows, flags = [at[0][0]], list[tuple[bool, ...]]()
 
     def add(row: int, *, reads: bool, stands: bool, is_gap: bool = False, moves: bool = False, lost: bool = False):
@@ -81,41 +80,46 @@ def executed(
             add(row, reads=unbroken, stands=True, is_gap=not unbroken, lost=not unbroken)
     where, (read, rest, gap, moving, broken) = np.array(rows), np.array(flags, bool).reshape(-1, 5).T
     line = _line(time_s, temperature_c, rate_rad_per_s, angle_rad, where, read, rest, gap, moving)
+    if readings_in_row is not None:
+        line = replace(line, share=readings_in_row[where[1:]])
     return Executed(line, where, broken)
 
 
-def momentary_stops(
-    rate_rad_per_s: np.ndarray, standing: np.ndarray, angle_rad: np.ndarray, step_s: np.ndarray
-) -> np.ndarray:
-    """`(n,)`: rows within moves at which the table stops for an instant between two turns.
-
-    Those are the slowest rows of minima from which the speed rises tenfold on both sides. The integrated error is read
-    there as accurately as at rest, since it hardly changes within a row. Moves in which the table's angle does not
-    follow the sensor's (it was interpolated between readings) have none.
-    """
-    result = np.zeros(len(standing), bool)
-    speed = np.abs(rate_rad_per_s)
-    moving = speed[~standing]
-    if not len(moving):
-        return result
-    slowest = _SLOWEST * float(moving.max()) + np.finfo(float).tiny
-    for first, last in _runs(~standing):
-        stops = valleys(speed[first : last + 1], slowest)
-        if len(stops):
-            turned = np.cumsum(rate_rad_per_s[first : last + 1] * step_s[first : last + 1])
-            apart = angle_rad[first : last + 1] - turned
-            apart = apart - np.linspace(apart[0], apart[-1], len(apart))
-            if np.all(np.abs(apart) < _FOLLOWS * np.ptp(turned)):
-                result[first + stops] = True
+def standing_with(standing: np.ndarray, rows: np.ndarray, angle_rad: np.ndarray) -> np.ndarray:
+    """`(n,)`: rows at which an axis stands: those `standing`, and those between two of its readings, at `rows` `(R,)`
+    in a standstill, without a turn between them (other axes may move there). `angle_rad` `(R,)`: of the readings."""
+    result = standing.copy()
+    for first, last, change in zip(rows[:-1], rows[1:], np.diff(angle_rad), strict=True):
+        if abs(change) < _SAME_STANDSTILL:
+            result[first : last + 1] = True
     return result
 
 
-def valleys(speed: np.ndarray, slowest: float) -> np.ndarray:
-    """Rows of the minima from which a speed rises tenfold on both sides; speeds below `slowest` count as equal."""
-    # Imported where it is used: it imports all of SciPy's statistics.
-    from scipy.signal import find_peaks
+def column_readings(
+    time_s: np.ndarray, angle_rad: np.ndarray | None, standing: np.ndarray, read_every: float
+) -> np.ndarray:
+    """`(n,)`: the rows to read in a log with the table's angle at every row, or without any: in each standstill the
+    first and the last, and between them those `read_every` s apart.
 
-    return find_peaks(-np.log(np.maximum(speed, slowest)), prominence=np.log(_DIP))[0]
+    A value equal to that of the row before was not polled again and is no reading, but one that stays for more than
+    three times `read_every` is read at its last row, too. Errors: `ValueError` where `read_every` is not positive.
+    """
+    if not read_every > 0.0:
+        raise ValueError(f"the spacing of readings must be positive, not {read_every}")
+    result = np.zeros(len(time_s), bool)
+    for first, end in runs(standing).tolist():
+        time = time_s[first:end]
+        polled = np.ones(end - first, bool)
+        if angle_rad is not None:
+            polled[1:] = np.diff(angle_rad[first:end]) != 0.0
+            begins = np.flatnonzero(polled)
+            lasts = np.append(begins[1:], end - first) - 1
+            polled[lasts[time[lasts] - time[begins] > _HELD * read_every]] = True
+        polls = np.flatnonzero(polled)
+        goals = np.arange(time[0] + read_every, time[-1] - 0.5 * read_every, read_every)
+        after = np.searchsorted(time[polls], (goals if np.isfinite(read_every) else goals[:0]) - 1e-9)
+        result[first + polls[np.concatenate([[0], after[after < len(polls)], [len(polls) - 1]])]] = True
+    return result
 
 
 def _line(time, temperature, rate, angle, at, read, rest, gap, moves) -> Trajectory:
@@ -138,42 +142,6 @@ def _as_the_table(turned: np.ndarray, angle: np.ndarray, moves: np.ndarray) -> n
         total = angle[last + 1] - angle[first]
         ours = turned[first : last + 1].sum()
         result[first : last + 1] += (total - ours) / (last + 1 - first)
-    return result
-
-
-def _readings(time: np.ndarray, first: int, last: int, every: float, known: np.ndarray | None) -> list[int]:
-    """Rows of one standstill that are read: first, last and those `every` apart between; or the `known` ones."""
-    if known is not None:
-        readings = np.flatnonzero(known[first : last + 1]) + first
-        return [int(r) for r in readings] or [first]
-    if last == first:
-        return [first]
-    goals = np.arange(time[first] + every, time[last] - 0.5 * every, every) if np.isfinite(every) else np.zeros(0)
-    rows = np.searchsorted(time[first : last + 1], goals - 1e-9) + first
-    return [first, *dict.fromkeys(int(r) for r in rows if first < r < last), last]
-
-
-def distinct_readings(time_s: np.ndarray, angle_rad: np.ndarray, standing: np.ndarray, read_every: float) -> np.ndarray:
-    """`(n,)`: one row for each reading of the table, in a log that repeats every reading in neighbouring rows.
-
-    Rows that repeat one reading share its error and must not count separately. But two readings may agree to the last
-    digit: a value that lasts twice as long as usual counts as two readings (counted as one it would increase the
-    scatter of the others by some per cent). A value that is repeated for more than three times `read_every` is read at
-    its first and last row.
-    """
-    result = np.zeros(len(time_s), bool)
-    repeats: list[tuple[int, int]] = []
-    for first, last in _runs(standing):
-        begins = np.flatnonzero(np.diff(angle_rad[first : last + 1], prepend=np.nan) != 0.0) + first
-        repeats += zip(begins.tolist(), np.append(begins[1:] - 1, last).tolist(), strict=True)
-    usual = float(np.median([b + 1 - a for a, b in repeats])) if repeats else 1.0
-    for a, b in repeats:
-        if time_s[b] - time_s[a] > 3.0 * read_every:
-            result[[a, b]] = True
-        else:
-            # At ends of standstills a value may last 1.5 times as long and is still one reading.
-            count = max(int((b + 1 - a) / usual + 0.25), 1)
-            result[a + (np.arange(count) * 2 + 1) * (b + 1 - a) // (2 * count)] = True
     return result
 
 

@@ -1,8 +1,9 @@
 """The executed motion of a unit on a table of several axes: a log's standstills and moves as a `TableMotion`.
 
-Between two standstills of the whole table one axis after the other turns. The gyros show which one: their rate has a
-minimum where the table stops for an instant between two moves, and their integral between two minima points along the
-axis that turned. The angle of an axis at rest is the mean of its encoder between two of its own moves. Within a move
+Between two standstills of the whole table one axis after the other turns. Where the log has the readings of the
+encoders, those of an instant between two moves show which one. Otherwise the gyros do: their rate has a minimum at such
+an instant, and their integral between two minima points along the axis that turned; two moves of one axis are then one.
+The angle of an axis at rest is the mean of its readings between two of its own moves. Within a move
 the gyros give the angle, adjusted to the encoder's angles at its ends.
 
 Row `i` of a log represents the time from row `i − 1` to itself.
@@ -15,7 +16,6 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.estimation.executed import valleys
 from gradcal_jax.formulas import runs
 from gradcal_jax.model import BodyGroup, BodyNodes
 from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, held, lagrange, quadrature
@@ -23,8 +23,8 @@ from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, he
 # A rest is one row of each channel, as in a plan, but its temperature is followed in pieces of this duration.
 _PIECE_S = 60.0
 _GUARD_S = 0.1
-# Speeds below this share of the fastest are noise.
-_SLOWEST = 1e-3
+# The speed at a stop is this many times below that on both sides; speeds below this share of the fastest are noise.
+_DIP, _SLOWEST = 10.0, 1e-3
 # Least change of an axis's angle (rad) that counts as a turn.
 _LEAST_TURN = np.radians(0.05)
 # The gyros' integral over a move differs from the table's angle by at most this share and this angle (rad).
@@ -38,8 +38,9 @@ _SEEN = 0.3
 
 class UnitRows(NamedTuple):
     """One unit's rows of a log, `(n,)` unless stated. `rates` `(n, 3)` rad/s and `force` `(n, 3)` m/s² along the body's
-    axes, NaN for missing ones; `angles` `(n, L)` rad of the table's axes; `standing`: all of them stand;
-    `usable`: the row may be integrated; `mounting`: its number.
+    axes, NaN for missing ones; `angles` `(n, L)` rad of the table's axes, NaN where not read; `standing`: all of them
+    stand; `usable`: the row may be integrated; `mounting`: its number; `at_a_stop`: the row's angles are readings of
+    axes that stand there, if only for an instant.
     """
 
     time_s: np.ndarray
@@ -50,6 +51,7 @@ class UnitRows(NamedTuple):
     standing: np.ndarray
     usable: np.ndarray
     mounting: np.ndarray
+    at_a_stop: np.ndarray
 
 
 class ExecutedUnit(NamedTuple):
@@ -71,16 +73,9 @@ def executed_unit(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
     spans = [_inner(log.time_s, int(a), int(b) - 1) for a, b in runs(log.standing) if b - a > 1]
     if len(spans) < 2:
         raise ValueError("the table stands still less than twice in the log, so there is no pose to compare")
-    known = np.atleast_1d(np.isfinite(log.angles).all(axis=1))
-    rows = [np.arange(first, last + 1)[known[first : last + 1]] for first, last in spans]
-    for (first, _), read in zip(spans, rows, strict=True):
-        if not len(read):
-            raise ValueError(
-                f"the table's angles are not known where it stands, {log.time_s[first]:.6g} s into the log"
-            )
-    means = [np.mean(log.angles[read], axis=0) for read in rows]
+    means = _mean_angles(log, spans)
     legs = _legs(log, geometry, spans, means)
-    angles = _own_angles(log, known, spans, legs)
+    angles = _own_angles(log, spans, legs)
     return _pieces(log, geometry, spans, legs, angles)
 
 
@@ -91,6 +86,21 @@ class _Leg(NamedTuple):
     axis: int
     begin: int
     end: int
+
+
+def _mean_angles(log: UnitRows, spans: list[tuple[int, int]]) -> list[np.ndarray]:
+    """The mean angles (rad) of all axes in every standstill; an axis that is not read there stands as before."""
+    result: list[np.ndarray] = []
+    for first, last in spans:
+        read = log.angles[first : last + 1]
+        known = np.isfinite(read)
+        mean = np.sum(np.where(known, read, 0.0), axis=0) / np.maximum(known.sum(axis=0), 1)
+        if not known.any(axis=0).all() and not (result and log.at_a_stop.any()):
+            raise ValueError(
+                f"the table's angles are not known where it stands, {log.time_s[first]:.6g} s into the log"
+            )
+        result.append(np.where(known.any(axis=0), mean, result[-1] if result else mean))
+    return result
 
 
 def _inner(time: np.ndarray, first: int, last: int) -> tuple[int, int]:
@@ -107,39 +117,61 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
     step = np.diff(log.time_s, prepend=log.time_s[0])
     seen = np.flatnonzero(np.isfinite(log.rates).any(axis=0))
     quiet = np.array([np.nanmean(log.rates[a : b + 1], axis=0) for a, b in spans]) if len(seen) else None
+    stops = np.isfinite(log.angles) & log.at_a_stop[:, None]
     result: list[_Leg] = []
     for k, ((_, last), (first, _)) in enumerate(itertools.pairwise(spans)):
-        change = means[k + 1] - means[k]
-        turned = np.flatnonzero(np.abs(change) > _LEAST_TURN)
-        whole = bool(log.usable[last + 1 : first + 1].all()) and log.mounting[last] == log.mounting[first]
-        if quiet is None or not whole:
+        at, legs = means[k].copy(), [_Leg(k, -1, last, last)]
+        if not (log.usable[last + 1 : first + 1].all() and log.mounting[last] == log.mounting[first]):
             # This move is not read; only its final angles count. Where rows are missing, as in a resumed run, an axis
             # at its former angle may have moved.
-            result.append(_Leg(k, int(turned[0]) if whole and len(turned) == 1 else -1, last, first))
+            result.append(_Leg(k, -1, last, first))
             continue
-        rates = (log.rates[last + 1 : first + 1] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen]
-        where = _valleys(np.linalg.norm(rates, axis=1)) if len(turned) != 1 else []
-        edges = [last, *(last + 1 + w for w in where), first]
-        at, legs = means[k].copy(), []
-        for a, b in itertools.pairwise(edges):
-            total = step[a + 1 : b + 1] @ rates[a - last : b - last]
-            axis, angle = _which(geometry, at, means[k + 1] - at, int(log.mounting[last]), total, seen)
-            if len(turned) == 1 and len(edges) == 2:
-                axis, angle = int(turned[0]), float(change[turned[0]])
-            at[axis] += angle
-            if legs and legs[-1].axis == axis:
-                legs[-1] = legs[-1]._replace(end=b)
-            else:
-                legs.append(_Leg(k, axis, a, b))
-        size = max(float(step[last + 1 : first + 1] @ np.linalg.norm(rates, axis=1)), 1e-9)
-        if np.max(np.abs(at - means[k + 1])) > _FOLLOWS * size + _BIAS:
-            raise ValueError(
-                f"between {log.time_s[last]:.6g} and {log.time_s[first]:.6g} s the gyros and the table's angles do not "
-                "agree: one axis after the other must turn; is the table of the spec the one of the log, with its "
-                "axes in that order, and the unit mounted as in the spec?"
-            )
-        result += legs
+        for since, axis in np.argwhere(stops[last + 1 : first]):
+            row = int(since) + last + 1
+            if abs(log.angles[row, axis] - at[axis]) > _LEAST_TURN:
+                legs.append(_Leg(k, int(axis), legs[-1].end, row))
+                at[axis] = log.angles[row, axis]
+        rest, turned = _Leg(k, -1, legs[-1].end, first), np.flatnonzero(np.abs(means[k + 1] - at) > _LEAST_TURN)
+        if len(turned) == 1 or quiet is None:
+            legs.append(rest._replace(axis=int(turned[0]) if len(turned) == 1 else -1))
+        elif len(turned) == 0 and len(legs) > 1:
+            legs[-1] = legs[-1]._replace(end=first)
+        else:
+            rates = (log.rates[rest.begin + 1 : first + 1] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen]
+            legs += _felt_legs(log, geometry, rest, rates, at, means[k + 1], seen)
+            size = max(float(step[rest.begin + 1 : first + 1] @ np.linalg.norm(rates, axis=1)), 1e-9)
+            if np.max(np.abs(at - means[k + 1])) > _FOLLOWS * size + _BIAS:
+                raise ValueError(
+                    f"between {log.time_s[last]:.6g} and {log.time_s[first]:.6g} s the gyros and the table's angles do "
+                    "not agree: one axis after the other must turn; is the table of the spec the one of the log, with "
+                    "its axes in that order, and the unit mounted as in the spec?"
+                )
+        result += legs[1:]
     return result
+
+
+def _felt_legs(
+    log: UnitRows,
+    geometry: Geometry,
+    whole: _Leg,
+    rates: np.ndarray,
+    at: np.ndarray,
+    goal: np.ndarray,
+    seen: np.ndarray,
+) -> list[_Leg]:
+    """The moves that the gyros feel in the rows of `whole`, with their `rates` (rad/s): from the angles `at` (rad),
+    which are set to those at the end, to the angles `goal`."""
+    step = np.diff(log.time_s[whole.begin : whole.end + 1])
+    legs: list[_Leg] = []
+    edges = [0, *(1 + w for w in _valleys(np.linalg.norm(rates, axis=1))), len(rates)]
+    for a, b in itertools.pairwise(edges):
+        axis, angle = _which(geometry, at, goal - at, int(log.mounting[whole.begin]), step[a:b] @ rates[a:b], seen)
+        at[axis] += angle
+        if legs and legs[-1].axis == axis:
+            legs[-1] = legs[-1]._replace(end=whole.begin + b)
+        else:
+            legs.append(_Leg(whole.span, axis, whole.begin + a, whole.begin + b))
+    return legs
 
 
 def _valleys(speed: np.ndarray) -> list[int]:
@@ -150,7 +182,11 @@ def _valleys(speed: np.ndarray) -> list[int]:
     # Noise at a minimum must not divide it into two.
     width = max(len(speed) // 400, 1)
     smooth = np.convolve(np.pad(speed, width, mode="edge"), np.ones(2 * width + 1) / (2 * width + 1), mode="valid")
-    return valleys(smooth, _SLOWEST * top).tolist()
+    # Imported where it is used: it imports all of SciPy's statistics.
+    from scipy.signal import find_peaks
+
+    prominence = np.log(_DIP)
+    return find_peaks(-np.log(np.maximum(smooth, _SLOWEST * top)), prominence=prominence)[0].tolist()
 
 
 def _which(
@@ -165,14 +201,14 @@ def _which(
     return best, float(angle[best])
 
 
-def _own_angles(log: UnitRows, known: np.ndarray, spans: list[tuple[int, int]], legs: list[_Leg]) -> list[np.ndarray]:
+def _own_angles(log: UnitRows, spans: list[tuple[int, int]], legs: list[_Leg]) -> list[np.ndarray]:
     """Angles (rad) of each axis before its first move and after each of its moves: means of its readings from the end
     of one to the begin of the next, also while other axes move.
 
     Time stamps of a busy computer are late, so that rows next to another axis's move may belong to this axis's own
     move: readings count between the first and the last row at which all axes stand, or else in the middle half.
     """
-    standing = np.zeros(len(known), bool)
+    standing = np.zeros(len(log.time_s), bool)
     for first, last in spans:
         standing[first : last + 1] = True
     result: list[np.ndarray] = []
@@ -185,10 +221,17 @@ def _own_angles(log: UnitRows, known: np.ndarray, spans: list[tuple[int, int]], 
             rows, quarter = np.arange(a, max(b, a) + 1), max(b - a, 0) // 4
             rest = rows[standing[rows]]
             rows = np.arange(rest[0], rest[-1] + 1) if len(rest) else rows[quarter : len(rows) - quarter]
-            good = rows[known[rows]]
-            values.append(float(np.mean(log.angles[good if len(good) else rows[:1], axis])))
+            read = log.angles[rows, axis]
+            known = np.isfinite(read)
+            values.append(float(np.mean(read[known] if known.any() else _nearest(log.angles[:, axis], int(rows[0])))))
         result.append(np.array(values))
     return result
+
+
+def _nearest(angles: np.ndarray, row: int) -> np.ndarray:
+    """The known angle nearest to a row."""
+    known = np.flatnonzero(np.isfinite(angles))
+    return angles[known[[int(np.argmin(np.abs(known - row)))]]]
 
 
 def _pieces(

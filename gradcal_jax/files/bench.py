@@ -98,6 +98,8 @@ class Resolution(Section):
     """Step of a duration."""
     rate: PositiveRate | None = None
     """Step of a rate."""
+    acceleration: PositiveAcceleration | None = None
+    """Step of an acceleration."""
     angle: SizeOfAngle | None = None
     """Step of an angle."""
 

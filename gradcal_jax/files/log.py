@@ -4,6 +4,10 @@
     time      one clock for all of them, strictly increasing, s           [time]
     rate      integrated or sampled angular rate, rad/s                   [unit, time, axis]
     specific_force  of the accelerometers, m/s^2, where there are any     [unit, time, force_axis]
+    reading   events at which the table's angle was read                  [reading]
+
+The table's angle is known at its readings alone. `table_angle` is a column of another logger, which read the encoder at
+every row; `table_course` is a reconstruction between readings, for pictures: nothing is estimated from it.
 
 A log never loses a row silently: `rows_read` counts the rows of the source, `rows_removed` those that could not be kept
 (by reason), and `status` is 0 for every usable row of a unit and the reason otherwise.
@@ -15,9 +19,9 @@ import importlib
 import io
 import json
 import warnings
-from collections.abc import Generator, Mapping
-from dataclasses import asdict, dataclass, field, replace
-from enum import IntFlag
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from enum import IntEnum, IntFlag
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
@@ -81,6 +85,58 @@ class Reason(IntFlag):
         return (self.name or "").lower().replace("_", " ")
 
 
+class ReadingKind(IntEnum):
+    """What a reading of the table's angle stands for."""
+
+    PLANNED = 0
+    """The axis stood, and the recipe takes a reading here."""
+    STANDING = 1
+    """The axis stood; the run read it for a purpose of its own."""
+    MOVING = 2
+    """The axis moved."""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Readings of the table's angle, in order of time. All arrays `[reading]`.
+
+    `row`: at the end of this row of the log the axis stands at the angle that was read (of a moving axis the row of the
+    time). `standard_deviation_rad`: NaN where it is that of the spec.
+    """
+
+    time_s: Floats
+    row: Whole
+    axis: Whole
+    """Index of the log's table axes."""
+    angle_rad: Floats
+    standard_deviation_rad: Floats
+    kind: Whole
+    """`ReadingKind`s."""
+
+    @classmethod
+    def in_order(cls, parts: Sequence["Readings"]) -> "Readings":
+        """The readings of several axes or parts, in order of time."""
+        none = np.zeros(0), np.zeros(0, np.int64)
+        numbers = cls(none[0], none[1], none[1], none[0], none[0], none[1])
+        arrays = {
+            one.name: np.concatenate([getattr(part, one.name) for part in (numbers, *parts)]) for one in fields(cls)
+        }
+        return cls(**arrays)._chosen(np.argsort(arrays["time_s"], kind="stable"))
+
+    def of_axis(self, axis: int, *kinds: ReadingKind) -> "Readings":
+        """The readings of one table axis (its index), of the `kinds` (default: all)."""
+        chosen = (self.axis == axis) & (np.isin(self.kind, kinds) if kinds else True)
+        return self._chosen(chosen)
+
+    def between(self, first: int, last: int) -> "Readings":
+        """The readings of the rows from `first` to before `last`, counted from `first`."""
+        inside = self._chosen((self.row >= first) & (self.row < last))
+        return replace(inside, row=inside.row - first)
+
+    def _chosen(self, chosen: Bools | Whole) -> "Readings":
+        return Readings(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
+
+
 class _Variable(NamedTuple):
     field: str
     dimensions: tuple[str, ...]
@@ -98,6 +154,7 @@ _VARIABLES: Final[Mapping[str, _Variable]] = {
         ("specific_force", "specific_force_m_per_s2", "unit time force_axis", np.float64, "m s-2", "specific force"),
         ("temperature", "temperature_c", "unit time", np.float64, "degC", "temperature of the sensor"),
         ("table_angle", "table_angle_rad", "time table_axis", np.float64, "rad", "angle of the table, not wrapped"),
+        ("table_course", "table_course_rad", "time table_axis", np.float64, "rad", "reconstruction between readings"),
         ("table_rate", "table_rate_rad_per_s", "time table_axis", np.float64, "rad s-1", "rate of the table"),
         ("standstill", "standstill", "time", np.int64, "1", "number of the standstill, -1 while moving"),
         ("mounting", "mounting", "time", np.int64, "1", "number of the mounting, from 0"),
@@ -107,6 +164,18 @@ _VARIABLES: Final[Mapping[str, _Variable]] = {
     )
 }
 _NEEDED: Final = ("time", "rate", "stretch_start")
+_KINDS: Final = ", ".join(f"{kind.value} {kind.name.lower()}" for kind in ReadingKind)
+_OF_READINGS: Final[Mapping[str, _Variable]] = {
+    f"reading_{name}": _Variable(field, ("reading",), kind, unit, words)
+    for name, field, kind, unit, words in (
+        ("time", "time_s", np.float64, "s", "when the table's angle was read, by the log's clock"),
+        ("row", "row", np.int64, "1", "row at whose end the axis stands at this angle"),
+        ("axis", "axis", np.int64, "1", "number of the table axis, from 0"),
+        ("angle", "angle_rad", np.float64, "rad", "angle read, not wrapped"),
+        ("std", "standard_deviation_rad", np.float64, "rad", "standard deviation; NaN: as the spec says"),
+        ("kind", "kind", np.int64, "1", _KINDS),
+    )
+}
 
 
 @dataclass(frozen=True)
@@ -153,7 +222,7 @@ class Log:
     """[unit, time]"""
     table_axes: tuple[str, ...] = ()
     table_angle_rad: Floats | None = None
-    """[time, table axis]; not wrapped."""
+    """[time, table axis]; not wrapped. The encoder's at every row, by a logger that read it there."""
     table_rate_rad_per_s: Floats | None = None
     """[time, table axis]"""
     standstill: Whole | None = None
@@ -175,6 +244,10 @@ class Log:
     specific_force_m_per_s2: Floats | None = None
     """[unit, time, force axis]; +1 g along an axis that points up at rest."""
     force_axes: tuple[str, ...] = ()
+    readings: Readings | None = None
+    """Of the table's angle. `None`: where they were taken is not recorded, and `table_angle_rad` holds at every row."""
+    table_course_rad: Floats | None = None
+    """[time, table axis]; the angle reconstructed between readings, for pictures."""
 
     def __post_init__(self) -> None:
         rows = len(self.time_s)
@@ -193,6 +266,8 @@ class Log:
                 wanted = tuple(sizes[dimension] for dimension in variable.dimensions)
                 if array.shape != wanted:
                     raise LogError(f"the {name.replace('_', ' ')} has the shape {array.shape} instead of {wanted}")
+        if self.readings is not None:
+            _check_readings(self.readings, rows, len(self.table_axes))
         for name, of in labels.items():
             if len(set(of)) != len(of):
                 raise LogError(f"two of the log's {name} labels are the same: {', '.join(of)}")
@@ -268,6 +343,16 @@ class Log:
         return EvenSeries(rate, valid, self.sample_interval_s, temperature, row)
 
 
+def _check_readings(readings: Readings, rows: int, axes: int) -> None:
+    if len({len(getattr(readings, one.name)) for one in fields(readings)}) != 1:
+        raise LogError("the readings of the table's angle have columns of different lengths")
+    for name, values, end in (("row", readings.row, rows), ("axis", readings.axis, axes)):
+        if np.any((values < 0) | (values >= end)):
+            raise LogError(f"a reading of the table's angle has a {name} that the log does not have")
+    if not (np.isfinite(readings.time_s).all() and np.isfinite(readings.angle_rad).all()):
+        raise LogError("a reading of the table's angle has no time or no angle")
+
+
 def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:
     """The intervals of stamps (s), without those between two stretches."""
     interval = np.diff(time_s)
@@ -310,10 +395,12 @@ def part_of(
     }
     starts = log.stretch_starts
     inside = starts[(starts > first) & (starts < last)] - first
+    readings = None if log.readings is None else log.readings.between(first, last)
     reason = Reason.LEFT_OUT.words
     return replace(
         log,
         **cut,
+        readings=readings,
         stretch_starts=np.concatenate([[0], inside]).astype(np.int64),
         rows_removed={**log.rows_removed, reason: log.rows_removed.get(reason, 0) + left_out},
     )
@@ -327,10 +414,15 @@ def write_log(log: Log, path: str | Path) -> None:
     xarray: Any = importlib.import_module("xarray")
 
     variables: dict[str, Any] = {
-        name: (variable.dimensions, values, {"units": variable.unit, "long_name": variable.words})
+        name: (variable.dimensions, values, _attributes(variable))
         for name, variable in _VARIABLES.items()
         if (values := getattr(log, variable.field)) is not None
     }
+    if log.readings is not None:
+        variables |= {
+            name: (variable.dimensions, getattr(log.readings, variable.field), _attributes(variable))
+            for name, variable in _OF_READINGS.items()
+        }
     labels = {"unit": log.units, "axis": log.axes, "force_axis": log.force_axes, "table_axis": log.table_axes}
     coordinates: dict[str, Any] = {"time": variables.pop("time")}
     coordinates |= {name: (name, list(of)) for name, of in labels.items() if of or name == "axis"}
@@ -347,6 +439,10 @@ def write_log(log: Log, path: str | Path) -> None:
         save_netcdf(dataset, path)
     except OSError as error:
         raise LogError(f"{path} cannot be written: {error.strerror or error}") from None
+
+
+def _attributes(variable: _Variable) -> dict[str, str]:
+    return {"units": variable.unit, "long_name": variable.words}
 
 
 def read_log(path: str | Path) -> Log:
@@ -394,8 +490,12 @@ def _from_dataset(dataset: Any) -> Log:
     def table(name: str) -> Any:
         return json.loads(str(dataset.attrs.get(name, "null")))
 
+    readings = None
+    if "reading_time" in dataset.variables:
+        readings = Readings(**{variable.field: array(name, variable) for name, variable in _OF_READINGS.items()})
     return Log(
         **{variable.field: array(name, variable) for name, variable in _VARIABLES.items()},
+        readings=readings,
         units=labels("unit"),
         axes=labels("axis"),
         force_axes=labels("force_axis"),

@@ -103,7 +103,8 @@ class Recipe(TitledFile):
     """The spec whose plan these tracks are."""
 
     def _problems(self) -> Iterable[Problem]:
-        chamber, motion = tracks_of(self.spec)
+        step = self.resolution.acceleration
+        chamber, motion = tracks_of(self.spec, None if step is None else float(step))
         expected, written = (
             {"chamber": track.model_dump(mode="json"), "motion": [block.model_dump(mode="json") for block in blocks]}
             for track, blocks in ((chamber, motion), (self.chamber, self.motion))

@@ -1,9 +1,10 @@
 """Rounding of a spec's plan to the controllers' steps, with its turns as the controllers' trapezoids.
 
 Moves keep their order: a turn's duration is rounded up, so that its ramps do not exceed the limits, and the longest
-standstill of the cycle becomes shorter by as much. A ramp's slope is rounded to the nearest step, or to the next slower
-one where a repetition of the cycle would be lost. Whole turns stay whole. For a whole unit the axes' angles at rest are
-rounded, so that rounding errors of poses do not add up, and every pose is replaced by its turns.
+standstill of the cycle becomes shorter by as much. An acceleration is the next step up, which may shorten the turn. A
+ramp's slope is rounded to the nearest step, or to the next slower one where a repetition of the cycle would be lost.
+Whole turns stay whole. For a whole unit the axes' angles at rest are rounded, so that rounding errors of poses do not
+add up, and every pose is replaced by its turns.
 """
 
 import math
@@ -13,12 +14,14 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from typing import Any, Final, Generic, cast
 
 from gradcal_jax import units
+from gradcal_jax.files.bench import Resolution
 from gradcal_jax.files.changes import AnySpec, any_spec_of, differences, tables_of
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import Cycle
 from gradcal_jax.files.problems import ABSENT, Problem, SpecError, dotted
 from gradcal_jax.files.quantity import (
     Angle,
+    PositiveAcceleration,
     PositiveRate,
     PositiveTemperatureDifference,
     PositiveTemperatureSlope,
@@ -28,7 +31,7 @@ from gradcal_jax.files.quantity import (
 from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, resolve_cycle
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
-from gradcal_jax.files.tracks import trapezoid_acceleration
+from gradcal_jax.files.tracks import makeable_acceleration, trapezoid_acceleration
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.formulas import repetitions
 
@@ -60,15 +63,21 @@ class ControllerSteps(Section):
     """Step of a rate."""
     angle: Angle = Quantity(math.radians(0.001), "0.001 deg", "angle")
     """Step of an angle."""
+    acceleration: PositiveAcceleration | None = None
+    """Step of an acceleration; absent: any."""
+
+
+# A rotary stage that counts accelerations in units of 10 000/1.6384 microsteps/s² has coarse steps: one that divides
+# a turn into 1 152 000 microsteps makes 1.907, 3.815, … deg/s².
+_ACCELERATION: Final = Quantity.read("1.9073486328125 deg/s^2", "angular acceleration")
 
 
 def steps_of(spec: Spec | UnitSpec) -> ControllerSteps:
     """The steps that a spec's `[rig.resolution]` gives, defaults for the others."""
-    resolution = spec.rig.resolution
-    if resolution is None:
-        return ControllerSteps()
-    names = ("temperature", "time", "rate", "angle")
-    return ControllerSteps(**{name: value for name in names if (value := getattr(resolution, name)) is not None})
+    resolution = spec.rig.resolution or Resolution()
+    names = ("temperature", "time", "rate", "angle", "acceleration")
+    own = {name: value for name in names if (value := getattr(resolution, name)) is not None}
+    return ControllerSteps(**{"acceleration": _ACCELERATION} | own)
 
 
 @dataclass(frozen=True)
@@ -117,8 +126,10 @@ class _Rounder:
 
     def __init__(self, steps: ControllerSteps, keep_shapes: bool) -> None:
         self.steps, self.keep_shapes = steps, keep_shapes
+        self.acceleration = None if steps.acceleration is None else float(steps.acceleration)
         self.notes: list[str] = []
-        split = {name: getattr(steps, name).text.split(" ", 1) for name in type(steps).model_fields}
+        names = [name for name in type(steps).model_fields if name != "acceleration"]
+        split = {name: getattr(steps, name).text.split(" ", 1) for name in names}
         self._grid = {name: (Decimal(number), unit) for name, (number, unit) in split.items()}
 
     def to(self, name: str, value: float, way: str = ROUND_HALF_EVEN) -> str:
@@ -336,6 +347,8 @@ def _turn(angle: float, move: ResolvedMove, shape: str, steepest: float, fastest
         text = rounder.to("rate", float(rounder.steps.rate))
         peak = units.parse(text, "angular rate")
     least = (math.pi / 2.0 if shape == "cosine ramps" else 1.0) * peak / steepest
+    if shape == "linear ramps":
+        ramp = least = peak / makeable_acceleration(peak / max(ramp, least), rounder.acceleration, steepest)
     duration_text = rounder.to("time", size / peak + max(ramp, least), ROUND_CEILING)
     duration = units.parse(duration_text, "time")
     if peak > 2.0 * size / duration:

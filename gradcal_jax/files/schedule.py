@@ -58,13 +58,15 @@ class Stretch:
 class ResolvedCycle:
     """One cycle in SI: the moves one after the other, then the other axes' time, then idle standing (not read).
 
-    `other_read_every` is None where the axis is not read while the others turn.
+    `other_read_every` is None where the axis is not read while the others turn; `left_read_every`, of the rest of a
+    stretch that no cycle fills, where it is read at its end alone.
     """
 
     moves: tuple[ResolvedMove, ...]
     moving: float
     other: float
     other_read_every: float | None
+    left_read_every: float | None
     idle: float
 
     @property
@@ -128,7 +130,9 @@ class GradientSchedule(CourseTimes):
             )
             for stretch in self.stretches:
                 between = max(0, stretch.cycles - 1) * while_standing(cycle.other)
-                total += stretch.cycles * own + between + while_standing(stretch.leftover)
+                left = cycle.left_read_every
+                after = int(stretch.leftover > 0.0) if left is None else reading_count(stretch.leftover, left)
+                total += stretch.cycles * own + between + after
         return total
 
 
@@ -224,10 +228,10 @@ def resolve_cycle(cycle: Cycle, rig: Rig) -> ResolvedCycle:
         except SpecError as error:
             problems += [problem.under("cycle", "moves", i) for problem in error.problems]
     other, every = 0.0, None
+    spacings = [move.read_every for move in moves if move.is_rest and move.read_every is not None]
     if cycle.other_axes is not None:
         other = float(cycle.other_axes.duration)
         if cycle.other_axes.read:
-            spacings = [move.read_every for move in moves if move.is_rest and move.read_every is not None]
             if cycle.other_axes.read_every is not None:
                 every = float(cycle.other_axes.read_every)
             elif spacings:
@@ -244,7 +248,8 @@ def resolve_cycle(cycle: Cycle, rig: Rig) -> ResolvedCycle:
             problems.append(Problem(("cycle", "duration"), message, cycle.duration.text))
         idle = max(0.0, idle)
     refuse(*problems)
-    return ResolvedCycle(tuple(moves), moving, other, every, idle)
+    left = every if every is not None else next(iter(spacings), None)
+    return ResolvedCycle(tuple(moves), moving, other, every, left, idle)
 
 
 def programme_of(

@@ -12,7 +12,7 @@ angle, peak rate and duration, or a spline's largest.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from typing import Annotated, Any, Final, Literal
 
@@ -149,17 +149,37 @@ class ChamberTrack(Section):
     """Segments, in order."""
 
 
-def tracks_of(spec: Spec | UnitSpec) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
-    """The two tracks of a spec's plan."""
+def tracks_of(
+    spec: Spec | UnitSpec, acceleration_step: float | None = None
+) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
+    """The two tracks of a spec's plan. `acceleration_step` of the table's controller, rad/s²; None: it makes any."""
     schedule = spec.schedule
     if isinstance(spec, UnitSpec):
         segments = _course(spec.schedule.segments)
-        return ChamberTrack(programme=tuple(segments)), _unit_blocks(spec.schedule, spec.rig, segments)
-    if isinstance(schedule, GradientSchedule):
+        blocks = _unit_blocks(spec.schedule, spec.rig, segments)
+        strongest = {str(axis.name): float(axis.max_acceleration) for axis in spec.rig.table.axis}
+    elif isinstance(schedule, GradientSchedule):
         segments = _course(schedule.segments)
-        return ChamberTrack(programme=tuple(segments)), _blocks(schedule, segments)
-    assert isinstance(spec.plan, StandardPlan)
-    return _standard(spec.plan)
+        blocks = _blocks(schedule, segments)
+        strongest = dict[str, float].fromkeys("xyz", float(spec.rig.table.max_acceleration))
+    else:
+        assert isinstance(spec.plan, StandardPlan)
+        return _standard(spec.plan)
+    if acceleration_step is not None:
+        blocks = tuple(_makeable(block, acceleration_step, strongest) for block in blocks)
+    return ChamberTrack(programme=tuple(segments)), blocks
+
+
+def _makeable(block: MotionBlock, step: float, strongest: Mapping[str, float]) -> MotionBlock:
+    """The block with accelerations of its turns that the controller makes."""
+
+    def rounded(move: TrackMove) -> TrackMove:
+        if move.do != "turn" or move.acceleration is None:
+            return move
+        made = makeable_acceleration(float(move.acceleration), step, strongest[move.axis])
+        return move.model_copy(update={"acceleration": _in("deg/s^2", math.degrees(made))})
+
+    return block.model_copy(update={"moves": tuple(rounded(move) for move in block.moves)})
 
 
 # ------------------------------------------------------------------------------------------------- gradient method
@@ -219,7 +239,7 @@ def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple
             clock += cycle.other
         if cycle.idle > 0.0:
             moves.append(_line(clock, cycle.idle, do="wait", read="none"))
-    after: dict[str, Any] = {} if every is None else {"read_every_after": _in("s", every)}
+    left = None if cycle is None else cycle.left_read_every
     blocks: list[MotionBlock] = []
     for number, stretch in enumerate(schedule.stretches, 1):
         first = _first(stretch, segments)
@@ -227,7 +247,9 @@ def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple
             stand = _line(0.0, stretch.duration, do="rest", **_reading(every))
             blocks.append(_block(number, first, [stand], stretch.duration))
         else:
-            more: dict[str, Any] = after | {"repeat": stretch.cycles}
+            more: dict[str, Any] = {"repeat": stretch.cycles}
+            if stretch.leftover > 0.0:
+                more["read_every_after"] = _in("s", stretch.leftover if left is None else left)
             blocks.append(_block(number, first, moves, cycle.duration, stretch.leftover, **more))
     return tuple(blocks)
 
@@ -303,6 +325,15 @@ def _motion(move: ResolvedMove) -> dict[str, Any]:
     if move.shape == "spline":
         return motion | {"do": "spline", "rates": tuple(_in("deg/s", peak * c) for c in move.controls)}
     return motion | {"do": "turn by hand" if move.shape == "hand" else "turn"}
+
+
+def makeable_acceleration(acceleration: float, step: float | None, steepest: float = math.inf) -> float:
+    """The next multiple of a controller's `step` up, the next down where that exceeds the `steepest`; unchanged where
+    the table is weaker than a step. All in rad/s²."""
+    if step is None or step > steepest:
+        return acceleration
+    # A multiple that rounding errors of the arithmetic raise stays what it is.
+    return step * min(math.ceil(acceleration / step * (1.0 - 1e-6)), math.floor(steepest / step * (1.0 + 1e-9)))
 
 
 def trapezoid_acceleration(move: ResolvedMove) -> float:

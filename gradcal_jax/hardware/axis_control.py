@@ -64,6 +64,8 @@ class AxisControl:
         self._due_end_s: dict[str, float] = {}
         self._spins: dict[str, tuple[float, float]] = {}
         self._off_rate: dict[str, int] = {}
+        # Axes of which the recipe takes a reading as soon as they stand.
+        self._awaited: set[str] = set()
         self._limits: dict[str, AxisLimits] = {}
         self.newest: dict[str, AxisReading] = {}
         self.late_s = 0.0
@@ -130,8 +132,9 @@ class AxisControl:
                 self._turning[name] = self._clock.now() + (_POLL_BY_HAND_S if name in self._by_hand else _POLL_S)
                 self._read(name)
 
-    def read(self) -> None:
-        """Read all axes."""
+    def read(self, *, planned: bool = False) -> None:
+        """Read all axes; `planned`: the recipe takes a reading, of an axis that still moves as soon as it stands."""
+        self._awaited |= self._axes.keys() if planned else set()
         for name in self._axes:
             self._read(name)
 
@@ -208,6 +211,7 @@ class AxisControl:
 
     def _command(self, step: str, move: AxisCommand) -> None:
         axis, name = self._axes[move.axis], move.axis
+        self._awaited.discard(name)
         self._asks(name, abs(move.rate_dps), move.acceleration_dps2)
         self._due_end_s.pop(name, None)
         self._spins.pop(name, None)
@@ -244,8 +248,10 @@ class AxisControl:
         self.newest[name] = reading
         # An unknown angle is no reading, and a typed angle is one reading however often it is read.
         if not math.isnan(reading.position_deg) and before != reading:
-            self._event("angle", at_once=False, axis=name, **event_fields(reading))
+            planned = not reading.moving and (name in self._awaited or name in self._by_hand)
+            self._event("angle", at_once=False, axis=name, planned=planned, **event_fields(reading))
         if not reading.moving:
+            self._awaited.discard(name)
             self._turning.pop(name, None)
             planned_s = self._planned_end_s.pop(name, math.inf)
             self.late_s += max(0.0, reading.time_s - planned_s)

@@ -382,7 +382,7 @@ class Runner:
                 if late := sum(motion + read < now - latest_s for read in reads[:fallen]):
                     axes.amiss.append(f"{late} readings are up to {now - motion - reads[0]:.1f} s late")
                 del reads[:fallen]
-                axes.read()
+                axes.read(planned=True)
             if every_s is not None and now >= every_s:
                 every_s += step.read_every_s * max(1, round((now - every_s) / step.read_every_s))
                 axes.read()

@@ -11,6 +11,9 @@ from typing import Literal
 
 from .roles import AxisLimits, ChamberLimits
 
+# Relative error of an acceleration that changes nothing of a turn.
+_LIKE_ACCELERATION = 0.05
+
 
 @dataclass(frozen=True)
 class Stable:
@@ -185,6 +188,13 @@ def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str
     if not 0.0 < move.acceleration_dps2 <= limits.max_acceleration_dps2 * (1.0 + 1e-9):
         problems.append(
             f"accelerates at {move.acceleration_dps2:g} deg/s²; it accepts up to {limits.max_acceleration_dps2:g}."
+        )
+    step = limits.acceleration_step_dps2
+    made = step * max(1, round(move.acceleration_dps2 / step)) if step else move.acceleration_dps2
+    if move.kind == "turn" and abs(made - move.acceleration_dps2) > _LIKE_ACCELERATION * move.acceleration_dps2:
+        problems.append(
+            f"accelerates at {move.acceleration_dps2:g} deg/s², of which its controller makes {made:g}: make the "
+            f'recipe with acceleration = "{step:.9g} deg/s^2" in [rig.resolution] of the spec.'
         )
     lowest, highest = limits.travel_deg
     if move.kind in ("go", "turn") and not lowest - 1e-6 <= goal <= highest + 1e-6:

@@ -252,7 +252,7 @@ def gradient_plan(
     programme.
 
     `channel`: the axis of the sensor. `used`: (first, last) of the programme's stretches, last not included; None: all.
-    `read_every` s: spacing of the readings while the axis stands in the remaining time; None: unread. Errors:
+    `read_every` s: spacing of the readings while the axis stands in the remaining time; None: one at its end. Errors:
     `ValueError` when the moves fit nowhere.
     """
     times = programme.times()
@@ -284,7 +284,8 @@ def gradient_plan(
             placed += [(i, tables[i]) for i in range(len(moves) if n == cycles - 1 else len(cycle))]
         if left > _AT_KNOT:
             counts = np.repeat([cycles, max(cycles - 1, 0)], [len(moves), len(after)]).astype(float)
-            fill(first, last, counts, standing(divide(left, tuple(reading_times(left, read_every)))))
+            times_read = (left,) if read_every is None else tuple(reading_times(left, read_every))
+            fill(first, last, counts, standing(divide(left, times_read)))
     if moves and not fits:
         raise ValueError(
             f"the moves take {own:.6g} s and fit into no used part of the temperature programme: shorten them"

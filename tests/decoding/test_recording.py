@@ -150,11 +150,11 @@ THERE_AND_BACK = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + 10.0, 0.0))
 def turned_deg(log: Log, pick: Callable[[np.ndarray], int]) -> tuple[list[float], list[float]]:
     """By the table and by the sensor, from a row of each standstill to one of the next."""
     assert log.standstill is not None
-    assert log.table_angle_rad is not None
+    assert log.table_course_rad is not None
     numbers = [int(n) for n in dict.fromkeys(log.standstill.tolist()) if n >= 0]
     rows = [pick(np.flatnonzero(log.standstill == n)) for n in numbers]
     interval_s = float(np.median(np.diff(log.time_s)))
-    table = np.degrees(np.diff(log.table_angle_rad[rows, 0]))
+    table = np.degrees(np.diff(log.table_course_rad[rows, 0]))
     about = log.rate_rad_per_s[0, :, 2]
     spans = itertools.pairwise(rows)
     sensor = [float(np.degrees(about[start + 1 : end + 1].sum()) * interval_s) for start, end in spans]
@@ -281,8 +281,8 @@ def paused(start_s: float, end_s: float, *, stopped: bool = False) -> list[Event
 def angles_at_rest(log: Log) -> list[float]:
     """Of every standstill, in its order, deg."""
     assert log.standstill is not None
-    assert log.table_angle_rad is not None
-    degrees = np.degrees(log.table_angle_rad[:, 0])
+    assert log.table_course_rad is not None
+    degrees = np.degrees(log.table_course_rad[:, 0])
     numbers = range(int(log.standstill.max()) + 1)
     return [float(angle) for number in numbers for angle in np.unique(degrees[log.standstill == number])]
 

@@ -72,6 +72,7 @@ def test_the_covariance_is_the_prediction_of_the_executed_timeline(many):
         log.table_angle_rad[:, 0],
         log.standstill >= 0,
         np.arange(len(log.time_s)) > 0,
+        room.column_readings(log.time_s, log.table_angle_rad[:, 0], log.standstill >= 0, 1.0),
     )
     observations = on_trajectory(done.line, model, np.zeros((done.line.piece_count, 1)))
     ours = room.solve(room.whitened(observations, model)).known[0]

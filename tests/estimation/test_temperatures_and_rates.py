@@ -9,7 +9,7 @@ from simulated_log import simulate_log
 
 from gradcal_jax.api import assemble, posterior_of_plan
 from gradcal_jax.api.estimate import estimate_channels
-from gradcal_jax.estimation import distinct_readings, smoothed_temperature, true_rate
+from gradcal_jax.estimation import column_readings, smoothed_temperature, true_rate
 from gradcal_jax.formulas import scale_factor_map
 from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT
 
@@ -99,15 +99,21 @@ def test_the_true_rate_is_found_through_a_map_of_five_per_cent():
     np.testing.assert_allclose(result, rate, rtol=1e-12, atol=1e-15)
 
 
-def test_two_readings_that_agree_to_the_last_digit_are_two():
-    """A table read every second, to a digit of a fifth of its noise: those that are left scatter no more."""
+def test_a_value_that_was_not_polled_again_is_no_reading():
+    """A table read about every second in a column of 100 rows a second: one row for each poll, and one for two polls
+    that agree; a value that stays for long is read at its end, too."""
     rng = np.random.default_rng(4)
-    per_reading, readings = 100, 3000
-    values = np.round(rng.standard_normal(readings) * 5.0)
-    angle = np.repeat(values, per_reading)
-    time = np.arange(len(angle)) / per_reading
-    read = distinct_readings(time, angle, np.ones(len(angle), bool), 1.0)
-    assert np.sum(values[1:] == values[:-1]) > 100
-    assert readings - 10 < read.sum() <= readings  # four alike in a row are two
-    assert np.all(np.bincount(np.flatnonzero(read) // per_reading, minlength=readings) <= 1)
-    assert np.var(angle[read]) == pytest.approx(25.0 + 1.0 / 12.0, rel=0.08)
+    polls = np.cumsum(np.concatenate([[0], rng.integers(100, 103, 2000)]))
+    values = np.round(rng.standard_normal(len(polls) - 1) * 50.0)
+    angle = np.repeat(values, np.diff(polls))
+    time = np.arange(len(angle)) / 100.0
+    read = np.flatnonzero(column_readings(time, angle, np.ones(len(angle), bool), 1.0))
+    polled = polls[:-1][np.diff(values, prepend=np.nan) != 0.0]
+    assert set(read) <= set(polled)
+    assert len(read) > 0.98 * len(polled)
+    angle[-1000:] = 7.0
+    read = np.flatnonzero(column_readings(time, angle, np.ones(len(angle), bool), 1.0))
+    assert read[-1] == len(angle) - 1
+    noisy = rng.standard_normal(1001)
+    read = np.flatnonzero(column_readings(time[:1001], noisy, np.ones(1001, bool), 1.0))
+    assert read.tolist() == list(range(0, 1001, 100))

@@ -64,7 +64,7 @@ def test_a_log_holds_what_the_table_did(tmp_path: Path) -> None:
     made = short_recipe()
     log, truth = rehearsed(made, tmp_path / "run", seed=2)
     assert log.standstill is not None
-    assert log.table_angle_rad is not None
+    assert log.table_course_rad is not None
     assert int(log.standstill.max()) == 2 * made.motion[0].repeat
     step = 1.0 / 125.0
     factor = truth["x"]["b00"]
@@ -73,7 +73,7 @@ def test_a_log_holds_what_the_table_did(tmp_path: Path) -> None:
         last, first = (np.flatnonzero(log.standstill == n) for n in (number, number + 1))
         rows = slice(int(last[-1]) + 1, int(first[0]) + 1)
         measured = float(log.rate_rad_per_s[0, rows, 0].sum()) * step
-        angle = log.table_angle_rad[first[0], 0] - log.table_angle_rad[last[-1], 0]
+        angle = log.table_course_rad[first[0], 0] - log.table_course_rad[last[-1], 0]
         turned.append(round(float(np.degrees(angle))))
         # The paper's table reads to 0.05 deg; the map is some 1000 ppm.
         assert np.degrees(measured - angle) == pytest.approx(0.0, abs=0.3 + abs(factor) * 360.0 + 2.0)

@@ -234,9 +234,9 @@ def test_a_run_on_devices_that_are_described_alone(chamber: str, table: str, tmp
             assert not lab.axis.moving(clock.now())
     log = log_of(run.contents(), run.recipe(), run.rig())
     assert log.standstill is not None
-    assert log.table_angle_rad is not None
+    assert log.table_course_rad is not None
     assert int(log.standstill.max()) == 2 * made.motion[0].repeat
-    assert np.ptp(log.table_angle_rad) == pytest.approx(2.0 * np.pi, abs=1e-3)
+    assert np.ptp(log.table_course_rad) == pytest.approx(2.0 * np.pi, abs=1e-3)
 
 
 # --- the state behind the syntax --------------------------------------------------------------------------------------

@@ -310,7 +310,7 @@ def test_a_rehearsed_run_by_hand_from_recipe_to_log(tmp_path: Path) -> None:
     assert len(moves) == 2 * repeats
     log = log_of(contents, made, folder.rig())
     assert log.standstill is not None
-    assert log.table_angle_rad is not None
+    assert log.table_course_rad is not None
     assert int(log.standstill.max()) == 2 * repeats
     # What was typed is in the journal byte for byte, and it is the log's angle of that standstill.
     typed = b"".join(
@@ -324,7 +324,7 @@ def test_a_rehearsed_run_by_hand_from_recipe_to_log(tmp_path: Path) -> None:
         rows = log.standstill == number
         # Every rest keeps its length, however late somebody was.
         assert np.count_nonzero(rows) >= 5.8 * 125.0
-        (angle,) = set(np.degrees(log.table_angle_rad[rows, 0]))
+        (angle,) = set(np.degrees(log.table_course_rad[rows, 0]))
         angles.append(angle)
     assert np.round(np.mod(angles, 360.0), 3).tolist() == np.round(dials, 3).tolist()
     turned = np.diff(angles)
@@ -504,8 +504,8 @@ def test_a_pause_at_the_terminal_an_end_of_input_and_a_resumed_run(tmp_path: Pat
     found = RunFolder(folder)
     log = log_of(found.contents(), found.recipe(), found.rig())
     assert log.standstill is not None
-    assert log.table_angle_rad is not None
-    stood = [log.table_angle_rad[log.standstill == number, 0] for number in range(int(log.standstill.max()) + 1)]
+    assert log.table_course_rad is not None
+    stood = [log.table_course_rad[log.standstill == number, 0] for number in range(int(log.standstill.max()) + 1)]
     # The rest before the lost turn, and those of the step that was begun again.
     assert [np.round(np.degrees(set(angles.tolist()).pop()), 6) for angles in stood] == [0.0, 0.1, 360.2, 0.1]
     assert log.provenance["run"] == "success"

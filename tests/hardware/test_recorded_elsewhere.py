@@ -83,7 +83,7 @@ def test_the_log_of_a_recording_has_the_table_and_the_chamber(tmp_path: Path, ca
     assert "the recording's clock is known by" in said
     log = read_log(tmp_path / "log.nc")
     assert log.standstill is not None
-    assert log.table_angle_rad is not None
+    assert log.table_course_rad is not None
     assert log.temperature_c is not None
     assert log.host_time_s is not None
     assert (log.axes, log.table_axes) == (("x", "y"), ("x",))
@@ -102,7 +102,7 @@ def test_the_log_of_a_recording_has_the_table_and_the_chamber(tmp_path: Path, ca
         last, first = (np.flatnonzero(log.standstill == n) for n in (number, number + 1))
         rows = slice(int(last[-1]) + 1, int(first[0]) + 1)
         sensed = float((log.rate_rad_per_s[0, rows, 0] - np.radians(0.01)).sum()) / 100.0
-        turned = float(log.table_angle_rad[first[0], 0] - log.table_angle_rad[last[-1], 0])
+        turned = float(log.table_course_rad[first[0], 0] - log.table_course_rad[last[-1], 0])
         assert np.degrees(abs(turned)) == pytest.approx(360.0, abs=0.1)
         assert sensed == pytest.approx(turned, rel=1e-3)
     # No row of a standstill lies in a motion.

@@ -107,8 +107,8 @@ def test_the_log_knows_every_axis_at_every_reading(ran: tuple[Path, Log]) -> Non
     assert log.table_axes == ("tilt", "spin")
     assert log.simulated
     assert log.mounting is None
-    assert log.table_angle_rad is not None
-    angles = np.degrees(log.table_angle_rad)
+    assert log.table_course_rad is not None
+    angles = np.degrees(log.table_course_rad)
     assert np.isfinite(angles).all()
     # What the gyros turned by says the same as the encoders do, of the turn that began with tilt and spin at zero.
     step = np.diff(log.time_s, prepend=log.time_s[0])
@@ -116,7 +116,7 @@ def test_the_log_knows_every_axis_at_every_reading(ran: tuple[Path, Log]) -> Non
     moves = moves_of(folder)
     assert log.host_time_s is not None
     alone = (log.host_time_s > moves[0][1]) & (log.host_time_s < moves[1][2] + 0.02)
-    drift = np.degrees(turned - log.table_angle_rad[:, 1])[alone]
+    drift = np.degrees(turned - log.table_course_rad[:, 1])[alone]
     # A bias of a few hundred deg/h and a scale factor that is a thousandth off; angles drawn straight miss by degrees.
     assert np.ptp(drift) < 2.5
     # While an axis turns, the other one stands where it was read.
@@ -141,7 +141,7 @@ def test_standstills_are_of_all_axes(ran: tuple[Path, Log]) -> None:
 
 def test_specific_force_is_gravity_at_rest(ran: tuple[Path, Log]) -> None:
     _, log = ran
-    force, angles = log.specific_force_m_per_s2, log.table_angle_rad
+    force, angles = log.specific_force_m_per_s2, log.table_course_rad
     assert force is not None
     assert angles is not None
     assert log.standstill is not None

@@ -208,6 +208,7 @@ def test_what_two_axes_turn_in_one_row_is_told_apart_by_what_they_turn_about(lat
         standing,
         np.ones(count, bool),
         np.zeros(count, int),
+        np.zeros(count, bool),
     )
     done = executed_unit(log, geometry)
     moves = np.flatnonzero(done.motion.axis >= 0)

@@ -168,7 +168,10 @@ class ZaberAxis(ExchangeDriver[ZaberConfig], Unwatched):
         fastest = min(self._config.max_rate_dps, 2.0**31 / self._velocity_data())
         lowest, highest = (None, None) if endless else ends
         strongest = self._config.max_acceleration_dps2
-        return AxisLimits(fastest, strongest, lowest, highest, 360.0 / turn, hardware_watchdog=False)
+        step = 360.0 / (turn * self._config.acceleration_factor)
+        return AxisLimits(
+            fastest, strongest, lowest, highest, 360.0 / turn, hardware_watchdog=False, acceleration_step_dps2=step
+        )
 
     def read(self) -> AxisReading:
         asked_s = self._clock.now()

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from gradcal_jax import formulas
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.files import Spec
-from gradcal_jax.files.log import Log
+from gradcal_jax.files.log import Log, ReadingKind, Readings
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.model import BIAS, HARMONICS, SCALE_FACTOR, TEMPERATURE_GRADIENT, SensorModel
 from gradcal_jax.trajectory import Trajectory
@@ -37,12 +37,14 @@ def simulate_log(
     seed: int = 0,
     truth: dict[str, np.ndarray] | None = None,
     noiseless: bool = False,
+    readings: bool = False,
 ) -> SimulatedLog:
     """Samples of every channel of a gradient plan, or the plateaus of a standard one.
 
     `truth`: the engine's parameters `(U, p)` by channel; without it they are drawn from the priors (typical sizes
-    where a prior is flat). `noiseless` leaves out all noise: what is left is sampling alone. Errors: `ValueError` for
-    fewer than one unit, or a sample rate that is not positive.
+    where a prior is flat). `noiseless` leaves out all noise: what is left is sampling alone. `readings`: the log
+    has the plan's readings as events, those between two moves among them, instead of the angle at every row. Errors:
+    `ValueError` for fewer than one unit, or a sample rate that is not positive.
     """
     if units < 1 or not sample_rate_hz > 0.0:
         raise ValueError("a simulated log needs at least one unit and a positive sample rate")
@@ -75,6 +77,10 @@ def simulate_log(
         angles.append(angle if noiseless else angle + _table_error(built.model, beta[0], angle, number, at_rest, rng))
         standing &= at_rest
     standstill = _numbers(standing)
+    events = [
+        _readings(line, k, angles[k], time, sample_rate_hz, float(built.model.reference.standstill_offset), rng)
+        for k, line in enumerate(lines.values())
+    ]
     log = Log(
         time_s=time,
         rate_rad_per_s=np.stack(rates, axis=-1),
@@ -82,12 +88,27 @@ def simulate_log(
         axes=tuple(lines),
         temperature_c=np.broadcast_to(temperature, (units, len(time))).copy(),
         table_axes=tuple(lines),
-        table_angle_rad=np.stack(angles, axis=-1),
+        table_angle_rad=None if readings else np.stack(angles, axis=-1),
+        readings=Readings.in_order(events) if readings else None,
         standstill=standstill,
         simulated=True,
         provenance={"source": f"simulated from the spec, seed {seed}"},
     )
     return SimulatedLog(log, drawn)
+
+
+def _readings(
+    line: Trajectory, axis: int, angle: np.ndarray, time: np.ndarray, hz: float, offset: float, rng
+) -> Readings:
+    """The readings of a plan's standing axis, of the table's `angle` at the rows nearest to their times."""
+    read, stands = np.asarray(line.read), np.asarray(line.at_rest)
+    at = (np.asarray(line.start) + np.asarray(line.duration))[read & stands]
+    rows = np.unique(np.concatenate([[0], np.minimum(np.rint((at - time[0]) * hz), len(time) - 1)])).astype(np.int64)
+    ends = np.unique(np.rint((np.asarray(line.start + line.duration)[read & stands & line.moving] - time[0]) * hz))
+    between = np.isin(rows, ends) & np.isin(rows, np.rint((np.asarray(line.start)[line.moving] - time[0]) * hz))
+    values = angle[rows] + np.where(between, offset * rng.standard_normal(len(rows)), 0.0)
+    whole, none = np.full(len(rows), axis), np.full(len(rows), np.nan)
+    return Readings(time[rows], rows, whole, values, none, np.full(len(rows), int(ReadingKind.PLANNED)))
 
 
 class _Motion:

@@ -35,7 +35,7 @@ def errors(channel, truth):
 @pytest.fixture(scope="module")
 def many():
     spec = spec_of()
-    return spec, simulate_log(spec, units=24, sample_rate_hz=20.0, seed=5)
+    return spec, simulate_log(spec, units=24, sample_rate_hz=20.0, seed=5, readings=True)
 
 
 def test_raw_samples_of_many_units_err_as_they_say(many):
@@ -56,7 +56,7 @@ def test_raw_samples_of_many_units_err_as_they_say(many):
     predicted = posterior_of_plan(assemble(spec))
     rows = channels[0].model.to_reported
     ratio = channels[0].estimate.known[0].deviations(rows) / predicted.deviations(rows)
-    assert np.all((ratio > 0.85) & (ratio < 1.03))  # the log is read for a little longer than the plan
+    assert np.all(np.abs(ratio - 1.0) < 0.005)  # of rows instead of instants
 
 
 def test_the_covariance_is_the_prediction_of_the_executed_timeline(many):
@@ -65,14 +65,15 @@ def test_the_covariance_is_the_prediction_of_the_executed_timeline(many):
 
     spec, made = many
     log, model = made.log, assemble(spec).model
+    rows = np.arange(len(log.time_s))
     done = room.executed(
         log.time_s,
         log.temperature_c[0],
         log.rate_rad_per_s[0, :, 0],
-        log.table_angle_rad[:, 0],
+        np.interp(rows, log.readings.row, log.readings.angle_rad),
         log.standstill >= 0,
-        np.arange(len(log.time_s)) > 0,
-        room.column_readings(log.time_s, log.table_angle_rad[:, 0], log.standstill >= 0, 1.0),
+        rows > 0,
+        np.isin(rows, log.readings.row),
     )
     observations = on_trajectory(done.line, model, np.zeros((done.line.piece_count, 1)))
     ours = room.solve(room.whitened(observations, model)).known[0]
@@ -205,7 +206,9 @@ def rows_at(time: np.ndarray, temperature: np.ndarray, starts: list[int]) -> Row
     """Of a unit that does nothing but get warm."""
     nothing, every = np.zeros(len(time)), np.ones(len(time), bool)
     step = np.diff(time, prepend=time[0])
-    return Rows(time, step, nothing, temperature, None, None, every, every, np.array(starts), ())
+    return Rows(
+        time, step, nothing, temperature, None, None, every, every, np.ones(len(time)), every, np.array(starts), ()
+    )
 
 
 def test_a_lag_does_not_run_across_what_was_not_recorded():

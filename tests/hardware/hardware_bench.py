@@ -256,13 +256,13 @@ def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict
 
 def unpredicted(spec: Spec | UnitSpec, *, stable_for: str = "20 s") -> Recipe:
     """A recipe whose prediction is empty: what can be made without compiling anything."""
-    result = rounded(spec).spec
-    chamber, motion = tracks_of(result)
+    result, steps = rounded(spec).spec, steps_of(spec)
+    chamber, motion = tracks_of(result, float(steps.acceleration))
     return Recipe(
         format="gradcal-recipe/1",
         status="not optimised",
         made=RecipeOrigin(by="a test", versions={}),
-        resolution=steps_of(spec),
+        resolution=steps,
         stability=Stability(for_at_least=Quantity.read(stable_for, "time")),
         chamber=chamber,
         motion=motion,

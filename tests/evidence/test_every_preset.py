@@ -39,7 +39,7 @@ QUICK = {
     "paper-dynamic-standard": {
         "plan.temperatures": ["6 degC", "14 degC", "22 degC", "30 degC"],
         "plan.soak": "8 min",
-        "plan.integration": "30 s",
+        "plan.integration": "1 min",
         "box": ["10 degC", "30 degC"],
     },
     "two-axis-table": {

@@ -87,7 +87,8 @@ def _gradient_channels(
     is read from the log; maps and true rates are estimated in turn."""
     first = rows[members[0]]
     model = built.model
-    rest_bias = float(np.mean(first.rate[first.standing & first.usable])) if first.standing.any() else 0.0
+    still = first.standing & first.usable
+    rest_bias = float(np.mean(first.rate[still])) if still.any() else 0.0
     done = estimation.executed(
         first.time,
         first.temperature,

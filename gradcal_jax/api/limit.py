@@ -5,8 +5,10 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import numpy as np
 
+from gradcal_jax import trajectory
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.measure import design_of
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, criterion_of
@@ -29,14 +31,18 @@ from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.schedule import ResolvedCycle, StandardSchedule
 from gradcal_jax.files.spec import expect_whole
-from gradcal_jax.information import statistic
-from gradcal_jax.model import BIAS, SCALE_FACTOR
+from gradcal_jax.information import information, statistic
+from gradcal_jax.model import BIAS, SCALE_FACTOR, Map, Processes, SensorModel, gyro_model
 from gradcal_jax.trajectory import Programme, programme
 from gradcal_jax.units import time_text
 
 # The time at the table is divided into at least this many equal parts of one temperature, two or more for each turn.
 _PARTS = 48
 _MOST_WINDOWS = 40
+# Longest step of a continuous observation: as a share of the shortest correlation time, and in s; most steps.
+_SHARE_OF_CORRELATION = 0.05
+_LONGEST_S = 5.0
+_MOST_STEPS = 200_000
 _AT_KNOT = 1e-6
 
 Windows = list[tuple[float, float]]
@@ -70,23 +76,20 @@ def plan_limit(
 
 
 def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
-    """The limit of every requirement on the scale factor, on heading and on north, of a gradient plan with motion.
+    """The limit of every requirement of a gradient plan with motion.
 
     `motion` s: time without soaks, in the place of the plan's or [design]'s; values and efficiencies are the plan's.
-    Errors: `ValueError` where there is no such requirement, no proof for one, or another kind of plan.
+    Errors: `ValueError` where there is no requirement, no proof for one, or another kind of plan.
     """
     expect_whole(spec, "a limit")
     if isinstance(spec.schedule, StandardSchedule) or spec.schedule.cycle is None:
         raise ValueError("a limit is proven for gradient plans with moves; this plan has none")
-    wanted = [r for r in spec.requirement if r.quantity != "bias"]
-    if not wanted:
-        raise ValueError(
-            "a limit is proven for the scale factor, for heading and for north; the spec has no requirement on them"
-        )
+    if not spec.requirement:
+        raise ValueError("a limit is proven for requirements; the spec has none: add a [[requirement]]")
     built = assemble(spec)
     predicted = {row.name: row for row in requirement_rows(spec) if row.axis == built.channels[0]}
     window = _window(spec, built, motion)
-    return [window.limit(r, predicted[r.name]) for r in wanted]
+    return [window.limit(r, predicted[r.name]) for r in spec.requirement]
 
 
 class _Window(NamedTuple):
@@ -94,7 +97,7 @@ class _Window(NamedTuple):
 
     `time`, `every`: duration (s) of the axis at the table, and of all data. `windows` (s) at the table, and the
     sensor's `temperature` and its rate there; `used`: windows (s) of all used data. Both are empty where the programme
-    is free.
+    is free. `spans`: of all used data, not divided at the programme's `knots`.
     """
 
     spec: Spec
@@ -106,6 +109,8 @@ class _Window(NamedTuple):
     density: float
     windows: Windows
     used: Windows
+    spans: Windows
+    knots: np.ndarray
     temperature: Course
     relaxed: tuple[str, ...]
     kept: tuple[str, ...]
@@ -156,10 +161,88 @@ class _Window(NamedTuple):
                 ends = float(np.min(self.temperatures)), float(np.max(self.temperatures))
                 floor = bias_floor_anywhere(model, self.every, ends, of_bias)
                 relaxed = ("the time is spread over the temperatures as is best", "of the noise only the random walk")
-            value = statistic(criterion.statistic, np.sqrt(floor).reshape(criterion.shape))
             relaxed += ("the scale factor is known",) if model.scale is not None else ()
-            bounds.append((Limit(value, value), relaxed))
+            bounds.append((_exactly(statistic(criterion.statistic, np.sqrt(floor).reshape(criterion.shape))), relaxed))
+            known = self._seen_continuously(of_bias) if self.used and not np.any(of_scale) else None
+            if known is not None:
+                bounds.append((_exactly(statistic(criterion.statistic, known.reshape(criterion.shape))), relaxed))
         return max(bounds, key=lambda pair: pair[0].certified)
+
+    def _seen_continuously(self, rows: np.ndarray) -> np.ndarray | None:
+        """Standard deviations of combinations `rows` of the bias; None: too many steps, or an extended structure."""
+        model = self.built.model
+        steps = self.every / longest_step(model.processes)
+        if model.bias is None or model.bias.beyond is not None or steps > _MOST_STEPS:
+            return None
+        spans = windows_between_knots(self.spans, self.knots)
+        return bias_seen_continuously(
+            model.bias, float(model.angle_random_walk), model.processes, spans, self.temperature, rows
+        )
+
+
+def _exactly(value: float) -> Limit:
+    return Limit(value, value)
+
+
+def longest_step(processes: Processes) -> float:
+    """The longest time step (s) of `bias_seen_continuously`."""
+    decays = processes.decay[np.asarray(processes.rate_gain) == 0.0]
+    return min(_LONGEST_S, _SHARE_OF_CORRELATION / np.max(decays, initial=1e-12))
+
+
+def bias_seen_continuously(
+    bias: Map, angle_random_walk: float, processes: Processes, windows: Windows, course: Course, rows: np.ndarray
+) -> np.ndarray:
+    """Standard deviations `(g,)`, rad/s, of combinations `rows` of a bias's parameters that no plan reduces.
+
+    All else is known exactly and the error itself is observed at every instant of the `windows` (s, in order; the
+    chamber's slope is constant in each), moving or not: every reading of any plan is a function of this observation.
+    The noise is white (rad/√s), with the processes that act at rate zero.
+    """
+    at_rest = jax.tree.map(lambda of: of[np.asarray(processes.rate_gain) == 0.0], processes)
+    alone = gyro_model(bias, None, angle_random_walk, at_rest)
+
+    def variance(longest: float) -> np.ndarray:
+        look = look_at(windows, course, longest)
+        none = np.zeros(len(look.start), bool)
+        line = trajectory.held(
+            look.start, look.duration, np.zeros(len(none)), look.begin, look.end,
+            read=look.used, at_rest=~none, moving=none, gap=~look.used,
+        )  # fmt: skip
+        return information(line, alone).deviations(rows) ** 2
+
+    # Integrals over steps have less information than instants: halving all further steps adds at most as much as this
+    # one.
+    step = longest_step(processes)
+    coarse, fine = variance(step), variance(0.5 * step)
+    return np.sqrt(np.maximum(fine - np.abs(coarse - fine), 0.0))
+
+
+class Look(NamedTuple):
+    """Windows of time in steps, and the times between them: `start`, `duration` s, the temperature (°C) at their
+    `begin` and `end`, and whether they belong to a window (`used`)."""
+
+    start: np.ndarray
+    duration: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
+    used: np.ndarray
+
+
+def look_at(windows: Windows, course: Course, longest: float) -> Look:
+    """The windows in steps no longer than `longest` s."""
+    edges, used = [np.array(windows[0][:1])], []
+    for begin, end in windows:
+        if begin - edges[-1][-1] > _AT_KNOT:
+            edges.append(np.array([begin]))
+            used.append(np.zeros(1, bool))
+        parts = max(1, int(np.ceil((end - begin) / longest * (1.0 - 1e-9))))
+        edges.append(np.linspace(begin, end, parts + 1)[1:])
+        used.append(np.ones(parts, bool))
+    at = np.concatenate(edges)
+    # The slope jumps at a knot, the temperature does not.
+    temperature, _ = course(at)
+    return Look(at[:-1], np.diff(at), temperature[:-1], temperature[1:], np.concatenate(used))
 
 
 def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
@@ -181,50 +264,62 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
         time = motion or motion_time(spec, design_of(spec))
         chamber = programme(one_ramp[0], [(time, (one_ramp[1] - one_ramp[0]) / time)])
         spans = [(0.0, time)]
-    visits = [window for begin, end in spans for window in _visits(cycle, begin, end - begin)]
     every = sum(end - begin for begin, end in spans)
-    # A cycle of another length may have a little more or less of the same share.
     own = sum(move.repeat * move.duration for move in cycle.moves if not move.other_axes)
+    # An axis that no other axis waits for has the table all the time, whatever the cycles leave.
+    alone = own >= cycle.duration * (1.0 - 1e-9)
+    visits = spans if alone else [w for begin, end in spans for w in _visits(cycle, begin, end - begin)]
+    # A cycle of another length may have a little more or less of the same share.
     total = max(sum(end - begin for begin, end in visits), every * own / cycle.duration)
-    reference = built.model.reference
-    spacing, apart = _spacing(built, cycle)
-    relaxed = [
-        "acceleration and travel",
-        f"the angle is read every {spacing:.3g} s at most, on the move, too (read more often, a plan may leave less)",
-    ]
+    tied = alone or ("cycle" not in free and len(visits) <= _MOST_WINDOWS)
+    density, relaxed = noise_density(built.model, *_spacing(built, cycle), visits if tied else None)
     if len(built.channels) > 1:
         relaxed.append("the axis turns whenever any axis does")
-    tied = "cycle" not in free and len(visits) <= _MOST_WINDOWS
-    if tied and float(reference.reading_noise) > 0.0:
-        density = gated_noise_density(built.model, spacing, visits)
-    else:
-        density = least_noise_density(built.model, spacing)
-        if not tied:
-            relaxed.append("the axis has its time at the table when it likes")
-    if float(reference.standstill_offset) > 0.0:
-        # An offset is one draw a standstill.
-        other = eqx.tree_at(lambda m: m.reference.reading_noise, built.model, reference.standstill_offset)
-        density = max(density, least_noise_density(other, apart))
-        relaxed.append(f"standstills as little as {apart:.3g} s apart")
-    followed = _sensor(chamber, built.thermal_lag)
+    if not tied:
+        relaxed.append("the axis has its time at the table when it likes")
+    followed = sensor_course(chamber, built.thermal_lag)
     fixed, windows, used = "gradient" not in free, [], []
     if fixed:
-        used = _between_knots(spans, chamber.times())
+        used = windows_between_knots(spans, chamber.times())
         # With a cycle of free length, the turns may lie anywhere in the used data.
         turning = visits if tied else spans
-        temperatures = followed(_parts(turning, max(_PARTS, 2 * len(turning))))[0]
-        windows = _between_knots(turning, chamber.times())
+        temperatures = followed(middles_of_parts(turning))[0]
+        windows = windows_between_knots(turning, chamber.times())
     else:
         assert one_ramp is not None
         temperatures = np.linspace(*one_ramp, _PARTS)
         relaxed.append("the time is spread over the temperatures as is best")
         if np.any(built.model.processes.rate_gain):
             relaxed.append("errors that multiply the rate are left out, but for constant ones")
-    kept = [f"{time_text(float(round(total)))} at the table" + (", when this plan has it" if tied else "")]
-    kept += ["the chamber's course of this plan"] if fixed else []
-    return _Window(
-        spec, built, total, every, temperatures, fixed, density, windows, used, followed, tuple(relaxed), tuple(kept)
-    )
+    kept = kept_in_words(total, when=tied and not alone, fixed=fixed)
+    looks = windows, used, spans, chamber.times(), followed
+    return _Window(spec, built, total, every, temperatures, fixed, density, *looks, tuple(relaxed), kept)
+
+
+def kept_in_words(time: float, *, when: bool = False, fixed: bool = True) -> tuple[str, ...]:
+    """What the plans of a proof have in common: the `time` at the table (s), `when` it is there, the programme."""
+    at_table = f"{time_text(float(round(time)))} at the table" + (", when this plan has it" if when else "")
+    return (at_table, *(["the chamber's course of this plan"] if fixed else []))
+
+
+def noise_density(model: SensorModel, spacing: float, apart: float, visits: Windows | None) -> tuple[float, list[str]]:
+    """The least noise density (rad²/s) of any motion in the windows `visits` (None: at any times), and what the proof
+    leaves out. Readings are `spacing` s apart or more, standstills `apart` s."""
+    reference = model.reference
+    relaxed = ["acceleration and travel"]
+    if float(reference.reading_noise) > 0.0:
+        often = f"the angle is read every {spacing:.3g} s at most"
+        relaxed.append(f"{often}, on the move, too (read more often, a plan may leave less)")
+    if visits is not None and float(reference.reading_noise) > 0.0:
+        density = gated_noise_density(model, spacing, visits)
+    else:
+        density = least_noise_density(model, spacing)
+    if float(reference.standstill_offset) > 0.0:
+        # An offset is one draw a standstill.
+        other = eqx.tree_at(lambda m: m.reference.reading_noise, model, reference.standstill_offset)
+        density = max(density, least_noise_density(other, apart))
+        relaxed.append(f"standstills as little as {apart:.3g} s apart")
+    return density, relaxed
 
 
 def _spacing(built: Assembled, cycle: ResolvedCycle) -> tuple[float, float]:
@@ -232,16 +327,19 @@ def _spacing(built: Assembled, cycle: ResolvedCycle) -> tuple[float, float]:
     turns = [m.duration for m in cycle.moves if not m.is_rest]
     rests = [m.read_every for m in cycle.moves if m.read_every is not None]
     apart = min([LEAST_TURN, *turns])
-    read = []
-    for channel in built.channels:
-        line = built.trajectory(channel)
-        times = np.concatenate([line.start[:1], (line.start + line.duration)[line.read | line.gap]])
-        read.append(float(np.min(np.diff(times), initial=np.inf)))
+    read = [between_readings(built.trajectory(channel)) for channel in built.channels]
     return min([*rests, cycle.other_read_every or np.inf, apart, *read]), apart
 
 
-def _parts(windows: Windows, count: int) -> np.ndarray:
-    """The middles of `count` equal parts of all windows' time together."""
+def between_readings(line: trajectory.Trajectory) -> float:
+    """The least time (s) between two readings of a trajectory."""
+    times = np.concatenate([line.start[:1], (line.start + line.duration)[line.read | line.gap]])
+    return float(np.min(np.diff(times), initial=np.inf))
+
+
+def middles_of_parts(windows: Windows) -> np.ndarray:
+    """The middles (s) of equal parts of all windows' time together."""
+    count = max(_PARTS, 2 * len(windows))
     begin, end = np.array(windows).T
     lasted = np.concatenate([[0.0], np.cumsum(end - begin)])
     middle = lasted[-1] * (np.arange(count) + 0.5) / count
@@ -249,7 +347,7 @@ def _parts(windows: Windows, count: int) -> np.ndarray:
     return begin[k] + middle - lasted[k]
 
 
-def _between_knots(windows: Windows, knots: np.ndarray) -> Windows:
+def windows_between_knots(windows: Windows, knots: np.ndarray) -> Windows:
     """The windows, divided where the chamber's slope changes."""
     parts: Windows = []
     for begin, end in windows:
@@ -258,7 +356,7 @@ def _between_knots(windows: Windows, knots: np.ndarray) -> Windows:
     return parts
 
 
-def _sensor(chamber: Programme, lag: float | None) -> Course:
+def sensor_course(chamber: Programme, lag: float | None) -> Course:
     """The sensor's temperature (°C) and its rate (K/s) at any time (s)."""
     of = chamber.sensor(lag)
 

@@ -52,6 +52,9 @@ _BRIEF_POLISH: Final = 40
 _NO_WORSE: Final = 1e-3
 # A larger relative cost of rounding is reported.
 _DEAR: Final = 0.05
+# Easings at which a price is compared with the objective itself, and the relative error up to which it is linear.
+_LINEAR_STEPS: Final = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01)
+_LINEAR: Final = 0.2
 # Number of random steps from the best programme, and their sizes (shares of the time, of the chamber's range).
 _HOPS: Final = 80
 _HOP_STEPS: Final = (0.05, 0.1, 0.2, 0.4)
@@ -83,11 +86,13 @@ class Checkpoint(NamedTuple):
 
 
 class Price(NamedTuple):
-    """The shadow price of a limit: the change of the objective when the limit is eased by one `per`."""
+    """The shadow price of a limit: the change of the objective for each `per` by which the limit is eased, zero or
+    less; up to `linear` of them (None: unknown) the change is in proportion."""
 
     limit: str
     per: str
     change: float
+    linear: float | None = None
 
 
 class Optimised(NamedTuple):
@@ -139,7 +144,11 @@ def record_of(best: Optimised) -> dict[str, object]:
         "structure": best.structure,
         "starts": [float(f"{v:.6g}") for v in best.starts if np.isfinite(v)] or None,
         "active_limits": list(best.active),
-        "shadow_prices": [{"limit": p.limit, "per": p.per, "change": p.change} for p in best.prices],
+        "shadow_prices": [
+            {"limit": p.limit, "per": p.per, "change": p.change}
+            | ({} if p.linear is None else {"linear_up_to": p.linear})
+            for p in best.prices
+        ],
     }
     return {name: value for name, value in record.items() if value is not None}
 
@@ -227,9 +236,10 @@ def optimise(
         value, missed = reached_by(of.compiled(choices[best[0]].coordinates), best[1])
     first, state = (0, None) if checkpoint is None else (checkpoint.structure, checkpoint.state)
     for k in range(first, len(choices)):
-        compiled = of.compiled(choices[k].coordinates)
+        choice, options = choices[k], {"steps": steps, "quick": quick, "state": state, "stop": stop}
+        compiled = of.compiled(choice.coordinates)
         for progress in search(
-            compiled, starts=design.starts, seed=design.seed, steps=steps, quick=quick, state=state, stop=stop
+            compiled, starts=design.starts, seed=design.seed, begin=choice.start, alone=choice.alone, **options
         ):
             better = best is None or progress.best < best[1].best
             if best is None or better:
@@ -292,7 +302,12 @@ def finished(
     elif now > (1.0 + _DEAR) * optimum.value:
         more = 100.0 * (now / optimum.value - 1.0)
         sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
-    kept = before is not None and now >= before and motion is None and _within_limits(spec, of)
+    # The spec's own plan stays where it is as good and misses no target that the new one meets, or where it alone meets
+    # the targets.
+    kept = False
+    if before is not None and motion is None:
+        own = _within_limits(spec, of)
+        kept = (own and (now >= before or not optimum.held)) or (now >= before and not _within_limits(plan, of))
     if kept or not np.isfinite(now):
         try:
             plan = rounded(spec, steps_of(spec)).spec
@@ -302,7 +317,7 @@ def finished(
     if kept:
         sentence = (
             f"nothing better than the plan as it was ({now:.4g} {of.unit}), which is kept; try more moves or starts"
-            + (f" ({sentence})" if not np.isfinite(now) or optimum.value < 0.9 * now else "")
+            + (f" ({sentence})" if not np.isfinite(now) or not optimum.held or optimum.value < 0.9 * now else "")
         )
     compiled = of.compiled(structure.coordinates)
     ends = [exactly(compiled, point) for point in state.points]
@@ -358,7 +373,7 @@ def polished(
 
 
 def _within_limits(spec: Spec, of: Measure) -> bool:
-    """Whether the prediction of the spec's own plan meets the targets that limit the search."""
+    """Whether the prediction of a spec's plan meets the targets that limit the search."""
     rows = {row.name: row.verdict for row in requirement_rows(spec)} if of.limits else {}
     return all(rows.get(name) == "met" for name in of.limits)
 
@@ -427,15 +442,26 @@ PRICED: Final = (
 
 def shadow_prices(of: Measure, coordinates: Coordinates, optimum: Optimum) -> tuple[Price, ...]:
     """The objective's derivatives in the limits. At an optimum the derivative through the free numbers vanishes
-    (envelope theorem); the multipliers count that easing a limit also changes the binding targets."""
+    (envelope theorem); the multipliers count that easing a limit also changes the binding targets.
+
+    A plan within a limit is within an eased one, so that no price is positive: where a derivative is, the point is not
+    quite an optimum, or the limit does not bind.
+    """
     compiled = of.compiled(coordinates)
-    slopes = compiled(optimum.point)
-    derivatives = np.exp(slopes.logs[0]) * (
-        slopes.of_eased[0] + multipliers(compiled, optimum.point) @ slopes.of_eased[1:]
-    )
+    slopes, costs = compiled(optimum.point), multipliers(compiled, optimum.point)
+    derivatives = slopes.of_eased[0] + costs @ slopes.of_eased[1:]
     bound = (True, True, True, coordinates.travels, "gradient" in coordinates.free)
-    return tuple(
-        Price(name, per, float(g) * size)
-        for (name, per, size), g, counts in zip(PRICED, derivatives, bound, strict=True)
-        if counts
-    )
+    value, start = float(np.exp(slopes.logs[0])), slopes.logs[0] + costs @ slopes.logs[1:]
+
+    def bent(k: int, step: float) -> float:
+        """The relative error of the derivative over a step, SI."""
+        logs = compiled(optimum.point, by=step * np.eye(len(derivatives))[k]).logs
+        return abs((logs[0] + costs @ logs[1:] - start) / (derivatives[k] * step) - 1.0)
+
+    prices = []
+    for k, (name, per, size) in enumerate(PRICED):
+        if bound[k]:
+            price = min(value * float(derivatives[k]), 0.0) * size
+            steps = _LINEAR_STEPS if price else ()
+            prices.append(Price(name, per, price, next((s for s in steps if bent(k, s * size) < _LINEAR), None)))
+    return tuple(prices)

@@ -90,7 +90,7 @@ def _known_of_unit(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> li
     rows = []
     for spans in (done, rest):
         parts = [part for span in spans if (part := cycles_between(plan, *span)) is not None]
-        known = known_of_motions(built, (*built.past, *(motion_of(part, spec) for part in parts)))
+        known = known_of_motions(built, (*built.past, *(motion_of(part, spec, built.model) for part in parts)))
         rows.append([unit_requirement_row(built, known, requirement) for requirement in spec.requirement])
     return [KnownRow(now.name, now.axis, now.unit, now.decisive, end.decisive) for now, end in zip(*rows, strict=True)]
 

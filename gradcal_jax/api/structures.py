@@ -4,6 +4,7 @@ The integers of a plan (numbers of visits and of moves) have no gradient: a few 
 taken. Moves that a structure has in excess shrink to nothing and are pruned.
 """
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple, cast
 
 import numpy as np
@@ -40,10 +41,13 @@ _STRETCHES: Final = (2, 4, 6)
 
 
 class Structure(NamedTuple):
-    """Coordinates of a search, and their structure in words."""
+    """Coordinates of a search, and their structure in words. `start`: the vector of the spec's own plan, if it is one
+    of them; `alone`: no other start is made."""
 
     coordinates: AnyCoordinates
     words: str
+    start: np.ndarray | None = None
+    alone: bool = False
 
 
 def limits_of(spec: Spec, scenarios: list[Spec]) -> Limits:
@@ -131,9 +135,11 @@ def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float |
     numbers = [np.asarray(float(v)) for v in (soak, time, low, high, largest_rate(spec, scenarios))]
     options = {"rates_free": "rates" in design.free, "points": schedule.shared}
     rates = np.asarray(schedule.rates, dtype=float)
+    own = np.sort(np.asarray(schedule.temperatures, dtype=float))
+    choices = [StandardCoordinates(*numbers, fixed_rates=rates, temperatures=n, **options) for n in counts]
     return [
-        Structure(StandardCoordinates(*numbers, fixed_rates=rates, temperatures=n, **options), f"{n} temperatures")
-        for n in counts
+        Structure(c, f"{c.temperatures} temperatures", c.vector(own, rates) if c.temperatures == len(own) else None)
+        for c in choices
     ]
 
 
@@ -149,9 +155,13 @@ def _programmes(spec: Spec, scenarios: list[Spec], design: Design, motion: float
     heating = min(float(s.rig.chamber.max_heating) for s in every)
     cooling = min(float(s.rig.chamber.max_cooling) for s in every)
     numbers = [np.asarray(float(v)) for v in (soak, time, schedule.read_every or 1.0, low, high, heating, cooling)]
+    ramps = schedule.segments[1:]
+    begin, scale = schedule.segments[0].temperature_end, time / max(sum(s.duration for s in ramps), 1e-9)
+    own = begin, np.array([s.duration * scale for s in ramps]), np.array([s.slope / scale for s in ramps])
+    choices = [ProgrammeCoordinates(*numbers, stretches=n, soak_used=first.used) for n in _STRETCHES]
     return [
-        Structure(ProgrammeCoordinates(*numbers, stretches=n, soak_used=first.used), f"a programme of {n} slopes")
-        for n in _STRETCHES
+        Structure(c, f"a programme of {c.stretches} slopes", c.vector(*own) if 0 < len(ramps) <= c.stretches else None)
+        for c in choices
     ]
 
 
@@ -193,7 +203,10 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
     if "duration" not in free:
         if len(axes) > 1:
             raise ValueError("the moves of several axes are designed together: add duration to design.free")
-        return [_own_cycle(spec, scenarios, cycle, free, time)]
+        moves = [move for move in cycle.moves for _ in range(move.repeat)]
+        if refused := _unsuited(moves):
+            raise ValueError(refused)
+        return [_spec_cycle(spec, scenarios, cycle, free, time)]
     if "cycle" in design.free:
         # The axis keeps its share of the time. The last turn at the table of a single axis ends with the ramp.
         after = 0 if len(axes) == 1 else 1
@@ -205,8 +218,15 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
                 f"one turn at the table takes {own * len(axes):.4g} s, the ramp only {time:.4g} s: give it more time"
             )
     candidates = []
+    # Many short visits have more numbers than a search can tell apart: they begin with the same moves in each.
+    many = choices[0][0] > _MOST_OWN and "cycles" not in design.model_fields_set
+    own_plan: list[Structure] = []
+    if "cycle" not in design.free and len(axes) == 1 and not _unsuited(cycle.moves):
+        own_plan = [_spec_cycle(spec, scenarios, cycle, free, time)]
+        if many:
+            return own_plan
     for visits, each, between in choices:
-        alike = design.cycles == "alike"
+        alike = design.cycles == "alike" or many
         groups = 1 if alike else -(-visits // max(1, -(-visits // _MOST_OWN)))
         cycles = visits if alike else max(1, visits // groups)
         groups = 1 if alike else visits // cycles
@@ -229,7 +249,7 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
         kind = "the same moves in each" if alike else "moves of their own"
         of = "" if len(axes) == 1 else f" of each of {len(axes)} axes"
         candidates.append(Structure(coordinates, f"{cycles * groups} turns at the table{of} of {each:.4g} s, {kind}"))
-    return candidates
+    return candidates + [own._replace(alone=True) for own in own_plan]
 
 
 def _frame(spec: Spec, cycle: ResolvedCycle, own: float, other: float, time: float) -> Frame:
@@ -259,31 +279,42 @@ def _elements(shape: str, groups: int, moves: int, rest: float, *, not_shared: b
     return tuple(elements)
 
 
-def _own_cycle(spec: Spec, scenarios: list[Spec], cycle: ResolvedCycle, free: frozenset[str], time: float) -> Structure:
-    """The spec's own cycle with fixed durations."""
-    moves = [move for move in cycle.moves for _ in range(move.repeat)]
-    unsuited = {m.shape for m in moves} - {"rest", "cosine ramps", "linear ramps", "half sine", "raised cosine"}
-    if unsuited:
-        raise ValueError(f"optimise cannot change a move of shape {sorted(unsuited)[0]!r}: add duration to design.free")
+def _unsuited(moves: Sequence[ResolvedMove]) -> str:
+    """Why a search cannot begin with these moves; empty where it can."""
+    shapes = {m.shape for m in moves} - {"rest", *RAMPED_SHAPES, "half sine", "raised cosine"}
+    if shapes:
+        return f"optimise cannot change a move of shape {sorted(shapes)[0]!r}: add duration to design.free"
     spacings = sorted(
         {"at the end" if m.read_every is None else f"every {m.read_every:g} s" for m in moves if m.is_rest}
     )
-    if len(spacings) > 1:
-        raise ValueError(
-            f"optimise reads all rests alike, and these are read {' and '.join(spacings)}: give them one read_every"
-        )
+    if len(spacings) > 1 or any(m.other_axes for m in moves):
+        several = f"are read {' and '.join(spacings)}" if len(spacings) > 1 else "are for other axes in part"
+        return f"optimise reads all rests alike, and these {several}: give them one read_every"
+    return ""
+
+
+def _spec_cycle(
+    spec: Spec, scenarios: list[Spec], cycle: ResolvedCycle, free: frozenset[str], time: float
+) -> Structure:
+    """The moves of the spec's own cycle, which is the start."""
+    moves = [move for move in cycle.moves for _ in range(move.repeat)]
     own, other = cycle.moving, cycle.other + cycle.idle
     visits = repetitions(time, own, own + other)[0]
-    numbers = lambda name: np.array([float(getattr(m, name)) for m in cast("list[ResolvedMove]", moves)])  # noqa: E731
+    numbers = lambda name: np.array([float(getattr(m, name)) for m in moves])  # noqa: E731
+    frame = _frame(spec, cycle, own, other, time)
+    shortest = {True: float(frame.read_every), False: LEAST_TURN}
+    least = [min(shortest[m.is_rest], m.duration) if "duration" in free else 0.0 for m in moves]
     nominal = CycleNumbers(numbers("duration"), numbers("peak_rate"), numbers("ramp"), np.zeros(visits))
     coordinates = make_coordinates(
-        tuple(Element(m.shape, 0.0) for m in moves),
+        tuple(Element(m.shape, shortest_) for m, shortest_ in zip(moves, least, strict=True)),
         limits_of(spec, scenarios),
-        _frame(spec, cycle, own, other, time),
+        frame,
         cycles=visits,
         others_read=cycle.other_read_every is not None,
         free=free,
         nominal=nominal,
-        longest_piece=3.0 * shortest_correlation_time(spec.sensor),
+        longest_piece=3.0 * min(shortest_correlation_time(s.sensor) for s in (spec, *scenarios)),
     )
-    return Structure(coordinates, f"{visits} cycles with the moves of the spec")
+    span = float(frame.temperature_end) - float(frame.temperature_start)
+    begin = nominal._replace(steps=span * np.asarray(coordinates.lasting()) / time)
+    return Structure(coordinates, f"{visits} cycles with the moves of the spec", coordinates.vector(begin))

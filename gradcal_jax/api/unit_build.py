@@ -9,12 +9,24 @@ import numpy as np
 
 from gradcal_jax import model, trajectory
 from gradcal_jax.api.build import basis, chamber_programme, move_of, or_infinite, section_map, slow_processes
+from gradcal_jax.estimation import PlannedMove
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_plan import UnitSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, posterior, segments_of, unit_information
-from gradcal_jax.model import AXIS_NAMES, Basis, BodyNodes, Channel, Map, Polynomial, SignalMap, Term, UnitModel
+from gradcal_jax.model import (
+    AXIS_NAMES,
+    Basis,
+    BodyNodes,
+    BSpline,
+    Channel,
+    Map,
+    Polynomial,
+    SignalMap,
+    Term,
+    UnitModel,
+)
 from gradcal_jax.trajectory import Geometry, TableMotion
 
 # Names of terms, for requirements and sentences; a gyro's maps have the names of a single axis.
@@ -23,7 +35,9 @@ G_SENSITIVITY = "g_sensitivity_{}"
 SPECIFIC_FORCE_BIAS = "bias"
 SECOND_ORDER = "second_order"
 _CONSTANT = Polynomial(0, 0.0, 1.0)
-_ROUGH = 16
+_LAGGED = 16
+# Parts of a move's time at which its angle is tabulated.
+_PROFILE = 512
 # Standard deviation of an angle that is known exactly, rad: far below any encoder's.
 _EXACT = 1e-12
 # Rounding of a move's rate, at the rate up to which accelerometers are read.
@@ -31,13 +45,14 @@ _SLACK = 1e-9
 
 
 class AssembledUnit(NamedTuple):
-    """A unit's spec in the core's terms. `points`: quadrature points along a piece for functions of temperature.
-    `past`: the motions before the plan begins, in order."""
+    """A unit's spec in the core's terms. `points`: quadrature points along a piece for functions of temperature, which
+    are smooth there (`rough`: not along the pieces of a log). `past`: the motions before the plan begins, in order."""
 
     spec: UnitSpec
     model: UnitModel
     motion: TableMotion
     points: int
+    rough: bool
     past: tuple[TableMotion, ...] = ()
 
     def body_nodes(self) -> BodyNodes:
@@ -49,11 +64,12 @@ def assemble_unit(spec: UnitSpec) -> AssembledUnit:
     """Model and motion of a unit's spec."""
     model_ = unit_model(spec)
     bases = [t.temperature for c in model_.channels for t in c.model.terms if isinstance(t, Map | SignalMap)]
-    degree = max(b.degree if isinstance(b, Polynomial) else _ROUGH for b in bases)
-    # A lagging unit's exponentials and a spline's pieces are no polynomials.
-    points = max(degree + 1, _ROUGH if spec.sensor.thermal_lag is not None else 1)
-    past = tuple(motion_of(part, spec) for part in spec.past)
-    return AssembledUnit(spec, model_, motion_of(spec.schedule, spec), points, past)
+    degree = max(b.degree if isinstance(b, Polynomial | BSpline) else 0 for b in bases)
+    # A lagging unit's exponentials are no polynomials.
+    points = max(degree + 1, _LAGGED if spec.sensor.thermal_lag is not None else 1)
+    past = tuple(motion_of(part, spec, model_) for part in spec.past)
+    rough = any(b.breaks for b in bases)
+    return AssembledUnit(spec, model_, motion_of(spec.schedule, spec, model_), points, rough, past)
 
 
 def posterior_of_unit(built: AssembledUnit) -> Posterior:
@@ -183,6 +199,27 @@ def geometry(rig: UnitRig) -> Geometry:
     )
 
 
+def planned_moves(built: AssembledUnit) -> list[list[PlannedMove]]:
+    """The moves of a plan's cycle between its rests."""
+    groups: list[list[PlannedMove]] = [[]]
+    places = np.linspace(0.0, 1.0, _PROFILE + 1)
+    for step in built.spec.schedule.steps:
+        for _ in range(step.move.repeat):
+            if step.axis < 0:
+                groups.append([])
+                continue
+            turn = move_of(replace(step.move, axis="x"), None, np.inf)
+            line = trajectory.gradient_plan(trajectory.programme(0.0, [(turn.duration, 0.0)]), (turn,)).trajectory()
+            begun = np.cumsum(line.turned()) - line.turned()
+            piece = np.clip(np.searchsorted(line.start, places * turn.duration, side="right") - 1, 0, len(begun) - 1)
+            within = (places * turn.duration - line.start[piece]) / line.duration[piece]
+            angle = begun[piece] + line.angle(within[:, None], piece)[:, 0]
+            groups[-1].append(PlannedMove(step.axis, turn.angle, turn.duration, angle / angle[-1]))
+    # The cycle begins anew where it ends.
+    groups[0] = [*groups.pop(), *groups[0]] if len(groups) > 1 else groups[0]
+    return [group for group in groups if group]
+
+
 class RestPoses(NamedTuple):
     """The `n` rests of a plan: `start` and `duration` s, and `up` `(n, 3)`, the vertical seen from the body."""
 
@@ -202,8 +239,8 @@ def rest_poses(built: AssembledUnit) -> RestPoses:
     return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
 
 
-def motion_of(plan: UnitSchedule, spec: UnitSpec) -> TableMotion:
-    """The motion of a plan on a spec's rig."""
+def motion_of(plan: UnitSchedule, spec: UnitSpec, of: UnitModel) -> TableMotion:
+    """The motion of a plan on a spec's rig, in pieces on which all functions of the model `of` are smooth."""
     course, used = chamber_programme(plan)
     steps = [step for step in plan.steps for _ in range(step.move.repeat)]
     table = spec.rig.table
@@ -220,6 +257,19 @@ def motion_of(plan: UnitSchedule, spec: UnitSpec) -> TableMotion:
     stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
     mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
     orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
-    return trajectory.table_motion(
-        line, axis, mounting, geometry(spec.rig), np.array(plan.start), max(orders, default=0)
-    )
+    harmonics = max(orders, default=0)
+    whole = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), np.array(plan.start), harmonics)
+    return trajectory.divided_motion(whole, *_breaks(of), harmonics)
+
+
+def _breaks(of: UnitModel) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:
+    """Where functions of temperature (degC) and, for each gyro's axis, of its rate (rad/s) are not smooth."""
+    warm: set[float] = set()
+    fast: dict[int, set[float]] = {}
+    for c in of.channels:
+        for term in c.model.terms:
+            if isinstance(term, Map | SignalMap):
+                warm.update(term.temperature.breaks)
+            if isinstance(term, Map) and term.rate is not None and term.rate.breaks:
+                fast.setdefault(c.axis, set()).update(term.rate.breaks)
+    return tuple(sorted(warm)), {axis: tuple(sorted(at)) for axis, at in fast.items()}

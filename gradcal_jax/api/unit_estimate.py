@@ -14,7 +14,7 @@ from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import bridged_temperature, of_host_clock, time_of, usable_rows
 from gradcal_jax.api.prediction import unit_requirement_row
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, planned_moves
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_residual import internal_misalignments
 from gradcal_jax.api.unit_sentences import prior_deviations, unobserved_parameters
@@ -102,11 +102,6 @@ def estimate_units(
     Errors: `LogError` and `ValueError` where the logs lack what the estimate needs.
     """
     options = options or Options()
-    if spec.rig.table.standing != "held":
-        raise ValueError(
-            'a log is estimated for a table that holds its axes (rig.table.standing = "held"), not yet for one whose '
-            "angle is read while it stands"
-        )
     mountings = len(spec.rig.table.mounting)
     if len(logs) != mountings and (len(logs) > 1 or logs[0].mounting is None):
         raise LogError(
@@ -188,10 +183,12 @@ def _read(
     """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
     estimate, linearised about `about`."""
     try:
-        done = estimation.executed_unit(seen, built.motion.geometry)
+        encoder = built.model.encoder
+        spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
+        done = estimation.executed_unit(seen, built.motion.geometry, planned=planned_moves(built), **spacing)
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
-    readings = estimation.readings_of(built.model, done, rows, temperature, built.points, felt)
+    readings = estimation.readings_of(built.model, done, rows, temperature, 0 if built.rough else built.points, felt)
     solution = estimation.estimate_unit(readings, about, threshold=threshold)
     scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
     if scale > _ABSURD:

@@ -11,50 +11,53 @@ axis's rate (one axis turns at a time, on the Earth): so their mean information 
 prior`. As `(ψᵀJ⁻¹ψ)^½` is convex in J, the mean of their standard deviations, and so the worst and the root mean
 square, is at least that of J, at every temperature; and so is every statistic over temperature.
 
-A gyro's scale factor is also a function of the rate: its limit is that of a single axis (`design.limit`) in white
-noise that turns all the time.
+A gyro's scale factor is also a function of the rate: its limit is that of a single axis (`design.limit`) that turns all
+the time, in white noise and under what multiplies its rate. Where the gyro is alone on a table of one axis, it is that
+axis's own limit, with drift, readings and clock; the errors of an encoder that other channels see, too, are no noise.
 """
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from gradcal_jax import model, trajectory
-from gradcal_jax.api.limit import PlanLimit, plan_limit
+from gradcal_jax.api.build import chamber_programme
+from gradcal_jax.api.limit import (
+    PlanLimit,
+    Windows,
+    between_readings,
+    bias_seen_continuously,
+    kept_in_words,
+    look_at,
+    middles_of_parts,
+    noise_density,
+    plan_limit,
+    sensor_course,
+    windows_between_knots,
+)
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.prediction import unit_requirement_row
+from gradcal_jax.api.structures import LEAST_TURN
 from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit, assemble_unit, posterior_of_unit
-from gradcal_jax.design import criterion, limit
+from gradcal_jax.design import PRIOR_OF_WALK, criterion, limit, scale_factor_floor
+from gradcal_jax.design.noise_floor import Course
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
 from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information import information, square_root, statistic
+from gradcal_jax.information import square_root, statistic
 from gradcal_jax.model import AXIS_NAMES, Channel, Map, Polynomial, SignalMap
 from gradcal_jax.trajectory import EARTH_RATE
 
-# Longest time step of the integrals: as a share of the shortest correlation time, and in s.
-_SHARE_OF_CORRELATION = 0.05
+# Longest time step of the integrals of signals, s, and nodes in a step.
 _LONGEST_S = 5.0
 _NODES = 4
-# Number of temperatures among which a scale factor's motion is divided.
-_TEMPERATURES = 48
+# An axis this near to a gyro's is the same, by 1 less the cosine.
+_ALONG = 1e-12
 _RELAXED = (
     "everything else is known exactly",
     "the unit is read at every instant, moving or not, with the best distribution of turns and poses",
     "the noise is white, except for biases",
 )
-
-
-class _Look(NamedTuple):
-    """The time of the plan in steps: `start`, `duration` s, the temperature (°C) at their `begin` and `end`, and
-    whether their data are `used`."""
-
-    start: np.ndarray
-    duration: np.ndarray
-    begin: np.ndarray
-    end: np.ndarray
-    used: np.ndarray
 
 
 def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
@@ -65,64 +68,113 @@ def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
     if spec.done:
         raise goes_on("a limit")
     built = assemble_unit(spec)
-    proven = [(r, bound) for r in spec.requirement if (bound := _certified(built, r)) is not None]
+    window = _window(built)
+    proven = [(r, *bound) for r in spec.requirement if (bound := _certified(window, r)) is not None]
     if not proven:
         raise ValueError(
             "a limit of a unit is proven for biases, scale factors that are polynomials, misalignments to the table or "
             "the case, acceleration sensitivity and second order; the spec has no requirement on one of these"
         )
     after = posterior_of_unit(built)
+    kept = kept_in_words(window.time)
     return [
-        plan_limit(r, UNIT_OF[r.quantity], bound, unit_requirement_row(built, after, r).decisive, _RELAXED)
-        for r, bound in proven
+        plan_limit(r, UNIT_OF[r.quantity], bound, unit_requirement_row(built, after, r).decisive, relaxed, kept)
+        for r, bound, relaxed in proven
     ]
 
 
-def _certified(built: AssembledUnit, requirement: UnitRequirement) -> tuple[float, float] | None:
-    """A requirement's limit in SI: certified, and the optimum of the relaxed problem; None without a proof."""
+class _Window(NamedTuple):
+    """The used data of a plan, `time` s in all: `spans`, and `windows`, divided where the chamber's slope changes (s);
+    the sensor's `course` of temperature."""
+
+    built: AssembledUnit
+    time: float
+    spans: Windows
+    windows: Windows
+    course: Course
+
+
+def _window(built: AssembledUnit) -> _Window:
+    spec, schedule = built.spec, built.spec.schedule
+    chamber, _ = chamber_programme(schedule)
+    lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
+    spans = [(s.start, s.start + s.duration) for s in schedule.stretches]
+    windows = windows_between_knots(spans, chamber.times())
+    return _Window(built, sum(end - begin for begin, end in spans), spans, windows, sensor_course(chamber, lag))
+
+
+# What a proof yields, in SI: certified, and the optimum of the relaxed problem; and what it leaves out.
+_Proof = tuple[tuple[float, float], tuple[str, ...]]
+
+
+def _certified(window: _Window, requirement: UnitRequirement) -> _Proof | None:
+    """A requirement's limit; None without a proof."""
     cold, warm = (float(t) for t in requirement.temperature)
     temperatures = np.linspace(cold, warm, requirement.grid[0])
     if isinstance(requirement, GyroScaleFactorRequirement):
-        return _of_scale_factor(built, requirement, temperatures)
+        return _of_scale_factor(window, requirement, temperatures)
     of = _of_bias if requirement.quantity in ("gyro_bias", "accelerometer_bias") else _of_signal
-    deviation = of(built, requirement, temperatures)
+    deviation = of(window, requirement, temperatures)
     if deviation is None:
         return None
     value = statistic(requirement.statistic, deviation[:, None])
-    return value, value
+    return (value, value), _RELAXED
 
 
 def _of_scale_factor(
-    built: AssembledUnit, requirement: GyroScaleFactorRequirement, temperatures: np.ndarray
-) -> tuple[float, float] | None:
+    window: _Window, requirement: GyroScaleFactorRequirement, temperatures: np.ndarray
+) -> _Proof | None:
     """The limit for a gyro that turns all the time, at up to the rate of the rig's fastest axis."""
+    built = window.built
     channel = _channel(built, "gyro", requirement.axis)
-    scale = channel.model.scale
+    scale, processes = channel.model.scale, channel.model.processes
     if scale is None or not isinstance(scale.rate, Polynomial) or scale.beyond is not None:
         return None
     rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), requirement.grid[1])
     white = float(channel.model.angle_random_walk)
-    alone = model.gyro_model(None, scale, white)
-    look = _look(built, np.inf)
-    time = np.cumsum(np.where(look.used, look.duration, 0.0))
-    middles = time[-1] * (np.arange(_TEMPERATURES) + 0.5) / _TEMPERATURES
-    # The cumulated used time, which does not increase in a gap.
-    at = np.searchsorted(time, middles)
+    if alone := _has_the_table_alone(built, channel):
+        # As a spec of one axis. Other channels would show the encoder's errors and the clock's, which are left out.
+        encoder, clock = built.model.encoder, float(built.spec.sensor.sample_clock_error or 0.0)
+        reference = model.angle_reference(float(encoder.reading[0]), float(encoder.offset[0]))
+        if clock:
+            processes = processes + model.constant(clock, rate_gain=1.0)
+        seen = model.gyro_model(None, scale, white, processes, reference)
+    else:
+        seen = model.gyro_model(None, scale, white, processes)
+    density, relaxed = noise_density(seen, *_spacing(built), window.spans)
+    sure = np.repeat(scale_factor_floor(seen, window.windows, window.course, temperatures), len(rates))
     result = limit(
-        criterion(alone, "scale_factor", temperatures, rates, requirement.statistic),
-        alone,
-        motion_time=float(time[-1]),
-        temperatures=0.5 * (look.begin + look.end)[at],
+        criterion(seen, "scale_factor", temperatures, rates, requirement.statistic),
+        seen,
+        motion_time=window.time,
+        temperatures=window.course(middles_of_parts(window.spans))[0],
         fixed_programme=True,
-        max_rate=_fastest(built),
-        noise_density=white**2,
+        max_rate=_fastest_along(built, channel) if alone else _fastest(built),
+        noise_density=density,
+        floor=sure,
+        prior_share=PRIOR_OF_WALK if np.any(sure) else 1.0,
     )
-    return result.certified, result.reached
+    return (result.certified, result.reached), tuple(relaxed) if alone else _RELAXED
 
 
-def _of_bias(built: AssembledUnit, requirement: UnitRequirement, temperatures: np.ndarray) -> np.ndarray | None:
+def _has_the_table_alone(built: AssembledUnit, channel: Channel) -> bool:
+    """Whether the unit is one gyro along the table's only axis, as a spec of one axis has it."""
+    one = len(built.model.channels) == 1 and built.motion.geometry.axis_count == 1
+    if not one or len(built.motion.geometry.mountings) > 1:
+        return False
+    along = (built.motion.geometry.axes[0] @ built.motion.geometry.mountings[0])[channel.axis]
+    return bool(abs(along) > 1.0 - _ALONG)
+
+
+def _spacing(built: AssembledUnit) -> tuple[float, float]:
+    """The least time between readings, and between standstills (s), of this plan and of any plan in a search."""
+    apart = min([LEAST_TURN, *(step.move.duration for step in built.spec.schedule.steps if step.axis >= 0)])
+    return min([*np.asarray(built.model.encoder.every), apart, between_readings(built.motion.line)]), apart
+
+
+def _of_bias(window: _Window, requirement: UnitRequirement, temperatures: np.ndarray) -> np.ndarray | None:
     """Standard deviations of a bias under white noise and drift, seen continuously."""
-    channel = _channel(built, requirement.quantity.removesuffix("_bias"), requirement.axis)
+    channel = _channel(window.built, requirement.quantity.removesuffix("_bias"), requirement.axis)
     term = channel.model.term("bias")
     if isinstance(term, Map):
         if term.beyond is not None:
@@ -131,31 +183,13 @@ def _of_bias(built: AssembledUnit, requirement: UnitRequirement, temperatures: n
     else:
         assert isinstance(term, SignalMap)
         bias = model.make_map(term.temperature, prior_std=float(term.std) if term.has_prior else np.inf)
-    # Only the processes that act at rate zero.
-    processes = channel.model.processes
-    at_rest = jax.tree.map(lambda of: of[np.asarray(processes.rate_gain) == 0.0], processes)
-    alone = model.gyro_model(bias, None, float(channel.model.angle_random_walk), at_rest)
-    decays = alone.processes.decay
-    shortest = 1.0 / np.max(decays, initial=1e-12)
-    step = min(_LONGEST_S, _SHARE_OF_CORRELATION * shortest)
-
-    def variance(longest: float) -> np.ndarray:
-        look = _look(built, longest)
-        stands = np.zeros(len(look.start), bool)
-        line = trajectory.held(
-            look.start, look.duration, np.zeros(len(stands)), look.begin, look.end,
-            read=look.used, at_rest=~stands, moving=stands, gap=~look.used,
-        )  # fmt: skip
-        return information(line, alone).deviations(bias.values(temperatures, 0.0 * temperatures)) ** 2
-
-    # Integrals over steps have less information than instants: halving all further steps adds at most as much as this
-    # one.
-    coarse, fine = variance(step), variance(0.5 * step)
-    return np.sqrt(np.maximum(fine - np.abs(coarse - fine), 0.0))
+    white, rows = float(channel.model.angle_random_walk), bias.values(temperatures, 0.0 * temperatures)
+    return bias_seen_continuously(bias, white, channel.model.processes, window.windows, window.course, rows)
 
 
-def _of_signal(built: AssembledUnit, requirement: UnitRequirement, temperatures: np.ndarray) -> np.ndarray | None:
+def _of_signal(window: _Window, requirement: UnitRequirement, temperatures: np.ndarray) -> np.ndarray | None:
     """Standard deviations from the mean information of all elements."""
+    built = window.built
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
         return None
     kind = "gyro" if requirement.quantity in ("gyro_misalignment", "g_sensitivity") else "accelerometer"
@@ -170,7 +204,7 @@ def _of_signal(built: AssembledUnit, requirement: UnitRequirement, temperatures:
     term = next(t for t in channel.model.terms if t.name.startswith(name))
     assert isinstance(term, SignalMap)
     nodes, weights = trajectory.quadrature(_NODES)
-    look = _look(built, np.inf)
+    look = look_at(window.windows, window.course, _LONGEST_S)
     at = (look.begin[:, None] + (look.end - look.begin)[:, None] * nodes)[look.used]
     functions = term.temperature(at.ravel())
     root = np.sqrt((look.duration[look.used, None] * weights).ravel() * bound) / float(channel.model.angle_random_walk)
@@ -198,19 +232,12 @@ def _fastest(built: AssembledUnit) -> float:
     return max(float(axis.max_rate) for axis in built.spec.rig.table.axis) + EARTH_RATE
 
 
+def _fastest_along(built: AssembledUnit, channel: Channel) -> float:
+    """The largest rate (rad/s) of the gyro along the table's only axis, the Earth's share included."""
+    of = built.motion.geometry
+    return float(built.spec.rig.table.axis[0].max_rate) + abs(float(of.base @ of.axes[0] @ of.earth_rate()))
+
+
 def _channel(built: AssembledUnit, kind: str, axis: str) -> Channel:
     """The channel of that kind and axis; for "worst" and "all" the first, since all are alike."""
     return next(c for c in built.model.channels if c.kind == kind and axis in ("worst", "all", AXIS_NAMES[c.axis]))
-
-
-def _look(built: AssembledUnit, longest: float) -> _Look:
-    """The time of the plan's pieces, in steps no longer than `longest`."""
-    line = built.motion.line
-    parts = np.maximum(1, np.ceil(line.duration / longest * (1.0 - 1e-9))).astype(int)
-    piece = np.repeat(np.arange(len(parts)), parts)
-    number = np.arange(len(piece)) - np.repeat(np.cumsum(parts) - parts, parts)
-    edges = np.stack([number, number + 1], axis=1) / parts[piece][:, None]
-    temperature = line.temperature(edges, piece)
-    duration = line.duration[piece] / parts[piece]
-    start, used = line.start[piece] + edges[:, 0] * line.duration[piece], ~np.asarray(line.gap)[piece]
-    return _Look(start, duration, temperature[:, 0], temperature[:, 1], used)

@@ -16,6 +16,7 @@ from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
 from gradcal_jax.api.unit_residual import RequiredQuantity, quantity_of
 from gradcal_jax.design.pose_search import CycleItem, PoseCycle, PoseLimits, PoseState, anneal
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
+from gradcal_jax.files.requirement import UnitRequirement
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, quickest_turn, rest_step
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.formulas import repetitions
@@ -36,12 +37,14 @@ _MANY = 6
 
 class UnitOptimum(NamedTuple):
     """An optimised unit spec, with its requirements before and after: `rows` of (name, unit, before, now); None: not
-    observable. `gain`: geometric mean of before over now."""
+    observable. `gain`: geometric mean of before over now. `kept`: nothing better was found than the spec's own plan,
+    which it is."""
 
     spec: UnitSpec
     rows: tuple[tuple[str, str, float | None, float | None], ...]
     gain: float
     evaluations: int
+    kept: bool = False
 
 
 def optimise_unit(
@@ -96,13 +99,17 @@ def optimise_unit(
     optimised = unit_spec_of(tables)
     fine = tuple(quantity_of(value.built, r) for r in spec.requirement)
     before, after = (_statistics(value.known[0] + _gram_of(assemble_unit(s)), fine) for s in (spec, optimised))
+    # The search began at the spec's poses with the quickest turns, not at its plan itself, which may be better.
+    kept = value.of_statistics(spec.requirement, after) > value.of_statistics(spec.requirement, before)
+    optimised, after = (spec, before) if kept else (optimised, after)
     rows = tuple(
         (r.name, UNIT_OF[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before, after, strict=True)
     )
     ratios = [math.log(b / a) for b, a in zip(before, after, strict=True) if a and b]
     yield UnitOptimum(
-        optimised, rows, math.exp(float(np.mean(ratios))) if ratios else 1.0, round(state.share * evaluations)
-    )
+        optimised, rows, math.exp(float(np.mean(ratios))) if ratios else 1.0, round(state.share * evaluations),
+        kept,
+    )  # fmt: skip
 
 
 class CycleValue:
@@ -148,19 +155,21 @@ class CycleValue:
         limited = tuple(q for q in self.quantities if q.requirement.target is not None)
         return max(max(logs) for logs in self._logs(cycle, limited))
 
+    def of_statistics(self, requirements: Sequence[UnitRequirement], values: Sequence[float | None]) -> float:
+        """The objective of a plan with these statistics of all `requirements`, in the units of `UNIT_OF`, by the first
+        scenario."""
+        names = {q.requirement.name for q in self.minimised}
+        logs = [_log(v, r) for r, v in zip(requirements, values, strict=True) if r.name in names]
+        return (max if self.worst else fmean)(logs)
+
     def _logs(self, cycle: PoseCycle, quantities: tuple[RequiredQuantity, ...]) -> list[list[float]]:
         """The logarithm of the residual, over the target where there is one, in each scenario for each quantity."""
         plan = self.plan(cycle)
         if plan is None:
             return [[math.inf] * len(quantities)]
-        targets = [q.requirement.target for q in quantities]
-        factors = [UNIT_OF[q.requirement.quantity][1] for q in quantities]
-        limits = [1.0 if t is None else float(t) * f for t, f in zip(targets, factors, strict=True)]
+        of = [q.requirement for q in quantities]
         return [
-            [
-                math.log(v / limit) if v else math.inf
-                for v, limit in zip(_statistics(known + gram, quantities), limits, strict=True)
-            ]
+            [_log(v, r) for v, r in zip(_statistics(known + gram, quantities), of, strict=True)]
             for known, gram in zip(self.known, self._grams(plan), strict=True)
         ]
 
@@ -174,7 +183,7 @@ class CycleValue:
         few = self._of_three(plan) if self.repeats and returns and stretch.cycles >= _MANY else None
         if few is not None:
             return few
-        built = self.built._replace(motion=motion_of(plan, self.built.spec))
+        built = self.built._replace(motion=motion_of(plan, self.built.spec, self.built.model))
         return [_gram_of(built._replace(model=model)) for model in self.models]
 
     def _of_three(self, plan: UnitSchedule) -> list[np.ndarray] | None:
@@ -186,7 +195,7 @@ class CycleValue:
         warm = segment.temperature_start + segment.slope * shorter
         segment = replace(segment, start=0.0, duration=shorter, temperature_end=warm)
         few = replace(plan, segments=(segment,), stretches=(stretch,))
-        built = self.built._replace(motion=motion_of(few, self.built.spec))
+        built = self.built._replace(motion=motion_of(few, self.built.spec, self.built.model))
         nodes = built.body_nodes()
         rows = int(np.searchsorted(segments_of(built.motion, built.model).row_segment, len(plan.steps)))
         shifts = built.model.shifts(segment.slope * plan.period * np.arange(plan.stretches[0].cycles - 2))
@@ -229,6 +238,13 @@ class CycleValue:
             if item.rest:
                 moves.append({"rest": f"{item.rest:g} s"})
         return moves
+
+
+def _log(value: float | None, requirement: UnitRequirement) -> float:
+    """The logarithm of a statistic in the unit of `UNIT_OF`, over the target where there is one."""
+    target = requirement.target
+    limit = 1.0 if target is None else float(target) * UNIT_OF[requirement.quantity][1]
+    return math.log(value / limit) if value else math.inf
 
 
 def _gram_of(built: AssembledUnit) -> np.ndarray:

@@ -17,6 +17,9 @@ from gradcal_jax.files.calibration import LOG_HASH, Calibration, Result
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.information.conformity import acceptance_limit, specific_risk
 
+# A shorter rest (s) tells nothing; temperatures within this (K) are one range.
+_BRIEF_S, _SAME_K = 1.0, 1.0
+
 
 class Cell(NamedTuple):
     """Moves (or rests) of one range of temperature (None: not known) and rate: mean error before and after, and the
@@ -177,13 +180,27 @@ def _axis(
             speed = truth[turned] / lasting * DEG_PER_S
             moves = len(before)
             scale = (_rms(before), _rms(after))
-            cells += _cells(warm, speed, before, after, parts, "ppm")
-    still = ~moving & ~done.broken & (elapsed > 1.0)
+            cells += _cells(warm, speed, before, after, _edges(warm, parts), "ppm")
+    still = ~moving & ~done.broken & (elapsed > _BRIEF_S)
     if still.any():
-        before, after = (s[still] / elapsed[still] * DEG_PER_H for s in sums)
+        # A rest in which the temperature changes is divided by its ranges.
+        piece = np.clip(np.searchsorted(done.rows, np.arange(len(raw))) - 1, 0, len(still) - 1)
+        inside = usable & still[piece]
+        inside[: done.rows[0] + 1] = inside[done.rows[-1] + 1 :] = False
+        edges = _edges(temperature[inside], parts)
+        number = (piece * (len(edges) - 1) + _ranges(temperature, edges))[inside]
+
+        def mean(values: np.ndarray, time: np.ndarray | float = 1.0) -> np.ndarray:
+            return np.bincount(number, (values * step)[inside]) / time
+
+        time = mean(np.ones(len(raw)))
+        time = np.where(time > _BRIEF_S, time, np.nan)
+        kept = np.isfinite(time)
+        before, after, warm = (mean(x, time)[kept] for x in (raw - earth_rate, new - earth_rate, temperature))
+        before, after = before * DEG_PER_H, after * DEG_PER_H
         rests = int(still.sum())
-        bias = (_rms(before, elapsed[still]), _rms(after, elapsed[still]))
-        cells += _cells(at[still], None, before, after, parts, "deg/h")
+        bias = (_rms(before, time[kept]), _rms(after, time[kept]))
+        cells += _cells(warm, None, before, after, edges, "deg/h")
     rows = count_rows(log, unit, integrated_rows(done, len(raw)))
     return AxisValidation(axis, moves, rests, scale, bias, tuple(cells), rows, tuple(messages))
 
@@ -192,13 +209,23 @@ def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:
     return float(np.sqrt(np.average(values**2, weights=weights)))
 
 
-def _cells(temperature, speed, before, after, parts: int, unit: str) -> list[Cell]:
-    """Cells of equal ranges of temperature and of like rates."""
+def _edges(temperature: np.ndarray, parts: int) -> np.ndarray:
+    """The edges of equal ranges of temperature, one range where it hardly changes or is not known (°C)."""
+    known = temperature[np.isfinite(temperature)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+    return np.linspace(low, high, parts + 1) if high - low > _SAME_K else np.array([low, high])
+
+
+def _ranges(temperature: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """The range of each temperature; the middle one where it is not known."""
+    values = np.where(np.isfinite(temperature), temperature, 0.5 * (edges[0] + edges[-1]))
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+
+
+def _cells(temperature, speed, before, after, edges: np.ndarray, unit: str) -> list[Cell]:
+    """Cells of ranges of temperature and of like rates."""
     known = np.isfinite(temperature)
-    values = np.where(known, temperature, np.nanmean(temperature) if known.any() else 0.0)
-    low, high = float(values.min()), float(values.max())
-    edges = np.linspace(low, high, parts + 1) if high - low > 1.0 else np.array([low, high])
-    warm = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    warm = _ranges(temperature, edges)
     fast = np.zeros(len(before), int) if speed is None else estimation.like_rates(speed, 0.2)
     rows: list[Cell] = []
     for i in range(len(edges) - 1):

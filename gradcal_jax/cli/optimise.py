@@ -141,8 +141,13 @@ def optimum_text(best: "Optimised") -> str:
     if best.active:
         lines.append("limits that bind: " + "; ".join(best.active))
     if best.prices:
-        rows = [("eased by", "the residual changes by")]
-        rows += [(f"one {p.per} of {p.limit}", f"{p.change:+.3g} {best.unit}") for p in best.prices]
+        rows = [("eased by", "the residual changes by", "in proportion up to")]
+        for p in best.prices:
+            # One unit may be more than the range in which the price holds.
+            by = 1.0 if p.linear is None else min(p.linear, 1.0)
+            most = "" if p.linear is None else f"{p.linear:g} {p.per}"
+            changes = f"{p.change * by:+.3g} {best.unit}" if p.change else "nothing"
+            rows.append((f"{by:g} {p.per} of {p.limit}", changes, most))
         lines += ["", columns(rows, indent="")]
     return "\n".join(lines)
 
@@ -196,7 +201,7 @@ def _of_unit(
 def record_of_unit(best: "UnitOptimum") -> dict[str, object]:
     """The result of a search of a whole unit, for --json."""
     rows = [dict(zip(("name", "unit", "before", "now"), row, strict=True)) for row in best.rows]
-    return {"requirements": rows, "gain": best.gain, "evaluations": best.evaluations}
+    return {"requirements": rows, "gain": best.gain, "evaluations": best.evaluations, "kept": best.kept}
 
 
 def text_of_unit(best: "UnitOptimum") -> str:
@@ -207,6 +212,8 @@ def text_of_unit(best: "UnitOptimum") -> str:
 
 def gain_of_unit(best: "UnitOptimum") -> str:
     """The gain of a search of a whole unit, in a sentence."""
+    if best.kept:
+        return f"nothing better than the plan as it was after {best.evaluations} plans: it is kept"
     return f"{best.gain:.2f} times better in the geometric mean, after {best.evaluations} plans"
 
 

@@ -13,8 +13,9 @@ import threading
 from types import FrameType
 
 _SOON_S = 0.05
-# mallopt's options by <malloc.h>: M_MMAP_MAX, M_TRIM_THRESHOLD and M_TOP_PAD (bytes).
-_HEAP = {-4: 0, -1: 256 << 20, -2: 64 << 20}
+# mallopt's options by <malloc.h>: M_MMAP_MAX, M_TRIM_THRESHOLD and M_TOP_PAD (bytes), M_ARENA_MAX: the heaps that other
+# threads get of their own are returned to the system whatever the threshold.
+_HEAP = {-4: 0, -1: 1 << 30, -2: 64 << 20, -8: 1}
 # Modules and traced programs are many objects and hardly any garbage, which Python would scan a hundred times.
 _COLLECT = (100_000, 50, 100)
 

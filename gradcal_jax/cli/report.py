@@ -33,8 +33,8 @@ def report(
     Parameters
     ----------
     sources
-        The folder of a run, a recipe, a calibration, or those of them that belong together. A calibration.toml in the
-        folder of a run is taken with it. Of a whole unit, its spec.
+        The folder of a run, a recipe, a calibration, or those of them that belong together. A calibration in the
+        folder of a run is taken with it, calibration.toml before others. Of a whole unit, its spec.
     output
         The page (.html).
     before

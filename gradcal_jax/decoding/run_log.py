@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.log import Finding, Log, Readings, Reason
+from ..files.log import SERIAL_NUMBER, Finding, Log, Readings, Reason
 from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
 from ..files.unit_spec import UnitSpec
@@ -104,6 +104,9 @@ def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | 
             "The journal holds no samples of a stretch with data: the run ended before its first stretch began."
         )
     provenance = _provenance(parts, sessions, recipe, (device.name, device.driver), exit_status(contents))
+    identities = (e.data for e in contents.events if e.name == "identity" and e.data["device"] == device.name)
+    if number := next((str(of["serial_number"]) for of in identities if of.get("serial_number")), ""):
+        provenance[SERIAL_NUMBER] = number
     return _joined(parts, _labels(axes, recipe, rig), device.serial_number or device.name, provenance, aside)
 
 

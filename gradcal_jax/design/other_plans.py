@@ -28,6 +28,8 @@ from gradcal_jax.trajectory.schedule import Points, make_schedule
 
 # Least duration of a stretch, as a share of an even one.
 _LEAST_SHARE = 0.1
+# Distance of a vector's values from their bounds, as a share.
+_INSIDE = 1e-4
 # Pieces of a stretch in which the readings of a standing axis are searched.
 _PIECES_A_STRETCH = 16
 
@@ -96,6 +98,19 @@ class ProgrammeCoordinates(_Programmes):
             reached.append((there - here) / durations[k])
             here = there
         return Programme(xp.asarray(start), durations, xp.stack(reached), xp.zeros(durations.shape))
+
+    def vector(self, start: float, durations: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, " size"]:
+        """Coordinates of a programme of at most `stretches` slopes (°C, s, K/s), the longest ones halved as often as
+        necessary; values at a bound are moved slightly inside."""
+        durations, slopes = list(durations), list(slopes)
+        while len(durations) < self.stretches:
+            k = int(np.argmax(durations))
+            durations[k : k + 1], slopes[k : k + 1] = [0.5 * durations[k]] * 2, [slopes[k]] * 2
+        time, heating, cooling = (float(v) for v in (self.time, self.heating, self.cooling))
+        spare = np.maximum(np.array(durations) / time - _LEAST_SHARE / self.stretches, _INSIDE)
+        size = (2.0 * np.array(slopes) - heating + cooling) / (heating + cooling)
+        first = _share(float(self.coldest), float(self.warmest), np.array([start]))
+        return np.concatenate([np.log(spare), np.arctanh(np.clip(size, _INSIDE - 1.0, 1.0 - _INSIDE)), first])
 
     def knots(self, z: np.ndarray) -> "tuple[ProgrammeKnots, np.ndarray]":
         """The same programmes in durations and temperatures, and the vector of the programme of `z` there."""
@@ -184,10 +199,22 @@ class StandardCoordinates(eqx.Module):
         numbers = duration, xp.concatenate([first(0.0), rates]), programme
         return eqx.tree_at(lambda s: (s.duration, s.peak_rate, s.programme), template, numbers)
 
+    def vector(self, temperatures: np.ndarray, rates: np.ndarray) -> Float[np.ndarray, " size"]:
+        """Coordinates of temperatures (°C) and rates (rad/s); values at a bound are moved slightly inside."""
+        places = _share(float(self.coldest), float(self.warmest), np.asarray(temperatures))
+        shares = np.clip(rates / float(self.max_rate), _INSIDE - 1.0, 1.0 - _INSIDE)
+        return np.concatenate([places, np.arctanh(shares)]) if self.rates_free else places
+
     def plan_of(self, z: Float[np.ndarray, " size"]) -> tuple[np.ndarray, np.ndarray, float]:
         """Temperatures (°C), rates (rad/s) and the integration time (s) of a vector."""
         plan = self.decode(z)
         return plan.programme.chamber()[0], plan.peak_rate[1:], float(plan.duration[1])
+
+
+def _share(low: float, high: float, value: np.ndarray) -> np.ndarray:
+    """The inverse of `_between`."""
+    share = np.clip((value - low) / (high - low), _INSIDE, 1.0 - _INSIDE)
+    return np.log(share / (1.0 - share))
 
 
 def _between(low, high, z):

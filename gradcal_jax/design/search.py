@@ -126,11 +126,14 @@ class Compiled:
         self.cost = objective.cost
         self.size = len(self._places)
 
-    def __call__(self, z: Float[np.ndarray, " n"], sharpness: float = np.inf) -> Slopes:
-        """Value and slopes at a point; an infinite sharpness is exact."""
+    def __call__(
+        self, z: Float[np.ndarray, " n"], sharpness: float = np.inf, by: Float[np.ndarray, " m"] | None = None
+    ) -> Slopes:
+        """Value and slopes at a point, with limits relaxed `by` so much; an infinite sharpness is exact."""
         whole = np.zeros(self._whole)
         whole[self._places] = z
-        logs, of_z, of_eased = (np.asarray(x) for x in self._program(self._leaves, whole, self._by, sharpness))
+        relaxed = self._by if by is None else by
+        logs, of_z, of_eased = (np.asarray(x) for x in self._program(self._leaves, whole, relaxed, sharpness))
         return Slopes(logs, of_z[:, self._places], of_eased)
 
 
@@ -190,20 +193,29 @@ def search(
     hops: int = 8,
     quick: bool = False,
     state: SearchState | None = None,
+    begin: Float[np.ndarray, " n"] | None = None,
+    alone: bool = False,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Progress]:
     """Yield `Progress` after every descent; the last one's state holds the best point.
 
     Twice `starts` points begin and make up to `steps` steps in all; the better half continues in each harder stage.
     Then some points near the best begin again, at most `hops` times and as long as that gains something. `quick`: half
-    as many starts, one stage, no hops. `state`: continue from it. `stop`: called between steps; once it returns true,
-    descents end at their present point. Errors: `ValueError` when no start gives a finite objective.
+    as many starts, one stage, no hops. `state`: continue from it. `begin`: a further start, or, `alone`, the only one.
+    `stop`: called between steps; once it returns true, descents end at their present point. Errors: `ValueError` when
+    no start gives a finite objective.
     """
     share = min(1.0, _CHEAP / max(1, compiled.cost))
     plan = _levels(1, min(steps, _QUICK_STEPS), 0, 0.5 * share) if quick else _levels(starts, steps, hops, share)
+    if begin is not None and alone:
+        plan = [level._replace(descents=1) for level in plan if not level.hop]
+    elif begin is not None:
+        plan[0] = plan[0]._replace(descents=plan[0].descents + 1)
     total = sum(level.descents for level in plan)
     if state is None:
         points = np.random.default_rng(seed).standard_normal((plan[0].descents, compiled.size))
+        if begin is not None:
+            points[-1] = begin
         merits = np.array([compiled(z).merit()[0] for z in points])
         values = np.exp(np.minimum(merits, _LARGEST))
         if not np.min(merits) < _NOWHERE:

@@ -3,6 +3,7 @@
 from gradcal_jax.estimation.consistency import Consistency, Test, chi_squared_test, consistency, split, whiteness
 from gradcal_jax.estimation.executed import Executed, column_readings, executed, standing_with
 from gradcal_jax.estimation.neighbours import Group, closest_neighbours, like_rates, moves_between_rests
+from gradcal_jax.estimation.planned_moves import PlannedMove
 from gradcal_jax.estimation.plateaus import plateaus
 from gradcal_jax.estimation.robust import HUBER, estimate_robustly
 from gradcal_jax.estimation.samples import integrated_error, sample_nodes, true_rate

@@ -14,10 +14,13 @@ Stretches that are too short are not standstills.
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.special import gammaincinv
 
 from gradcal_jax import formulas
 
 _QUIETEST = 0.10
+# Rows of the shortest window; of one whose spread scatters itself.
+_FEWEST_ROWS, _FEW_ROWS = 4, 10
 # Spread of a quantised sensor that changes between two values half of the time or less, in counts.
 _FLICKER = 0.3
 
@@ -34,11 +37,10 @@ def find_standstills(
 ) -> np.ndarray:
     """`(n,)`: the number of the standstill of each row, counted from 0; −1 while moving. Rates `(n, axes)`, rad/s.
 
-    Errors: `ValueError` where the window holds fewer than four rows, or nothing is quiet enough.
+    A window has four rows at least, whatever the sample rate. Errors: `ValueError` where the record is shorter than two
+    windows, or nothing is quiet enough.
     """
-    width = round(window_s / sample_interval_s)
-    if width < 4:
-        raise ValueError(f"a window of {window_s:g} s holds fewer than four rows: take a longer one")
+    width = max(round(window_s / sample_interval_s), _FEWEST_ROWS)
     if len(rate_rad_per_s) < 2 * width:
         raise ValueError("the record is shorter than two windows: nothing can be said of standstills")
     usable = np.ones(len(rate_rad_per_s), bool) if valid is None else valid
@@ -46,7 +48,12 @@ def find_standstills(
     # The output of a quantised sensor may be constant: then a share of one count is the level.
     counts = [_least_step(rate_rad_per_s[usable, k]) for k in range(rate_rad_per_s.shape[1])]
     least = _FLICKER * float(np.linalg.norm(counts))
-    level = max(float(np.quantile(spread[usable], _QUIETEST)), least)
+    level = float(np.quantile(spread[usable], _QUIETEST))
+    if width < _FEW_ROWS:
+        # The spread of so few rows scatters itself: its quietest tenth is far below the usual.
+        half = 0.5 * (width - 1) * rate_rad_per_s.shape[1]
+        level *= float(np.sqrt(gammaincinv(half, 0.5) / gammaincinv(half, _QUIETEST)))
+    level = max(level, least)
     quiet = max(factor * level, float(np.sqrt(level * np.max(spread[usable]))))
     still = usable & (spread <= quiet) & np.all(np.abs(mean) <= largest_bias, axis=1)
     number = np.full(len(still), -1, np.int64)

@@ -10,18 +10,22 @@ Row `i` of a log represents the time from row `i − 1` to itself.
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 
+from gradcal_jax.estimation.planned_moves import SLOW_S, PlannedMove, TimedMove, timed_moves
 from gradcal_jax.formulas import runs
 from gradcal_jax.model import BodyGroup, BodyNodes
 from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, held, lagrange, quadrature
 
 # A rest is one row of each channel, as in a plan, but its temperature is followed in pieces of this duration.
 _PIECE_S = 60.0
+# Equal parts of a piece of rest in which functions of temperature with jumps are summed.
+_PARTS = 64
 _GUARD_S = 0.1
 # The speed at a stop is this many times below that on both sides; speeds below this share of the fastest are noise.
 _DIP, _SLOWEST = 10.0, 1e-3
@@ -64,8 +68,14 @@ class ExecutedUnit(NamedTuple):
     travelled: tuple[np.ndarray | None, ...]
 
 
-def executed_unit(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
-    """The motion in a log's rows.
+def executed_unit(
+    log: UnitRows,
+    geometry: Geometry,
+    read_every: float = _PIECE_S,
+    planned: Sequence[Sequence[PlannedMove]] = (),
+) -> ExecutedUnit:
+    """The motion in a log's rows. `read_every` s: the spacing of readings of a table that is read while it stands;
+    `planned`: the moves of the plan between its rests, for logs that are too slow to show the motion themselves.
 
     Errors: `ValueError` where the table never stands, where its angles are not known there, or where the gyros'
     integral over a move is not a sequence of turns of single axes.
@@ -74,18 +84,21 @@ def executed_unit(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
     if len(spans) < 2:
         raise ValueError("the table stands still less than twice in the log, so there is no pose to compare")
     means = _mean_angles(log, spans)
-    legs = _legs(log, geometry, spans, means)
+    slow = np.median(np.diff(log.time_s)) > SLOW_S
+    legs = _legs(log, geometry, spans, means, planned if slow else ())
     angles = _own_angles(log, spans, legs)
-    return _pieces(log, geometry, spans, legs, angles)
+    return _pieces(log, geometry, spans, legs, angles, read_every)
 
 
 class _Leg(NamedTuple):
-    """A move of one axis (−1: unknown or none), rows `begin + 1 … end`, after standstill `span`."""
+    """A move of one axis (−1: unknown or none), rows `begin + 1 … end`, after standstill `span`. `timed`: its motion
+    where the plan tells it."""
 
     span: int
     axis: int
     begin: int
     end: int
+    timed: TimedMove | None = None
 
 
 def _mean_angles(log: UnitRows, spans: list[tuple[int, int]]) -> list[np.ndarray]:
@@ -112,11 +125,17 @@ def _inner(time: np.ndarray, first: int, last: int) -> tuple[int, int]:
     return first + guard, last - guard
 
 
-def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means: list[np.ndarray]) -> list[_Leg]:
+def _legs(
+    log: UnitRows,
+    geometry: Geometry,
+    spans: list[tuple[int, int]],
+    means: list[np.ndarray],
+    planned: Sequence[Sequence[PlannedMove]],
+) -> list[_Leg]:
     """Every move between standstills."""
     step = np.diff(log.time_s, prepend=log.time_s[0])
     seen = np.flatnonzero(np.isfinite(log.rates).any(axis=0))
-    quiet = np.array([np.nanmean(log.rates[a : b + 1], axis=0) for a, b in spans]) if len(seen) else None
+    quiet = np.array([_mean_rates(log.rates[a : b + 1]) for a, b in spans]) if len(seen) else None
     stops = np.isfinite(log.angles) & log.at_a_stop[:, None]
     result: list[_Leg] = []
     for k, ((_, last), (first, _)) in enumerate(itertools.pairwise(spans)):
@@ -126,6 +145,23 @@ def _legs(log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], means
             # at its former angle may have moved.
             result.append(_Leg(k, -1, last, first))
             continue
+        rows = np.arange(last, first + 1)
+        if planned and quiet is not None:
+
+            def directions_of(group, k: int = k, mounting: np.ndarray = log.mounting[[last]]) -> np.ndarray:
+                at, result = means[k].copy(), []
+                for move in group:
+                    result.append(frames(geometry, at[None], mounting).axes[0][move.axis, seen])
+                    at[move.axis] += move.angle
+                return np.array(result)
+
+            rates = (log.rates[rows[1:]] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen]
+            moved, change = rates * step[rows[1:], None], means[k + 1] - means[k]
+            if timed := timed_moves(planned, change, log.time_s[rows], moved, directions_of):
+                begins = (rows[np.argmin(np.abs(log.time_s[rows] - t.begin))] for t in timed[1:])
+                pairs = itertools.pairwise([last, *map(int, begins), first])
+                result += [_Leg(k, t.move.axis, a, b, t) for t, (a, b) in zip(timed, pairs, strict=True)]
+                continue
         for since, axis in np.argwhere(stops[last + 1 : first]):
             row = int(since) + last + 1
             if abs(log.angles[row, axis] - at[axis]) > _LEAST_TURN:
@@ -172,6 +208,13 @@ def _felt_legs(
         else:
             legs.append(_Leg(whole.span, axis, whole.begin + a, whole.begin + b))
     return legs
+
+
+def _mean_rates(rates: np.ndarray) -> np.ndarray:
+    """The mean of each column; NaN where no row is finite."""
+    known = np.isfinite(rates)
+    count = np.sum(known, axis=0)
+    return np.where(count > 0, np.sum(np.where(known, rates, 0.0), axis=0) / np.maximum(count, 1), np.nan)
 
 
 def _valleys(speed: np.ndarray) -> list[int]:
@@ -235,9 +278,19 @@ def _nearest(angles: np.ndarray, row: int) -> np.ndarray:
 
 
 def _pieces(
-    log: UnitRows, geometry: Geometry, spans: list[tuple[int, int]], legs: list[_Leg], angles: list[np.ndarray]
+    log: UnitRows,
+    geometry: Geometry,
+    spans: list[tuple[int, int]],
+    legs: list[_Leg],
+    angles: list[np.ndarray],
+    longest: float,
 ) -> ExecutedUnit:
     rows, axes, lost, travelled = [spans[0][0]], list[int](), list[bool](), list[np.ndarray | None]()
+    # Where the plan tells when a move began, that is not at a row.
+    timed = (leg for before, leg in itertools.pairwise(legs) if before.span == leg.span)
+    times = {leg.begin: leg.timed.begin for leg in timed if leg.timed is not None}
+    time_s = log.time_s.copy()
+    time_s[list(times)] = list(times.values())
     goals = [iter(own[1:]) for own in angles]
     start = np.array([own[0] for own in angles])
     # Between two rows of equal counts every row may be integrated.
@@ -259,7 +312,7 @@ def _pieces(
     for leg in legs:
         of_span.setdefault(leg.span, []).append(leg)
     for k, (first, last) in enumerate(spans):
-        parts = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / _PIECE_S - 1e-9)))
+        parts = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / longest - 1e-9)))
         times = np.linspace(log.time_s[first], log.time_s[last], parts + 1)[1:-1]
         for row in [*np.searchsorted(log.time_s[:last], times - 1e-9).tolist(), last]:
             if row > rows[-1]:
@@ -267,7 +320,7 @@ def _pieces(
         for leg in of_span.get(k, []):
             if leg.axis >= 0:
                 angle = next_angle(leg.axis)
-                add(leg.end, leg.axis, _way(log, geometry, at, leg, angle))
+                add(leg.end, leg.axis, _way(log, geometry, at, leg, angle, time_s))
                 at[leg.axis] += angle
                 continue
             # Several axes, or none: the move is not read; every axis goes to its next angle.
@@ -277,13 +330,20 @@ def _pieces(
                 add(row, l, np.linspace(0.0, angle, _FEWEST_NODES + 1), read=False)
                 at[l] += angle
     turned = np.array([0.0 if way is None else way[-1] for way in travelled])
-    motion = _motion(log, geometry, np.array(rows), np.array(axes), np.array(lost), turned, start)
+    as_moved = log._replace(time_s=time_s)
+    motion = _motion(as_moved, geometry, np.array(rows), np.array(axes), np.array(lost), turned, start)
     return ExecutedUnit(motion, np.array(rows), tuple(travelled))
 
 
-def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float) -> np.ndarray:
+def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float, time_s: np.ndarray) -> np.ndarray:
     """The angle (rad) of a move by the gyros, adjusted to the encoder's, at the edges of equal parts of its time."""
-    time = log.time_s[leg.begin : leg.end + 1]
+    time = time_s[leg.begin : leg.end + 1]
+    if leg.timed is not None:
+        count = _FEWEST_NODES
+        while count * _NODE < abs(whole):
+            count *= 2
+        share = leg.timed.share(np.linspace(time[0], time[-1], count + 1))
+        return whole * (share - share[0]) / max(share[-1] - share[0], 1e-12)
     direction = frames(geometry, at[None], log.mounting[[leg.begin]]).axes[0][leg.axis]
     rates = log.rates[leg.begin + 1 : leg.end + 1]
     direction = np.where(np.isfinite(rates).all(axis=0), direction, 0.0)
@@ -311,19 +371,40 @@ def across_stops(done: ExecutedUnit, log: UnitRows) -> np.ndarray:
     rests = np.flatnonzero(axis < 0)
     for k in np.flatnonzero((axis[:-1] >= 0) & (axis[1:] >= 0) & (axis[:-1] != axis[1:])):
         stop = int(rows[k + 1])
+        # Where the plan tells the stop, it may lie within a row, which is then the only one that both moves share.
+        late_s = float(done.motion.line.start[k + 1] - log.time_s[stop])
         near = np.arange(max(rows[k] + 1, stop - 1), min(rows[k + 2], stop + 1) + 1)
+        near = near if late_s == 0.0 else near[near == (stop if late_s < 0.0 else stop + 1)]
         around = [j for j in (np.searchsorted(rests, k) - 1, np.searchsorted(rests, k)) if 0 <= j < len(rests)]
         still = [np.mean(log.rates[rows[j] + 1 : rows[j + 1] + 1], axis=0) for j in rests[around]]
-        turned = (log.rates[near] - np.mean(still, axis=0)) * step[near, None] if still else np.full((1, 3), np.nan)
+        if not still or not len(near):
+            continue
+        whole = slice(rows[k] + 1, rows[k + 2] + 1)
+        turned = (log.rates[whole] - np.mean(still, axis=0)) * step[whole, None]
         mounting = done.motion.mounting[[k + 1]]
         axes = frames(done.motion.geometry, before[[k + 1]], mounting).axes[0][[axis[k], axis[k + 1]]] * seen
-        if not np.isfinite(turned[:, seen]).all() or np.linalg.svd(axes, compute_uv=False)[-1] < _SEEN:
+        both = turned[near - rows[k] - 1]
+        if not np.isfinite(both[:, seen]).all() or np.linalg.svd(axes, compute_uv=False)[-1] < _SEEN:
             continue
-        ended, begun = np.linalg.lstsq(axes.T[seen], turned[:, seen].T)[0]
+        if late_s:
+            # A row of a slow log holds degrees: each move is along the direction in which the gyros sense it, not along
+            # its axis.
+            sensed = [np.nansum(turned[a:b], axis=0) for a, b in _apart(near, rows[k : k + 3])]
+            known = np.linalg.norm(sensed, axis=1) > _BIAS
+            axes = np.where(known[:, None], sensed, axes)
+        ended, begun = np.linalg.lstsq(axes.T[seen], both[:, seen].T)[0]
         late = np.sum(begun[near <= stop]) * axes[1] - np.sum(ended[near > stop]) * axes[0]
+        # The rest of the output is divided by the time itself.
+        late -= np.nan_to_num(np.mean(still, axis=0)) * late_s
         result[k] -= late
         result[k + 1] += late
     return result
+
+
+def _apart(near: np.ndarray, rows: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
+    """The rows of two neighbouring moves that are not `near` their stop, counted from the first row of the former."""
+    begin, end = int(rows[0]) + 1, int(rows[2]) + 1
+    return (0, int(near[0]) - begin), (int(near[-1]) + 1 - begin, end - begin)
 
 
 def _motion(
@@ -352,6 +433,7 @@ def nodes_of_rows(
     felt: np.ndarray | None = None,
 ) -> BodyNodes:
     """The nodes of the executed motion on a table of this `geometry`. `temperature_c` `(n,)`: temperature of the maps.
+    `points` along a piece for functions of temperature; 0: they have jumps, and are evaluated at every node.
 
     `error_of(axis, angle) -> (error, its derivative)`, rad: angle of every axis less that of its encoder. `felt` `(P,
     3)`: the mean specific force over every piece, m/s², NaN where unknown: away from the axes a move adds some
@@ -392,9 +474,14 @@ def _group(done, log, motion, kinds, count, points, temperature_c, before, error
     error, slope = _errors(error_of, angle)
     joint = np.where(own, speed[..., None], 0.0) * (1.0 + slope)
     mounting = np.broadcast_to(motion.mounting[kinds][:, None], since.shape)
-    x, w = quadrature(points)
+    middles = (np.arange(count) + 0.5) / count
+    if points:
+        x, w = quadrature(points)
+        share = w[None] if count == 1 else lagrange(x, middles)
+    else:
+        x = (np.arange(_PARTS) + 0.5) / _PARTS if count == 1 else middles
+        share = np.full((1, _PARTS), 1.0 / _PARTS) if count == 1 else np.eye(count)
     temperature = np.interp(line.start[kinds][:, None] + duration[:, None] * x, log.time_s, temperature_c)
-    share = w[None] if count == 1 else lagrange(x, (np.arange(count) + 0.5) / count)
     weight = np.broadcast_to(duration[:, None] / count, since.shape)
     own_kinds = kinds, kinds, np.arange(len(kinds))
     group = body_group(geometry, own_kinds, temperature, share, weight, angle + error, joint, mounting)

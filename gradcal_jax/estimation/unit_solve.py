@@ -23,6 +23,7 @@ from gradcal_jax.information import (
     NoiseSteps,
     Posterior,
     SquareRootInformation,
+    encoder_rows,
     posterior,
     segments_of,
     unit_system,
@@ -187,7 +188,27 @@ def readings_of(
             whole = whole + np.add.reduceat(shared[:, c.axis], at.first)
         rows = at.row_channel == i
         observed[rows] = whole[at.row_segment[rows]]
-    return UnitReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), felt)
+    readings = UnitReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), felt)
+    if model.encoder.held:
+        return readings
+    # The motion is that of the mean angles; the reference is each reading.
+    before, after = done.motion.angles()
+    read = _angles_read(log, done.rows)
+    apart = np.stack([read[at.last + 1] - after[at.last], read[at.first] - before[at.first]], axis=1)
+    shown = np.sum(encoder_rows(done.motion, model, readings.nominal()) * apart[at.row_segment], axis=(1, 2))
+    return readings._replace(observed=np.where(at.used, observed - shown, 0.0))
+
+
+def _angles_read(log: UnitRows, rows: np.ndarray) -> np.ndarray:
+    """The angles (rad) that were read at rows of the log, or nearest to them, `(P + 1, L)`."""
+    result = np.empty((len(rows), log.angles.shape[1]))
+    for axis, angles in enumerate(log.angles.T):
+        known = np.flatnonzero(np.isfinite(angles))
+        after = np.clip(np.searchsorted(log.time_s[known], log.time_s[rows]), 0, len(known) - 1)
+        before = np.maximum(after - 1, 0)
+        nearer = log.time_s[rows] - log.time_s[known[before]] < log.time_s[known[after]] - log.time_s[rows]
+        result[:, axis] = angles[known[np.where(nearer, before, after)]]
+    return result
 
 
 class UnitEstimate(NamedTuple):

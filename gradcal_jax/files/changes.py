@@ -1,8 +1,8 @@
 """Changing single keys of a spec by their dotted names: for sweeps, scenarios, sensitivities and optimised plans.
 
-    changed(spec, {"plan.cycle.moves[1].peak_rate": 3.1, "rig.table.angle.reading_noise": "30 arcsec"})
+    changed(spec, {"plan.cycle.moves[1].peak_rate": "200 deg/s", "design.starts": 4})
 
-A plain number for a key that holds a quantity is SI (°C for temperatures) and is written in the unit of the old value.
+A value is what the file would hold: a quantity has its unit, and a plain number is refused for it, as in a file.
 """
 
 import copy
@@ -10,7 +10,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, TypeVar, cast
 
-from gradcal_jax import units
 from gradcal_jax.files.problems import ABSENT, Key, Problem, SpecError, dotted
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec, is_of_unit, spec_of
@@ -81,10 +80,10 @@ def _put(tables: dict[str, Any], key: Key, value: object) -> None:
         if value is None:
             table.pop(last, None)
         else:
-            table[last] = _dressed(table.get(last), value)
+            table[last] = copy.deepcopy(value)
         return
-    old = _inside(here, last, key)
-    here[last] = _dressed(old, value)
+    _inside(here, last, key)
+    here[last] = copy.deepcopy(value)
 
 
 def _inside(here: Any, part: str | int, key: Key) -> Any:
@@ -98,13 +97,6 @@ def _inside(here: Any, part: str | int, key: Key) -> Any:
     if not isinstance(here, dict):
         raise SpecError([Problem(key, "there is no table here")])
     return cast("dict[str, Any]", here)[part]
-
-
-def _dressed(old: object, value: object) -> object:
-    """`value` for the file: an SI number is written in the unit of the old text."""
-    if isinstance(value, float | int) and not isinstance(value, bool) and isinstance(old, str):
-        return units.format_quantity(float(value), units.unit_of(old))
-    return copy.deepcopy(value)
 
 
 def differences(before: Any, after: Any, key: Key) -> Iterator[tuple[Key, Any, Any]]:

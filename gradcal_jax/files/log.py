@@ -32,6 +32,8 @@ from gradcal_jax.files.netcdf import NetcdfError, load_netcdf, save_netcdf
 from gradcal_jax.files.problems import instead
 
 FORMAT: Final = "gradcal-log/1"
+SERIAL_NUMBER: Final = "serial_number"
+"""Key, in the provenance of a log and of its calibration, of the number that the device itself stated."""
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 Flags = NDArray[np.uint16]

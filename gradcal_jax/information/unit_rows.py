@@ -239,6 +239,13 @@ def _standstills(encoder, k: int, moves: np.ndarray, start, duration):
     return put(xp.zeros(len(moves)), at, variance[1:]), variance[0]
 
 
+def encoder_rows(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> Float[AnyArray, "R 2 L"]:
+    """What an encoder error of one rad adds to every row (rad, m/s): at the end of its segment, and before it."""
+    axes, at = motion.geometry.axis_count, segments_of(motion, model)
+    of_errors = _observations(motion, nodes, at, model, len(model.channels) + 2 * axes, len(model.channels))
+    return of_errors[:, len(model.channels) :].reshape(-1, 2, axes)
+
+
 def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: UnitModel, n: int, encoders: int):
     """H of every row, `(R, n)`."""
     xp, axes = namespace(nodes.axes_before, motion.line.duration), motion.geometry.axis_count

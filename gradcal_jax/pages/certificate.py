@@ -18,6 +18,7 @@ from gradcal_jax import api
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.ieee_terms import calibration_map
 from gradcal_jax.files.calibration import LOG_HASH, AxisCalibration, Calibration, Result
+from gradcal_jax.files.log import SERIAL_NUMBER
 from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.information.conformity import specific_risk
@@ -113,13 +114,16 @@ def certificate_of(
     laboratory = None if rig is None else rig.laboratory
     who = operator or ("" if laboratory is None or laboratory.operator is None else laboratory.operator)
     where = "" if laboratory is None else ", ".join(filter(None, (laboratory.name, laboratory.address)))
+    number_of_unit = calibration.provenance.get(SERIAL_NUMBER, NOT_STATED)
     heading = (
         ("certificate number", number or NOT_STATED),
         ("date", datetime.now(UTC).strftime("%Y-%m-%d")),
         ("laboratory", where or NOT_STATED),
         ("customer", customer or NOT_STATED),
         ("operator", who or NOT_STATED),
-        ("unit", f"{calibration.title or calibration.quantity}, serial number {calibration.serial_number}"),
+        # A name in a rig file or in a log is no number of the device.
+        ("unit", f"{calibration.title or calibration.quantity}, in the data {calibration.serial_number}"),
+        ("serial number", number_of_unit),
         ("performed", _performed(performed, sources)),
     )
     return Certificate(
@@ -134,7 +138,7 @@ def certificate_of(
         budgets=tuple(_budgets(sources)),
         fit=tuple((axis.name, t.name, t.statistic, t.degrees, t.chance) for axis in calibration.axis for t in axis.fit),
         corrections=tuple(row for axis in calibration.axis for row in _corrections(axis, len(calibration.axis))),
-        serial_number=calibration.serial_number,
+        serial_number=number_of_unit,
         fastest_dps=min(float(np.degrees(axis.valid_rate[1])) for axis in calibration.axis),
         validity=_validity(calibration),
         simulated=calibration.simulated,

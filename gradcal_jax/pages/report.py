@@ -21,7 +21,7 @@ def report(
     """Make one HTML page of a recipe, a run or a calibration: plan, prediction, run, estimate and how to apply it. For
     a gyro's axes or a whole unit.
 
-    `sources`: the folder of a run (its calibration.toml is taken with it), a recipe, a calibration, or those of them
+    `sources`: the folder of a run (a calibration in it is taken with it), a recipe, a calibration, or those of them
     that belong together; for a whole unit its spec, too. `before`: a spec or recipe whose plan to compare with.
     `limits`: the output of `gradcal limit --json`. `panel`: sliders for other times, encoders and slopes. The page
     replaces `output`; it has no external resources.

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -91,10 +92,9 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
             )
     run: RunFolder | None = parts.get("run")
     if run is not None:
-        own = run.path / CALIBRATION_IN_RUN
         if "recipe" not in parts and "unit" not in parts:
             take_recipe(run.recipe(), run.path / "recipe.toml")
-        if not parts.keys() & {"calibration", "unit_calibration"} and own.is_file():
+        if not parts.keys() & {"calibration", "unit_calibration"} and (own := _calibration_in(run.path)) is not None:
             take_calibration(own)
         parts["hidden_truth"] = _hidden_truth(run)
     if parts.keys() & {"unit", "unit_calibration"}:
@@ -110,6 +110,23 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
     if limits is not None:
         parts["limits"] = _limits(limits)
     return Sources(**parts, paths=tuple(named), notes=tuple(_misfits(parts)))
+
+
+def _calibration_in(folder: Path) -> Path | None:
+    """The calibration in a run's folder: `CALIBRATION_IN_RUN`, or the only one of another name. Errors: `ValueError`
+    where there are several."""
+    if (usual := folder / CALIBRATION_IN_RUN).is_file():
+        return usual
+    found: list[Path] = []
+    for path in sorted(folder.glob("*.toml")):
+        # A file that cannot be read is no calibration; what it is meant to be does not matter here.
+        with suppress(ValueError, OSError):
+            if read_toml(read_text(path), str(path)).get("format") == CALIBRATION:
+                found.append(path)
+    if len(found) > 1:
+        names = ", ".join(path.name for path in found)
+        raise ValueError(f"{folder} holds several calibrations ({names}): name the one that is meant, too")
+    return found[0] if found else None
 
 
 def _limits(path: Path) -> dict[str, float]:

@@ -5,5 +5,12 @@ from gradcal_jax.trajectory.geometry import EARTH_RATE, Geometry, frames, rotati
 from gradcal_jax.trajectory.motion import Move, rest, turn
 from gradcal_jax.trajectory.programme import Programme, programme
 from gradcal_jax.trajectory.schedule import Schedule, channels_of, gradient_plan, standard_plan
-from gradcal_jax.trajectory.table_motion import TableMotion, body_group, body_nodes, lagrange, table_motion
+from gradcal_jax.trajectory.table_motion import (
+    TableMotion,
+    body_group,
+    body_nodes,
+    divided_motion,
+    lagrange,
+    table_motion,
+)
 from gradcal_jax.trajectory.trajectory import Past, Trajectory, held, quadrature

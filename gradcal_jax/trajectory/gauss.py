@@ -28,6 +28,8 @@ _POWERS, _HALF_WAVES = 4, 6
 _LAGGED_NODES = 16
 # A piece is bisected towards its start until the lag's exponential decays by less than about e^(this) in each part.
 _LAG_TIMES = 8.0
+# Divisions nearer than this to an end of a piece, or to each other, as a share of the piece, divide nothing.
+EDGE = 1e-12
 # Number of panels of a piece; in each a shape has at most one turning point, which is computed.
 _PANELS = 8
 # Bisection steps that locate a crossing, to 2^-45 of a panel.
@@ -78,6 +80,20 @@ def rule_of(model: SensorModel, trajectory: Trajectory) -> Rule:
 
 def _degree(basis) -> int:
     return basis.degree if isinstance(basis, Polynomial | HigherPolynomials | BSpline) else 0
+
+
+def temperature_crossings(line: Trajectory, breaks: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """The pieces, and the fractions of each, at which the temperature of a trajectory with known numbers crosses a
+    break; also where it turns within a piece."""
+    pieces = np.flatnonzero(~np.asarray(line.gap))
+    if not line.lagged:
+        begin, end = (np.searchsorted(breaks, of + _break_shift(breaks)) for of in line.ends())
+        pieces = pieces[(begin != end)[pieces]]
+    if not len(pieces) or not breaks:
+        return pieces[:0], np.zeros(0)
+    lower, _ = _smooth_panels(line, pieces, Rule(0, 0, breaks, (), 0, driven=False), ())
+    row, column = np.nonzero((lower > EDGE) & (lower < 1.0 - EDGE) & (np.diff(lower, axis=1, prepend=-1.0) > EDGE))
+    return pieces[row], lower[row, column]
 
 
 def gauss_nodes(trajectory: Trajectory, model: SensorModel, rule: Rule | None = None) -> Nodes:

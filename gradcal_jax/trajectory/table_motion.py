@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, size_class
 from gradcal_jax.model import BodyGroup, BodyNodes
+from gradcal_jax.trajectory.gauss import EDGE, temperature_crossings
 from gradcal_jax.trajectory.geometry import Geometry, frames
 from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
 
@@ -21,6 +22,10 @@ _NODES_PER_RAD = 0.75
 _WAVES = 3
 # Angles that differ by less (rad) are the same pose.
 _SAME_POSE = 1e-9
+# Bisections that locate a crossing, to 2^-45 of the distance of two nodes.
+_HALVINGS = 45
+# A rate's distance from a break that is rounding, as a share of the largest break.
+_ROUNDING = 1e-14
 
 
 class TableMotion(PytreeModule):
@@ -82,13 +87,110 @@ def table_motion(
     return TableMotion(line, axis, mounting, geometry, start_angles, np.reshape(kind, -1), example, nodes)
 
 
+def divided_motion(
+    motion: TableMotion,
+    temperature_breaks: tuple[float, ...],
+    rate_breaks: dict[int, tuple[float, ...]],
+    harmonics: int = 0,
+) -> TableMotion:
+    """The motion with its pieces divided where functions of temperature or rate are not smooth (bins, B-splines).
+
+    `temperature_breaks` °C; `rate_breaks` rad/s of the gyro along each of the body's axes, against the stars: the
+    Earth's rate belongs to what it measures. `harmonics`: as for `table_motion`. Numbers must be known.
+    """
+    pieces, at = temperature_crossings(motion.line, temperature_breaks)
+    kinds, of_kinds = _rate_crossings(motion, rate_breaks)
+    for kind in np.unique(kinds):
+        alike, own = np.flatnonzero(motion.kind == kind), of_kinds[kinds == kind]
+        pieces = np.concatenate([pieces, np.repeat(alike, len(own))])
+        at = np.concatenate([at, np.tile(own, len(alike))])
+    if not len(pieces):
+        return motion
+    order = np.lexsort((at, pieces))
+    pieces, at = pieces[order], at[order]
+    apart = (np.diff(pieces, prepend=-1) != 0) | (np.diff(at, prepend=-1.0) > EDGE)
+    line, source = motion.line.divided(pieces[apart], at[apart])
+    return table_motion(
+        line, motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles, harmonics
+    )
+
+
+def _rate_crossings(motion: TableMotion, breaks: dict[int, tuple[float, ...]]) -> tuple[np.ndarray, np.ndarray]:
+    """The kinds of pieces, and the fractions of them, at which the rate along a body axis crosses one of its breaks."""
+    before, _ = motion.angles()
+    kinds, places = [np.zeros(0, int)], [np.zeros(0)]
+    for count in np.unique(motion.nodes[motion.nodes > 1]) if breaks else ():
+        every = np.flatnonzero(motion.nodes == count)
+        grid = np.broadcast_to(np.linspace(0.0, 1.0, 2 * int(count) + 1), (len(every), 2 * int(count) + 1))
+        seen = _body_rate(motion, every, before, grid)
+        for axis, levels in breaks.items():
+            slack = _ROUNDING * max(map(abs, levels), default=0.0)
+            for level in levels:
+                number, place = _crossed(motion, every, before, grid, seen[..., axis], axis, level - slack)
+                kinds.append(number)
+                places.append(place)
+    kind, place = np.concatenate(kinds), np.concatenate(places)
+    inside = (place > EDGE) & (place < 1.0 - EDGE)
+    return kind[inside], place[inside]
+
+
+def _crossed(motion, kinds, before, grid, seen, axis: int, level: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where the rate `seen` at the fractions `grid` of the `kinds` crosses a level: kinds, and fractions."""
+
+    def above(number: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return _body_rate(motion, kinds[number], before, v[:, None])[:, 0, axis] >= level
+
+    over = seen >= level
+    row, k = np.nonzero(over[:, 1:] != over[:, :-1])
+    number, low, high = row, grid[row, k], grid[row, k + 1]
+    # A turning point between nodes of the same side: the vertex of a parabola through three nodes.
+    left, right = seen[:, 1:-1] - seen[:, :-2], seen[:, 2:] - seen[:, 1:-1]
+    same = (over[:, 1:-1] == over[:, :-2]) & (over[:, 1:-1] == over[:, 2:])
+    row, k = np.nonzero((left * right < 0.0) & ((left > 0.0) != over[:, 1:-1]) & same)
+    if len(row):
+        bend = right[row, k] - left[row, k]
+        vertex = grid[row, k + 1] - 0.5 * (left + right)[row, k] / bend * (grid[row, k + 2] - grid[row, k + 1])
+        beyond = above(row, vertex) != over[row, k + 1]
+        row, k, vertex = row[beyond], k[beyond], vertex[beyond]
+        number = np.concatenate([number, row, row])
+        low = np.concatenate([low, grid[row, k], vertex])
+        high = np.concatenate([high, vertex, grid[row, k + 2]])
+    if not len(number):
+        return kinds[number], low
+    began = above(number, low)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        same = above(number, middle) == began
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return kinds[number], 0.5 * (low + high)
+
+
+def _body_rate(motion: TableMotion, kinds: np.ndarray, before, v: np.ndarray) -> np.ndarray:
+    """The body's rate (rad/s, against the stars) at fractions `v` `(n, q)` of examples of the `kinds` `(n,)`."""
+    angle, joint, mounting = _posed(motion, kinds, before, v)
+    stages = frames(motion.geometry, angle, mounting)
+    earth = (motion.geometry.earth_rate()[None, :] @ stages.attitude)[..., 0, :]
+    return earth + np.sum(joint[..., None] * stages.axes, axis=-2)
+
+
+def _posed(motion: TableMotion, kinds: np.ndarray, before, v):
+    """Angles (rad), rates (rad/s) of all axes and the mounting at fractions `v` `(n, q)` of examples of `kinds`."""
+    xp, example = namespace(before, motion.line.duration), motion.example[kinds]
+    own = motion.turns[example][:, None, :]
+    since, rate = motion.line.angle(v, example), motion.line.rate(v, example)
+    angle = before[example][:, None, :] + xp.where(own, since[..., None], 0.0)
+    joint = xp.where(own, rate[..., None], 0.0)
+    return angle, joint, np.broadcast_to(motion.mounting[example][:, None], v.shape)
+
+
 def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
     """The nodes of a unit's terms, with functions of temperature interpolated from `points` points on each piece."""
     example = motion.example
-    before, after = (angle[example] for angle in motion.angles())
+    all_before, all_after = motion.angles()
+    before, after = all_before[example], all_after[example]
     begin, end = motion.line.ends()
     groups = tuple(
-        _group(motion, np.flatnonzero(motion.nodes == n), int(n), points, before) for n in np.unique(motion.nodes)
+        _group(motion, np.flatnonzero(motion.nodes == n), int(n), points, all_before) for n in np.unique(motion.nodes)
     )
     axis, mounting = motion.axis[example], motion.mounting[example]
     axes = frames(motion.geometry, before, mounting).axes
@@ -100,11 +202,7 @@ def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, befo
     example = motion.example[kinds]
     x, w = quadrature(count)
     v = xp.broadcast_to(xp.asarray(x), (len(kinds), count))
-    own = motion.turns[example][:, None, :]
-    since, rate = line.angle(v, example), line.rate(v, example)
-    angle = before[kinds][:, None, :] + xp.where(own, since[..., None], 0.0)
-    joint = xp.where(own, rate[..., None], 0.0)
-    mounting = np.broadcast_to(motion.mounting[example][:, None], v.shape)
+    angle, joint, mounting = _posed(motion, kinds, before, v)
     pieces = np.flatnonzero(np.isin(motion.kind, kinds))
     at, of_points = quadrature(points)
     temperatures = line.temperature(xp.broadcast_to(xp.asarray(at), (len(pieces), points)), pieces)

@@ -100,6 +100,32 @@ class Trajectory(PytreeModule):
         xp = namespace(self.u_end, self.terms)
         return xp.sum(formulas.motion_rate(self.u_end) * self.terms, axis=1)
 
+    def divided(self, pieces: Int[np.ndarray, " n"], at: Float[np.ndarray, " n"]) -> tuple["Trajectory", np.ndarray]:
+        """The same trajectory with `pieces` divided at the fractions `at`, and the former number of each of its pieces.
+
+        A piece with two divisions is named twice.
+        """
+        number = np.concatenate([np.arange(self.piece_count), pieces])
+        place = np.concatenate([np.zeros(self.piece_count), at])
+        order = np.lexsort((place, number))
+        source, v0 = number[order], place[order]
+        last = np.diff(source, append=-1) != 0
+        v1 = np.where(last, 1.0, np.append(v0[1:], 1.0))
+        since, width = v0 * self.duration[source], (self.u_end - self.u_start)[source]
+        u_start = self.u_start[source]
+        changes = {name: getattr(self, name)[source] for name in _OF_PIECES} | {
+            "start": self.start[source] + since,
+            "duration": (v1 - v0) * self.duration[source],
+            "u_start": u_start + width * v0,
+            "u_end": u_start + width * v1,
+            "level": self.level[source] + self.slope[source] * since,
+            "excess": self.excess[source] * np.exp(-self.lag_rate * since),
+            "read": self.read[source] & last,
+            "at_rest": self.at_rest[source] & (last | ~self.moving[source]),
+        }
+        places = {name: np.flatnonzero(np.isin(source, getattr(self, name))) for name in _PLACES}
+        return replace(self, **changes, **places), source
+
     def between(self, begin: float, end: float) -> "Trajectory":
         """The trajectory of the pieces that lie wholly between two times (s, in the time of `start`)."""
         kept = (self.start >= begin - _SAME_TIME) & (self.start + self.duration <= end + _SAME_TIME)

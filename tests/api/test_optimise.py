@@ -19,9 +19,9 @@ from gradcal_jax.api.optimise import Optimised, _within_limits, exact, optimise,
 from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.sensitivity import sensitivity
 from gradcal_jax.api.structures import structures
-from gradcal_jax.design import ProgrammeCoordinates, polish
+from gradcal_jax.design import ProgrammeCoordinates, polish, search
 from gradcal_jax.design.search import _program
-from gradcal_jax.files import SpecError, changed
+from gradcal_jax.files import SpecError, changed, tables_of
 from gradcal_jax.files.rounding import rounded
 
 DEG = math.pi / 180.0
@@ -92,7 +92,7 @@ def test_elasticities_are_differences_of_predictions(spec):
 @pytest.mark.parametrize("seed", range(3))
 def test_any_point_is_written_feasible_with_whole_turns(spec, seed):
     changed_ = changed(spec, {"design.whole_turns": True})
-    (structure,) = structures(changed_, [])
+    structure, _ = structures(changed_, [])
     point = 2.0 * np.random.default_rng(seed).standard_normal(structure.coordinates.size)
     plan = plan_to_spec(changed_, structure.coordinates, point)
     moves = plan.gradient_schedule.cycle.moves
@@ -373,3 +373,68 @@ def test_the_plan_as_it_was_counts_only_where_it_keeps_the_limits(spec):
         assert measure(limited).limits == ("worst",)
         assert _within_limits(limited, measure(limited)) == keeps
     assert _within_limits(spec, measure(spec))
+
+
+STARTS = {
+    "a cycle": {},
+    "a cycle whose durations hold": {"design.free": ["peak_rate"]},
+    "a programme": None,
+    "set points": None,
+}
+
+
+@pytest.mark.parametrize("kind", STARTS)
+def test_the_plan_as_it_is_is_one_of_the_starts(spec, kind):
+    """To rounding and the relaxed readings of rests."""
+    if kind == "a programme":
+        own = changed(static(), {"plan.programme": PROGRAMME} | dict.fromkeys(PROGRAMMED))
+    elif kind == "set points":
+        base = files.read_spec("experiments/paper/static_standard.toml")
+        own = changed(base, {"design": {"minimise": "full range", "free": ["temperatures", "integration"]}})
+    else:
+        own = changed(spec, STARTS[kind])
+    begun = [structure for structure in structures(own, []) if structure.start is not None]
+    assert begun
+    of = measure(own)
+    for structure in begun:
+        found = of.exact(structure.coordinates.decode(structure.start))
+        assert found == pytest.approx(exact(own, of), rel=0.06), structure.words
+    first = next(iter(search(of.compiled(begun[-1].coordinates), starts=1, seed=0, begin=begun[-1].start, alone=True)))
+    assert first.best == pytest.approx(exact(own, of), rel=0.06)
+
+
+PROGRAMMED = ("plan.temperature", "plan.gradient", "plan.soak")
+PROGRAMME = [
+    {"soak": "1 h", "at": "-30 degC", "used": True},
+    {"ramp_to": "40 degC", "rate": "1 K/min"},
+    {"ramp_to": "70 degC", "rate": "0.5 K/min"},
+]
+
+
+def test_many_short_visits_begin_with_the_same_moves_in_each(spec):
+    """With moves of their own, 160 visits ended at 282 ppm where the plan as it was left 266."""
+    moves = [
+        {"rest": "5 s", "read_every": "5 s"},
+        {"turn": "360 deg", "peak_rate": "100 deg/s", "shape": "linear ramps"},
+    ]
+    back = [moves[0], moves[1] | {"turn": "-360 deg"}]
+    many = changed(spec, {"plan.cycle": {"moves": [*moves, *back]}, "design.moves": None})
+    (structure,) = structures(many, [])
+    assert structure.words.endswith("cycles with the moves of the spec")
+    assert not structure.alone
+    own = changed(many, {"design.cycles": "own"})
+    assert [s.alone for s in structures(own, [])] == [False, True]
+
+
+def test_a_worse_result_does_not_replace_a_plan_that_misses_the_same_target(best):
+    """It did: the plan as it was stayed only where it met every target."""
+    spec = best.spec
+    rows = tables_of(spec)["requirement"]
+    two = [rows[0], rows[0] | {"name": "narrow", "target": "1 ppm"}]
+    hard = changed(spec, {"requirement": two, "design.starts": 1})
+    of, known = measure(hard), exact(hard, measure(hard))
+    assert not _within_limits(hard, of)
+    *_, found = optimise(hard, steps=20, quick=True)
+    assert isinstance(found, Optimised)
+    assert found.now <= known * (1.0 + 1e-9)
+    assert not found.converged

@@ -11,6 +11,7 @@ from gradcal_jax.api.optimise import Optimised, belief_of, optimise
 from gradcal_jax.api.scenarios import extremes, scenario_specs
 from gradcal_jax.api.structures import structures
 from gradcal_jax.files import SpecError, changed, parse_spec, to_toml
+from gradcal_jax.units import format_quantity, unit_of
 
 UNCERTAIN = {
     "sensor.drift[0].uncertain": {"standard_deviation": "factor 2", "correlation_time": ["1 min", "20 min"]},
@@ -36,7 +37,10 @@ def test_uncertain_figures_make_a_range_that_holds_every_draw(spec):
     figures = loose.sensor.uncertain_figures()
     assert len(figures) == 3
     for _ in range(12):
-        drawn = {k: float(np.exp(rng.uniform(*np.log(ends)))) for k, ends in figures.items()}
+        drawn = {
+            k: format_quantity(float(np.exp(rng.uniform(*np.log(ends)))), unit_of(ends[0].text))
+            for k, ends in figures.items()
+        }
         assert low * (1 - 1e-9) <= value(changed(loose, drawn)) <= high * (1 + 1e-9)
 
 

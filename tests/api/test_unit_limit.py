@@ -115,3 +115,88 @@ def test_a_continuous_look_at_a_bias_is_the_spectrums_floor_for_long_times():
     (row,) = unit_limits(spec)
     density = (0.05 / 60.0) ** 2 + 2.0 * (50e-6 * G) ** 2 * 20.0
     assert row.certified == pytest.approx(np.sqrt(density / used) / G * 1e6, rel=2e-2)
+
+
+BOTH = """
+[rig.chamber]
+range       = ["-40 degC", "85 degC"]
+max_heating = "2 K/min"
+max_cooling = "1.5 K/min"
+[[requirement]]
+name        = "full range"
+quantity    = "{of}scale_factor"
+temperature = ["-30 degC", "70 degC"]
+rate        = ["-300 deg/s", "300 deg/s"]
+statistic   = "max"
+[[requirement]]
+name        = "bias"
+quantity    = "{of}bias"
+temperature = ["-30 degC", "70 degC"]
+statistic   = "max"
+[plan]
+method      = "gradient"
+temperature = ["-30 degC", "70 degC"]
+gradient    = "1 K/min"
+[plan.cycle]
+moves = [
+  {{ rest = "10 s"{every} }},
+  {{ turn = "360 deg", peak_rate = "150 deg/s", duration = "3.03 s", shape = "cosine ramps" }},
+  {{ rest = "80 s"{every} }},
+  {{ turn = "-360 deg", peak_rate = "300 deg/s", duration = "1.52 s", shape = "cosine ramps" }},
+  {{ rest = "240 s"{every} }},
+]
+"""
+MAPS = """
+bias = { temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }, prior = "500 deg/h" }
+[sensor{of}.scale_factor]
+temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }
+rate        = { basis = "polynomial", degree = 1, scale = "300 deg/s" }
+prior       = "10000 ppm"
+"""
+GYRO = """angle_random_walk = "0.1 deg/sqrt(h)"
+drift = [{ standard_deviation = "1 deg/h", correlation_time = "120 s" }]
+"""
+UNSTEADY = 'scale_factor_instability = [{ standard_deviation = "3 ppm", correlation_time = "20 min" }]\n'
+AXIS = """format = "gradcal-spec/1"
+[sensor]
+quantity = "gyro"
+{clock}{gyro}{maps}
+[rig.table]
+max_rate = "300 deg/s"
+max_acceleration = "1500 deg/s^2"
+[rig.table.angle]
+reading_noise = "0.05 deg"
+standstill_offset = "0.01 deg"
+"""
+UNIT = """format = "gradcal-spec/1"
+[sensor]
+{clock}[sensor.gyro]
+axes = ["z"]
+{gyro}{maps}
+[rig.site]
+latitude = "0 deg"
+[rig.table]
+standing = "read"
+[[rig.table.axis]]
+name = "turn"
+direction = [0.0, 0.0, 1.0]
+max_rate = "300 deg/s"
+max_acceleration = "1500 deg/s^2"
+angle = {{ reading_noise = "0.05 deg", standstill_offset = "0.01 deg", read_every = "1 s" }}
+"""
+
+
+@pytest.mark.parametrize(("clock", "gyro"), [("", GYRO), ('sample_clock_error = "2 ppm"\n', GYRO + UNSTEADY)])
+def test_one_gyro_axis_has_one_limit_in_both_kinds_of_spec(clock, gyro):
+    """The cycles leave 6 s of the ramp, which are data in both."""
+    axis = AXIS.format(clock=clock, gyro=gyro, maps=MAPS.replace("{of}", ""))
+    unit = UNIT.format(clock=clock, gyro=gyro, maps=MAPS.replace("{of}", ".gyro"))
+    one = gj.limit(gj.parse_spec(axis + BOTH.format(of="", every=', read_every = "1 s"')))
+    two = gj.limit(gj.parse_unit_spec(unit + BOTH.format(of="gyro_", every="")))
+    assert [row.name for row in one] == [row.name for row in two] == ["full range", "bias"]
+    for a, b in zip(one, two, strict=True):
+        assert a.certified == pytest.approx(b.certified, rel=1e-9)
+        assert a.kept == b.kept
+        assert 0.0 < a.certified < min(a.value, b.value)
+    # More than in white noise alone: drift and readings count.
+    assert one[0].certified > 1.4 * 0.2028

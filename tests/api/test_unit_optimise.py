@@ -14,6 +14,7 @@ from gradcal_jax.api.unit_optimise import TOGETHER, CycleValue, UnitOptimum, _it
 from gradcal_jax.cli import main
 from gradcal_jax.design.pose_search import PoseState, closed, feasible, neighbour
 from gradcal_jax.files.design import UnitDesign
+from gradcal_jax.units import format_quantity, unit_of
 
 
 def small(**changes) -> gj.UnitSpec:
@@ -55,9 +56,26 @@ def test_uncertain_noise_of_a_unit_makes_a_range_that_holds_every_draw():
     assert all(row.uncertain is None for row in gj.predict(small(), limits=True).requirements)
     rng = np.random.default_rng(0)
     for _ in range(6):
-        drawn = {k: float(np.exp(rng.uniform(*np.log(ends)))) for k, ends in figures.items()}
+        drawn = {
+            k: format_quantity(float(np.exp(rng.uniform(*np.log(ends)))), unit_of(ends[0].text))
+            for k, ends in figures.items()
+        }
         for (low, high), row in zip(ranges, gj.predict(gj.changed(spec, drawn)).requirements, strict=True):
             assert low * (1 - 1e-9) <= row.decisive <= high * (1 + 1e-9)
+
+
+def test_the_result_is_never_worse_than_the_plan_as_it_was():
+    """The search begins with rests of tenths of a second, of which no second cycle fits into the time."""
+    moves = gj.tables_of(small())["plan"]["cycle"]["moves"]
+    shorter = [move | ({"rest": "5.96 s"} if "rest" in move else {}) for move in moves]
+    once = small(**{"plan.cycle.moves": shorter})
+    spec = gj.changed(once, {"plan.programme[0].soak": f"{2.0 * once.schedule.period!r} s"})
+    assert spec.schedule.stretches[0].cycles == 2
+    *states, best = optimise_unit(spec, evaluations=2, seed=0)
+    assert states[0].value > CycleValue(spec).of_statistics(spec.requirement, [row[2] for row in best.rows])
+    assert best.kept
+    assert best.spec == spec
+    assert [row[2] for row in best.rows] == [row[3] for row in best.rows]
 
 
 @pytest.mark.parametrize("robust", ["mean", "worst"])
@@ -79,8 +97,9 @@ def cases_of(robust: str) -> list[dict[str, str]]:
         "sensor.accelerometer.drift[0].correlation_time",
     )
     figures = small().sensor.accelerometer
-    walks = [float(figures.velocity_random_walk) * by for by in (1 / 1.5, 1.5)]
-    stds = [float(figures.drift[0].standard_deviation) * by for by in (0.5, 2.0)]
+    scaled = lambda of, by: format_quantity(float(of) * by, unit_of(of.text))  # noqa: E731
+    walks = [scaled(figures.velocity_random_walk, by) for by in (1 / 1.5, 1.5)]
+    stds = [scaled(figures.drift[0].standard_deviation, by) for by in (0.5, 2.0)]
     if robust == "worst":
         return [{walk: walks[1], std: stds[1]} | more for more in ({}, {time: "20 s"}, {time: "1 h"})]
     return [{}, *({walk: w} for w in walks), *({std: s} for s in stds), {time: "20 s"}, {time: "1 h"}]

@@ -38,13 +38,21 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path):
     assert goal.read_bytes() == b"new\n"
 
 
-@settings(deadline=None)
-@given(st.floats(0.001, 0.1))
-def test_a_changed_number_takes_the_unit_that_stood_there_and_is_exact(slope):
-    spec = files.changed(PAPER, {"plan.gradient": slope / 3.1})
-    assert spec.plan.gradient == slope / 3.1
-    assert spec.plan.gradient.text.endswith(" K/min")
-    assert files.parse_spec(files.to_toml(spec)) == spec
+@pytest.mark.parametrize(
+    "key",
+    [
+        "plan.gradient",
+        "plan.cycle.moves[1].duration",
+        "rig.table.angle.standstill_offset",
+        "requirement[0].temperature[1]",
+    ],
+)
+@pytest.mark.parametrize("number", [0.02, 0, 1])
+def test_a_number_without_a_unit_is_refused_as_in_a_file(key, number):
+    """0.02 for an angle was 0.02 rad, silently."""
+    with pytest.raises(SpecError, match="as text with a unit") as caught:
+        files.changed(PAPER, {key: number})
+    assert {problem.dotted for problem in caught.value.problems} == {key}
 
 
 def test_changes_reach_into_lists_and_new_tables_and_remove():
@@ -52,11 +60,11 @@ def test_changes_reach_into_lists_and_new_tables_and_remove():
         PAPER,
         {
             "plan.cycle.moves[1].turn": "720 deg",
-            "plan.cycle.moves[1].duration": 81.45,
+            "plan.cycle.moves[1].duration": "81.45 s",
             "rig.resolution.time": "0.1 s",
             "plan.soak": None,
             "sensor.scale_factor.rate.degree": 2,
-            "requirement[0].temperature[1]": 60.0,
+            "requirement[0].temperature[1]": "60 degC",
         },
     )
     assert spec.schedule.cycle.moves[1].ramp == pytest.approx(9.45)

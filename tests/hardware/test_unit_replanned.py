@@ -69,7 +69,7 @@ def test_a_prediction_counts_what_was_done(spec: UnitSpec) -> None:
     assert done is not None
     rows = assemble_unit(spec).model.prior_rows()
     built = assemble_unit(both)
-    total = rows.T @ rows + gram(spec, motion_of(done, spec)) + gram(both, built.motion)
+    total = rows.T @ rows + gram(spec, motion_of(done, spec, assemble_unit(spec).model)) + gram(both, built.motion)
     size = np.sqrt(np.diag(total))
     known = posterior_of_unit(built)
     assert not known.hidden.size

@@ -125,6 +125,20 @@ def test_what_is_not_known_is_not_stated(folder, tmp_path, capsys):
     assert main(["report", str(folder / "cal.toml"), "--customer", "x", "-o", str(tmp_path / "d.html")]) == 2
 
 
+def test_the_serial_number_is_what_the_device_said(folder, tmp_path, capsys):
+    """The name of its table in the rig file, or of its column in a log, is none."""
+    command = ["report", str(folder / "cal.toml"), "--certificate", "--json"]
+    assert main([*command, "-o", str(tmp_path / "a.html")]) == 0
+    heading = json.loads(capsys.readouterr().out)["heading"]
+    assert heading["serial number"] == "not stated"
+    assert "unit <7>" in heading["unit"]
+    found = gj.read_calibration(folder / "cal.toml")
+    stated = found.model_copy(update={"provenance": {**found.provenance, "serial_number": "N2558"}})
+    gj.write_calibration(stated, tmp_path / "said.toml")
+    assert main(["report", str(tmp_path / "said.toml"), "--certificate", "--json", "-o", str(tmp_path / "b.html")]) == 0
+    assert json.loads(capsys.readouterr().out)["heading"]["serial number"] == "N2558"
+
+
 @pytest.mark.browser
 @pytest.mark.skipif(browser() is None, reason="there is no Chromium on the path")
 def test_it_prints_on_two_pages_and_fits_narrow_and_wide(made, folder, tmp_path):

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -281,6 +282,18 @@ def test_pages_of_a_recipe_and_of_a_calibration_alone(made, tmp_path):
     assert [row.achieved for row in found.requirements] == [123.456]
     assert {fact.quantity for fact in found.maps} == {"scale_factor", "bias"}
     assert "plan" not in Page(page(alone, found)).ids
+
+
+def test_a_calibration_of_any_name_in_the_folder_of_a_run_is_taken_with_it(made, tmp_path):
+    run = shutil.copytree(made[0] / "run", tmp_path / "run")
+    (run / "calibration.toml").rename(run / "unit 7, spring.toml")
+    assert read_sources([run]).calibration == made[2]
+    shutil.copy(run / "unit 7, spring.toml", run / "autumn.toml")
+    with pytest.raises(ValueError, match=r"several calibrations \(autumn.toml, unit 7, spring.toml\): name the one"):
+        read_sources([run])
+    assert read_sources([run, run / "autumn.toml"]).calibration == made[2]
+    shutil.copy(run / "autumn.toml", run / "calibration.toml")
+    assert read_sources([run]).calibration_name.endswith("calibration.toml")
 
 
 def test_prose_has_one_minus_and_one_degree_sign(whole):

@@ -208,7 +208,8 @@ def _reply(name: str, status: int, data: str = "") -> bytes:
 
 def _int24(values: NDArray[np.float64]) -> NDArray[np.uint8]:
     """(n, 3) numbers -> (n, 9) big-endian bytes of the nearest 24-bit integers, clipped to the range."""
-    whole = np.clip(np.rint(values), -(2**23), 2**23 - 1).astype(">i4")
+    # A sensor that the unit lacks has no number: zero.
+    whole = np.clip(np.rint(np.nan_to_num(values)), -(2**23), 2**23 - 1).astype(">i4")
     return np.ascontiguousarray(whole).view(np.uint8).reshape(-1, 3, 4)[:, :, 1:].reshape(-1, 9)
 
 

@@ -1,0 +1,88 @@
+"""Logs of 1 to 10 rows a second, as factories record: standstills are found, and estimates keep their covariance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from report_samples import calibration, recipe
+from scipy.stats import chi2
+from simulated_log import simulate_log
+
+import gradcal_jax as gj
+from gradcal_jax.api.estimate import estimate_channels
+from gradcal_jax.estimation import find_standstills
+from gradcal_jax.files import Quantity
+from gradcal_jax.files.log import LogError
+
+CHANGES = {
+    "sensor.scale_factor.temperature.degree": 1,
+    "sensor.scale_factor.rate.degree": 1,
+    "plan.cycle.moves": [
+        {"rest": "12 s", "read_every": "1 s"},
+        {"turn": "1800 deg", "peak_rate": "200 deg/s", "shape": "cosine ramps"},
+        {"rest": "12 s", "read_every": "1 s"},
+        {"turn": "-720 deg", "peak_rate": "60 deg/s", "shape": "cosine ramps"},
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def spec() -> gj.Spec:
+    return gj.changed(gj.parse_spec(gj.presets.text("paper-dynamic-gradient")), CHANGES)
+
+
+@pytest.mark.parametrize("marked", [True, False], ids=["marked", "found"])
+@pytest.mark.parametrize("rate_hz", [1.0, 2.0, 5.0, 10.0])
+def test_an_axis_is_estimated_within_its_covariance(spec, rate_hz, marked):
+    log, truth = simulate_log(spec, sample_rate_hz=rate_hz, seed=3)
+    (channel,) = estimate_channels(spec, log if marked else replace(log, standstill=None), axes=("x",))
+    estimate = channel.estimate
+    root = estimate.known[0].spread
+    white = np.linalg.solve(root, estimate.parameters[0] - truth["x"][0])
+    assert chi2.sf(white @ white, len(white)) > 1e-3
+    assert 1e-3 < chi2.sf(estimate.chi_squared[0], estimate.degrees[0]) < 1.0 - 1e-3
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 2.0, 5.0, 10.0])
+@pytest.mark.parametrize("axes", [1, 3])
+def test_rests_are_found_between_moves_and_in_a_record_without_any(rate_hz, axes):
+    rng, count = np.random.default_rng(4), int(600 * rate_hz)
+    rates = 1e-3 * rng.standard_normal((count, axes))
+    number = find_standstills(rates, 1.0 / rate_hz)
+    assert np.count_nonzero(number >= 0) > 0.97 * count
+    moves = (np.arange(count) / rate_hz) % 30.0 > 20.0
+    number = find_standstills(rates + moves[:, None], 1.0 / rate_hz)
+    assert np.all(number[moves] < 0)
+    assert number.max() + 1 == 20
+    # A window of four rows shortens a rest by two at each end.
+    assert np.count_nonzero(number >= 0) >= 20 * (20 * rate_hz - 5)
+
+
+def test_a_long_rest_is_validated_by_ranges_of_temperature():
+    """One rest of 18 min and 38 K had one mean, in which errors of both signs cancel."""
+    count, hz = 18 * 60 * 2, 2.0
+    time = np.arange(1, count + 1) / hz
+    warmth = np.linspace(22.0, 60.0, count)
+    error = np.radians(1.0) / 3600.0 * 300.0 * (warmth - 41.0) / 19.0
+    rest = gj.Log(
+        time, error[None, :, None], ("u",), ("x",), temperature_c=warmth[None], standstill=np.zeros(count, np.int64)
+    )
+    found = calibration(recipe())
+    wide = tuple(Quantity.read(text, "temperature") for text in ("-40 degC", "90 degC"))
+    axis = found.axis[0].model_copy(update={"valid_temperature": wide})
+    (of,) = gj.validate(found.model_copy(update={"axis": (axis,)}), rest)
+    assert of.rests == 1
+    cells = [cell for cell in of.cells if cell.unit == "deg/h"]
+    assert [cell.temperature_c for cell in cells] == [
+        pytest.approx((22.0 + 38.0 / 3.0 * k, 22.0 + 38.0 / 3.0 * (k + 1)), abs=0.02) for k in range(3)
+    ]
+    assert [cell.before for cell in cells] == pytest.approx([-200.0, 0.0, 200.0], abs=1.0)
+    assert of.bias_deg_per_h[0] == pytest.approx(np.sqrt(2.0 / 3.0) * 200.0, rel=0.01)
+
+
+def test_an_axis_without_a_usable_row_of_rest_makes_no_empty_mean(spec):
+    """Warnings are errors here; the mean of no rows was one, on the terminal."""
+    log, _ = simulate_log(spec, sample_rate_hz=2.0, seed=3)
+    status = np.where(log.standstill >= 0, 1, 0).astype(np.uint16)[None]
+    with pytest.raises((LogError, ValueError)):
+        estimate_channels(spec, replace(log, status=status), axes=("x",))

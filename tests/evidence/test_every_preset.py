@@ -37,10 +37,10 @@ QUICK = {
         "box": ["14 degC", "26 degC"],
     },
     "paper-dynamic-standard": {
-        "plan.temperatures": ["6 degC", "14 degC", "22 degC", "30 degC"],
-        "plan.soak": "8 min",
+        "plan.temperatures": ["0 degC", "10 degC", "20 degC", "30 degC"],
+        "plan.soak": "15 min",
         "plan.integration": "1 min",
-        "box": ["10 degC", "30 degC"],
+        "box": ["0 degC", "30 degC"],
     },
     "two-axis-table": {
         "plan.temperature": ["5 degC", "35 degC"],

@@ -55,8 +55,8 @@ def assemble(spec: Spec) -> Assembled:
     expect_spec(spec)
     if too := too_large(spec):
         raise MemoryError(too)
-    processes, sources = _processes(spec.sensor)
-    lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
+    processes, sources = _processes(spec)
+    lag = spec.sensor.lag
     plans = _schedules(spec.schedule, spec.sensor)
     return Assembled(spec, _model(spec, processes), *plans, lag, sources, _past(spec, lag))
 
@@ -73,20 +73,23 @@ def _past(spec: Spec, lag: float | None) -> dict[Axis, Past]:
     return pasts
 
 
-def _processes(sensor: Sensor) -> tuple[Processes, dict[str, tuple[int, ...]]]:
+def _processes(spec: Spec) -> tuple[Processes, dict[str, tuple[int, ...]]]:
     """All noise processes of a sensor, and their indices by error source."""
-    parts = slow_processes(sensor)
-    if (error := sensor.temperature_error) is not None:
+    sensor, parts = spec.sensor, slow_processes(spec.sensor)
+    if (error := sensor.thermometer_noise) is not None:
         gains = {"bias_gain": float(error.bias_slope or 0.0), "rate_gain": float(error.scale_factor_slope or 0.0)}
         deviation = float(error.standard_deviation)
         process = model.constant(deviation, **gains)
         if error.correlation_time is not None:
             process = model.gauss_markov(deviation, float(error.correlation_time), **gains)
         parts.append(("temperature measurement", process))
-    if sensor.sample_clock_error:
-        parts.append(("sample clock", model.constant(float(sensor.sample_clock_error), rate_gain=1.0)))
+    if sensor.clock_error:
+        parts.append(("sample clock", model.constant(sensor.clock_error, rate_gain=1.0)))
     if sensor.turn_on_bias and sensor.bias is None:
         parts.append(("turn-on bias", model.constant(float(sensor.turn_on_bias), bias_gain=1.0)))
+    if spec.rig.earth_rate == np.inf and sensor.bias is None:
+        # Rectangular within the whole rate.
+        parts.append(("Earth's rate", model.constant(trajectory.EARTH_RATE / 3.0**0.5, bias_gain=1.0)))
     total = model.no_processes()
     sources: dict[str, tuple[int, ...]] = {}
     for name, part in parts:
@@ -111,7 +114,7 @@ def slow_processes(sensor: Sensor | GyroTriad | AccelerometerTriad) -> list[tupl
 
 def _model(spec: Spec, processes: Processes) -> SensorModel:
     sensor, table = spec.sensor, spec.rig.table
-    gradient, angle = sensor.bias_temperature_gradient, table.angle
+    gradient, angle = sensor.gradient_sensitivity, table.angle
     reference = model.angle_reference(
         float(angle.reading_noise),
         float(angle.standstill_offset),
@@ -199,8 +202,8 @@ def chamber_programme(
 def shortest_correlation_time(sensor: Sensor) -> float:
     """The shortest correlation time of the processes driven by the rate (s); `inf` without any."""
     times = [float(d.correlation_time) for d in sensor.scale_factor_instability]
-    if sensor.temperature_error is not None and sensor.temperature_error.correlation_time is not None:
-        times.append(float(sensor.temperature_error.correlation_time))
+    if (error := sensor.thermometer_noise) is not None and error.correlation_time is not None:
+        times.append(float(error.correlation_time))
     return min(times, default=np.inf)
 
 

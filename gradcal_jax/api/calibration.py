@@ -1,25 +1,41 @@
 """Estimates -> calibration files and reports: coefficients in the paper's basis, requirements, verdicts in words."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from gradcal_jax.api.build import assemble
-from gradcal_jax.api.contract_rows import finite, fit_rows, provenance_of, random_walks
+from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.contract_rows import counted_std, finite, fit_rows, provenance_of, random_walks
+from gradcal_jax.api.contradictions import (
+    SCALE_FACTOR_ERROR,
+    beyond_the_data,
+    omitted_sentences,
+    refuse_other_units,
+)
 from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.log_rows import with_options
 from gradcal_jax.api.posterior_of_plan import (
     DEG_PER_S,
     PPM,
     UNIT_OF,
     decision_rule,
     residual_map,
+    run_of,
     statistic_of,
     target_of,
     verdict,
 )
 from gradcal_jax.api.standard_estimate import point_channel
+from gradcal_jax.api.systematic import (
+    CountedPosteriors,
+    EstimatedRun,
+    budget_of_estimate,
+    omitted_noise,
+    ramp_of_record,
+    unseen_errors,
+)
 from gradcal_jax.api.tested_maps import tested_maps
 from gradcal_jax.api.unit_channel import UnitChannel
 from gradcal_jax.estimation import Consistency, StructureTest, size_of
@@ -35,24 +51,26 @@ from gradcal_jax.files.calibration import (
     Residuals,
     Result,
     ScaleFactorMap,
+    UnseenError,
     bias_names,
     scale_factor_names,
 )
 from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.points import RatePoints
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import unobservable_combinations
 from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT
 
-# No gyro has a larger scale-factor error.
-_ABSURD = 0.5
 # Standard deviations by which two halves of the data differ by chance once in a thousand.
 _APART = 3.3
 
 
 class Verdict(NamedTuple):
-    """A requirement, as the estimate's covariance meets it: its statistic, and the worst place of the box (both 1σ)."""
+    """A requirement, as the estimate meets it: its statistic and the worst place of the box (both 1σ), with what the
+    spec omits and, in "any run", another power-on. `named`: the statistic by what the spec names, in this run."""
 
     requirement: Requirement
     axis: str
@@ -63,6 +81,11 @@ class Verdict(NamedTuple):
     verdict: str | None
     rule: str
     coverage: float
+    named: float | None = None
+    another_run: float | None = None
+
+
+CountedByChannel = Mapping[tuple[str, str], CountedPosteriors]
 
 
 class MeasuredDiscrepancy(NamedTuple):
@@ -91,6 +114,11 @@ class EstimateReport(NamedTuple):
     discrepancies: tuple[MeasuredDiscrepancy, ...] = ()
     """By axis and map, of all units together."""
 
+    def unseen_of(self, channel: UnitChannel) -> tuple[UnseenError, ...]:
+        """The errors of a channel that no residual of its fit shows."""
+        axes = (a for c in self.calibrations if c.serial_number == channel.unit for a in c.axis)
+        return next((axis.unseen for axis in axes if axis.name == channel.axis), ())
+
     @property
     def as_wished(self) -> bool:
         """Whether every requirement is met, every parameter observable and every test passed."""
@@ -114,8 +142,12 @@ def estimate_calibration(
     `sources`: names of the files, for the provenance. **Raises:** `LogError` and `ValueError` with a sentence where the
     log does not hold what the estimate needs.
     """
-    options = options or Options()
-    return _report(spec, log, estimate_channels(spec, log, axes=axes, units=units, options=options), options, sources)
+    spec, options, said = with_options(spec, [log], options or Options())
+    if log.temperature_c is not None:
+        for name in units or log.units:
+            refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
+    channels = estimate_channels(spec, log, axes=axes, units=units, options=options)
+    return _report(spec, log, channels, options, sources, said)
 
 
 def estimate_points(
@@ -137,17 +169,29 @@ def estimate_points(
 
 
 def _report(
-    spec: Spec, log: Log, channels: list[UnitChannel], options: Options, sources: dict[str, str] | None
+    spec: Spec,
+    log: Log,
+    channels: list[UnitChannel],
+    options: Options,
+    sources: dict[str, str] | None,
+    said: Sequence[str] = (),
 ) -> EstimateReport:
     for channel in channels:
         _refuse_the_absurd(channel)
     by_unit: dict[str, list[UnitChannel]] = {}
     for channel in channels:
         by_unit.setdefault(channel.unit, []).append(channel)
-    verdicts = {unit: tuple(v for c in own for v in _verdicts(spec, c)) for unit, own in by_unit.items()}
-    messages = {unit: tuple(m for c in own for m in words(c, len(own) > 1)) for unit, own in by_unit.items()}
+    built = assemble(spec)
+    noise: dict[Axis, dict[str, np.ndarray]] = {axis: omitted_noise(built, axis) for axis in built.channels}
+    budgets = {(c.unit, c.axis): _budget(built, c, noise) for c in channels}
+    verdicts = {unit: tuple(v for c in own for v in _verdicts(budgets, c)) for unit, own in by_unit.items()}
+    messages = {
+        unit: (*said, *(m for c in own for m in words(c, len(own) > 1)), *_beside_verdicts(spec, own))
+        for unit, own in by_unit.items()
+    }
     calibrations = tuple(
-        _calibration(spec, log, unit, own, verdicts[unit], options, sources or {}) for unit, own in by_unit.items()
+        _calibration(spec, log, unit, own, budgets, verdicts[unit], options, sources or {})
+        for unit, own in by_unit.items()
     )
     measured = tuple(discrepancies(spec, channels))
     return EstimateReport(calibrations, tuple(channels), verdicts, messages, measured)
@@ -167,7 +211,7 @@ def _refuse_the_absurd(channel: UnitChannel) -> None:
         return
     table = channel.estimate.parameters[0][where].reshape(scale.temperature.size, scale.rate.size)
     values = scale.temperature(temperature) @ table @ np.asarray(scale.rate(rate)).T
-    if (largest := float(np.max(np.abs(values)))) > _ABSURD:
+    if (largest := float(np.max(np.abs(values)))) > SCALE_FACTOR_ERROR:
         raise LogError(
             f"axis {channel.axis} of {channel.unit}: a scale-factor error of {largest * PPM:.4g} ppm is not a gyro's: "
             "is the reference of another axis, unit or sign, or are the listed turns wrong?"
@@ -181,17 +225,61 @@ def consistent(channel: UnitChannel) -> bool:
     return structure and tests.fit.passed and tests.whiteness.passed and all(s.agreement.passed for s in tests.splits)
 
 
-def _verdicts(spec: Spec, channel: UnitChannel) -> list[Verdict]:
-    built = assemble(spec)._replace(model=channel.model)
+def _budget(built: Assembled, channel: UnitChannel, noise: Mapping[Axis, dict[str, np.ndarray]]) -> CountedPosteriors:
+    """The posteriors of one channel. Residuals that are larger than the spec's noise explains make the covariance of
+    the fit too small by as much."""
+    known, seen = channel.estimate.known[0], channel.observations
+    known = known._replace(spread=known.spread * excess_of(channel.consistency))
+    done = EstimatedRun(
+        channel.estimate.parameters[0],
+        channel.valid_temperature_c,
+        # At stable temperatures nothing lags, and between them no data are used.
+        0.0 if isinstance(built.spec.plan, StandardPlan) else ramp_of_record(seen.time_s, seen.temperature_c),
+        channel.lag_std_s,
+    )
+    of_axis = noise.get(cast("Axis", channel.axis), noise[built.channels[0]])
+    return budget_of_estimate(built._replace(model=channel.model), known, done, of_axis)
+
+
+def _verdicts(budgets: CountedByChannel, channel: UnitChannel) -> list[Verdict]:
+    budget = budgets[channel.unit, channel.axis]
+    built = budget.built
     rows: list[Verdict] = []
-    for requirement in spec.requirement:
-        # Residuals that are larger than the spec's noise explains make the covariance too small by as much.
-        values = residual_map(built, channel.estimate.known[0], requirement)[2] * excess_of(channel.consistency)
+    for requirement in built.spec.requirement:
+        in_this = residual_map(built, budget.own, requirement)[2]
+        any_run = run_of(requirement) == "any run"
+        values = residual_map(built, budget.any_run if any_run else budget.whole, requirement)[2]
         value, worst = (finite(statistic_of(requirement, values, name)) for name in (requirement.statistic, "max"))
-        judged = verdict(requirement, values), decision_rule(requirement), requirement.coverage
-        unit = UNIT_OF[requirement.quantity][0]
-        rows.append(Verdict(requirement, channel.axis, value, worst, unit, target_of(requirement), *judged))
+        judged = verdict(requirement, values)
+        if judged in ("met", "missed") and beyond_the_data(requirement, *_covered(channel)):
+            judged = "not covered"
+        rows.append(
+            Verdict(
+                requirement,
+                channel.axis,
+                value,
+                worst,
+                UNIT_OF[requirement.quantity][0],
+                target_of(requirement),
+                judged,
+                decision_rule(requirement),
+                requirement.coverage,
+                finite(statistic_of(requirement, in_this)),
+                value if any_run and budget.any_run is not budget.whole else None,
+            )
+        )
     return rows
+
+
+def _covered(channel: UnitChannel) -> tuple[tuple[float, float], tuple[float, float]]:
+    return channel.valid_temperature_c, channel.valid_rate_rad_per_s
+
+
+def _beside_verdicts(spec: Spec, channels: Sequence[UnitChannel]) -> list[str]:
+    """What a reader of the verdicts must know: terms that the spec omits, and requirements beyond the data."""
+    sentences = omitted_sentences(spec, channels[0].observations.temperature_c, channels[0].lag_std_s is not None)
+    beyond = (beyond_the_data(r, *_covered(c)) for c in channels for r in spec.requirement)
+    return [*sentences, *dict.fromkeys(sentence for sentence in beyond if sentence)]
 
 
 def excess_of(tests: Consistency) -> float:
@@ -273,6 +361,7 @@ def _calibration(
     log: Log,
     unit: str,
     channels: list[UnitChannel],
+    budgets: CountedByChannel,
     verdicts: tuple[Verdict, ...],
     options: Options,
     sources: dict[str, str],
@@ -285,7 +374,7 @@ def _calibration(
         "simulated": log.simulated,
         "frame": "the sensor's own axes " + ", ".join(channel.axis for channel in channels) + ", not orthogonalised",
         "order": ORDER,
-        "axis": tuple(_axis(spec, channel) for channel in channels),
+        "axis": tuple(_axis(spec, channel, budgets[unit, channel.axis]) for channel in channels),
         "noise": Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **random_walks(spec.sensor)),
         "provenance": provenance_of(
             [log],
@@ -302,6 +391,7 @@ def _calibration(
 
 def _result(row: Verdict) -> Result:
     values: dict[str, Any] = {"value": row.value, "worst": row.worst, "target": row.target, "verdict": row.verdict}
+    values |= {"named": None if row.named == row.value else row.named}
     if row.target is not None:
         values |= {"coverage": row.coverage, "rule": row.rule}
         values["risk"] = None if row.requirement.risk is None else float(row.requirement.risk)
@@ -335,7 +425,7 @@ def _residuals(white: np.ndarray) -> Residuals:
     return Residuals(counts=tuple(counts.tolist()), rms=tuple(float(np.sqrt(np.mean(part**2))) for part in tenths))
 
 
-def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
+def _axis(spec: Spec, channel: UnitChannel, budget: CountedPosteriors) -> AxisCalibration:
     model = channel.model
     count, bias, scale = model.calibrated, model.where(BIAS), model.where(SCALE_FACTOR)
     reported = model.to_reported[:count]
@@ -366,6 +456,8 @@ def _axis(spec: Spec, channel: UnitChannel) -> AxisCalibration:
     hidden = tuple(unobservable_combinations(known, model))
     if hidden:
         fields["unobservable"] = hidden
+    if unseen := unseen_errors(budget, names, reported):
+        fields["unseen"] = unseen
     return AxisCalibration(
         name=channel.axis,
         valid_temperature=(_shown(low, 1.0, "degC"), _shown(high, 1.0, "degC")),
@@ -400,7 +492,9 @@ def estimate_rows(report: EstimateReport) -> dict[str, Any]:
         "units": [
             {
                 "serial_number": c.serial_number,
-                "channels": [_channel_row(one) for one in report.channels if one.unit == c.serial_number],
+                "channels": [
+                    _channel_row(one, report.unseen_of(one)) for one in report.channels if one.unit == c.serial_number
+                ],
                 "requirements": [_verdict_row(row) for row in report.verdicts[c.serial_number]],
                 "messages": list(report.messages[c.serial_number]),
             }
@@ -409,7 +503,7 @@ def estimate_rows(report: EstimateReport) -> dict[str, Any]:
     }
 
 
-def _channel_row(channel: UnitChannel) -> dict[str, Any]:
+def _channel_row(channel: UnitChannel, unseen: Sequence[UnseenError]) -> dict[str, Any]:
     model = channel.model
     reported = model.to_reported
     names = model.names()
@@ -422,7 +516,13 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
         "readings": len(channel.weights),
         "rows": channel.counts,
         "parameters": [
-            {"name": n, "value": float(v), "std": finite(s), "unit": u}
+            {
+                "name": n,
+                "value": float(v),
+                "std": finite(s),
+                "std_counted": counted_std(n, finite(s), unseen),
+                "unit": u,
+            }
             for n, v, s, u in zip(names, values, deviations, model.units(), strict=True)
         ],
         "covariance": np.where(np.outer(seen, seen), covariance, cast("Any", None)).tolist(),
@@ -476,5 +576,6 @@ def _channel_row(channel: UnitChannel) -> dict[str, Any]:
 def _verdict_row(row: Verdict) -> dict[str, Any]:
     fields = {name: getattr(row.requirement, name) for name in ("name", "quantity", "statistic")}
     # The order of the keys in JSON.
-    order = ("name", "axis", "quantity", "statistic", "value", "worst", "unit", "target", "verdict", "coverage", "rule")
+    order = ("name", "axis", "quantity", "statistic", "value", "worst", "named", "another_run")
+    order = (*order, "unit", "target", "verdict", "coverage", "rule")
     return {name: (fields | row._asdict())[name] for name in order}

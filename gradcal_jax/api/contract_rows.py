@@ -14,7 +14,7 @@ from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad, Sensor
 
 if TYPE_CHECKING:
     from gradcal_jax.estimation import Test
-    from gradcal_jax.files.calibration import Covariance, FitTest
+    from gradcal_jax.files.calibration import Covariance, FitTest, UnseenError
     from gradcal_jax.files.log import Log
     from gradcal_jax.files.unit_calibration import UnitCalibration
 
@@ -34,11 +34,23 @@ def deviations_of(covariance: "Covariance | None") -> dict[str, float]:
     return {} if covariance is None else {n: sqrt(covariance.matrix[k][k]) for k, n in enumerate(covariance.names)}
 
 
+def counted_std(name: str, std: float | None, unseen: "Sequence[UnseenError]") -> float | None:
+    """One sigma of a coefficient with the errors that no residual of the fit shows."""
+    return None if std is None else sqrt(std**2 + sum(e.coefficients.get(name, 0.0) ** 2 for e in unseen))
+
+
 def coefficient_rows(calibration: "UnitCalibration") -> list[dict[str, Any]]:
-    """Every coefficient of a unit's calibration with its standard deviation, where the file has one, and its unit."""
-    deviations = deviations_of(calibration.covariance)
+    """Every coefficient of a unit's calibration with its standard deviation, where the file has one, by the fit and
+    with what no residual shows (`std_counted`), and its unit."""
+    deviations, unseen = deviations_of(calibration.covariance), calibration.unseen
     return [
-        {"name": name, "value": value, "std": deviations.get(name), "unit": term.unit}
+        {
+            "name": name,
+            "value": value,
+            "std": deviations.get(name),
+            "std_counted": counted_std(name, deviations.get(name), unseen),
+            "unit": term.unit,
+        }
         for channel in calibration.channel
         for term in channel.term
         for name, value in ((f"{channel.name}.{n}", v) for n, v in term.coefficients.items())

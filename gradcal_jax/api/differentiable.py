@@ -12,6 +12,7 @@ from jaxtyping import Float
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.error_budget import FIGURES
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of
+from gradcal_jax.api.systematic import counted_criterion
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.design import Criterion
 from gradcal_jax.files import Spec
@@ -112,7 +113,7 @@ def differentiable(spec: Spec, axis: Axis | None = None) -> Differentiable:
         _figures(built, schedule, moves),
         built.model,
         schedule,
-        {r.name: criterion_of(built.model, r) for r in spec.requirement},
+        {r.name: counted_criterion(criterion_of(built.model, r), built, channel) for r in spec.requirement},
         {r.name: UNIT_OF[r.quantity][1] for r in spec.requirement},
         built.sources,
         tuple(int(k) for k in moves),

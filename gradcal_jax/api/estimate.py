@@ -12,7 +12,7 @@ from scipy import optimize
 from gradcal_jax import estimation
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.log_rows import Rows, count_rows, of_host_clock, rows_of, temperature_followed
+from gradcal_jax.api.log_rows import Rows, count_rows, rows_of, temperature_followed, with_options
 from gradcal_jax.api.standard_estimate import standard_channel
 from gradcal_jax.api.tested_maps import hidden_maps
 from gradcal_jax.api.unit_channel import LONGEST_LAG_S, Recorded, UnitChannel, finished_channel, integrated_rows, within
@@ -36,8 +36,8 @@ def estimate_channels(
 
     **Raises:** `LogError` and `ValueError` with a sentence where the log does not hold what the estimate needs.
     """
-    options = options or Options()
-    built = assemble(of_host_clock(spec, [log], options))
+    spec, options, _ = with_options(spec, [log], options or Options())
+    built = assemble(spec)
     wanted_axes = [log.axes[log.axis_index(a)] for a in axes] or _common_axes(built, log)
     if options.earth_rate and len(wanted_axes) > 1:
         raise ValueError(
@@ -108,7 +108,7 @@ def _gradient_channels(
     line = done.line
     steps = noise_steps(line, model)
     of_unit = lambda one: estimation.integrated_error(  # noqa: E731
-        one.rate, one.step, one.angle, done.rows, done.broken, line.gap, options.earth_rate
+        one.rate, one.step, one.angle, done.rows, done.broken, line.gap, options.earth_rate or 0.0
     )
     readings = np.stack([of_unit(rows[u]) for u in members], axis=1)
     moving = line.moving
@@ -123,7 +123,7 @@ def _gradient_channels(
         for k, unit in enumerate(members):
             one = rows[unit]
             temperature_of_maps = temperature_followed(one, lag)
-            rates = one.rate - (rest_bias if parameters is None else options.earth_rate)
+            rates = one.rate - (rest_bias if parameters is None else options.earth_rate or 0.0)
             if parameters is not None:
                 rates[turning] = estimation.true_rate(
                     model, parameters[k], rates[turning], temperature_of_maps[turning]

@@ -10,14 +10,15 @@ from gradcal_jax.estimation import HUBER
 class Options:
     """Options of an estimate; `api.log_flow.estimate` explains each."""
 
-    earth_rate: float = 0.0
-    """Earth rate along the sensor's axis, rad/s; it is subtracted."""
+    earth_rate: float | None = None
+    """Earth rate along the sensor's axis, rad/s; it is subtracted. None: the spec's, or else none."""
     robust: bool = False
     threshold: float = HUBER
     lag: float | Literal["fit"] = 0.0
     """Lag of the maps behind the measured temperature, s; "fit": estimated."""
     smoothness: Literal["spec", "auto"] = "spec"
-    clock: Literal["sensor", "host"] = "sensor"
+    clock: Literal["sensor", "host"] | None = None
+    """None: the spec's, or else the computer's where the log has both."""
     read_every: float = 1.0
     table_axis: str | None = None
     neighbours_k: float | None = None

@@ -93,7 +93,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
             messages.append(
                 f"the log marks no standstills: {int(standing.max()) + 1} were found where rates and forces are quiet"
             )
-        solution = solve_by_hand(HandRows(time, rates, force, usable, standing), gravity, options.earth_rate)
+        solution = solve_by_hand(HandRows(time, rates, force, usable, standing), gravity, options.earth_rate or 0.0)
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
     held, force_fit, rate_fit = solution.positions, solution.accelerometer, solution.gyro
@@ -143,7 +143,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
         ),
     )
     left = [float(np.sqrt(np.mean(fit.left**2))) for fit in (force_fit, rate_fit)]
-    messages += _words(solution, tests, calibration.unobservable, gravity, options.earth_rate)
+    messages += _words(solution, tests, calibration.unobservable, gravity, options.earth_rate or 0.0)
     return HandReport(name, solution, calibration, tests, left[0], left[1], tuple(messages))
 
 

@@ -1,8 +1,8 @@
 """The uncertainty of a calibration file: residual maps as in predictions, and the terms of the standards.
 
-Everything follows from the file's coefficients and covariance `C`: a quantity that is linear in the coefficients,
-`cᵀβ`, has the standard deviation `√(cᵀCc)`. The names of terms are those of IEEE 952, 1431 and 1780; each has its
-exact definition in words, since the standards leave room.
+Everything follows from the file's coefficients, their covariance `C` and the errors `v` that no residual shows: a
+quantity that is linear in the coefficients, `cᵀβ`, has the standard deviation `√(cᵀCc + Σ(cᵀv)²)`. The names of terms
+are those of IEEE 952, 1431 and 1780; each has its exact definition in words, since the standards leave room.
 """
 
 from typing import NamedTuple
@@ -176,6 +176,9 @@ def _deviations(axis: AxisCalibration, names: list[str], rows: Floats) -> Floats
     seen = [k for k, name in enumerate(names) if name in place]
     where = [place[names[k]] for k in seen]
     part = rows[:, seen]
-    deviations = np.sqrt(np.maximum(np.einsum("gi,ij,gj->g", part, matrix[np.ix_(where, where)], part), 0.0))
+    variance = np.maximum(np.einsum("gi,ij,gj->g", part, matrix[np.ix_(where, where)], part), 0.0)
+    for error in axis.unseen:
+        variance = variance + (rows @ np.array([error.coefficients.get(name, 0.0) for name in names])) ** 2
+    deviations = np.sqrt(variance)
     unseen = np.delete(rows, seen, axis=1)
     return np.where(np.any(unseen != 0.0, axis=1), np.inf, deviations)

@@ -11,9 +11,10 @@ import numpy as np
 from gradcal_jax import trajectory
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.measure import design_of
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, criterion_of
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, criterion_of, residual_map
 from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.api.structures import LEAST_TURN, largest_rate, motion_time, ramp_ends
+from gradcal_jax.api.systematic import floor_of_plan
 from gradcal_jax.design import (
     PRIOR_OF_WALK,
     Criterion,
@@ -65,6 +66,12 @@ class PlanLimit(NamedTuple):
     relaxed: tuple[str, ...]
     kept: tuple[str, ...] = ()
 
+    def above(self, floor: float) -> "PlanLimit":
+        """The limit where an error of at least `floor` (`unit`) at every place adds in quadrature."""
+        certified, reached = (float(np.hypot(value, floor)) for value in (self.certified, self.reached))
+        efficiency = None if self.value is None else certified / self.value
+        return self._replace(certified=certified, reached=reached, efficiency=efficiency)
+
 
 def plan_limit(
     requirement, of: tuple[str, float], figures: tuple[float, float], value: float | None, *words
@@ -89,7 +96,15 @@ def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     built = assemble(spec)
     predicted = {row.name: row for row in requirement_rows(spec) if row.axis == built.channels[0]}
     window = _window(spec, built, motion)
-    return [window.limit(r, predicted[r.name]) for r in spec.requirement]
+    # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value in the box.
+    model, floor = floor_of_plan(spec, built.channels[0])
+    proven: list[PlanLimit] = []
+    for requirement in spec.requirement:
+        found = window.limit(requirement, predicted[requirement.name])
+        if requirement.quantity != "heading":
+            found = found.above(float(np.min(residual_map(model, floor, requirement)[2])))
+        proven.append(found)
+    return proven
 
 
 class _Window(NamedTuple):
@@ -126,7 +141,7 @@ class _Window(NamedTuple):
             result, relaxed = self._of_functionals(criterion)
         if criterion.alone is not None:
             relaxed = (*relaxed, "what the data say of the discrepancy is part of the calibration")
-        return plan_limit(requirement, UNIT_OF[requirement.quantity], result, row.decisive, relaxed, self.kept)
+        return plan_limit(requirement, UNIT_OF[requirement.quantity], result, row.judged, relaxed, self.kept)
 
     def _of_scale_factor(self, criterion: Criterion, sure: np.ndarray) -> Limit:
         """The limit of a criterion on the scale factor, the bias known; `sure`: a variance that no plan removes."""

@@ -78,11 +78,11 @@ def estimate(
     *,
     axes: Sequence[str] = (),
     units: Sequence[str] = (),
-    earth_rate: float = 0.0,
+    earth_rate: float | None = None,
     robust: bool = False,
     lag: float | Literal["fit"] = 0.0,
     smoothness: Literal["spec", "auto"] = "spec",
-    clock: Literal["sensor", "host"] = "sensor",
+    clock: Literal["sensor", "host"] | None = None,
     read_every: float = 1.0,
     table_axis: str | None = None,
     neighbours_k: float | None = None,
@@ -91,11 +91,12 @@ def estimate(
     """The calibration of every unit in a log, by a spec's model, with covariance, tests and verdicts.
 
     Noise, table and maps are the spec's; the executed motion is read from the log. `axes`, `units`: default all.
-    `earth_rate` rad/s along the sensor's axis is subtracted. `robust`: Huber weights for outliers. `lag` s of the maps
-    behind the measured temperature, or "fit". `smoothness` "auto": that of bins and B-splines at maximum marginal
-    likelihood. `clock`: the clock over whose time rates are integrated. `read_every` s: spacing of readings at rest.
-    `table_axis`: the axis that turns the sensor's. `neighbours_k`: also group moves of one rate within this temperature
-    difference, without a structure. `temperature_c` of a log without a thermometer.
+    `earth_rate` rad/s along the sensor's axis is subtracted (default: the spec's). `robust`: Huber weights for
+    outliers. `lag` s of the maps behind the measured temperature, or "fit". `smoothness` "auto": that of bins and
+    B-splines at maximum marginal likelihood. `clock`: the clock over whose time rates are integrated (default: the
+    spec's, or else the computer's where the log has both). `read_every` s: spacing of readings at rest. `table_axis`:
+    the axis that turns the sensor's. `neighbours_k`: also group moves of one rate within this temperature difference,
+    without a structure. `temperature_c` of a log without a thermometer.
 
     Returns `calibrations` (SI, one a unit; `write_calibration` writes them), `verdicts` (ppm or deg/h) and `messages`
     by unit, every channel's fit, and `as_wished`. Generalised least squares of the whitened readings: the covariance

@@ -1,7 +1,8 @@
 """Rows of a log of one unit and axis, prepared for integration."""
 
 from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from dataclasses import replace
+from typing import Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -12,10 +13,15 @@ from gradcal_jax.files import correction
 from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.sensor import HOST_CLOCK
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
 AnySpec = TypeVar("AnySpec", Spec, UnitSpec)
+# A comparison of clocks that is no better than this, a ratio, is worth less than a quartz.
+_POOR_CLOCK = 2e-5
+# A clock without a stated error, a ratio, and the number of standard deviations by which two clocks contradict.
+_QUARTZ, _APART = 2e-5, 2.0
 
 
 class Rows(NamedTuple):
@@ -134,22 +140,60 @@ def usable_rows(log: Log, unit: int) -> np.ndarray:
     return usable
 
 
+class ClockFit(NamedTuple):
+    """A log's two clocks: a second of the sensor is `slope` seconds of the computer, to `std` (a ratio; None: the log
+    does not say). `since`: how that is known, in words."""
+
+    slope: float
+    std: float | None
+    since: str
+
+    @property
+    def sentence(self) -> str:
+        """The comparison in words."""
+        known = (
+            f"1σ {self.std * 1e6:.2g} ppm" if self.std is not None else "how well that is known the log does not say"
+        )
+        return f"a second of the sensor is {self.slope:.9f} s of the computer ({known}{self.since})"
+
+
 def time_of(log: Log, options: Options) -> tuple[np.ndarray, list[str]]:
     """The times (s) over which rates are integrated, by the chosen clock, and messages on that clock."""
-    if options.clock != "host":
+    if (options.clock or default_clock(log)) != "host":
         return log.time_s, []
     time, sentence = host_time(log)
     return time, [sentence]
 
 
 def host_time(log: Log) -> tuple[np.ndarray, str]:
-    """The sensor's time stamps in seconds of the host clock, by straight lines of one slope, and a sentence on the
-    slope.
+    """The sensor's time stamps in seconds of the host clock, and a sentence on the comparison of the clocks."""
+    fit = clock_fit(log)
+    time = log.time_s[0] + fit.slope * (log.time_s - log.time_s[0])
+    return time, f"{fit.sentence}; rates are integrated over the computer's time"
+
+
+def default_clock(log: Log) -> Literal["sensor", "host"]:
+    """The computer's clock, where the log has both and they can be compared better than a quartz is good."""
+    try:
+        fit = clock_fit(log)
+    except LogError:
+        return "sensor"
+    if fit.std is None:
+        # Equal columns are one clock; others that lie on a line to the last digit are two.
+        return "sensor" if fit.slope == 1.0 else "host"
+    return "host" if fit.std < _POOR_CLOCK else "sensor"
+
+
+def clock_fit(log: Log) -> ClockFit:
+    """The comparison of a log's clocks, by straight lines of one slope. Raises `LogError` without a host time.
 
     Each unbroken stretch has an offset of its own: at a break the sensor's clock may have been set to the host's.
     """
     if log.host_time_s is None:
-        raise LogError("the log has no host time, so the sensor's clock cannot be held against it")
+        raise LogError(
+            "the log has no host time, so the sensor's clock cannot be held against it: --clock sensor takes its "
+            "stamps as they are"
+        )
     starts, stds = _clock_fits(log)
     sensor, host = _centred(log.time_s, starts), _centred(log.host_time_s, starts)
     levers = np.add.reduceat(sensor * sensor, starts)
@@ -158,30 +202,49 @@ def host_time(log: Log) -> tuple[np.ndarray, str]:
     if stds is None:
         slope = float(sensor @ host / levers.sum())
         spread = float(np.std(host - slope * sensor))
-        known = "how well that is known the log does not say"
-        if spread > np.spacing(max(np.abs(log.time_s).max(), np.abs(log.host_time_s).max())):
-            known = f"1σ {spread / np.sqrt(levers.sum()) * 1e6:.2g} ppm from the stamps' scatter"
-    else:
-        slopes = np.add.reduceat(sensor * host, starts) / levers
-        slope = float(np.average(slopes, weights=stds**-2.0))
-        known = f"1σ {np.sum(stds**-2.0) ** -0.5 * 1e6:.2g} ppm from when its samples arrived"
-    sentence = f"a second of the sensor is {slope:.9f} s of the computer ({known}); "
-    time = log.time_s[0] + slope * (log.time_s - log.time_s[0])
-    return time, sentence + "rates are integrated over the computer's time"
+        exact = spread <= np.spacing(max(np.abs(log.time_s).max(), np.abs(log.host_time_s).max()))
+        if exact:
+            return ClockFit(slope, None, "")
+        return ClockFit(slope, spread / float(levers.sum()) ** 0.5, " from the stamps' scatter")
+    slopes = np.add.reduceat(sensor * host, starts) / levers
+    slope = float(np.average(slopes, weights=stds**-2.0))
+    return ClockFit(slope, float(np.sum(stds**-2.0)) ** -0.5, " from when its samples arrived")
 
 
-def of_host_clock(spec: AnySpec, logs: Sequence[Log], options: Options) -> AnySpec:
-    """The spec for an estimate: where rates are integrated over the host's time, the sample clock's error is replaced
-    by the standard deviation of the line through both clocks, if the logs state it."""
-    if options.clock != "host":
-        return spec
-    fits = [_clock_fits(log)[1] for log in logs]
-    if any(stds is None for stds in fits):
-        return spec
-    # Every log has a slope of its own to the host's clock; the error that they share is at most the largest of them.
-    std = max(float(np.sum(stds**-2.0)) ** -0.5 for stds in fits if stds is not None)
-    sensor = spec.sensor.model_copy(update={"sample_clock_error": Quantity.of(std, "ppm")})
-    return spec.model_copy(update={"sensor": sensor})
+def with_options(spec: AnySpec, logs: Sequence[Log], options: Options) -> tuple[AnySpec, Options, list[str]]:
+    """The spec and the options of an estimate, each with what the other says of clock and Earth; and sentences on a
+    clock that contradicts the computer's.
+
+    Where rates are integrated over the computer's time, the clock's error is that of the comparison and of the
+    computer's own clock. A rate of the Earth that an option gives is no omitted term of the spec.
+    """
+    clock = options.clock or spec.sensor.clock
+    if clock is None:
+        clock = "host" if all(default_clock(log) == "host" for log in logs) else "sensor"
+    fits = [clock_fit(log) for log in logs if clock == "host" or (log.host_time_s is not None and len(log.time_s) > 1)]
+    error, said = spec.sensor.sample_clock_error, list[str]()
+    if clock == "host":
+        # Every log has a slope of its own to the host's clock; the error that they share is at most the largest.
+        std = max(float(np.hypot(fit.std or 0.0, HOST_CLOCK)) for fit in fits)
+        sensor = spec.sensor.model_copy(update={"sample_clock_error": Quantity.of(std, "ppm"), "clock": "sensor"})
+        spec = spec.model_copy(update={"sensor": sensor})
+    for fit in fits:
+        known = float(np.hypot(np.hypot(fit.std or 0.0, HOST_CLOCK), float(error or _QUARTZ)))
+        if abs(fit.slope - 1.0) > _APART * known:
+            used = "the computer's is used" if clock == "host" else "the sensor's is used: --clock host takes the other"
+            said.append(
+                f"the log's two clocks contradict each other by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more than "
+                f"{_APART:g} times what the sensor's clock is good to: {used}"
+            )
+    if isinstance(spec, Spec):
+        given = spec.rig.earth_rate
+        if options.earth_rate is not None:
+            given = Quantity.of(options.earth_rate, "deg/h")
+            rig = spec.rig.model_copy(update={"earth_rate": given})
+            spec = cast("AnySpec", spec.model_copy(update={"rig": rig}))
+        known = 0.0 if given is None or not np.isfinite(given) else float(given)
+        options = replace(options, earth_rate=known)
+    return spec, replace(options, clock=clock), said
 
 
 def _clock_fits(log: Log) -> tuple[np.ndarray, np.ndarray | None]:

@@ -8,6 +8,7 @@ import numpy as np
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of, limit_of
 from gradcal_jax.api.scenarios import scenario_specs
+from gradcal_jax.api.systematic import counted_criterion
 from gradcal_jax.api.tested_maps import tested_maps, with_hidden
 from gradcal_jax.design import AnyCoordinates, Case, Compiled, Coordinates, Criterion, Missed, Objective, Optimality
 from gradcal_jax.files import Spec, changed
@@ -155,7 +156,8 @@ def _limit(requirement: Requirement) -> float:
 def _criterion(built: Assembled, requirement: Requirement, *, limited: bool = False) -> Criterion:
     """The criterion of a requirement's own statistic or, if `limited`, of the one that its target limits."""
     limit = limit_of(requirement) if limited else None
-    return criterion_of(built.model, requirement, None if limit is None else limit[0], _GRID)
+    criterion = criterion_of(built.model, requirement, None if limit is None else limit[0], _GRID)
+    return counted_criterion(criterion, built, built.channels[0])
 
 
 def _optimality(built: Assembled, name: str) -> Optimality:

@@ -1,6 +1,6 @@
 """`optimise`: from a spec with [design] to the best plan of a search, rounded, with the limits that bind it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Final, NamedTuple
 
@@ -32,6 +32,7 @@ from gradcal_jax.design import (
 from gradcal_jax.files import Spec, SpecError
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.rounding import rounded, steps_of
+from gradcal_jax.information.residual import Statistic
 
 STEPS: Final = 240
 MARGIN: Final = 0.1
@@ -171,11 +172,16 @@ def targets_met(spec: Spec) -> bool:
     limits = {r.name: limit for r in spec.requirement if (limit := limit_of(r)) is not None}
     if not limits:
         raise ValueError("to stop when every target is met, give a requirement a target")
+    return _within(spec, limits, 1.0 - MARGIN)
+
+
+def _within(spec: Spec, limits: Mapping[str, tuple[Statistic, float]], share: float) -> bool:
+    """Whether the named requirements are within that share of their limits, by the terms that the spec names."""
     for row in requirement_rows(spec):
         if row.name in limits:
             name, most = limits[row.name]
             value = {"mean of max": row.mean_of_max, "max": row.max, "mean": row.mean, "rms": row.rms}[name]
-            if value is None or value > (1.0 - MARGIN) * most:
+            if value is None or value > share * most:
                 return False
     return True
 
@@ -373,9 +379,9 @@ def polished(
 
 
 def _within_limits(spec: Spec, of: Measure) -> bool:
-    """Whether the prediction of a spec's plan meets the targets that limit the search."""
-    rows = {row.name: row.verdict for row in requirement_rows(spec)} if of.limits else {}
-    return all(rows.get(name) == "met" for name in of.limits)
+    """Whether the prediction of the spec's own plan meets the targets that limit the search."""
+    limits = {r.name: limit for r in spec.requirement if r.name in of.limits and (limit := limit_of(r)) is not None}
+    return not of.limits or _within(spec, limits, 1.0)
 
 
 def best_programme(

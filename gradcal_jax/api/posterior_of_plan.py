@@ -1,5 +1,7 @@
 """The posterior covariance after a spec's plan, and residuals on its requirements' boxes."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -10,7 +12,7 @@ from gradcal_jax.design import Criterion, polynomial_grid
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
-from gradcal_jax.files.requirement import HeadingRequirement, NorthRequirement, Requirement
+from gradcal_jax.files.requirement import HeadingRequirement, NorthRequirement, Requirement, UnitRequirement
 from gradcal_jax.information import Posterior, contrasts, information, posterior, residual, statistic, unweighted
 from gradcal_jax.information.conformity import coverage_of_risk
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
@@ -164,12 +166,12 @@ def _gain(requirement: Requirement) -> float:
     return earth_gain(requirement) if isinstance(requirement, NorthRequirement) else 1.0
 
 
-def target_of(requirement: Requirement) -> float | None:
+def target_of(requirement: Requirement | UnitRequirement) -> float | None:
     """The target in the unit of `UNIT_OF`."""
     return None if requirement.target is None else float(requirement.target) * UNIT_OF[requirement.quantity][1]
 
 
-def limit_of(requirement: Requirement) -> tuple[Statistic, float] | None:
+def limit_of(requirement: Requirement | UnitRequirement) -> tuple[Statistic, float] | None:
     """The limit that a target sets to the residual map (1σ): a statistic, and its largest allowed value (`UNIT_OF`).
 
     Simple acceptance: the requirement's own statistic, `target / coverage`. Guarded: the maximum, by the risk.
@@ -182,7 +184,7 @@ def limit_of(requirement: Requirement) -> tuple[Statistic, float] | None:
     return "max", target / coverage_of_risk(float(requirement.risk))
 
 
-def decision_rule(requirement: Requirement) -> str:
+def decision_rule(requirement: Requirement | UnitRequirement) -> str:
     """The decision rule of a target, in words. Empty without one."""
     if requirement.target is None:
         return ""
@@ -194,9 +196,22 @@ def decision_rule(requirement: Requirement) -> str:
 
 def verdict(requirement: Requirement, values: np.ndarray) -> Literal["met", "missed", "unobservable"] | None:
     """The verdict on a residual map (in `UNIT_OF`, 1σ) by a requirement's decision rule; None without a target."""
-    if not np.isfinite(statistic_of(requirement, values)):
+    return verdict_of(requirement, partial(statistic_of, requirement, values))
+
+
+def verdict_of(
+    requirement: Requirement | UnitRequirement, statistic_named: Callable[[Statistic], float]
+) -> Literal["met", "missed", "unobservable"] | None:
+    """The verdict by a requirement's decision rule; None without a target. `statistic_named`: the residual's statistics
+    by name (in `UNIT_OF`, 1σ), infinite where it is not observable."""
+    if not np.isfinite(statistic_named(requirement.statistic)):
         return "unobservable"
     limit = limit_of(requirement)
     if limit is None:
         return None
-    return "met" if statistic_of(requirement, values, limit[0]) <= limit[1] else "missed"
+    return "met" if statistic_named(limit[0]) <= limit[1] else "missed"
+
+
+def run_of(requirement: Requirement | UnitRequirement) -> Literal["any run", "this run"]:
+    """Whether the bias of another power-on counts."""
+    return getattr(requirement, "of", "this run")

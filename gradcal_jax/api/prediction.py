@@ -1,6 +1,6 @@
 """The prediction of a spec, as the contract gradcal-prediction/1."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any, cast
 
@@ -18,11 +18,13 @@ from gradcal_jax.api.posterior_of_plan import (
     decision_rule,
     posteriors_of_plan,
     residual_map,
+    run_of,
     statistic_of,
     target_of,
-    verdict,
+    verdict_of,
 )
 from gradcal_jax.api.scenarios import extremes
+from gradcal_jax.api.systematic import CountedPosteriors, budget_of_plan, budget_of_unit, shares_of_variance
 from gradcal_jax.api.tested_maps import noticing
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import unit_residual
@@ -36,6 +38,7 @@ from gradcal_jax.files.requirement import GyroScaleFactorRequirement, HeadingReq
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import STATISTICS, Posterior
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
+from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import SensorModel, UnitModel
 
 # The chances of keeping a target are computed on a grid of at most this many temperatures and rates.
@@ -47,38 +50,38 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
 
     `limits`: also the error sources that limit each requirement, and its range where noise figures are `uncertain`.
     `notices`: also which hidden structure of the maps the plan would notice. `outlook`: also the chance that a unit
-    meets a target, and the residual with every absent error term at its typical value. The covariance is the exact one
-    of generalised least squares under the spec's noise (`gradcal_jax.information`). What cannot be observed is None,
-    with a warning. Errors: none; `read_spec` has validated the spec.
+    meets a target. The covariance is the exact one of generalised least squares under the spec's noise
+    (`gradcal_jax.information`); verdicts and risks also count every term that the spec omits, at its class's typical
+    figure. What cannot be observed is None, with a warning. Errors: none; `read_spec` has validated the spec.
     """
+    absent = absent_terms(spec)
+    omitted = tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent)
     if isinstance(spec, UnitSpec):
         unit = assemble_unit(spec)
         after = posterior_of_unit(unit)
-        of_unit = [unit_requirement_row(unit, after, requirement) for requirement in spec.requirement]
         return Prediction(
-            requirements=tuple(_between(of_unit, extremes(spec) if limits else [])),
+            requirements=tuple(_between(_unit_rows(unit, after), extremes(spec) if limits else [])),
             warnings=tuple(unit_warnings(unit, after)),
+            omitted=omitted,
             **_of_plan(spec, unit.model, {"unit": after}),
         )
     built = assemble(spec)
     known = posteriors_of_plan(built)
-    shares = {channel: error_budget(built, channel, of) for channel, of in known.items()} if limits else {}
-    absent = absent_terms(spec)
-    there = [row.decisive for row in requirement_rows(with_typical(spec))] if outlook and absent else []
+    shares: dict[Axis, dict[str, dict[str, float]]] = {}
     rows: list[RequirementRow] = []
-    for requirement, channel in product(spec.requirement, built.channels):
-        row = _requirement_row(built, known[channel], requirement, channel)
-        more = _risks(built, known[channel], requirement, row) if outlook else {}
+    for requirement, channel, budget in _budgets(built, known):
+        row = _requirement_row(built, budget, requirement, channel)
+        more = _risks(budget, requirement, row) if outlook else {}
         if limits:
-            more["limited_by"] = limited_by(shares[channel].get(row.name))
-        if there:
-            more["with_typical"] = there[len(rows)]
+            if channel not in shares:
+                shares[channel] = error_budget(budget.built, channel, budget.fit)
+            more["limited_by"] = limited_by(_shares(budget, requirement, shares[channel].get(row.name)))
         rows.append(row.model_copy(update=more))
     return Prediction(
         requirements=tuple(_between(rows, extremes(spec) if limits else [])),
         notices=noticing(built) if notices else (),
         warnings=tuple(warnings(built, known)),
-        counted_as_zero=tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent),
+        omitted=omitted,
         **_of_plan(spec, built.model, known),
     )
 
@@ -87,11 +90,26 @@ def requirement_rows(spec: Spec | UnitSpec) -> list[RequirementRow]:
     """The residual of every requirement after a spec's plan on every axis, and nothing else of its prediction."""
     if isinstance(spec, UnitSpec):
         unit = assemble_unit(spec)
-        known_unit = posterior_of_unit(unit)
-        return [unit_requirement_row(unit, known_unit, requirement) for requirement in spec.requirement]
+        return _unit_rows(unit, posterior_of_unit(unit))
     built = assemble(spec)
-    pairs = product(spec.requirement, posteriors_of_plan(built).items())
-    return [_requirement_row(built, known, requirement, channel) for requirement, (channel, known) in pairs]
+    return [_requirement_row(built, budget, r, c) for r, c, budget in _budgets(built, posteriors_of_plan(built))]
+
+
+def _budgets(
+    built: Assembled, known: Mapping[Axis, Posterior]
+) -> Iterator[tuple[Requirement, Axis, CountedPosteriors]]:
+    """Every requirement on every axis, with the posteriors that decide."""
+    full = with_typical(built.spec)
+    complete = built if full is built.spec else assemble(full)
+    budgets = {channel: budget_of_plan(built, of, channel, complete) for channel, of in known.items()}
+    for requirement, channel in product(built.spec.requirement, built.channels):
+        yield requirement, channel, budgets[channel]
+
+
+def _unit_rows(unit: AssembledUnit, known: Posterior) -> list[RequirementRow]:
+    full = with_typical(unit.spec)
+    budget = budget_of_unit(unit, known, unit if full is unit.spec else assemble_unit(full))
+    return [unit_requirement_row(unit, budget, requirement) for requirement in unit.spec.requirement]
 
 
 def _between(rows: Sequence[RequirementRow], others: Sequence[Spec | UnitSpec]) -> Sequence[RequirementRow]:
@@ -100,7 +118,7 @@ def _between(rows: Sequence[RequirementRow], others: Sequence[Spec | UnitSpec]) 
         return rows
     ranges = []
     for row, *same in zip(rows, *map(requirement_rows, others), strict=True):
-        known = [v for v in (one.decisive for one in (row, *same)) if v is not None]
+        known = [v for v in (one.judged for one in (row, *same)) if v is not None]
         ranges.append(row.model_copy(update={"uncertain": (min(known), max(known)) if known else None}))
     return ranges
 
@@ -140,73 +158,140 @@ def _asked_and_left(requirement: Requirement | UnitRequirement, values: Mapping[
     }
 
 
-def unit_requirement_row(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> RequirementRow:
+def unit_requirement_row(
+    built: AssembledUnit, budget: CountedPosteriors, requirement: UnitRequirement
+) -> RequirementRow:
     """The residual and the verdict of one requirement."""
-    left = unit_residual(built, known, requirement)
+    left = unit_residual(built, budget.own, requirement)
+    judged, more = _judged_maps(
+        budget, requirement, lambda of: unit_residual(budget.built, of, requirement), lambda m: m.statistic()
+    )
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)
-    values = {name: left.statistic(name) for name in STATISTICS if name != "mean of max" or by_rate}
-    unit, factor = UNIT_OF[requirement.quantity]
-    target = None if requirement.target is None else float(requirement.target) * factor
-    decisive = values[requirement.statistic]
-    decision = None if target is None else "met" if decisive is not None and decisive <= target else "missed"
-    worst = left.worst_axis()
+    worst = judged.worst_axis()
+    infinite = lambda name: value if (value := judged.statistic(name)) is not None else np.inf  # noqa: E731
     return RequirementRow(
-        **_asked_and_left(requirement, values),
-        unit=unit,
+        **_asked_and_left(
+            requirement, {name: left.statistic(name) for name in STATISTICS if name != "mean of max" or by_rate}
+        ),
+        **more,
+        **_decided(requirement, infinite),
         axis=requirement.axis,
         rate_dps=(float(np.degrees(left.rates[0])), float(np.degrees(left.rates[-1]))) if by_rate else None,
-        target=target,
-        verdict="unobservable" if decisive is None else decision,
         limited_by=None if worst is None else f"axis {worst}",
     )
 
 
-def _requirement_row(built: Assembled, known: Posterior, requirement: Requirement, channel: Axis) -> RequirementRow:
-    _, rates, values = residual_map(built, known, requirement)
+def _requirement_row(
+    built: Assembled, budget: CountedPosteriors, requirement: Requirement, channel: Axis
+) -> RequirementRow:
+    _, rates, values = residual_map(built, budget.own, requirement)
+    judged, more = _judged_maps(
+        budget,
+        requirement,
+        lambda of: residual_map(budget.built, of, requirement)[2],
+        lambda m: finite(statistic_of(requirement, m)),
+    )
     statistics = {
         name: finite(statistic_of(requirement, values, name))
         for name in STATISTICS
         if name != "mean of max" or requirement.quantity == "scale_factor"
     }
-    target, worst = target_of(requirement), statistics["max"]
     own, flown = own_noise_of(built, requirement), requirement if isinstance(requirement, HeadingRequirement) else None
     if flown is not None:
         rates = np.array([float(rate) * DEG_PER_S for rate in flown.rate])
     return RequirementRow(
         **_asked_and_left(requirement, statistics),
-        unit=UNIT_OF[requirement.quantity][0],
+        **more,
+        **_decided(requirement, lambda name: statistic_of(requirement, judged, name)),
         axis=channel,
         rate_dps=(float(rates[0]), float(rates[-1])) if len(rates) > 1 else None,
-        target=target,
-        verdict=verdict(requirement, values),
-        coverage=requirement.coverage,
-        rule=decision_rule(requirement) or None,
-        specific_risk=None if target is None or worst is None else specific_risk(0.0, worst, target),
         own=None if own is None else own.total,
         own_sources=None if own is None else own.sources,
         missions=None if flown is None or own is None else mission_table(flown, values, own),
     )
 
 
-def _risks(built: Assembled, known: Posterior, requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
+def _judged_maps(
+    budget: CountedPosteriors,
+    requirement: Requirement | UnitRequirement,
+    residual_of: Callable[[Posterior], Any],
+    value: Callable[[Any], float | None],
+) -> tuple[Any, dict[str, Any]]:
+    """The residual that the verdict judges, and its fields in the row: with omitted terms, and with another run."""
+    fields: dict[str, Any] = {}
+    judged = residual_of(budget.whole)
+    if budget.whole is not budget.own:
+        fields["with_typical"] = value(judged)
+    if run_of(requirement) == "any run" and budget.any_run is not budget.whole:
+        judged = residual_of(budget.any_run)
+        fields["another_run"] = value(judged)
+    return judged, fields
+
+
+def _decided(requirement: Requirement | UnitRequirement, of: Callable[[Statistic], float]) -> dict[str, Any]:
+    """Target, verdict, rule and risk, by the statistics of what is judged."""
+    target, worst = target_of(requirement), finite(of("max"))
+    return {
+        "unit": UNIT_OF[requirement.quantity][0],
+        "target": target,
+        "worst": worst,
+        "verdict": verdict_of(requirement, of),
+        "coverage": requirement.coverage,
+        "rule": decision_rule(requirement) or None,
+        "specific_risk": None if target is None or worst is None else specific_risk(0.0, worst, target),
+    }
+
+
+def counted_shares(spec: Spec) -> dict[tuple[str, Axis], dict[str, float]]:
+    """For each requirement (by name) and axis the share of every error in the variance of what the verdict judges:
+    noise, what no residual shows, and what the spec omits."""
+    built = assemble(spec)
+    shares: dict[tuple[str, Axis], dict[str, float]] = {}
+    of_fit: dict[Axis, dict[str, dict[str, float]]] = {}
+    for requirement, channel, budget in _budgets(built, posteriors_of_plan(built)):
+        if channel not in of_fit:
+            of_fit[channel] = error_budget(budget.built, channel, budget.fit)
+        if (found := _shares(budget, requirement, of_fit[channel].get(requirement.name))) is not None:
+            shares[requirement.name, channel] = found
+    return shares
+
+
+def _shares(
+    budget: CountedPosteriors, requirement: Requirement, of_fit: Mapping[str, float] | None
+) -> dict[str, float] | None:
+    """The shares of all errors in what the verdict judges, the largest first."""
+    if of_fit is None:
+        return None
+
+    def value(of: Posterior) -> float:
+        return statistic_of(requirement, residual_map(budget.built, of, requirement)[2])
+
+    fit, unseen = shares_of_variance(budget, run_of(requirement), value)
+    shares = {name: share * fit for name, share in of_fit.items()}
+    return dict(sorted((shares | unseen).items(), key=lambda item: -item[1]))
+
+
+def _risks(budget: CountedPosteriors, requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
     """The chances that a unit keeps the target (on a grid of at most 41 a side), and the risks of a second run.
 
     That run is as uncertain as the first and independent of it. Errors that both runs share (the sensor's clock, the
     encoder's error by angle) do not show in a second run, and are not in its risks.
     """
-    if row.target is None or row.max is None or row.max == 0.0:
+    if row.target is None or row.worst is None or row.worst == 0.0:
         return {}
+    known = budget.any_run if run_of(requirement) == "any run" else budget.whole
+    model = budget.built.model
     temperatures, rates = box(requirement, _GRID)
-    places = contrasts_of(built.model, requirement, requirement.statistic, (temperatures, rates))
+    places = contrasts_of(model, requirement, requirement.statistic, (temperatures, rates))
     shape, target = (len(temperatures), len(rates)), float(requirement.target or 0.0)
-    chances = chance_of_keeping(known, built.model, places, shape, requirement.statistic, target)
+    chances = chance_of_keeping(known, model, places, shape, requirement.statistic, target)
     acceptance: float | None = row.target
     if requirement.risk is not None:
-        acceptance = acceptance_limit(row.max, row.target, float(requirement.risk))
+        acceptance = acceptance_limit(row.worst, row.target, float(requirement.risk))
     if acceptance is None:
-        check = CheckRow(accepted=0.0, false_accept=0.0, false_reject=1.0 - specific_risk(0.0, row.max, row.target))
+        check = CheckRow(accepted=0.0, false_accept=0.0, false_reject=1.0 - specific_risk(0.0, row.worst, row.target))
     else:
-        check = CheckRow(**global_risks(row.max, row.max, row.target, acceptance)._asdict())
+        check = CheckRow(**global_risks(row.worst, row.worst, row.target, acceptance)._asdict())
     return {"check": check} | (
         {} if chances is None else dict(zip(("chance", "chance_everywhere"), chances, strict=True))
     )

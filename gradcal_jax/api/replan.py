@@ -17,9 +17,9 @@ from gradcal_jax.api.flow import optimise
 from gradcal_jax.api.measure import design_block
 from gradcal_jax.api.optimise import Optimised, SearchStep
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, residual_map, statistic_of
-from gradcal_jax.api.prediction import unit_requirement_row
 from gradcal_jax.api.structures import axes_of, ramped_shape, read_spacing, visit_times
 from gradcal_jax.api.unit_build import assemble_unit, known_of_motions, motion_of
+from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.files import Spec, changed, tables_of
 from gradcal_jax.files.changes import AnySpec
 from gradcal_jax.files.design import TIMES
@@ -91,8 +91,11 @@ def _known_of_unit(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> li
     for spans in (done, rest):
         parts = [part for span in spans if (part := cycles_between(plan, *span)) is not None]
         known = known_of_motions(built, (*built.past, *(motion_of(part, spec, built.model) for part in parts)))
-        rows.append([unit_requirement_row(built, known, requirement) for requirement in spec.requirement])
-    return [KnownRow(now.name, now.axis, now.unit, now.decisive, end.decisive) for now, end in zip(*rows, strict=True)]
+        rows.append([unit_residual(built, known, requirement) for requirement in spec.requirement])
+    return [
+        KnownRow(now.requirement.name, now.requirement.axis, now.unit, now.statistic(), end.statistic())
+        for now, end in zip(*rows, strict=True)
+    ]
 
 
 def _one_stretch(spec: UnitSpec, what: str) -> None:

@@ -20,14 +20,17 @@ import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.error_budget import known_sources, scaled
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of
-from gradcal_jax.api.prediction import requirement_rows
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of, posterior_of_plan, residual_map, statistic_of
+from gradcal_jax.api.systematic import budget_of_plan, own_of_unit, shares_of_variance
+from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
+from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.design import Criterion
 from gradcal_jax.files import Spec
 from gradcal_jax.files.changes import changed, tables_of
+from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.spec import expect_whole
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information import information
+from gradcal_jax.information import Posterior, information
 from gradcal_jax.model import Discrepancy, EncoderHarmonics, SensorModel
 from gradcal_jax.trajectory import Rule, Schedule, rule_of
 from gradcal_jax.units import dimension_of, format_quantity, parse, unit_of
@@ -97,10 +100,34 @@ def _of_axes(spec: Spec) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         raise ValueError(
             "the plan cannot observe what is required, so its sensitivity is not defined: see gradcal check"
         )
-    worst = [max(by_axis, key=lambda pair: pair[0][i]) for i in range(len(criteria))]
-    values, slopes = (np.stack([pair[n][i] for i, pair in enumerate(worst)]) for n in (0, 1))
+    worst = [max(range(len(by_axis)), key=lambda k: by_axis[k][0][i]) for i in range(len(criteria))]
+    values = np.array([by_axis[k][0][i] for i, k in enumerate(worst)])
+    slopes = np.stack([by_axis[k][1][i] for i, k in enumerate(worst)])
     factors = np.array([UNIT_OF[r.quantity][1] for r in spec.requirement])
-    return np.exp(values) * factors, dict(zip(names, slopes.T, strict=True))
+    residuals, rows = np.exp(values) * factors, dict(zip(names, slopes.T, strict=True))
+    return _with_unseen(built, [built.channels[k] for k in worst], residuals, rows)
+
+
+def _with_unseen(
+    built: Assembled, channels: list[Axis], residuals: np.ndarray, rows: dict[str, np.ndarray]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Residuals and elasticities with what no residual of a run shows, as far as the spec names it."""
+    unseen: list[dict[str, float]] = []
+    fits: list[float] = []
+    for requirement, channel in zip(built.spec.requirement, channels, strict=True):
+        budget = budget_of_plan(built, posterior_of_plan(built, channel), channel, built)
+
+        def value(of: Posterior, requirement=requirement) -> float:
+            return statistic_of(requirement, residual_map(built, of, requirement)[2])
+
+        fit, shares = shares_of_variance(budget, "this run", value)
+        fits.append(fit)
+        unseen.append(shares)
+    share = np.array(fits)
+    rows = {name: of * share for name, of in rows.items()}
+    for name in dict.fromkeys(n for of in unseen for n in of):
+        rows[name] = np.array([of.get(name, 0.0) for of in unseen])
+    return residuals / np.sqrt(share), rows
 
 
 class _Figures(eqx.Module):
@@ -180,7 +207,9 @@ _FIGURES: tuple[tuple[str, str], ...] = (
     (r"sensor\.(gyro|accelerometer)\.(\w+)\.prior", "{0}: prior of {1}"),
     (r"sensor\.(gyro|accelerometer)\.(\w+)\.discrepancy\.standard_deviation", "{0}: discrepancy of {1}"),
     (r"sensor\.(gyro|accelerometer)\.(\w+)\.smoothness", "{0}: smoothness of {1}"),
-    (r"sensor\.(thermal_lag|sample_clock_error)", "{0}"),
+    (r"sensor\.(thermal_lag|sample_clock_error|temperature_offset|temperature_lag)", "{0}"),
+    (r"sensor\.gyro\.bias_temperature_gradient", "gyro: bias from dT/dt"),
+    (r"rig\.table\.axis\[\d+\]\.angle\.scale_error", "table: scale of the angle"),
     (r"rig\.site\.gravity_accuracy", "accuracy of gravity"),
     (r"rig\.table\.(tilt|azimuth)", "{0} of the base"),
     (r"rig\.table\.axis\[\d+\]\.orthogonality", "angle between the table's axes"),
@@ -264,4 +293,7 @@ def _elasticity(spec: UnitSpec, powers: Mapping[str, int], nominal: np.ndarray) 
 
 def _residuals(spec: UnitSpec) -> np.ndarray:
     """The value of every requirement's own statistic; infinite where it is not observable."""
-    return np.array([np.inf if row.decisive is None else row.decisive for row in requirement_rows(spec)])
+    built = assemble_unit(spec)
+    known = own_of_unit(built, posterior_of_unit(built))
+    values = (unit_residual(built, known, requirement).statistic() for requirement in spec.requirement)
+    return np.array([np.inf if value is None else value for value in values])

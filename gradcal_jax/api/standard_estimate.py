@@ -108,7 +108,7 @@ def _of_points(
     nodes = estimation.sample_nodes(
         table_rate, temperature_of_maps, rows.step, edges, line.moving, broken, np.zeros(len(broken))
     )
-    error = np.where(rows.usable, rows.rate - table_rate - options.earth_rate, 0.0) * rows.step
+    error = np.where(rows.usable, rows.rate - table_rate - (options.earth_rate or 0.0), 0.0) * rows.step
     readings = np.where(broken, 0.0, np.diff(np.cumsum(error)[edges]))[:, None]
     mean_rate, time = line.terms[:, 0], rows.time[edges[1:]]
     observations = Observations(noise_steps(line, model), model.columns(nodes), readings, time, line.level, mean_rate)

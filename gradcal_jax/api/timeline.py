@@ -159,15 +159,15 @@ def _standard_rows(built: Assembled, plan: StandardSchedule) -> tuple[list[Segme
 
 def _sensor_row(spec: Spec) -> SensorRow:
     sensor = spec.sensor
-    error, gradient = sensor.temperature_error, sensor.bias_temperature_gradient
+    error, gradient = sensor.thermometer_noise, sensor.gradient_sensitivity
     return SensorRow(
         arw=sensor.angle_random_walk,
         rate_random_walk=sensor.rate_random_walk or 0.0,
         turn_on_bias=sensor.turn_on_bias,
         drift=_process_rows(sensor.drift),
         scale_factor_instability=_process_rows(sensor.scale_factor_instability),
-        thermal_lag=sensor.thermal_lag,
-        sample_clock_error=sensor.sample_clock_error,
+        thermal_lag=sensor.lag,
+        sample_clock_error=sensor.clock_error or None,
         starts=_starts_row(spec.sensor),
         temperature_error=None
         if error is None
@@ -184,13 +184,13 @@ def _sensor_row(spec: Spec) -> SensorRow:
 
 
 def _starts_row(sensor: Sensor) -> StartsRow:
-    error = sensor.temperature_error
+    error = sensor.thermometer_noise
     return StartsRow(
         drift="stationary" if sensor.drift else None,
         rate_random_walk="zero" if sensor.rate_random_walk else None,
         scale_factor_instability="stationary" if sensor.scale_factor_instability else None,
         temperature_error=None if error is None else "stationary" if error.correlation_time else "constant",
-        sample_clock_error="constant" if sensor.sample_clock_error else None,
+        sample_clock_error="constant" if sensor.clock_error else None,
         turn_on_bias=None if not sensor.turn_on_bias else "constant" if sensor.bias is None else "prior",
     )
 
@@ -229,7 +229,7 @@ def unit_timeline(spec: UnitSpec) -> unit_rows.UnitTimeline:
             unit_rows.MountingRow(name=m.name, rotation=_matrix(rotation))
             for m, rotation in zip(table.mounting, np.asarray(geometry.mountings), strict=True)
         ),
-        thermal_lag=sensor.thermal_lag,
+        thermal_lag=sensor.lag,
         channels=tuple(
             _channel_row(c, sensor.gyro if c.kind == "gyro" else sensor.accelerometer) for c in built.model.channels
         ),
@@ -289,6 +289,7 @@ def _installation_row(term: model.InstallationTerm) -> unit_rows.InstallationRow
         unit=term.unit,
         axis=term.axis_name if harmonics else None,
         orders=term.orders if harmonics else None,
+        forces=term.forces if isinstance(term, model.CommonScale) and term.of == "sample_clock" else None,
     )
 
 

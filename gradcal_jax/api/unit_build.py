@@ -66,7 +66,7 @@ def assemble_unit(spec: UnitSpec) -> AssembledUnit:
     bases = [t.temperature for c in model_.channels for t in c.model.terms if isinstance(t, Map | SignalMap)]
     degree = max(b.degree if isinstance(b, Polynomial | BSpline) else 0 for b in bases)
     # A lagging unit's exponentials are no polynomials.
-    points = max(degree + 1, _LAGGED if spec.sensor.thermal_lag is not None else 1)
+    points = max(degree + 1, _LAGGED if spec.sensor.lag is not None else 1)
     past = tuple(motion_of(part, spec, model_) for part in spec.past)
     rough = any(b.breaks for b in bases)
     return AssembledUnit(spec, model_, motion_of(spec.schedule, spec, model_), points, rough, past)
@@ -120,8 +120,10 @@ def _installation(spec: UnitSpec) -> tuple[model.InstallationTerm, ...]:
         terms.append(model.MountingError(np.repeat(np.array([float(m.accuracy) for m in table.mounting]), 3)))
     if site.gravity_accuracy and spec.sensor.accelerometer is not None:
         terms.append(model.CommonScale(np.array([float(site.gravity_accuracy)]), "gravity"))
-    if spec.sensor.sample_clock_error:
-        terms.append(model.CommonScale(np.array([float(spec.sensor.sample_clock_error)]), "sample_clock"))
+    force = spec.sensor.accelerometer
+    timed = force is not None and force.velocity_increments
+    if spec.sensor.clock_error and (timed or spec.sensor.gyro is not None):
+        terms.append(model.CommonScale(np.array([spec.sensor.clock_error]), "sample_clock", forces=timed))
     return tuple(terms)
 
 
@@ -249,8 +251,7 @@ def motion_of(plan: UnitSchedule, spec: UnitSpec, of: UnitModel) -> TableMotion:
     own = (replace(s.move, axis="x", read_end=True, read_every=every if s.axis < 0 else None) for s in steps)
     moves = tuple(move_of(move, None, np.inf) for move in own)
     schedule = trajectory.gradient_plan(course, moves, used=used, read_every=every)
-    lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
-    line = schedule.trajectory(lag)
+    line = schedule.trajectory(spec.sensor.lag)
     count = len(schedule.duration) - len(steps)
     axis = np.array([step.axis for step in steps] + [-1] * count)[np.asarray(schedule.pieces.move)]
     # Between two stretches the table stands where the cycle began, up to whole turns, and the mounting changes.

@@ -3,6 +3,7 @@
 The spec describes the noise, the table and the terms; the executed motion is read from the log.
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -11,9 +12,23 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.api.calibration import excess_of, noise_sentences
 from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of, random_walks, section_of
+from gradcal_jax.api.contradictions import (
+    beyond_the_data,
+    omitted_sentences,
+    refuse_implausible,
+    refuse_misaligned,
+    refuse_other_units,
+)
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.log_rows import bridged_temperature, of_host_clock, time_of, usable_rows
+from gradcal_jax.api.log_rows import bridged_temperature, time_of, usable_rows, with_options
 from gradcal_jax.api.prediction import unit_requirement_row
+from gradcal_jax.api.systematic import (
+    EstimatedRun,
+    budget_of_unit_estimate,
+    omitted_noise_of_unit,
+    ramp_of_record,
+    unseen_errors,
+)
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, planned_moves
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_residual import internal_misalignments
@@ -111,12 +126,23 @@ def estimate_units(
     names = list(units) or [name for name in logs[0].units if all(name in log.units for log in logs)]
     if not names:
         raise LogError("no unit is in all of the logs")
-    built = assemble_unit(of_host_clock(spec, logs, options))
-    return [_report(built, logs, name, options, sources or {}) for name in names]
+    spec, options, said = with_options(spec, logs, options)
+    for log, name in itertools.product(logs, names):
+        if log.temperature_c is not None:
+            refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
+    built = assemble_unit(spec)
+    noise = omitted_noise_of_unit(built)
+    reports = (_report(built, logs, name, options, sources or {}, noise) for name in names)
+    return [report._replace(messages=(*said, *report.messages)) for report in reports]
 
 
 def _report(
-    built: AssembledUnit, logs: Sequence[Log], name: str, options: Options, sources: dict[str, str]
+    built: AssembledUnit,
+    logs: Sequence[Log],
+    name: str,
+    options: Options,
+    sources: dict[str, str],
+    noise: dict[str, np.ndarray],
 ) -> UnitReport:
     rows, messages = unit_rows(built, logs, name, options)
     starts = np.flatnonzero(~rows.usable & (np.diff(rows.time_s, prepend=-np.inf) > 0.0))
@@ -125,6 +151,7 @@ def _report(
         raise ValueError("the lag of a whole unit is not fitted: give a time, such as --lag 90s")
     temperature = correction.followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)
     model = built.model
+    refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), model.channels)
     threshold = options.threshold if options.robust else None
     done, readings, solution = fitted_twice(built, name, rows, temperature, threshold)
     at = segments_of(done.motion, model)
@@ -146,14 +173,41 @@ def _report(
         free = round(len(left) - float(np.sum(taken**2)))
         channels[c.name] = estimation.chi_squared_test(float(left @ left), free), estimation.whiteness(left, taken)
     known = Posterior(solution.known.spread * excess_of(tests), solution.known.hidden)
-    requirements = tuple(unit_requirement_row(built, known, r) for r in built.spec.requirement)
     covered = _covered(done, rows, temperature)
+    record = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
+    ramp = ramp_of_record(rows.time_s[record], temperature[record])
+    budget = budget_of_unit_estimate(built, known, EstimatedRun(solution.parameters, covered[0], ramp), noise)
+    requirements, beyond = [], list[str]()
+    for requirement in built.spec.requirement:
+        row = unit_requirement_row(built, budget, requirement)
+        if sentence := beyond_the_data(requirement, *covered):
+            beyond.append(sentence)
+            if row.verdict in ("met", "missed"):
+                row = row.model_copy(update={"verdict": "not covered"})
+        requirements.append(row)
+    requirements = tuple(requirements)
     calibration = _calibration(built, logs, name, solution, tests, channels, requirements, covered, options, sources)
+    own = {f"{c.name}.{n}" for c in calibration.channel for term in c.term for n in term.coefficients}
+    kept = [k for k, n in enumerate(model.names()) if n in own]
+    unseen = unseen_errors(budget, [model.names()[k] for k in kept], model.to_reported[kept])
+    if unseen:
+        calibration = calibration.model_copy(update={"unseen": unseen})
     seen = tuple(_internal(built, solution, covered[0])), _gravity(readings, calibration, temperature)
     report = UnitReport(name, built, done, solution, calibration, requirements, tests, channels, *seen, ())
     names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
     lesser = counting_less(solution.weights, of_segment[at.row_segment][used], names)
-    return report._replace(messages=(*messages, *lesser, *_words(report, solution)))
+    beside = *omitted_sentences(built.spec, temperature[record]), *beyond
+    return report._replace(messages=(*messages, *lesser, *_words(report, solution), *beside))
+
+
+def _refuse_the_implausible(built: AssembledUnit, name: str, solution: UnitEstimate) -> None:
+    """Raise `LogError` for the first channel with coefficients that no device has."""
+    model, priors = built.model, prior_deviations(built)
+    values, begin = model.to_reported @ solution.parameters, 0
+    for c in model.channels:
+        own = slice(begin, begin + c.model.size)
+        begin = own.stop
+        refuse_implausible(f"{name}, {c.name.replace('_', ' ')}", c.model.names(), values[own], priors[own])
 
 
 def fitted_twice(
@@ -190,6 +244,7 @@ def _read(
         raise LogError(f"{name}: {error}") from None
     readings = estimation.readings_of(built.model, done, rows, temperature, 0 if built.rough else built.points, felt)
     solution = estimation.estimate_unit(readings, about, threshold=threshold)
+    _refuse_the_implausible(built, name, solution)
     scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
     if scale > _ABSURD:
         raise LogError(
@@ -465,7 +520,11 @@ def _noise(spec: UnitSpec, log: Log) -> UnitNoise:
 
 
 def _result(row: RequirementRow) -> UnitResult:
-    values = {"value": row.decisive, "target": row.target, "verdict": row.verdict}
+    values = {"value": row.judged, "target": row.target, "verdict": row.verdict}
+    if row.judged != row.decisive:
+        values["named"] = row.decisive
+    if row.target is not None:
+        values |= {"coverage": row.coverage, "rule": row.rule}
     return UnitResult(
         name=row.name,
         quantity=row.quantity,

@@ -36,9 +36,11 @@ from gradcal_jax.api.limit import (
     windows_between_knots,
 )
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
-from gradcal_jax.api.prediction import unit_requirement_row
+from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.api.structures import LEAST_TURN
-from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit, assemble_unit, posterior_of_unit
+from gradcal_jax.api.systematic import floor_of_unit_plan
+from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit, assemble_unit
+from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.design import PRIOR_OF_WALK, criterion, limit, scale_factor_floor
 from gradcal_jax.design.noise_floor import Course
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
@@ -75,10 +77,14 @@ def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
             "a limit of a unit is proven for biases, scale factors that are polynomials, misalignments to the table or "
             "the case, acceleration sensitivity and second order; the spec has no requirement on one of these"
         )
-    after = posterior_of_unit(built)
+    judged = {row.name: row.judged for row in requirement_rows(spec)}
+    model, floor = floor_of_unit_plan(spec)
     kept = kept_in_words(window.time)
+    # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value over the elements.
     return [
-        plan_limit(r, UNIT_OF[r.quantity], bound, unit_requirement_row(built, after, r).decisive, relaxed, kept)
+        plan_limit(r, UNIT_OF[r.quantity], bound, judged[r.name], relaxed, kept).above(
+            float(np.min(unit_residual(model, floor, r).values))
+        )
         for r, bound, relaxed in proven
     ]
 

@@ -68,7 +68,7 @@ def _unit(log: Log, unit: str, axes: Sequence[str], options: Options, sources: d
     messages = [
         f"the rate of the vehicle is taken as zero: of the Earth's up to {_EARTH:.0f} deg/h is in the bias, unless "
         "--earth-rate takes it off"
-    ] * (options.earth_rate == 0.0)
+    ] * (not options.earth_rate)
     for axis in axes or log.axes:
         spec, words = warm_up_spec(log, axis, unit)
         parts.append(estimate_calibration(spec, log, axes=(axis,), units=(unit,), options=options, sources=sources))
@@ -173,6 +173,7 @@ def warm_up_spec(log: Log, axis: str, unit: str) -> tuple[Spec, str]:
         f'{{ standard_deviation = "{number(std * DEG_PER_H)} deg/h", correlation_time = "{number(tau)} s" }}'
         for std, tau in slow.processes
     )
+    # The slow noise was identified from the record itself, the same thermometer serves in use, and there is no table.
     text = f"""
 format = "gradcal-spec/1"
 title  = "warm-up at rest"
@@ -180,11 +181,17 @@ title  = "warm-up at rest"
 quantity          = "gyro"
 angle_random_walk = "{number(walk.value * DEG_PER_SQRT_H)} deg/sqrt(h)"
 drift             = [{processes}]
+rate_random_walk   = "0 deg/h/sqrt(h)"
+temperature_offset = "0 K"
 [sensor.bias]
 temperature = {{ basis = "polynomial", degree = {DEGREE}, centre = "{centre} degC", scale = "{scale} K" }}
+[rig]
+earth_rate = "unknown"
 [rig.table]
 max_rate         = "1 deg/s"
 max_acceleration = "1 deg/s^2"
+[rig.table.angle]
+reading_noise = "0 deg"
 [rig.chamber]
 range       = ["{low - 1:.1f} degC", "{high + 1:.1f} degC"]
 max_heating = "10 K/min"

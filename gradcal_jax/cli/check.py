@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, SpecPath, as_json
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.predict import counted_as_zero
+from gradcal_jax.cli.predict import omitted_lines
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns, times_text
 from gradcal_jax.units import time_text
@@ -46,8 +46,8 @@ def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) ->
         return NOT_AS_WISHED if too else DONE
     print(strong(specification.title or str(spec)))
     print(summary_of_unit(specification) if isinstance(specification, UnitSpec) else summary(specification))
-    absent = [] if of_axes is None else counted_as_zero(of_axes)
-    print("\n".join(absent)) if absent else None
+    omitted = omitted_lines(specification)
+    print("\n".join(omitted)) if omitted else None
     if too:
         print(f"too large: {too}")
         return NOT_AS_WISHED
@@ -77,10 +77,8 @@ def numbers(spec: "Spec | UnitSpec") -> dict[str, Any]:
     record: dict[str, Any] = {"title": spec.title, "method": spec.plan.method}
     record |= {f"{name}_s": getattr(spec.schedule, name) for name in ("duration", "soak", "motion")}
     record["requirements"] = [r.name for r in spec.requirement]
-    if isinstance(spec, UnitSpec):
-        return record
-    absent = [{"key": t.key, "typical": t.typical, "source": t.source} for t in absent_terms(spec)]
-    return record | {"notes": notes(spec), "counted_as_zero": absent}
+    record["omitted"] = [{"key": t.key, "typical": t.typical, "source": t.source} for t in absent_terms(spec)]
+    return record | ({} if isinstance(spec, UnitSpec) else {"notes": notes(spec)})
 
 
 def summary(spec: "Spec") -> str:
@@ -98,7 +96,7 @@ def _sensor(spec: "Spec") -> list[str]:
         parts.append(f"bias ({spec.sensor.bias.size})")
     if spec.sensor.scale_factor is not None:
         parts.append(f"scale factor ({spec.sensor.scale_factor.size})")
-    if spec.sensor.bias_temperature_gradient is not None:
+    if spec.sensor.gradient_sensitivity is not None:
         parts.append("bias temperature gradient (1)")
     lines = [f"to be found: {', '.join(parts)}"]
     for requirement in spec.requirement:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from gradcal_jax.api.calibration import EstimateReport, MeasuredDiscrepancy
     from gradcal_jax.api.unit_channel import UnitChannel
     from gradcal_jax.files import Spec
+    from gradcal_jax.files.calibration import UnseenError
     from gradcal_jax.files.unit_spec import UnitSpec
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
@@ -53,7 +54,7 @@ def estimate(
     lag: str = "none",
     smoothness: str = "spec",
     robust: Flag = False,
-    clock: str = "sensor",
+    clock: str | None = None,
     read_every: str = "1 s",
     neighbours: str | None = None,
     temperature: str | None = None,
@@ -99,7 +100,8 @@ def estimate(
     robust
         Give readings that the model cannot explain less weight (Huber), and list them.
     clock
-        The clock over which rates are integrated: "sensor", or "host" (the computer's).
+        The clock over which rates are integrated: "sensor", or "host" (the computer's). Without it that of the spec,
+        or else the computer's where the log has both.
     read_every
         Spacing of the readings while the table stands.
     neighbours
@@ -235,14 +237,14 @@ def _options(
     latitude: str | None,
     lag: str,
     smoothness: str,
-    clock: str,
+    clock: str | None,
     read_every: str,
     neighbours: str | None,
     temperature: str | None,
 ) -> dict[str, Any]:
     """The options' texts as fields of `api.estimate_options.Options`, in SI. Raises `ValueError` with the option's
     name."""
-    earth = 0.0
+    earth = None
     if earth_rate is not None and latitude is not None:
         raise ValueError("--earth-rate and --latitude both give the Earth rate: use one of them")
     if earth_rate is not None:
@@ -254,7 +256,7 @@ def _options(
         raise ValueError(f"--lag {lag!r}: a lag is not negative")
     if smoothness not in ("spec", "auto"):
         raise ValueError(f'--smoothness {smoothness!r}: expected "spec" or "auto"')
-    if clock not in ("sensor", "host"):
+    if clock not in (None, "sensor", "host"):
         raise ValueError(f'--clock {clock!r}: expected "sensor" or "host"')
     every = quantity(read_every, "time", "--read-every")
     if every <= 0.0:
@@ -297,15 +299,18 @@ def _text(report: "EstimateReport") -> str:
         lines += ["", strong(f"unit {one.serial_number}" + (", SIMULATED" if one.simulated else ""))]
         for channel in report.channels:
             if channel.unit == one.serial_number:
-                lines += [_channel(channel)]
+                lines += [_channel(channel, report.unseen_of(channel))]
         rows = report.verdicts[one.serial_number]
         if rows:
-            shown = [("requirement", "statistic", "residual (1σ)", "at worst", "target", "verdict")]
+            shown = [("requirement", "statistic", "residual (1σ)", "named alone", "at worst", "target", "verdict")]
             for row in rows:
                 target = "" if row.target is None else amount(row.target, row.unit)
                 name, value = f"{row.requirement.name}, axis {row.axis}", amount(row.value, row.unit)
                 worst = "" if row.worst is None else amount(row.worst, row.unit)
-                shown.append((name, row.requirement.statistic, value, worst, target, row.verdict or ""))
+                alone = amount(row.named, row.unit)
+                shown.append((name, row.requirement.statistic, value, alone, worst, target, row.verdict or ""))
+            if all(row.named == row.value for row in rows):
+                shown = [(*cells[:3], *cells[4:]) for cells in shown]
             lines += ["", table(shown, indent="")]
             lines += [f"{row.requirement.name}, axis {row.axis}: {row.rule}" for row in rows if row.rule]
         lines += [f"note: {message}" for message in report.messages[one.serial_number]]
@@ -324,10 +329,11 @@ def _discrepancy(row: "MeasuredDiscrepancy") -> list[str]:
     return ["", heading, *([f"  {line}" for line in row.block.splitlines()] if row.low > 0.0 else [])]
 
 
-def _channel(channel: "UnitChannel") -> str:
+def _channel(channel: "UnitChannel", unseen: "Sequence[UnseenError]") -> str:
     import numpy as np
 
     from gradcal_jax import units
+    from gradcal_jax.api.contract_rows import counted_std
 
     model = channel.model
     reported = model.to_reported
@@ -339,13 +345,17 @@ def _channel(channel: "UnitChannel") -> str:
         "rad/K": ("deg/h/(K/min)", units.DEG_PER_H / 60.0),
         "rad": ("arcsec", units.ARCSEC),
     }
-    rows = [("parameter", "value", "1σ", "unit")]
+    rows = [("parameter", "value", "1σ", "of the fit", "unit")]
     for k, (name, si) in enumerate(zip(model.names(), model.units(), strict=True)):
         unit, factor = shown[si]
         if np.isfinite(deviations[k]):
-            rows.append((name, f"{values[k] * factor:.4f}", f"{deviations[k] * factor:.4g}", unit))
+            of_fit = float(deviations[k])
+            stds = (f"{(std or 0.0) * factor:.4g}" for std in (counted_std(name, of_fit, unseen), of_fit))
+            rows.append((name, f"{values[k] * factor:.4f}", *stds, unit))
         else:
-            rows.append((name, "not observable", "", unit))
+            rows.append((name, "not observable", "", "", unit))
+    if not unseen:
+        rows = [(*row[:3], row[4]) for row in rows]
     tests = channel.consistency
     low, high = channel.valid_temperature_c
     slow, fast = (float(np.degrees(r)) for r in channel.valid_rate_rad_per_s)
@@ -353,7 +363,7 @@ def _channel(channel: "UnitChannel") -> str:
     lines = [
         f"axis {channel.axis}: {len(channel.weights)} readings; rows: {used}",
         f"covers {low:.4g} … {high:.4g} °C, {slow:.4g} … {fast:.4g} deg/s",
-        table(rows, right=(1, 2)),
+        table(rows, right=(1, 2, 3) if unseen else (1, 2)),
     ]
     if channel.lag_std_s is not None:
         lines.append(f"the maps follow the temperature {channel.lag_s:.4g} s late (1σ {channel.lag_std_s:.2g} s)")

@@ -53,13 +53,12 @@ def new(
 
     writable(Path(output), force)
     write_whole(output, text)
-    if preset in presets.names():
-        from gradcal_jax.files import parse_spec
-        from gradcal_jax.files.absent import absent_terms
+    if preset not in examples:
+        from gradcal_jax.cli.predict import omitted_lines
+        from gradcal_jax.files.recipe import any_spec_in
 
-        if absent := absent_terms(parse_spec(text)):
-            print("left out, and so counted as zero; put in your unit's own figures, or those typical of its class:")
-            print(columns([(term.key, term.typical) for term in absent]))
+        if omitted := omitted_lines(any_spec_in(Path(output))):
+            print("\n".join(omitted))
     following = {
         _COLUMN_MAP: f"gradcal allan LOG --columns {output}",
         _POINT_MAP: f"gradcal estimate TABLE --points {output} --spec SPEC",

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from gradcal_jax.api.monte_carlo import TwinRow
     from gradcal_jax.files import Prediction, Spec
     from gradcal_jax.files.contracts import ParameterRow, RequirementRow
+    from gradcal_jax.files.unit_spec import UnitSpec
 
 
 def predict(
@@ -65,8 +66,8 @@ def predict(
         print(prediction.model_dump_json(indent=2))
     else:
         print(prediction_text(prediction, str(spec)))
-        absent = [] if isinstance(specification, UnitSpec) else counted_as_zero(specification, prediction)
-        print("\n".join(["", *absent])) if absent else None
+        omitted = omitted_lines(specification)
+        print("\n".join(["", *omitted])) if omitted else None
         if monte_carlo is not None:
             print(_simulated(rows, tests, monte_carlo, seed))
     of_unit = isinstance(specification, UnitSpec)
@@ -119,8 +120,11 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
     lines = [strong(prediction.title or name), times, ""]
     if prediction.requirements:
         several = len({row.axis for row in prediction.requirements} & {"x", "y", "z"}) > 1
-        head = ("requirement", "statistic", "residual (1σ)", "at worst", "target", "verdict")
-        lines.append(columns([head, *(_row(row, several) for row in prediction.requirements)], indent=""))
+        head = ("requirement", "statistic", "residual (1σ)", "named alone", "at worst", "target", "verdict")
+        rows = [head, *(_row(row, several) for row in prediction.requirements)]
+        if all(row.judged == row.decisive for row in prediction.requirements):
+            rows = [(*row[:3], *row[4:]) for row in rows]
+        lines.append(columns(rows, indent=""))
         lines += [sentence for row in prediction.requirements for sentence in _judged(row, several)]
     else:
         lines.append("the spec has no [[requirement]]; the parameters' standard deviations are:")
@@ -136,27 +140,23 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
     return "\n".join(lines)
 
 
-def counted_as_zero(spec: "Spec", prediction: "Prediction | None" = None) -> list[str]:
-    """Error terms that are absent from the file, with typical figures, and the residuals with these. Empty: none."""
-    from gradcal_jax.files.absent import absent_terms, sensor_grade, table_grade
+def omitted_lines(spec: "Spec | UnitSpec") -> list[str]:
+    """Error terms that are absent from the file, with the typical figures that count for them. Empty: none."""
+    from gradcal_jax.files.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms, sensor_grade, table_grade
 
     absent = absent_terms(spec)
     if not absent:
         return []
     sensor, table = sensor_grade(spec.sensor), table_grade(spec)
     lines = [
-        "counted as zero, since the file does not name it; typical of its class:",
+        "not in the file, and so counted with figures typical of the class:",
         columns([(term.key, term.typical) for term in absent]),
         f"  sensor: {sensor.name} grade ({sensor.like}), by {sensor.reason}",
         f"  table: {table.name} ({table.like}), by {table.reason}",
+        "put your own figures into the file; 0 (or an empty list) says that there is none. Sources of the figures: "
+        "gradcal check --json",
     ]
-    for row in () if prediction is None else prediction.requirements:
-        if row.verdict != "unobservable":
-            value = amount(row.with_typical, row.unit)
-            limit = None if row.target is None else row.target / row.coverage
-            over = limit is not None and row.with_typical is not None and row.with_typical > limit
-            lines.append(f"with all of that {row.name} would be {value}" + (": missed" if over else ""))
-    return [*lines, "sources of the figures: gradcal check --json; a term that is truly zero is named with 0"]
+    return lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH for term in absent)
 
 
 def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:
@@ -167,7 +167,7 @@ def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:
         first = (name, *times)
         for row in prediction.requirements or ():
             axis = f", axis {row.axis}" if len({r.axis for r in prediction.requirements}) > 1 else ""
-            left = amount(row.decisive, row.unit)
+            left = amount(row.judged, row.unit)
             left += "" if row.own is None else f" (own noise {amount(row.own, row.unit)})"
             rows.append((*first, f"{row.name}{axis} ({row.statistic})", left, row.limited_by or ""))
             first = ("", "", "", "")
@@ -181,17 +181,19 @@ def _named(row: "RequirementRow | ParameterRow | TwinRow", several: bool) -> str
 
 
 def _row(row: "RequirementRow", several: bool) -> tuple[str, ...]:
-    left, target = amount(row.decisive, row.unit), "" if row.target is None else amount(row.target, row.unit)
+    left, target = amount(row.judged, row.unit), "" if row.target is None else amount(row.target, row.unit)
     if row.uncertain is not None:
         left += f" ({row.uncertain[0]:.4g} … {row.uncertain[1]:.4g})"
-    worst = "" if row.max is None else amount(row.max, row.unit)
-    return (_named(row, several), row.statistic, left, worst, target, row.verdict or "")
+    worst = "" if row.worst is None else amount(row.worst, row.unit)
+    alone = amount(row.decisive, row.unit)
+    return (_named(row, several), row.statistic, left, alone, worst, target, row.verdict or "")
 
 
 def _judged(row: "RequirementRow", several: bool) -> list[str]:
     """The errors that limit a requirement, its decision rule, and the risks."""
     name = _named(row, several)
     lines = [f"{name}: limited by {row.limited_by}"] if row.limited_by else []
+    lines += [another_run_line(row, name)] if row.another_run is not None else []
     lines += own_noise_lines(row, name)
     if row.rule and row.verdict != "unobservable":
         lines.append(f"{name}: {row.verdict} by {row.rule}")
@@ -208,12 +210,21 @@ def _judged(row: "RequirementRow", several: bool) -> list[str]:
     return lines
 
 
+def another_run_line(row: "RequirementRow", name: str) -> str:
+    """The bias of another power-on, which the verdict counts."""
+    this = row.decisive if row.with_typical is None else row.with_typical
+    return (
+        f"{name}: {amount(this, row.unit)} in this run, {amount(row.another_run, row.unit)} after another power-on, "
+        'which counts; of = "this run" leaves the turn-on bias out'
+    )
+
+
 def own_noise_lines(row: "RequirementRow", name: str) -> list[str]:
     """The noise that no calibration takes off, beside the residual; with several missions, a row for each."""
     if row.own is None or row.own_sources is None:
         return []
     parts = ", ".join(f"{source} {value:.3g}" for source, value in row.own_sources.items() if value >= 0.05 * row.own)
-    in_all = "" if row.decisive is None else f"{amount(math.hypot(row.decisive, row.own), row.unit)} in all, of which "
+    in_all = "" if row.judged is None else f"{amount(math.hypot(row.judged, row.own), row.unit)} in all, of which "
     lines = [f"{name}: {in_all}no calibration takes off {amount(row.own, row.unit)} ({parts})"]
     if row.missions is not None and len(row.missions) > 1:
         head = ("mission", "weight", "after", "calibration leaves", "own noise")

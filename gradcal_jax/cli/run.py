@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from gradcal_jax.files.recipe import Recipe
     from gradcal_jax.files.rig import RigFile
     from gradcal_jax.hardware.execute import Attended
-    from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
+    from gradcal_jax.hardware.runner import Runner
+    from gradcal_jax.hardware.states import RunProgress, RunResult
 
 _REHEARSAL = "simulated devices: a rehearsal, not a measurement"
 
@@ -170,7 +171,7 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
         rows.append(f"an alarm calls: {' '.join(rig.alarm.command)}")
     print("before it begins:\n" + "\n".join(f"  {row}" for row in rows), flush=True)
     if not sys.stdin.isatty():
-        return True
+        raise ValueError("there is no terminal at which to confirm this list: read it, and give --yes")
     print("Enter to begin, anything else to leave it: ", end="", flush=True)
     return sys.stdin.readline() == "\n"
 
@@ -208,10 +209,16 @@ def _say(folder: Path, result: "RunResult", json: bool) -> int:
         if not json:
             print(f"done; make its log: gradcal log {folder}")
         return DONE if result.verified_safe else FAILED
-    complain(
-        f"the run {result.exit_status} after {result.steps_done} steps: {result.reason}\n"
-        f"What was recorded is sound. Go on with it: gradcal run --resume {folder}"
-    )
+    if result.begun:
+        complain(
+            f"the run {result.exit_status} after {result.steps_done} steps: {result.reason}\n"
+            f"What was recorded is sound. Go on with it: gradcal run --resume {folder}"
+        )
+    else:
+        complain(
+            f"the run did not begin, nothing was commanded: {result.reason}\n"
+            f"Mend that, then: gradcal run --resume {folder}"
+        )
     by_operator = result.reason in ("Ctrl-C", "interrupted from the keyboard")
     return INTERRUPTED if by_operator and result.verified_safe else FAILED
 
@@ -280,18 +287,18 @@ class _Watcher:
         self._last = now
         if progress.state.value == "paused" and not self._asked:
             self._asked = True
-            self._ask()
+            self._ask(progress.why)
         elif progress.state.value == "running":
             self._asked = False
 
-    def _ask(self) -> None:
+    def _ask(self, why: str) -> None:
         if not sys.stdin.isatty():
             return
         if self._terminal is not None and self._terminal.heard:
             self._terminal.next_line_goes_to(self._go_on)
         else:
             threading.Thread(target=lambda: sys.stdin.readline() and self._go_on(), daemon=True).start()
-        print("\npaused; press Enter to go on, Ctrl-C to make everything safe and end", flush=True)
+        print(f"\npaused: {why}; press Enter to go on, Ctrl-C to make everything safe and end", flush=True)
 
     def _go_on(self) -> None:
         if self._runner is not None:
@@ -310,7 +317,7 @@ def _known(folder: Path) -> Any:
 
 def progress_text(progress: "RunProgress", simulated: bool) -> str:
     """State, step, temperatures, angles and time left, in one line."""
-    parts = ["simulated" if simulated else "", progress.state.value]
+    parts = ["simulated" if simulated else "", progress.state.value + (f": {progress.why}" if progress.why else "")]
     parts.append(f"step {min(progress.steps_done + 1, progress.steps)} of {progress.steps}, {progress.step}")
     if progress.step_left_s is None and progress.state.value == "running":
         parts.append("waiting")

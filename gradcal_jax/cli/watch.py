@@ -85,7 +85,8 @@ def known_text(rows: list[dict[str, Any]]) -> str:
 def status_text(status: dict[str, Any]) -> str:
     """A status in one line."""
     steps, done = status["steps"], status["steps_done"]
-    parts = ["simulated" if status["simulated"] else "", status["state"]]
+    why = status.get("why")
+    parts = ["simulated" if status["simulated"] else "", status["state"] + (f": {why}" if why else "")]
     parts.append(f"step {min(done + 1, steps)} of {steps}, {status['step']}")
     if (chamber := status.get("chamber")) is not None:
         text = f"air {chamber['air_c']:.1f} degC"

@@ -1,5 +1,6 @@
 """From readings to parameters with covariance, by the measurement model of the prediction."""
 
+from gradcal_jax.estimation.alignment_check import CoarseFit, coarse_fits
 from gradcal_jax.estimation.consistency import Consistency, Test, chi_squared_test, consistency, split, whiteness
 from gradcal_jax.estimation.executed import Executed, column_readings, executed, standing_with
 from gradcal_jax.estimation.neighbours import Group, closest_neighbours, like_rates, moves_between_rests

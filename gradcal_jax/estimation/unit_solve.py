@@ -25,6 +25,7 @@ from gradcal_jax.information import (
     SquareRootInformation,
     encoder_rows,
     posterior,
+    row_of_steps,
     segments_of,
     unit_system,
     whiten,
@@ -34,6 +35,7 @@ from gradcal_jax.model import (
     AxisHarmonics,
     BaseTilt,
     BodyNodes,
+    ChannelKind,
     CommonScale,
     MountingError,
     NonOrthogonality,
@@ -49,11 +51,12 @@ _SMALL_TURN = 1e-5
 
 
 class Installed(NamedTuple):
-    """Estimated table: `error_of(axis, angle)`: encoder error and derivative, rad; `clock`: relative clock error."""
+    """Estimated table: `error_of(axis, angle)`: encoder error and derivative, rad; `clock`: relative clock error
+    that a kind of channel sees."""
 
     geometry: Geometry
     error_of: Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]] | None
-    clock: float
+    clock: dict[ChannelKind, float]
 
 
 def installed(geometry: Geometry, model: UnitModel, values: np.ndarray) -> Installed:
@@ -63,7 +66,8 @@ def installed(geometry: Geometry, model: UnitModel, values: np.ndarray) -> Insta
     """
     base, axes, mountings, gravity = geometry.base, geometry.axes.copy(), geometry.mountings.copy(), geometry.gravity
     waves: list[tuple[AxisHarmonics, np.ndarray]] = []
-    clock, begin = 0.0, 0
+    clock: dict[ChannelKind, float] = {"gyro": 0.0, "accelerometer": 0.0}
+    begin = 0
     for term in model.installation:
         own = np.asarray(values[begin : begin + term.size])
         begin += term.size
@@ -80,7 +84,10 @@ def installed(geometry: Geometry, model: UnitModel, values: np.ndarray) -> Insta
         elif isinstance(term, AxisHarmonics):
             waves.append((term, own))
         elif isinstance(term, CommonScale):
-            gravity, clock = (gravity + own[0], clock) if term.of == "gravity" else (gravity, float(own[0]))
+            if term.of == "gravity":
+                gravity = gravity + own[0]
+            else:
+                clock = {"gyro": float(own[0]), "accelerometer": float(own[0]) * term.forces}
         else:
             raise TypeError(f"no finite form of {type(term).__name__} is known")
 
@@ -131,8 +138,13 @@ class UnitReadings(NamedTuple):
             begin += c.model.size
             output = ideal[nodes.kind, c.index] + columns @ own
             rows = at.row_channel == i
-            result[rows] = at.sums(output)[at.row_segment[rows]]
-        return result * (1.0 + table.clock)
+            result[rows] = at.sums(output)[at.row_segment[rows]] * (1.0 + table.clock[c.kind])
+        return result
+
+    def by_steps(self, values: np.ndarray) -> np.ndarray:
+        """Values of the rows in the order of the noise steps; zero for steps within a segment, which have no row."""
+        row = row_of_steps(self.done.motion, self.model)
+        return np.where(row >= 0, values[row], np.zeros((), values.dtype))
 
     def nominal(self) -> BodyNodes:
         """The nodes of the nominal table."""
@@ -154,7 +166,7 @@ class UnitReadings(NamedTuple):
             if isinstance(term, BaseTilt | NonOrthogonality | MountingError):
                 for k in range(begin, begin + term.size):
                     there = about + _SMALL_TURN * np.eye(model.size)[k]
-                    columns[:, k] = (self.expected(there) - here) / _SMALL_TURN
+                    columns[:, k] = self.by_steps((self.expected(there) - here) / _SMALL_TURN)
             begin += term.size
         return steps, columns
 
@@ -256,7 +268,8 @@ def estimate_unit(
     def again(noise: NoiseSteps, last: UnitEstimate) -> UnitEstimate:
         return _solved(readings, noise, columns, used, last.parameters)
 
-    estimate, weights = reweighted(steps, used, estimate, lambda e: e.estimate.residuals[0], again, threshold, _ROUNDS)
+    kept = readings.by_steps(used)
+    estimate, weights = reweighted(steps, kept, estimate, lambda e: e.estimate.residuals[0], again, threshold, _ROUNDS)
     return estimate._replace(weights=weights)
 
 
@@ -265,7 +278,8 @@ def _solved(
 ) -> UnitEstimate:
     """The estimate with these noise steps and derivatives `columns`, iterated from the parameters `about`."""
     model = readings.model
-    jacobian, prior = np.asarray(whiten(steps, columns))[used], model.prior_rows()
+    kept = readings.by_steps(used)
+    jacobian, prior = np.asarray(whiten(steps, columns))[kept], model.prior_rows()
     design = np.concatenate([jacobian, prior])
     norm = np.linalg.norm(design, axis=0)
     scale = np.where(norm > 0.0, norm, 1.0)
@@ -278,8 +292,8 @@ def _solved(
     beta, moved, rounds = np.zeros(model.size) if about is None else about.copy(), np.inf, 0
 
     def left_over() -> np.ndarray:
-        apart = np.where(used, readings.observed - readings.expected(beta), 0.0)
-        return np.asarray(whiten(steps, apart[:, None]))[used, 0]
+        apart = readings.by_steps(np.where(used, readings.observed - readings.expected(beta), 0.0))
+        return np.asarray(whiten(steps, apart[:, None]))[kept, 0]
 
     rest = left_over()
     while moved > _SETTLED and rounds < _ROUNDS:

@@ -1,4 +1,4 @@
-"""Error terms that a spec does not name and that its prediction counts as zero, each with its class's typical value.
+"""Error terms that a spec does not name, each with its class's typical value, which counts in verdicts.
 
 The figures and their sources are data, `typical.toml`; a term that the file names, even with zero or an empty list, is
 not absent. Only terms with an effect on the spec's own plan are listed.
@@ -6,21 +6,30 @@ not absent. Only terms with an effect on the spec's own plan are listed.
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import resources
 from typing import Any, Final, NamedTuple, cast
 
 from gradcal_jax import units
-from gradcal_jax.files.changes import changed
+from gradcal_jax.files.changes import AnySpec, changed
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.sensor import Sensor
+from gradcal_jax.files.section import Section
+from gradcal_jax.files.sensor import Sensor, UnitSensor
 from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.unit_spec import UnitSpec
 
 # Terms that act through one of the maps alone, or through motion or temperature.
 _OF_BIAS: Final = frozenset({"turn_on_bias", "bias_temperature_gradient"})
 _OF_SCALE_FACTOR: Final = frozenset({"sample_clock_error", "scale_factor_instability"})
-_OF_RAMPS: Final = frozenset({"thermal_lag", "bias_temperature_gradient"})
+_OF_RAMPS: Final = frozenset({"thermal_lag", "bias_temperature_gradient", "temperature_lag"})
+# Terms of the rig that a whole unit has in the place of one axis's.
+_OF_UNIT_TABLES: Final = ("tilt", "azimuth")
+EARTH: Final = "rig.earth_rate"
+EARTH_IS_UNKNOWN: Final = (
+    "the Earth's rate along the axis is not stated, and up to 15.04 deg/h of it counts in the bias: give "
+    "[rig] earth_rate, or estimate with --latitude (an axis that points up) or --earth-rate"
+)
 
 
 class Grade(NamedTuple):
@@ -41,46 +50,121 @@ class AbsentTerm(NamedTuple):
     @property
     def typical(self) -> str:
         """The value in words: ``10 deg/h, 100 s``."""
-        return _words(self.value)
+        return "up to 15.04 deg/h" if self.key == EARTH else _words(self.value)
 
 
-def absent_terms(spec: Spec) -> list[AbsentTerm]:
+def absent_terms(spec: Spec | UnitSpec) -> list[AbsentTerm]:
     """Every term of the error budget that the file does not name and that affects its plan. Errors: none."""
-    sensor, table = spec.sensor, spec.rig.table
-    named = {"sensor": sensor.model_fields_set, "rig.table": table.model_fields_set}
-    named["rig.table"] = named["rig.table"] | {f"angle.{name}" for name in table.angle.model_fields_set}
-    return [
-        AbsentTerm(f"{prefix}.{term.key}", _of_the_maps(term, sensor), term.source)
-        for prefix, terms, matters in (
-            ("sensor", terms_of("sensor", sensor_grade(sensor).name), _matters_of_sensor(spec)),
-            ("rig.table", terms_of("table", table_grade(spec).name), _matters_of_table(spec)),
-        )
-        for term in terms
-        if term.key in matters and term.key not in named[prefix]
-    ]
+    return list(_of_unit(spec) if isinstance(spec, UnitSpec) else _of_axis(spec))
 
 
-def with_typical(spec: Spec) -> Spec:
+def _of_axis(spec: Spec) -> Iterator[AbsentTerm]:
+    sensor, table, angle = spec.sensor, spec.rig.table, spec.rig.table.angle
+    of_sensor, of_table = terms_of("sensor", sensor_grade(sensor).name), terms_of("table", table_grade(spec).name)
+    matters = _matters_of_sensor(spec)
+    own = [term._replace(value=_of_the_maps(term, sensor)) for term in of_sensor if term.key in matters]
+    yield from _unnamed(sensor, "sensor", own)
+    matters = _matters_of_table(spec)
+    yield from _unnamed(table, "rig.table", [t for t in of_table if t.key in matters and "." not in t.key])
+    yield from _unnamed(angle, "rig.table.angle", _below("angle.", [t for t in of_table if t.key in matters]))
+    if spec.rig.earth_rate is None:
+        yield AbsentTerm(EARTH, "unknown", "the Earth turns 15.04 deg/h, and the direction of the axis is not stated")
+
+
+def _of_unit(spec: UnitSpec) -> Iterator[AbsentTerm]:
+    sensor, table, site = spec.sensor, spec.rig.table, spec.rig.site
+    terms = terms_of("sensor", sensor_grade(sensor).name)
+    of_table = terms_of("table", table_grade(spec).name)
+    gyro, force = sensor.gyro, sensor.accelerometer
+    scaled = gyro is not None and gyro.scale_factor is not None
+    common = {"temperature_offset", "temperature_lag"}
+    if (scaled or (force is not None and force.velocity_increments)) and sensor.clock != "host":
+        common.add("sample_clock_error")
+    yield from _unnamed(sensor, "sensor", [t for t in terms if t.key in common])
+    if gyro is not None:
+        own = {"drift", "rate_random_walk", "turn_on_bias", "bias_temperature_gradient"}
+        own |= {"scale_factor_instability"} if scaled else set[str]()
+        for term in _unnamed(gyro, "sensor.gyro", [t for t in terms if t.key in own]):
+            yield term._replace(value=term.value["prior"] if term.key.endswith("gradient") else term.value)
+    if force is not None:
+        terms = terms_of("accelerometer", accelerometer_grade(sensor).name)
+        yield from _unnamed(force, "sensor.accelerometer", terms)
+        yield from _unnamed(site, "rig.site", [t for t in of_table if t.key == "gravity_accuracy"])
+    yield from _unnamed(table, "rig.table", [t for t in of_table if t.key in _OF_UNIT_TABLES])
+    within = [t for t in _below("angle.", of_table) if t.key != "timing_error" and (scaled or t.key != "scale_error")]
+    for k, axis in enumerate(table.axis):
+        if k < len(table.axis) - 1:
+            yield from _unnamed(axis, f"rig.table.axis[{k}]", [t for t in of_table if t.key == "orthogonality"])
+        yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", within)
+
+
+def _unnamed(section: Section, prefix: str, terms: list[AbsentTerm]) -> Iterator[AbsentTerm]:
+    """The terms that a table of the file does not name, with their whole keys."""
+    for term in terms:
+        if term.key not in section.model_fields_set:
+            yield term._replace(key=f"{prefix}.{term.key}")
+
+
+def _below(prefix: str, terms: list[AbsentTerm]) -> list[AbsentTerm]:
+    return [t._replace(key=t.key.removeprefix(prefix)) for t in terms if t.key.startswith(prefix)]
+
+
+def with_typical(spec: AnySpec) -> AnySpec:
     """The spec with every absent term at its typical value. Errors: `SpecError` where the two contradict each other."""
-    return changed(spec, {term.key: term.value for term in absent_terms(spec)})
+    absent = absent_terms(spec)
+    return changed(spec, {term.key: term.value for term in absent}) if absent else spec
 
 
-def sensor_grade(sensor: Sensor) -> Grade:
-    """The class of a gyro: `sensor.grade`, or else by its drift, or else by its angle random walk."""
-    if sensor.grade is not None:
-        return Grade(sensor.grade, str(_row("sensor", sensor.grade)["like"]), "sensor.grade")
-    size = max((float(d.standard_deviation) for d in sensor.drift), default=0.0)
-    key, dimension, shown = "drift", "angular rate", "its drift"
-    if size == 0.0:
-        size, key, dimension = float(sensor.angle_random_walk), "walk", "angle random walk"
-        shown = "its angle random walk"
-    return _grade("sensor", size, key, dimension, shown)
+def sensor_grade(sensor: Sensor | UnitSensor) -> Grade:
+    """The class of a gyro: `sensor.grade`, or else by its drift, or else by its angle random walk; of a unit without
+    gyros that of its accelerometers."""
+    if isinstance(sensor, UnitSensor):
+        if sensor.gyro is None:
+            return accelerometer_grade(sensor)
+        gyro = sensor.gyro
+    else:
+        if sensor.grade is not None:
+            return Grade(sensor.grade, str(_row("sensor", sensor.grade)["like"]), "sensor.grade")
+        gyro = sensor
+    walk = float(gyro.angle_random_walk), "angle random walk", "its angle random walk"
+    return _by_noise("sensor", gyro.drift, "angular rate", walk)
 
 
-def table_grade(spec: Spec) -> Grade:
+def accelerometer_grade(sensor: UnitSensor) -> Grade:
+    """The class of a unit's accelerometers, by their drift, or else by their velocity random walk; without any that of
+    its gyros."""
+    if (force := sensor.accelerometer) is None:
+        return sensor_grade(sensor)
+    walk = float(force.velocity_random_walk), "velocity random walk", "its velocity random walk"
+    return _by_noise("accelerometer", force.drift, "acceleration", walk)
+
+
+def _by_noise(kind: str, drift: Any, dimension: str, walk: tuple[float, str, str]) -> Grade:
+    size = max((float(d.standard_deviation) for d in drift), default=0.0)
+    return _grade(kind, size, "drift", dimension, "its drift") if size else _grade(kind, walk[0], "walk", *walk[1:])
+
+
+def slopes_of(sensor: Sensor | UnitSensor, kind: str = "gyro") -> tuple[float, float]:
+    """Typical slopes over temperature of a channel's bias (rad/s/K or m/s^2/K) and of its scale factor (1/K): the
+    spec's own, where it states them, or those of the class."""
+    if kind == "accelerometer":
+        assert isinstance(sensor, UnitSensor)
+        row = _row("accelerometer", accelerometer_grade(sensor).name)
+        return units.parse(row["bias_slope"], "acceleration"), units.parse(row["scale_factor_slope"], "scale factor")
+    typical = next(t.value for t in terms_of("sensor", sensor_grade(sensor).name) if t.key == "temperature_error")
+    bias = units.parse(typical["bias_slope"], "bias slope")
+    scale = units.parse(typical["scale_factor_slope"], "scale factor slope")
+    own = None if isinstance(sensor, UnitSensor) else sensor.temperature_error
+    if own is None:
+        return bias, scale
+    stated = own.bias_slope, own.scale_factor_slope
+    return tuple(abs(float(s)) if s is not None else t for s, t in zip(stated, (bias, scale), strict=True))  # pyright: ignore[reportReturnType]
+
+
+def table_grade(spec: Spec | UnitSpec) -> Grade:
     """The class of a rate table, by its named angle errors; the worst class without any."""
-    angle = spec.rig.table.angle
-    size = max(float(angle.reading_noise), float(angle.standstill_offset))
+    angles = [spec.rig.table.angle] if isinstance(spec, Spec) else [axis.angle for axis in spec.rig.table.axis]
+    size = max(max(float(a.reading_noise), float(a.standstill_offset)) for a in angles)
     if size == 0.0:
         return _grade("table", math.inf, "angle", "angle", "the worst: no angle error is named")
     return _grade("table", size, "angle", "angle", "its angle errors")
@@ -109,6 +193,8 @@ def _matters_of_sensor(spec: Spec) -> set[str]:
         left_out |= _OF_BIAS - {"turn_on_bias"}
     if sensor.scale_factor is None:
         left_out |= _OF_SCALE_FACTOR
+    if sensor.clock == "host":
+        left_out.add("sample_clock_error")
     if isinstance(spec.plan, StandardPlan):
         left_out |= _OF_RAMPS
     return {term.key for term in terms_of("sensor", grades()[0])} - left_out
@@ -116,13 +202,15 @@ def _matters_of_sensor(spec: Spec) -> set[str]:
 
 def _matters_of_table(spec: Spec) -> set[str]:
     plan = spec.plan
+    mounting = set[str]() if spec.sensor.scale_factor is None else {"mounting_accuracy"}
     if isinstance(plan, StandardPlan):
-        return {"rate_accuracy"} if any(float(rate) for rate in plan.rates or ()) else set()
+        return {"rate_accuracy", *mounting} if any(float(rate) for rate in plan.rates or ()) else set()
     cycle = spec.gradient_schedule.cycle
     if cycle is None:
         # A standing axis is read at one angle: only errors that change between readings have an effect.
         return {"angle.reading_noise"}
-    matters = {"angle.reading_noise", "angle.standstill_offset", "angle.harmonics"}
+    matters = {"angle.reading_noise", "angle.standstill_offset", "angle.harmonics", *mounting}
+    matters |= {"angle.scale_error"} if mounting else set()
     on_the_move = any(move.read_every is not None and not move.is_rest for move in cycle.moves)
     return matters | ({"angle.timing_error"} if on_the_move else set())
 

@@ -53,7 +53,7 @@ PRESETS: Final[Mapping[str, Mapping[str, str]]] = {
         "angle": "0.05 deg",
         "travel": "720 deg",
         "chamber": "-25 degC, 70 degC, 1 K/min",
-        "targets": "1000 ppm, 60 deg/h",
+        "targets": "1200 ppm, 120 deg/h",
     },
     "tactical-imu": {
         "sensor": "tactical MEMS",
@@ -65,7 +65,7 @@ PRESETS: Final[Mapping[str, Mapping[str, str]]] = {
         "angle": "30 arcsec",
         "travel": "unlimited",
         "chamber": "-40 degC, 85 degC, 1 K/min",
-        "targets": "100 ppm, 5 deg/h",
+        "targets": "300 ppm, 35 deg/h",
     },
 }
 """Answers to all questions, for a class of unit and bench; the first are the defaults of the questions."""
@@ -147,11 +147,8 @@ def _spec(answers: Mapping[str, str], known: Mapping[str, tuple[Any, ...]]) -> s
         terms="\n".join(line for key in _TERMS for line in _written(key, terms[key])),
         in_t=f'centre = "{middle} degC", scale = "{half} K"',
         fastest=_deg(fastest),
-        angle_terms="\n".join(
-            f'{term.key.removeprefix("angle.")} = "{term.value}"   # {term.source}'
-            for term in terms_of("table", table)
-            if term.key in ("angle.reading_noise", "angle.timing_error")
-        ),
+        table_terms=_table_lines(table, "mounting_accuracy"),
+        angle_terms=_table_lines(table, "angle.reading_noise", "angle.timing_error", "angle.scale_error"),
         coldest=coldest,
         warmest=warmest,
         ramp=ramp,
@@ -165,9 +162,15 @@ def _spec(answers: Mapping[str, str], known: Mapping[str, tuple[Any, ...]]) -> s
 
 # Plain keys stand above tables.
 _TERMS: Final = (
-    "rate_random_walk", "turn_on_bias", "thermal_lag", "sample_clock_error",
+    "rate_random_walk", "turn_on_bias", "thermal_lag", "sample_clock_error", "temperature_offset", "temperature_lag",
     "drift", "scale_factor_instability", "temperature_error", "bias_temperature_gradient",
 )  # fmt: skip
+
+
+def _table_lines(table: str, *keys: str) -> str:
+    """Terms of a class of table in TOML, each with its source beside it."""
+    of = {term.key: term for term in terms_of("table", table)}
+    return "\n".join(f'{key.rpartition(".")[2]} = "{of[key].value}"   # {of[key].source}' for key in keys)
 
 
 def _written(key: str, term: Any) -> list[str]:

@@ -11,6 +11,7 @@ from gradcal_jax.files.problems import Problem, repeated_names
 from gradcal_jax.files.quantity import (
     Angle,
     Count,
+    EarthRate,
     Latitude,
     Number,
     PositiveAcceleration,
@@ -50,6 +51,8 @@ class AngleReference(Section):
     """Standard deviation of what is common to all readings of one standstill and new in the next."""
     timing_error: SizeOfTime = Quantity(0.0, "0 s", "time")
     """Standard deviation of the time of a reading on the move, which the rate turns into angle."""
+    scale_error: SizeOfScaleFactor | None = None
+    """Standard deviation of the scale of the angle (a gear's ratio, counts for a turn), a ratio."""
     harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
     """Errors that repeat with the angle."""
 
@@ -71,6 +74,9 @@ class Table(Section):
     """Standard deviation of the reference rate of the standard method, a ratio; absent: exact."""
     drive: Literal["motor", "hand"] = "motor"
     """Whether a motor or a hand turns it."""
+    mounting_accuracy: SizeOfAngle | None = None
+    """Standard deviation of each of the two angles between the sensor's input axis and the table's axis: its cosine is
+    an error of the scale factor."""
     angle: AngleReference = AngleReference()
     """Error budget of the angle."""
 
@@ -113,6 +119,9 @@ class Rig(Section):
     """The table."""
     chamber: Chamber
     """The climatic chamber."""
+    earth_rate: EarthRate | None = None
+    """The Earth's rate along the sensor's axis, which `estimate` subtracts: 15.04 deg/h times the sine of the latitude
+    for an axis that points up, zero for one that points east; "unknown" or absent: up to 15.04 deg/h count."""
     resolution: Resolution | None = None
     """Steps of the controllers; absent: those of the drivers here."""
 
@@ -148,6 +157,8 @@ class AxisEncoder(Section):
     """Standard deviation of what is common to all readings of one standstill."""
     read_every: Time = Quantity(1.0, "1 s", "time")
     """Spacing of the readings while the axis stands."""
+    scale_error: SizeOfScaleFactor | None = None
+    """Standard deviation of the scale of the angle (a gear's ratio, counts for a turn), a ratio."""
     harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
     """Errors that repeat with the angle."""
 

@@ -82,6 +82,16 @@ class Covariance(Section):
             yield Problem(("matrix",), "a variance on its diagonal is negative")
 
 
+class UnseenError(Section):
+    """An error that no residual of the fit shows: of a term of the spec or, with a figure typical of the class, of one
+    that it omits. The covariance with all of them is `covariance` plus the sum of their squares."""
+
+    name: Annotated[Text, Field(max_length=200)]
+    """Which error."""
+    coefficients: dict[str, Number]
+    """One standard deviation of it in each coefficient, in the coefficients' units."""
+
+
 class FitTest(Section):
     """A test of the fit."""
 
@@ -122,7 +132,9 @@ class AxisCalibration(Section):
     valid_rate: tuple[Rate, Rate]
     """Rates that the data covered; beyond, the values at the edge hold."""
     covariance: Covariance | None = None
-    """Of the coefficients."""
+    """Of the coefficients, by the fit."""
+    unseen: Annotated[tuple[UnseenError, ...], Field(max_length=5000)] = ()
+    """Errors that no residual shows, and that the results and every stated uncertainty count."""
     fit: Annotated[tuple[FitTest, ...], Field(max_length=100)] = ()
     """Tests of the fit."""
     residuals: Residuals | None = None
@@ -161,7 +173,10 @@ class Result(Section):
     statistic: Text
     """The one that decides."""
     value: Number | None = None
-    """Its value, one sigma; absent: not observable."""
+    """Its value, one sigma, with terms that the spec omits and, in any run, the turn-on bias; absent: not
+    observable."""
+    named: Number | None = None
+    """Its value by the terms that the spec names, in this run, where it is another."""
     worst: Number | None = None
     """The standard deviation at the worst place of the box."""
     unit: Text

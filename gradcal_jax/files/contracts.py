@@ -282,7 +282,11 @@ class MissionRow(Section):
 
 
 class RequirementRow(Section):
-    """The residual of a requirement, in `unit`. Null: this plan cannot observe it, or it was not requested."""
+    """The residual of a requirement, in `unit`. Null: this plan cannot observe it, or it was not requested.
+
+    The statistics are of this run, by the terms that the spec names. The verdict and the risks also count the terms
+    that it omits (`with_typical`) and the bias of another power-on (`another_run`).
+    """
 
     name: str
     """Of the requirement."""
@@ -310,8 +314,8 @@ class RequirementRow(Section):
     """Root mean square."""
     target: Size | None = None
     """Limit on the error."""
-    verdict: Literal["met", "missed", "unobservable"] | None = None
-    """Whether the target is met."""
+    verdict: Literal["met", "missed", "unobservable", "not covered"] | None = None
+    """Whether the target is met; "not covered": the requirement asks for what the data of an estimate lack."""
     coverage: Size = 1.0
     """Standard deviations that must be within the target."""
     rule: str | None = None
@@ -329,7 +333,11 @@ class RequirementRow(Section):
     uncertain: tuple[Size, Size] | None = None
     """Least and largest of the deciding statistic, where noise figures are uncertain."""
     with_typical: Size | None = None
-    """Residual with every absent error term at its class's typical value."""
+    """The deciding statistic with every term that the spec omits at its class's typical value; null: it omits none."""
+    another_run: Size | None = None
+    """The same with the bias of another power-on; null: none counts (`of = "this run"`, or no turn-on bias)."""
+    worst: Size | None = None
+    """Largest standard deviation of what the verdict judges."""
     own: Size | None = None
     """For heading and north: the contribution of the unit's own noise (root sum of squares), which no calibration
     removes."""
@@ -340,12 +348,17 @@ class RequirementRow(Section):
 
     @property
     def decisive(self) -> float | None:
-        """The value of the requirement's own statistic; None: not observable."""
+        """The value of the requirement's own statistic, by the spec's terms alone; None: not observable."""
         return {"mean of max": self.mean_of_max, "max": self.max, "mean": self.mean, "rms": self.rms}[self.statistic]
+
+    @property
+    def judged(self) -> float | None:
+        """The value that the verdict judges; None: not observable."""
+        return next((v for v in (self.another_run, self.with_typical) if v is not None), self.decisive)
 
 
 class AbsentRow(Section):
-    """An error term that the spec does not name and the prediction counts as zero."""
+    """An error term that the spec omits, and that counts at its class's typical value."""
 
     key: str
     """Its key."""
@@ -437,5 +450,5 @@ class Prediction(Section):
     """Detection by tests of the log."""
     warnings: tuple[str, ...] = ()
     """Warnings, in sentences."""
-    counted_as_zero: tuple[AbsentRow, ...] = ()
-    """Error terms that the spec does not name."""
+    omitted: tuple[AbsentRow, ...] = ()
+    """Error terms that the spec does not name; they count in the verdicts."""

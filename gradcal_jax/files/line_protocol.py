@@ -89,6 +89,8 @@ class Line(Section):
     """How long a reply is waited for."""
     pause: SizeOfTime = Quantity(0.0, "0 s", "time")
     """Least time between two messages."""
+    boot: SizeOfTime = Quantity(0.0, "0 s", "time")
+    """Time that the device is given after its port was opened, which restarts many boards."""
     pause_after_command: SizeOfTime = Quantity(0.0, "0 s", "time")
     """Time that a command is given before the next message."""
     refusal: Text | None = None

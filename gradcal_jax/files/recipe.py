@@ -56,7 +56,7 @@ class Predicted(Section):
     @classmethod
     def of(cls, prediction: Prediction) -> "Predicted":
         """From the contract."""
-        tables = prediction.model_dump(exclude_none=True, exclude={"format", "title", "covariance", "counted_as_zero"})
+        tables = prediction.model_dump(exclude_none=True, exclude={"format", "title", "covariance", "omitted"})
         return cls.model_validate(tables)
 
 

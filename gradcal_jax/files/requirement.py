@@ -74,7 +74,12 @@ class ScaleFactorRequirement(_OfAxis):
             yield Problem(("grid",), "at most 1000000 points together", list(self.grid))
 
 
-class BiasRequirement(_OfAxis):
+class _OfRuns(Section):
+    of: Literal["any run", "this run"] = "any run"
+    """Whether the turn-on bias of another power-on counts: in "any run" it does, in "this run" it does not."""
+
+
+class BiasRequirement(_OfAxis, _OfRuns):
     """A requirement on the bias's error over a range of temperature. Targets as for a scale factor."""
 
     quantity: Literal["bias"]
@@ -197,6 +202,12 @@ class _OfUnit(Section):
     """Lowest and highest temperature."""
     axis: Elements = "worst"
     """One element, the worst of them, or all (root mean square)."""
+    target: Any = None
+    """Limit on the error, which gives a verdict; absent: none."""
+    coverage: Coverage = 1.0
+    """Standard deviations that must be within the target."""
+    risk: Risk | None = None
+    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
 
     def _problems(self) -> Iterator[Problem]:
         yield from increasing(self.temperature, "temperature")
@@ -215,12 +226,11 @@ class _OverTemperature(_OfUnit):
     """What must be good."""
 
 
-class GyroBiasRequirement(_OverTemperature):
+class GyroBiasRequirement(_OverTemperature, _OfRuns):
     """Bias of the gyros, over temperature."""
 
     quantity: Literal["gyro_bias"]
     target: PositiveRate | None = None
-    """Limit on the standard deviation, which gives a verdict."""
 
 
 class GyroScaleFactorRequirement(_OfUnit):
@@ -235,7 +245,6 @@ class GyroScaleFactorRequirement(_OfUnit):
     statistic: Literal["mean of max", "mean", "max", "rms"] = "mean of max"
     """How the standard deviation is summed up over the box."""
     target: PositiveScaleFactor | None = None
-    """Limit on the standard deviation, which gives a verdict."""
 
     @model_validator(mode="after")
     def _rates(self) -> "GyroScaleFactorRequirement":
@@ -251,7 +260,6 @@ class MisalignmentRequirement(_OverTemperature):
     """The table's axes, the case (adds the mounting's accuracy), or the unit itself."""
     axis: Elements = "all"
     target: PositiveAngle | None = None
-    """Limit on the standard deviation, which gives a verdict."""
 
 
 class SensitivityRequirement(_OverTemperature):
@@ -260,15 +268,13 @@ class SensitivityRequirement(_OverTemperature):
     quantity: Literal["g_sensitivity"]
     axis: Elements = "all"
     target: PositiveAccelerationSensitivity | None = None
-    """Limit on the standard deviation, which gives a verdict."""
 
 
-class AccelerometerBiasRequirement(_OverTemperature):
+class AccelerometerBiasRequirement(_OverTemperature, _OfRuns):
     """Bias of the accelerometers."""
 
     quantity: Literal["accelerometer_bias"]
     target: PositiveSpecificForce | None = None
-    """Limit on the standard deviation, which gives a verdict."""
 
 
 class AccelerometerScaleFactorRequirement(_OverTemperature):
@@ -276,7 +282,6 @@ class AccelerometerScaleFactorRequirement(_OverTemperature):
 
     quantity: Literal["accelerometer_scale_factor"]
     target: PositiveScaleFactor | None = None
-    """Limit on the standard deviation, which gives a verdict."""
 
 
 class SecondOrderRequirement(_OverTemperature):
@@ -284,10 +289,9 @@ class SecondOrderRequirement(_OverTemperature):
 
     quantity: Literal["second_order"]
     target: PositiveSecondOrder | None = None
-    """Limit on the standard deviation, which gives a verdict."""
 
 
-class PositionRequirement(_OfUnit):
+class PositionRequirement(_OfUnit, _OfRuns):
     """Horizontal position after free-inertial navigation at rest, level: the calibration's part."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
@@ -301,10 +305,9 @@ class PositionRequirement(_OfUnit):
     statistic: Over = "mean"
     """How the standard deviation is summed up over temperature."""
     target: PositiveLength | None = None
-    """Limit on the standard deviation, which gives a verdict."""
 
 
-class TiltRequirement(_OfUnit):
+class TiltRequirement(_OfUnit, _OfRuns):
     """Error of the vertical that levelled accelerometers give, the worse of two directions."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
@@ -316,10 +319,9 @@ class TiltRequirement(_OfUnit):
     statistic: Over = "mean"
     """How the standard deviation is summed up over temperature."""
     target: PositiveAngle | None = None
-    """Limit on the standard deviation, which gives a verdict."""
 
 
-class TurnRequirement(_OfUnit):
+class TurnRequirement(_OfUnit, _OfRuns):
     """Heading error after a level turn about the body's z axis."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "z")
@@ -335,7 +337,6 @@ class TurnRequirement(_OfUnit):
     statistic: Over = "mean"
     """How the standard deviation is summed up over temperature."""
     target: PositiveAngle | None = None
-    """Limit on the standard deviation, which gives a verdict."""
 
 
 _UNIT_CLASSES: Final[Mapping[str, type[Section]]] = {

@@ -4,6 +4,7 @@ The file names drivers and ports; `gradcal_jax.hardware.setup` reads a driver's 
 serial library.
 """
 
+import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -41,6 +42,11 @@ def _port(text: str) -> str:
 Port = Annotated[Text, AfterValidator(_port)]
 
 
+def _adapter(port: str) -> str:
+    """One text for all names of an adapter on this computer."""
+    return os.path.realpath(port) if port.startswith("/") else port
+
+
 class ChamberDevice(Section):
     """`[chamber]`: the device that makes the temperature."""
 
@@ -56,10 +62,21 @@ class ChamberDevice(Section):
     """How far the air may be behind its course in time before a run pauses."""
     band: PositiveTemperatureDifference = Quantity(3.0, "3 K", "temperature difference")
     """How far the air may be beside its course before a run pauses."""
+    never_above: Temperature | None = None
+    """Air or load warmer than this ends a run in every state; absent: the chamber's own limit and `band`."""
+    never_below: Temperature | None = None
+    """Air or load colder than this ends a run in every state; absent: the chamber's own limit and `band`."""
     serial_number: Text | None = None
     """The device's own number; another device on the same cable is refused."""
     options: Options = Field(default_factory=dict)
     """What the driver leaves open; its documentation says which."""
+
+    def _problems(self) -> Iterator[Problem]:
+        above, below = self.never_above, self.never_below
+        if above is not None and float(self.ambient) > float(above):
+            yield Problem(("never_above",), "it is below `ambient`; expected more", above.text)
+        if below is not None and float(self.ambient) < float(below):
+            yield Problem(("never_below",), "it is above `ambient`; expected less", below.text)
 
 
 class EncoderDevice(Section):
@@ -178,6 +195,8 @@ class RigFile(TitledFile):
     """Axes of the table."""
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
     """Units under calibration."""
+    longest_pause: Time = Quantity(1800.0, "30 min", "time")
+    """How long a run that paused by itself waits for somebody before it ends, everything safe."""
     alarm: Alarm | None = None
     """The command that calls the operator."""
     operator: OperatorPlace | None = None
@@ -205,10 +224,11 @@ class RigFile(TitledFile):
     def _shared_ports(self) -> list[Problem]:
         """Only axes of one controller share a port: they speak one protocol, by address."""
         encoders = [axis.encoder for axis in self.axis if axis.encoder is not None]
-        users = Counter([device.port for device in (*self.imu, *encoders, *([self.chamber] if self.chamber else []))])
+        alone = (*self.imu, *encoders, *([self.chamber] if self.chamber else []))
+        users = Counter([_adapter(device.port) for device in alone])
         drivers: dict[str, set[str]] = {}
         for axis in self.axis:
-            drivers.setdefault(axis.port, set()).add(axis.driver)
+            drivers.setdefault(_adapter(axis.port), set()).add(axis.driver)
         wrong = {port for port in (*users, *drivers) if users[port] + len(drivers.get(port, ())) > 1}
         places = [
             *((("chamber", "port"), device) for device in ([self.chamber] if self.chamber else [])),
@@ -218,7 +238,7 @@ class RigFile(TitledFile):
         return [
             Problem(key, "two devices use this port; only axes of one controller can share one", device.port)
             for key, device in places
-            if device.port in wrong
+            if _adapter(device.port) in wrong
         ]
 
 

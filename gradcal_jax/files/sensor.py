@@ -1,7 +1,7 @@
 """`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or a unit."""
 
 from collections.abc import Iterable, Iterator
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -13,20 +13,22 @@ from gradcal_jax.files.quantity import (
     Margin,
     PositiveAccelerationSensitivity,
     PositiveAngle,
-    PositiveGradientSensitivity,
     PositiveLength,
     PositiveRate,
     PositiveScaleFactor,
     PositiveSecondOrder,
     PositiveSpecificForce,
     PositiveSquareSensitivity,
-    PositiveTemperatureDifference,
     PositiveThirdOrder,
     Quantity,
     RateRandomWalk,
     ScaleFactorSlope,
+    SizeOfGradientSensitivity,
     SizeOfRate,
     SizeOfScaleFactor,
+    SizeOfSpecificForce,
+    SizeOfTemperatureDifference,
+    SizeOfTime,
     Text,
     Time,
     VelocityRandomWalk,
@@ -63,8 +65,8 @@ class TemperatureError(UncertainSection):
 
     FIGURES = _Process.FIGURES
 
-    standard_deviation: PositiveTemperatureDifference
-    """Standard deviation of the temperature's error."""
+    standard_deviation: SizeOfTemperatureDifference
+    """Standard deviation of the temperature's error; 0 K: none."""
     correlation_time: Time | None = None
     """Time constant of its autocorrelation; absent: one draw for the whole run."""
     bias_slope: BiasSlope | None = None
@@ -74,7 +76,7 @@ class TemperatureError(UncertainSection):
 
     @model_validator(mode="after")
     def _slopes(self) -> "TemperatureError":
-        if self.bias_slope is None and self.scale_factor_slope is None:
+        if self.standard_deviation and self.bias_slope is None and self.scale_factor_slope is None:
             refuse(
                 Problem((), 'a temperature error acts through "bias_slope" or "scale_factor_slope"; give at least one')
             )
@@ -84,8 +86,8 @@ class TemperatureError(UncertainSection):
 class BiasTemperatureGradient(Section):
     """Bias sensitivity to dT/dt; the table's presence makes it a parameter to estimate."""
 
-    prior: PositiveGradientSensitivity | None = None
-    """Standard deviation of the coefficient before the calibration; absent: unknown."""
+    prior: SizeOfGradientSensitivity | None = None
+    """Standard deviation of the coefficient before the calibration; absent: unknown; 0: there is none to estimate."""
 
 
 class BiasDiscrepancy(Section):
@@ -165,8 +167,40 @@ def _gyro(value: object) -> object:
     return value
 
 
-class Sensor(UncertainSection):
-    """A gyro axis: every term of the error model (paper, eq. 1). Absent terms count as zero."""
+HOST_CLOCK: Final = 1e-6
+"""Standard deviation, a ratio, of a sensor's clock that a run compares with the computer's. The comparison itself is
+good to 0.02 ppm after some minutes; the computer's own clock, kept by a time server, is good to about 1 ppm."""
+
+
+class _Instrument(Section):
+    """Clock and thermometer of a device, common to all of its channels."""
+
+    thermal_lag: SizeOfTime | None = None
+    """Time constant, first order, between the chamber's air and the sensor's dies."""
+    clock: Literal["sensor", "host"] | None = None
+    """Clock over which rates are integrated. "host": the computer's, which counts 1 ppm in the place of
+    `sample_clock_error`; absent: the sensor's in a prediction, the computer's in an estimate whose log has both."""
+    sample_clock_error: SizeOfScaleFactor | None = None
+    """Standard deviation of the clock that stamps all samples, a ratio; it acts as a scale factor."""
+    temperature_offset: SizeOfTemperatureDifference | None = None
+    """Standard deviation of the constant difference between the dies' temperature and the measured one."""
+    temperature_lag: SizeOfTime | None = None
+    """Standard deviation of the time by which the dies' temperature follows the measured one."""
+
+    @property
+    def lag(self) -> float | None:
+        """The thermal lag (s); None without one."""
+        return float(self.thermal_lag or 0.0) or None
+
+    @property
+    def clock_error(self) -> float:
+        """Standard deviation of the clock in use, a ratio."""
+        return HOST_CLOCK if self.clock == "host" else float(self.sample_clock_error or 0.0)
+
+
+class Sensor(UncertainSection, _Instrument):
+    """A gyro axis: every term of the error model (paper, eq. 1). An absent term counts with a figure typical of the
+    sensor's class; zero, or an empty list, is the user's word that there is none."""
 
     FIGURES: ClassVar[tuple[str, ...]] = (
         "angle_random_walk",
@@ -191,10 +225,6 @@ class Sensor(UncertainSection):
     """Largest rate that the sensor measures."""
     full_scale_margin: Margin = Quantity(0.05, "5 %", "scale factor")
     """Share of the full scale that plans keep away from."""
-    thermal_lag: Time | None = None
-    """Time constant, first order, between the chamber's air and the sensor's die."""
-    sample_clock_error: SizeOfScaleFactor | None = None
-    """Standard deviation of the sensor's clock, a ratio; it acts as a scale factor."""
     drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
     """In-run bias instabilities, which add."""
     scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
@@ -217,6 +247,18 @@ class Sensor(UncertainSection):
     def uncertain_figures(self) -> dict[str, tuple[Quantity, Quantity]]:
         """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
         return figures_of("sensor", self)
+
+    @property
+    def gradient_sensitivity(self) -> BiasTemperatureGradient | None:
+        """The sensitivity to dT/dt, where one is estimated."""
+        of = self.bias_temperature_gradient
+        return None if of is None or of.prior == 0.0 else of
+
+    @property
+    def thermometer_noise(self) -> TemperatureError | None:
+        """The error of the measured temperature, where there is one."""
+        of = self.temperature_error
+        return None if of is None or of.standard_deviation == 0.0 else of
 
     @property
     def usable_rate(self) -> float | None:
@@ -310,6 +352,10 @@ class GyroTriad(UncertainSection):
     """In-run bias instabilities, which add."""
     scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
     """In-run instabilities of the scale factor, which add."""
+    turn_on_bias: SizeOfRate | None = None
+    """Standard deviation of the bias that is new at every power-on and not part of the map."""
+    bias_temperature_gradient: SizeOfGradientSensitivity | None = None
+    """Standard deviation of the bias in proportion to dT/dt, which is not estimated."""
     bias: Bias
     """Bias over temperature."""
     scale_factor: ScaleFactor | None = None
@@ -339,6 +385,11 @@ class AccelerometerTriad(UncertainSection):
     """White noise of the specific force."""
     drift: Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)] = ()
     """In-run bias instabilities, which add."""
+    turn_on_bias: SizeOfSpecificForce | None = None
+    """Standard deviation of the bias that is new at every power-on and not part of the map."""
+    velocity_increments: bool = False
+    """Whether the output is an increment of velocity for each sample, so that the sample clock acts as a scale factor;
+    a specific force does not depend on the clock."""
     bias: SpecificForceBias
     """Bias over temperature."""
     scale_factor: SpecificForceScale | None = None
@@ -377,15 +428,11 @@ class UnitFrame(Section):
     accuracy."""
 
 
-class UnitSensor(Section):
+class UnitSensor(_Instrument):
     """A whole unit: gyros, accelerometers, or both."""
 
     name: Text | None = None
     """A name for people."""
-    thermal_lag: Time | None = None
-    """Time constant, first order, between chamber and dies."""
-    sample_clock_error: SizeOfScaleFactor | None = None
-    """Standard deviation of the one clock that stamps all, a ratio."""
     gyro: GyroTriad | None = None
     """Common properties of the gyros."""
     accelerometer: AccelerometerTriad | None = None

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field
 
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
-from gradcal_jax.files.calibration import FORMAT, SIMULATED, Calibration, Coefficients, Covariance, FitTest
+from gradcal_jax.files.calibration import FORMAT, SIMULATED, Calibration, Coefficients, Covariance, FitTest, UnseenError
 from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
@@ -124,13 +124,20 @@ class UnitResult(Section):
     statistic: Text
     """The one that decides."""
     value: Number | None = None
-    """Its value, one sigma; absent: not observable."""
+    """Its value, one sigma, with terms that the spec omits and, in any run, the turn-on bias; absent: not
+    observable."""
+    named: Number | None = None
+    """Its value by the terms that the spec names, in this run, where it is another."""
     unit: Text
     """Unit of all figures."""
     target: Number | None = None
     """Limit on the error."""
     verdict: Text | None = None
     """Whether it is met."""
+    coverage: Number | None = None
+    """Standard deviations that must be within the target."""
+    rule: Text | None = None
+    """Rule of the verdict, in words."""
 
 
 class UnitNoise(Section):
@@ -171,7 +178,9 @@ class UnitCalibration(TitledFile):
     channel: Annotated[tuple[CalibratedChannel, ...], Field(min_length=1, max_length=6)]
     """Gyros and accelerometers."""
     covariance: Covariance | None = None
-    """Of the coefficients that were observed; absent: not kept."""
+    """Of the coefficients that were observed, by the fit; absent: not kept."""
+    unseen: Annotated[tuple[UnseenError, ...], Field(max_length=5000)] = ()
+    """Errors that no residual shows, and that the results count."""
     table: Annotated[tuple[TableError, ...], Field(max_length=500)] = ()
     """Estimated errors of the table."""
     fit: Annotated[tuple[FitTest, ...], Field(max_length=100)] = ()

@@ -102,7 +102,8 @@ class InstallationRow(Section):
     l + 1: about e_{l+1} × e_l, carried by axis l; outside it turn the Earth and the axes up to l. "harmonics" of `axis`
     l: a_l times cosine and sine of `orders` times its angle; outside, the axes before l; besides, a_li times their
     change where l turns. "mounting": the body's x, y, z, of each mounting while it is used; outside, everything.
-    "gravity" (m/s²): along up, for accelerometers. "sample_clock": the rate and the force themselves.
+    "gravity" (m/s²): along up, for accelerometers. "sample_clock": the rate itself and, with
+    `forces`, the force itself.
     """
 
     kind: Literal["base", "orthogonality", "harmonics", "mounting", "gravity", "sample_clock"]
@@ -117,6 +118,8 @@ class InstallationRow(Section):
     """Table axis; null where it concerns none."""
     orders: tuple[int, ...] | None = None
     """Periods in one turn, of harmonics."""
+    forces: bool | None = None
+    """Of "sample_clock": whether accelerometers see it, too."""
 
 
 class UnitSegmentRow(Section):

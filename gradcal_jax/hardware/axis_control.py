@@ -10,9 +10,10 @@ rate. The allowed rate of an axis (`allowed`) follows from its commands, and `in
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from .chamber_control import Tell
-from .clock import Clock
+from .clock import Clock, beside
 from .errors import HardwareError
 from .journal import event_fields
 from .roles import AxisLimits, AxisReading, DrawnAxis, MotionAxis
@@ -28,6 +29,8 @@ _EASING_S = 1.0
 _OFF_GOAL_DEG = 1.0
 _OFF_RATE, _OFF_RATE_DPS = 0.1, 3.0
 _OFF_READINGS = 3
+# An axis that should have arrived so long ago, and went less than a share of its way at its rate since, is jammed.
+_STALL_S, _STALL_SHARE = 5.0, 0.1
 
 Draw = Callable[[Mapping[str, float]], str]
 """How a unit stands when the axes are at these angles, deg."""
@@ -60,8 +63,14 @@ class AxisControl:
         self._by_hand: set[str] = set()
         # Commanded: the rate now, the rate before and until when that is still allowed, and ends of turns.
         self._asked_dps: dict[str, float] = {}
+        self._asked_at_s: dict[str, float] = {}
         self._easing: dict[str, tuple[float, float]] = {}
         self._due_end_s: dict[str, float] = {}
+        # The planned end of a move of a motor; and where the axis has stood, nearly, and since when.
+        self._ends_s: dict[str, float] = {}
+        self._stands: dict[str, tuple[float, float]] = {}
+        # An axis is left to its search for the reference: nothing else is asked of it.
+        self._searching: set[str] = set()
         self._spins: dict[str, tuple[float, float]] = {}
         self._off_rate: dict[str, int] = {}
         # Axes of which the recipe takes a reading as soon as they stand.
@@ -72,14 +81,16 @@ class AxisControl:
         self.amiss: list[str] = []
 
     def home(self, names: list[str], meanwhile: Callable[[], None]) -> None:
-        """Find the references."""
+        """Find the references, one axis after the other."""
+        self._searching.update(names)
         for name in names:
             self._event("homing", axis=name)
             if self._limits_of(name).by_hand:
                 self._by_hand.add(name)
             # The device chooses the rate of its search for the reference.
             self._asked_dps[name] = math.inf
-            self._axes[name].home()
+            beside(self._axes[name].home, self._clock, meanwhile)
+            self._searching.discard(name)
             self.settle(name, meanwhile)
             self._goal_deg[name] = 0.0
 
@@ -102,8 +113,10 @@ class AxisControl:
         """Bring axes to the starting angles of a step that does not follow another at once."""
         for name, position in start_deg.items():
             limits = self._limits_of(name)
-            # An endless axis has no cable to wind up: the angle within one turn suffices.
-            goal = position % 360.0 if limits.travel_deg == (-math.inf, math.inf) else position
+            goal = position
+            if limits.travel_deg == (-math.inf, math.inf):
+                # An endless axis has no cable to unwind: it goes to the nearest equal angle.
+                goal += 360.0 * round((self._at(name) - position) / 360.0)
             if not self._stands_at(name, goal):
                 rate, acceleration = min(limits.max_rate_dps, 60.0), min(limits.max_acceleration_dps2, 60.0)
                 goes = AxisCommand(0.0, name, "go", position_deg=goal, rate_dps=rate, acceleration_dps2=acceleration)
@@ -148,9 +161,11 @@ class AxisControl:
             under_way = name in self._turning or name in self._spinning
             last = self.newest.get(name)
             every_s = _WATCH_MOVING_S if under_way else _WATCH_STANDING_S
-            if self._limits_of(name).by_hand or (last is not None and now - last.time_s < every_s):
+            left_alone = name in self._searching or self._limits_of(name).by_hand
+            if left_alone or (last is not None and now - last.time_s < every_s):
                 continue
             reading = self.newest[name] = self._axes[name].read()
+            self._note_place(name, reading)
             if self._keep_track:
                 place = {"time_s": reading.time_s, "position_deg": reading.position_deg}
                 self._event("track", at_once=False, axis=name, **place)
@@ -162,13 +177,28 @@ class AxisControl:
                 self.amiss.append(f"axis {name} spins at {reading.rate_dps:.2f} deg/s instead of {asked_dps:g}")
 
     def allowed(self) -> dict[str, tuple[float, float]]:
-        """The rates allowed to axes with a motor now, deg/s: by the last commands, and by the rig."""
+        """The rates allowed to axes with a motor now, deg/s: by the last commands, and by the rig. An axis that has not
+        been read since its last command is absent."""
         now, rates = self._clock.now(), dict[str, tuple[float, float]]()
-        for name in self._axes:
+        for name, reading in self.newest.items():
             limits = self._limits_of(name)
-            if not limits.by_hand:
+            if not limits.by_hand and reading.time_s > self._asked_at_s.get(name, -math.inf):
                 rates[name] = (self._allowed_dps(name, now), limits.max_rate_dps)
         return rates
+
+    def stalled(self) -> tuple[str, ...]:
+        """A sentence for each axis that should have arrived, still pushes, and does not move."""
+        sentences: list[str] = []
+        for name, ends_s in self._ends_s.items():
+            _, since_s = self._stands.get(name, (math.nan, math.inf))
+            reading = self.newest[name]
+            if reading.moving and reading.time_s - max(ends_s, since_s) >= _STALL_S:
+                stood_s, late_s = reading.time_s - since_s, reading.time_s - ends_s
+                sentences.append(
+                    f"axis {name} has stood at {reading.position_deg:.1f} deg for {stood_s:.0f} s and was to be at "
+                    f"{self._goal_deg[name]:.1f} deg {late_s:.0f} s ago: it is jammed, or its motor has no power"
+                )
+        return tuple(sentences)
 
     def settle_all(self, meanwhile: Callable[[], None]) -> None:
         """Wait until every axis stands, except spinning ones."""
@@ -177,7 +207,8 @@ class AxisControl:
 
     def settle(self, name: str, meanwhile: Callable[[], None]) -> None:
         """Wait until an axis stands; it is stopped at the time-out. A turn by hand has no time-out."""
-        end = self._clock.now() + (math.inf if name in self._by_hand else _LONGEST_MOVE_S)
+        planned_s = max(self._clock.now(), self._ends_s.get(name, -math.inf))
+        end = math.inf if name in self._by_hand else planned_s + _LONGEST_MOVE_S
         while self._read(name).moving:
             if self._clock.now() > end:
                 self._axes[name].stop()
@@ -199,6 +230,7 @@ class AxisControl:
         self._turning.clear()
         self._planned_end_s.clear()
         self._due_end_s.clear()
+        self._ends_s.clear()
         self._spins.clear()
         self.amiss.clear()
 
@@ -214,6 +246,8 @@ class AxisControl:
         self._awaited.discard(name)
         self._asks(name, abs(move.rate_dps), move.acceleration_dps2)
         self._due_end_s.pop(name, None)
+        self._ends_s.pop(name, None)
+        self._stands.pop(name, None)
         self._spins.pop(name, None)
         began = self._clock.now()
         if move.kind in ("go", "turn"):
@@ -230,6 +264,8 @@ class AxisControl:
             else:
                 self._turning[name] = ends_s
                 self._due_end_s[name] = ends_s if move.kind == "turn" else math.inf
+                way = replace(move, kind="turn", angle_deg=goal - self._at(name))
+                self._ends_s[name] = began + way.duration_s
         elif move.kind == "spin":
             axis.spin(move.rate_dps, move.acceleration_dps2)
             self._spinning.add(name)
@@ -246,6 +282,7 @@ class AxisControl:
     def _read(self, name: str) -> AxisReading:
         before, reading = self.newest.get(name), self._axes[name].read()
         self.newest[name] = reading
+        self._note_place(name, reading)
         # An unknown angle is no reading, and a typed angle is one reading however often it is read.
         if not math.isnan(reading.position_deg) and before != reading:
             planned = not reading.moving and (name in self._awaited or name in self._by_hand)
@@ -253,11 +290,23 @@ class AxisControl:
         if not reading.moving:
             self._awaited.discard(name)
             self._turning.pop(name, None)
+            self._ends_s.pop(name, None)
             planned_s = self._planned_end_s.pop(name, math.inf)
             self.late_s += max(0.0, reading.time_s - planned_s)
             if name not in self._spinning:
                 self._stood(name, reading)
         return reading
+
+    def _at(self, name: str) -> float:
+        """Where an axis was read last, else where it was to go."""
+        newest = self.newest.get(name)
+        known = newest is not None and not math.isnan(newest.position_deg)
+        return newest.position_deg if newest is not None and known else self._goal_deg.get(name, 0.0)
+
+    def _note_place(self, name: str, reading: AxisReading) -> None:
+        place_deg, _ = self._stands.get(name, (math.inf, 0.0))
+        if abs(reading.position_deg - place_deg) > _STALL_SHARE * _STALL_S * self._asked_dps.get(name, 0.0):
+            self._stands[name] = reading.position_deg, reading.time_s
 
     def _stood(self, name: str, reading: AxisReading) -> None:
         """Compare the time and angle of a standstill with the track."""
@@ -282,7 +331,7 @@ class AxisControl:
         slows_s = (before_dps - rate_dps) / acceleration_dps2 if acceleration_dps2 > 0.0 else 0.0
         slows_s = min(max(slows_s, 0.0), _LONGEST_MOVE_S) if math.isfinite(before_dps) else 0.0
         self._easing[name] = (before_dps, now + slows_s + _EASING_S)
-        self._asked_dps[name] = rate_dps
+        self._asked_dps[name], self._asked_at_s[name] = rate_dps, now
 
     def _allowed_dps(self, name: str, now: float) -> float:
         before_dps, until_s = self._easing.get(name, (0.0, -math.inf))

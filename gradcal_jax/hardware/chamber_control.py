@@ -13,35 +13,45 @@ from contextlib import contextmanager
 import numpy as np
 
 from .clock import Clock, holding
-from .errors import Disconnected, HardwareError
-from .journal import JournalFull, event_fields
+from .errors import Disconnected
+from .journal import event_fields
 from .roles import ChamberReading, TemperatureChamber
 from .track import Course, Stable
 
 _SOFT_STEP_S = 5.0
 _REMEMBERED = 1 << 14
 _KNOTS = 64
+# How far a chamber may overshoot at the end of an approach, as a share of its way.
+_OVERSHOOT = 0.1
 
 Tell = Callable[..., None]
 """Writes an event: its name and what belongs to it."""
 
 
 class AirCourse:
-    """A temperature of the air over time, linear between knots; constant after the last."""
+    """A temperature of the air over time, linear between knots; constant after the last.
+
+    While the chamber goes to a set point as fast as it can the course is all that lies between, and a share more.
+    """
 
     def __init__(self) -> None:
         self._knots: tuple[tuple[float, float], ...] = ()
+        self._between: tuple[float, float] | None = None
 
-    def unknown(self) -> None:
-        """No course: the chamber goes to a set point as fast as it can."""
+    def approaches(self, from_c: float, target_c: float) -> None:
+        over_k = _OVERSHOOT * abs(target_c - from_c)
         self._knots = ()
+        self._between = min(from_c, target_c) - over_k, max(from_c, target_c) + over_k
 
     def stands(self, now_s: float, temperature_c: float) -> None:
         self._knots = ((now_s, temperature_c),)
 
     def ramps(self, from_s: float, target_c: float, k_per_min: float) -> None:
-        """A ramp from the course's temperature at that time, if that is known."""
+        """A ramp from the course's temperature at that time; in an approach its target belongs to what lies between."""
         if not self._knots:
+            if self._between is not None:
+                low, high = self._between
+                self._between = min(low, target_c), max(high, target_c)
             return
         start_c = self.at(from_s)
         before = tuple(knot for knot in self._knots[-_KNOTS:] if knot[0] < from_s)
@@ -49,9 +59,9 @@ class AirCourse:
         self._knots = (*before, (from_s, start_c), (reached_s, target_c))
 
     def of_late(self, now_s: float, lag_s: float) -> tuple[float, float] | None:
-        """The lowest and the highest of the last `lag_s`."""
+        """The lowest and the highest of the last `lag_s`; None where nothing was commanded."""
         if not self._knots:
-            return None
+            return self._between
         inside = [value for time_s, value in self._knots if now_s - lag_s < time_s < now_s]
         inside += [self.at(now_s - lag_s), self.at(now_s)]
         return min(inside), max(inside)
@@ -76,6 +86,7 @@ class ChamberControl:
         self._soft: tuple[AirCourse, float] | None = None
         self._next_soft_s = 0.0
         self._held_c: float | None = None
+        self._conditions_since_s = math.inf
         self.expected = AirCourse()
         self.newest: ChamberReading | None = None
 
@@ -83,9 +94,16 @@ class ChamberControl:
         """Remember a reading."""
         with self._lock:
             self.newest = reading
+            if not reading.conditioning:
+                self._held_c = None
             value = reading.product_c if reading.product_c is not None else reading.air_c
             if not self._history or reading.time_s > self._history[-1][0]:
                 self._history.append((reading.time_s, value))
+
+    @property
+    def conditions(self) -> bool:
+        """Whether the newest reading is of a chamber that had been commanded to condition."""
+        return self.newest is not None and self.newest.time_s > self._conditions_since_s
 
     def end(self, longest_s: float) -> None:
         """Send no further command; returns when the current one has ended, or after `longest_s` real seconds."""
@@ -109,6 +127,7 @@ class ChamberControl:
             if self._held_c != temperature_c:
                 self.chamber.hold(temperature_c)
                 self._held_c = temperature_c
+                self._conditioned()
                 self._event("chamber told", hold_c=temperature_c)
 
     def expect(self, course: Course, now_s: float) -> None:
@@ -116,7 +135,15 @@ class ChamberControl:
         if course.ramp_k_per_min is not None:
             self.expected.ramps(now_s, course.temperature_c, course.ramp_k_per_min)
         elif self.expected.of_late(now_s, 0.0) != (course.temperature_c, course.temperature_c):
-            self.expected.unknown()
+            self.approach(course.temperature_c)
+
+    def approach(self, temperature_c: float) -> None:
+        """From now on the air goes to a temperature as fast as the chamber can."""
+        if self.newest is not None:
+            self.expected.approaches(self.newest.air_c, temperature_c)
+
+    def _conditioned(self) -> None:
+        self._conditions_since_s = min(self._conditions_since_s, self._clock.now())
 
     def follow(self, course: Course) -> None:
         """Follow a course: by the controller's own ramp where it has one, else by `step_soft_ramp`."""
@@ -131,6 +158,7 @@ class ChamberControl:
             if self.chamber.limits().hardware_ramp:
                 self._soft = None
                 rate = self.chamber.ramp(course.temperature_c, course.ramp_k_per_min)
+                self._conditioned()
                 self._event("chamber told", **command, k_per_min=rate)
                 return
             soft, start_c = AirCourse(), self.chamber.read().setpoint_c
@@ -154,6 +182,7 @@ class ChamberControl:
         ramp, target_c = self._soft
         reached_c = ramp.at(now)
         self.chamber.hold(reached_c)
+        self._conditioned()
         if reached_c == target_c:
             self._soft, self._held_c = None, target_c
         self._next_soft_s = now + _SOFT_STEP_S
@@ -172,10 +201,10 @@ class ChamberControl:
                     self.heard(reading)
                     failures = 0
                     self._event("chamber", at_once=False, **event_fields(reading))
-                except HardwareError as problem:
+                except Exception as problem:
                     failures += 1
-                    self._event("chamber not read", quietly=True, problem=str(problem))
-                    if failures == 3 or isinstance(problem, (Disconnected, JournalFull)):
+                    self._event("chamber not read", problem=str(problem))
+                    if failures == 3 or isinstance(problem, Disconnected):
                         failed(f"The chamber cannot be read: {problem}")
                         return
 
@@ -187,7 +216,7 @@ class ChamberControl:
             with self._clock.party():
                 try:
                     self.follow(course)
-                except HardwareError as problem:
+                except Exception as problem:
                     failed(f"The chamber was not told its course: {problem}")
 
         threading.Thread(target=tell, daemon=True, name="telling the chamber").start()

@@ -6,7 +6,7 @@ All waiting for chambers and tables is on a `Clock`, never by `time.sleep`. `Rea
 
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Protocol
 
@@ -97,3 +97,30 @@ class RealClock:
 
     def link(self, url: str) -> Link:
         return self._link
+
+
+_BESIDE_S = 0.1
+
+
+def beside(work: Callable[[], object], clock: Clock, duties: Callable[[], None]) -> None:
+    """Do `work`, which may wait for a device, in a thread of its own, and the `duties` of this thread beside it. Raises
+    what either raises; where a duty does, nobody waits for the work any more."""
+    problems: list[Exception] = []
+    begun, over = threading.Event(), threading.Event()
+
+    def attempt() -> None:
+        with clock.party():
+            begun.set()
+            try:
+                work()
+            except Exception as problem:
+                problems.append(problem)
+            over.set()
+
+    threading.Thread(target=attempt, daemon=True, name="waiting for a device").start()
+    begun.wait()
+    while not over.is_set():
+        duties()
+        clock.sleep(_BESIDE_S)
+    if problems:
+        raise problems[0]

@@ -124,7 +124,7 @@ def try_for(bench: Bench, track: Track, clock: Clock, *, move: bool = False) -> 
     chamber = None
     if bench.chamber is not None:
         try:
-            reading, chamber = bench.chamber.read(), bench.chamber.limits()
+            reading, chamber = bench.chamber.read(), bench.chamber_limits()
             text = f"air {reading.air_c:.1f} degC, set point {reading.setpoint_c:.1f}, mode {reading.mode}"
             alarms = ", ".join(reading.alarms)
             trials.append(Tried("chamber", f"{text}; ALARM {alarms}" if alarms else text, not alarms))

@@ -19,6 +19,11 @@ class HardwareError(Exception):
     """Any failure of a port, a device or a run. The message is for the operator."""
 
 
+def sentence_of(problem: BaseException) -> str:
+    """Any error for the operator: ours say what to do, of others the kind is needed."""
+    return str(problem) if isinstance(problem, HardwareError) else f"{type(problem).__name__}: {problem}"
+
+
 class PortRefused(HardwareError):
     """The port does not exist, cannot be opened, or belongs to another program."""
 

@@ -14,13 +14,14 @@ from ..files.unit_spec import UnitSpec
 from ..files.writing import write_whole
 from .clock import RealClock
 from .run_folder import RunFolder, mounting_of, new_folder, prepare_resume
-from .runner import Runner, RunProgress, RunResult
+from .runner import Runner
 from .session import run_session
 from .setup import configs_of
 from .simulate.lab import SimulatedLab
 from .simulate.stim300 import RATES_HZ
 from .simulate.unit_lab import SimulatedUnitLab
 from .simulate.virtual_clock import VirtualClock
+from .states import RunProgress, RunResult
 from .supervision import Knows
 from .terminal import Terminal
 
@@ -133,11 +134,11 @@ def _simulated(
     folder = RunFolder(path)
     latest = 0.0
     if resumed is not None:
-        latest = max((record.time_s for record in folder.contents().records), default=0.0) + _LATER_S
+        latest = folder.events().latest_s + _LATER_S
     clock = VirtualClock(latest, speed=simulation["speed"])
     settings: Any = {"seed": int(simulation["seed"]), "sample_rate_hz": float(simulation["sample_rate_hz"])}
     if isinstance(recipe.spec, UnitSpec):
-        mounting = 0 if resumed is None else max(mounting_of(folder.contents()) - 1, 0)
+        mounting = 0 if resumed is None else max(mounting_of(folder.events()) - 1, 0)
         simulated_lab = SimulatedUnitLab(
             recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting
         )

@@ -1,15 +1,15 @@
 """The guard: a process beside the run that makes the rig safe when the run no longer can.
 
 It reads all that it needs before anything moves: the rig file, the drivers, the folder of the journal. Then it sends
-"ready". A pipe in each direction connects the two. The run sends "begun" before its first motion, "before" with every
+"ready". A pipe in each direction connects the two. The run sends "begun" before its first command, "before" with every
 setting of a device before the first change, "alive" every second, and "done" when it has ended by itself with
-everything verified safe. The guard replies "alive".
+everything verified safe, or before it commanded anything. The guard replies "alive".
 
-When the pipe closes after "begun" and without "done", the run was killed, broken off, or could not reach a device. When
-the pipe stays open and silent, the run hangs: the guard ends it. Then the ports are free; the guard opens them, makes
-every device safe, restores the settings, and appends the outcome to the run's journal. A device that does not answer is
-tried again for an hour, unless another run takes its port. A guard that does not reply is replaced, which is an event
-of the run's journal.
+When the pipe closes after "begun" or "before" and without "done", the run was killed, broken off, or could not reach a
+device. When the pipe stays open and silent, the run hangs: the guard ends it. Then the ports are free; the guard opens
+them, makes every device safe, restores the settings, and appends the outcome to the run's journal and its status. A
+device that does not answer is tried again for an hour, unless another run takes its port. A guard that does not reply
+is replaced, which is an event of the run's journal.
 """
 
 import json
@@ -26,12 +26,13 @@ from pathlib import Path
 from typing import IO, Any
 
 from ..files.rig import RigFile, read_rig
+from . import transport
 from .clock import Clock, RealClock
-from .errors import HardwareError, PortRefused, PortTaken
+from .errors import HardwareError, PortRefused, PortTaken, sentence_of
 from .journal import Journal
 from .safety import SafeOutcome, make_safe, put_back
-from .setup import Bench, configs_of, only_of, open_rig
-from .supervision import sound_alarm
+from .setup import Bench, configs_of, lines_of, only_of, open_rig
+from .supervision import end_status, sound_alarm
 
 Settings = dict[str, dict[str, str]]
 """Settings of devices before the run changed them, by device and name."""
@@ -66,12 +67,13 @@ class Guard:
 
     def remember(self, device: str, name: str, value: str) -> None:
         """Send the present value of a device's setting, before it is changed."""
+        self._begun = True
         self._before.append("before " + json.dumps([device, name, value]))
         self._say(self._before[-1])
 
     def done(self) -> None:
         """Everything was verified safe: the guard has nothing to do."""
-        self._begun = False
+        self._begun, self._before = False, []
         self._say("done")
 
     def beat(self) -> str:
@@ -166,6 +168,7 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
     """Wait for the run's end on standard input; make safe if it began and then ended or hangs without "done"."""
     # Its working folder keeps the guard with a run's folder that is moved.
     os.chdir(folder)
+    transport.owner = f"the guard of the run {folder.absolute()}"
     rig = read_rig("rig.toml")
     configs_of(rig)
     run = os.getppid()
@@ -194,15 +197,17 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
             continue
         if line is None:
             break
-        if line in (b"begun", b"done"):
-            begun = line == b"begun"
+        if line == b"begun":
+            begun = True
+        elif line == b"done":
+            begun, before = False, {}
         elif line == b"alive":
             with suppress(OSError):
                 print("alive", flush=True)
         elif line.startswith(b"before "):
             device, name, value = json.loads(line.removeprefix(b"before "))
             before.setdefault(device, {}).setdefault(name, value)
-    if not begun:
+    if not (begun or before):
         return []
     why = "the run did not answer any more and was ended" if hangs else "the run is gone, or left something unsafe"
     # The alarm comes first: a device that does not answer may take an hour.
@@ -232,8 +237,9 @@ def make_folder_safe(
 
     note("guard", what=f"{why}; making the rig safe")
     end, pause_s, outcomes = time.monotonic() + keep_trying_s, 1.0, dict[str, SafeOutcome]()
+    at_work: dict[str, threading.Thread] = {}
     while True:
-        for outcome in _try_once(rig, clock, before or {}, deadline_s, note):
+        for outcome in _try_once(rig, clock, before or {}, deadline_s, note, at_work):
             outcomes[outcome.name] = outcome
             details = {"action": outcome.action, "verified": outcome.verified, "evidence": outcome.evidence}
             note("made safe", by="guard", device=outcome.name, **details)
@@ -243,12 +249,15 @@ def make_folder_safe(
             # Every try is printed; the journal has the first and the last.
             what = "is not safe, and is tried again" if again else "could not be made safe"
             for name, outcome in left.items():
-                print(f"{name} {what}: {outcome.evidence}", file=sys.stderr, flush=True)
+                _say(f"{name} {what}: {outcome.evidence}")
             note("guard", what=f"{', '.join(left)} {what}")
         if happened and (not again or pause_s == 1.0):
             _write(folder / "journal", happened)
         happened.clear()
         if not again:
+            end_status(folder, why, list(outcomes.values()))
+            safe = "NOT VERIFIED SAFE: " + ", ".join(left) if left else "everything is verified safe"
+            _say(f"{transport.owner or 'the guard'}: {why}; {safe}")
             return list(outcomes.values())
         time.sleep(pause_s)
         pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
@@ -256,19 +265,51 @@ def make_folder_safe(
 
 
 def _try_once(
-    rig: RigFile, clock: Clock, before: Mapping[str, Mapping[str, str]], deadline_s: float, note: Any
+    rig: RigFile,
+    clock: Clock,
+    before: Mapping[str, Mapping[str, str]],
+    deadline_s: float,
+    note: Any,
+    at_work: dict[str, threading.Thread],
 ) -> list[SafeOutcome]:
-    outcomes: list[SafeOutcome] = []
-    try:
-        with _open_soon(rig, clock, outcomes) as bench:
-            for name, settings in bench.settings.items():
-                settings.keep(before.get(name, {}))
-            outcomes += make_safe(bench, clock, deadline_s=deadline_s)
-            for name, problem in put_back(bench).items():
-                note("settings put back", device=name, problem=problem)
-    except HardwareError as problem:
-        note("guard", what=f"the rig could not be made safe: {problem}")
-    return outcomes
+    """Try the devices of each port in a thread of their own: whatever one port or device raises concerns no other.
+    `at_work`: the threads of earlier tries, by port; one that hangs keeps its port."""
+    lines = lines_of(rig)
+    outcomes: dict[str, SafeOutcome] = {}
+
+    def attempt(names: list[str]) -> None:
+        try:
+            with _open_soon(only_of(rig, names).model_copy(update={"operator": None}), clock) as bench:
+                for name, settings in bench.settings.items():
+                    settings.keep(before.get(name, {}))
+                outcomes.update((outcome.name, outcome) for outcome in make_safe(bench, clock, deadline_s=deadline_s))
+                for name, problem in put_back(bench).items():
+                    note("settings put back", device=name, problem=problem)
+        except PortTaken as problem:
+            # The other run is responsible for them now.
+            taken = {name: SafeOutcome(name, "left to another run", True, str(problem)) for name in names}
+            outcomes.update(taken)
+        except BaseException as problem:
+            outcomes.update((name, SafeOutcome(name, lines[name][1], False, sentence_of(problem))) for name in names)
+
+    groups: dict[str, list[str]] = {}
+    for name, (port, _) in lines.items():
+        groups.setdefault(port, []).append(name)
+    for port, names in groups.items():
+        if port not in at_work or not at_work[port].is_alive():
+            at_work[port] = threading.Thread(target=attempt, args=(names,), daemon=True, name=f"making {port} safe")
+            at_work[port].start()
+    end = time.monotonic() + _TO_OPEN_S + 2.0 * deadline_s
+    for port in groups:
+        at_work[port].join(max(0.0, end - time.monotonic()))
+    missing = "has not answered yet"
+    return [outcomes.get(name) or SafeOutcome(name, action, False, missing) for name, (_, action) in lines.items()]
+
+
+def _say(sentence: str) -> None:
+    """To the terminal of the run, which may be gone."""
+    with suppress(OSError, ValueError):
+        print(sentence, file=sys.stderr, flush=True)
 
 
 def _write(path: Path, happened: list[tuple[float, str, dict[str, Any]]]) -> None:
@@ -277,34 +318,23 @@ def _write(path: Path, happened: list[tuple[float, str, dict[str, Any]]]) -> Non
         with Journal(path) as journal:
             for time_s, name, data in happened:
                 journal.event(time_s, name, **data)
-    except Exception as problem:
-        # The outcome has been printed already.
-        print(problem, *(f"{name}: {data}" for _, name, data in happened), sep="\n", file=sys.stderr)
+        problem = journal.problem
+    except Exception as error:
+        problem = str(error)
+    if problem:
+        _say("\n".join([problem, *(f"{name}: {data}" for _, name, data in happened)]))
 
 
-def _open_soon(rig: RigFile, clock: Clock, missing: list[SafeOutcome]) -> Bench:
-    """Open the killed run's ports, which become free in a moment. A port that stays closed, as with a cable pulled,
-    does not affect other devices: its device is among the `missing`, unless another run has taken it."""
+def _open_soon(rig: RigFile, clock: Clock) -> Bench:
+    """Open a port of the killed run, which becomes free in a moment."""
     end = time.monotonic() + _TO_OPEN_S
     while True:
         try:
             return open_rig(rig, clock)
         except PortRefused:
             if time.monotonic() > end:
-                break
+                raise
             time.sleep(0.1)
-    openable: set[str] = set()
-    actions = {entry.name: entry.safe for entry in rig.axis} | {entry.name: "left streaming" for entry in rig.imu}
-    for name, action in (actions | ({"chamber": rig.chamber.safe} if rig.chamber is not None else {})).items():
-        try:
-            open_rig(only_of(rig, {name}), clock).close()
-            openable.add(name)
-        except PortTaken as problem:
-            # The other run is responsible for it now.
-            missing.append(SafeOutcome(name, "left to another run", True, str(problem), 0, 0.0))
-        except HardwareError as problem:
-            missing.append(SafeOutcome(name, action, False, str(problem), 0, 0.0))
-    return open_rig(only_of(rig, openable), clock)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,9 @@ everything else at least once a second.
 
 One thread writes, in order of time; only the caller of an event waits for the disk. A disk that stalls for seconds
 therefore costs memory, and no bytes of a line whose buffer holds a quarter of a second.
+
+Writing raises nothing, because the caller may be about to stop an axis: a journal that can no longer be written has a
+`problem`, an interlock ends the run with it, and everything is made safe without a journal.
 """
 
 import errno
@@ -26,8 +29,9 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, BinaryIO, Literal, cast
 
 from .errors import HardwareError
 
@@ -35,7 +39,9 @@ _SYNC = b"\xa7\x4a"
 _HEAD = struct.Struct("<BBId")
 _EVENT, _RECEIVED, _SENT = 1, 2, 3
 _LONGEST = 1 << 26
+_BLOCK = 1 << 22
 _MOST_WAITING = 1 << 28
+_LONGEST_WAIT_S = 15.0
 LINE_EVENT = "line"
 _NUMBER = (int, float)
 # The fields of events that are read back, and their types.
@@ -62,10 +68,6 @@ Recorder = Callable[[float, Direction, bytes], None]
 """Records the bytes of a line: time, direction, bytes."""
 
 
-class JournalFull(HardwareError):
-    """The journal cannot be written: a run must not continue without it."""
-
-
 @dataclass(frozen=True)
 class Event:
     """An event of the run: its `name` and data."""
@@ -87,10 +89,11 @@ class Chunk:
 
 @dataclass
 class JournalContents:
-    """Everything that a journal holds, in order. `damaged_bytes` belong to no sound record."""
+    """Everything that a journal holds, in order. `damaged_bytes` belong to no sound record; `latest_s`: last time."""
 
     records: list[Event | Chunk] = field(default_factory=list[Event | Chunk])
     damaged_bytes: int = 0
+    latest_s: float = 0.0
 
     @property
     def events(self) -> list[Event]:
@@ -111,12 +114,15 @@ class Journal(AbstractContextManager["Journal"]):
         self._lines: dict[str, int] = {}
         if path.exists():
             # Numbers of lines continue after the last session's: one number never means two lines.
-            known = [event.data["number"] for event in read_journal(path).events if event.name == LINE_EVENT]
+            known = [
+                event.data["number"] for event in read_journal(path, chunks=False).events if event.name == LINE_EVENT
+            ]
             self._first_number = max(known, default=-1) + 1
         else:
             self._first_number = 0
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)
-        self._problem: JournalFull | None = None
+        self.problem = ""
+        """Why nothing more can be written, for the operator; empty while it can."""
         self._closing = False
         # Guards the waiting records, and the numbers of records queued, requested on disk, and on disk.
         self._change = threading.Condition()
@@ -127,24 +133,24 @@ class Journal(AbstractContextManager["Journal"]):
         self._writer.start()
 
     def event(self, time_s: float, name: str, /, *, at_once: bool = True, **data: Any) -> None:
-        """Write an event; with `at_once` wait until the disk has it. Raises `JournalFull`."""
+        """Write an event; with `at_once` wait until the disk has it, or until there is a `problem`."""
         payload = json.dumps({"event": name, **data}, separators=(",", ":"), allow_nan=False).encode()
         with self._change:
             self._append(_EVENT, 0, time_s, payload)
             if at_once:
                 mine = self._wanted = self._put_in
-                self._change.wait_for(lambda: self._on_disk >= mine or self._problem is not None)
-                if self._on_disk < mine and self._problem is not None:
-                    raise self._problem
+                if not self._change.wait_for(lambda: self._on_disk >= mine or self.problem, _LONGEST_WAIT_S):
+                    self._fail(f"the disk has not answered for {_LONGEST_WAIT_S:g} s")
 
     def bytes_of(self, line: str, time_s: float, data: bytes, *, received: bool) -> None:
-        """Write bytes of a line; they are on the disk within `sync_every_s`. Raises `JournalFull`."""
+        """Write bytes of a line; they are on the disk within `sync_every_s`."""
         with self._change:
             number = self._lines.get(line)
             if number is None:
                 number = self._first_number + len(self._lines)
                 if number > 255:
-                    raise HardwareError("A journal holds 256 lines at most, resumed runs included.")
+                    self._fail("it holds 256 lines at most, resumed runs included")
+                    return
                 self._lines[line] = number
                 note = json.dumps({"event": LINE_EVENT, "number": number, "name": line}).encode()
                 self._append(_EVENT, 0, time_s, note)
@@ -159,25 +165,20 @@ class Journal(AbstractContextManager["Journal"]):
         with self._change:
             self._closing = True
             self._change.notify_all()
-        self._writer.join()
+        self._writer.join(_LONGEST_WAIT_S if self.problem else None)
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
     def _append(self, kind: int, line: int, time_s: float, payload: bytes) -> None:
         """Queue a record for the disk. The caller holds the lock."""
-        if self._problem is not None:
-            raise self._problem
-        if self._closing:
-            raise JournalFull("The journal is closed.")
+        if self.problem or self._closing:
+            return
         body = _HEAD.pack(kind, line, len(payload), time_s) + payload
         record = _SYNC + body + zlib.crc32(body).to_bytes(4, "little")
         if self._waiting_bytes + len(record) > _MOST_WAITING:
-            self._problem = JournalFull(
-                f"The disk does not keep up with the journal {self.path}: {_MOST_WAITING >> 20} MB wait to be written. "
-                "Use a faster disk; what was written before is sound and the run can be resumed."
-            )
-            raise self._problem
+            self._fail(f"the disk does not keep up, {_MOST_WAITING >> 20} MB wait to be written")
+            return
         self._waiting.append(record)
         self._waiting_bytes += len(record)
         self._put_in += 1
@@ -203,8 +204,10 @@ class Journal(AbstractContextManager["Journal"]):
                 if dirty and (at_once or time.monotonic() - synced_s >= self._sync_every_s):
                     os.fsync(self._file)
                     synced_s, dirty = time.monotonic(), False
-            except OSError as problem:
-                self._fail(problem)
+            except Exception as problem:
+                full = isinstance(problem, OSError) and problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+                with self._change:
+                    self._fail("the disk is full" if full else f"{getattr(problem, 'strerror', None) or problem}")
                 break
             with self._change:
                 if not dirty:
@@ -214,61 +217,80 @@ class Journal(AbstractContextManager["Journal"]):
                     break
         os.close(self._file)
 
-    def _fail(self, problem: OSError) -> None:
-        full = problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-        what = "the disk is full" if full else f"{problem.strerror or problem}"
-        with self._change:
-            self._problem = JournalFull(
-                f"The journal {self.path} cannot be written: {what}. Free some space or choose another folder; what "
-                "was written before is sound and the run can be resumed."
-            )
-            self._change.notify_all()
+    def _fail(self, why: str) -> None:
+        """Nothing more is written. The caller holds the lock."""
+        self.problem = self.problem or (
+            f"The journal {self.path} cannot be written: {why}. Free some space or choose another folder; what was "
+            "written before is sound and the run can be resumed."
+        )
+        self._change.notify_all()
 
 
-def read_journal(path: Path) -> JournalContents:
-    """All sound records of a journal, however it ends. Raises `HardwareError` where there is no such file."""
+def read_journal(path: Path, *, chunks: bool = True) -> JournalContents:
+    """All sound records of a journal, however it ends; without `chunks` its events alone, which take little memory.
+    Raises `HardwareError` where there is no such file."""
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            return _parse(file, chunks)
     except OSError as problem:
         raise HardwareError(f"The journal {path} cannot be read: {problem.strerror}.") from None
-    return parse_journal(data)
 
 
 def parse_journal(data: bytes) -> JournalContents:
+    return _parse(BytesIO(data), True)
+
+
+def _parse(file: BinaryIO, chunks: bool) -> JournalContents:
+    """Read block by block: a journal of a day is larger than what a computer can spare."""
     contents = JournalContents()
     names: dict[int, str] = {}
-    position = 0
-    while (start := data.find(_SYNC, position)) >= 0:
-        contents.damaged_bytes += start - position
-        record, end = _record(data, start, names)
-        if record is None:
-            # Two bytes that look like a head: the true head may be one byte later.
-            contents.damaged_bytes += 1
-            position = start + 1
-            continue
-        if isinstance(record, Event) and record.name == LINE_EVENT:
-            names[int(record.data["number"])] = str(record.data["name"])
-        contents.records.append(record)
-        position = end
-    contents.damaged_bytes += len(data) - position
+    buffer, origin, ended = b"", 0, False
+    while not ended:
+        block = file.read(_BLOCK)
+        buffer, ended, position = buffer + block, not block, 0
+        while (start := buffer.find(_SYNC, position)) >= 0:
+            contents.damaged_bytes += start - position
+            record, position = _record(buffer, start, origin, names)
+            if record is None and position > len(buffer) and not ended:
+                # Its end is in the next block.
+                position = start
+                break
+            if record is None:
+                # Two bytes that look like a head: the true head may be one byte later.
+                contents.damaged_bytes += 1
+                position = start + 1
+                continue
+            if isinstance(record, Event) and record.name == LINE_EVENT:
+                names[int(record.data["number"])] = str(record.data["name"])
+            contents.latest_s = max(contents.latest_s, record.time_s)
+            if chunks or isinstance(record, Event):
+                contents.records.append(record)
+        else:
+            rest = len(buffer) - (not ended and buffer.endswith(_SYNC[:1]))
+            contents.damaged_bytes += rest - position
+            position = rest
+        buffer, origin = buffer[position:], origin + position
     return contents
 
 
-def _record(data: bytes, start: int, names: dict[int, str]) -> tuple[Event | Chunk | None, int]:
+def _record(data: bytes, start: int, origin: int, names: dict[int, str]) -> tuple[Event | Chunk | None, int]:
+    """The record at `start` and its end; None where there is none, or where it ends beyond the data."""
     head = start + len(_SYNC)
     if len(data) < head + _HEAD.size + 4:
-        return None, start
+        return None, head + _HEAD.size + 4
     kind, line, length, time_s = _HEAD.unpack_from(data, head)
     end = head + _HEAD.size + length + 4
-    if length > _LONGEST or end > len(data):
+    if length > _LONGEST:
         return None, start
+    if end > len(data):
+        return None, end
     if zlib.crc32(memoryview(data)[head : end - 4]) != int.from_bytes(data[end - 4 : end], "little"):
         return None, start
     payload = data[head + _HEAD.size : end - 4]
     if not math.isfinite(time_s):
-        raise _strange(start, "its time is no number")
+        raise _strange(origin + start, "its time is no number")
     if kind == _EVENT:
-        return _event(start, time_s, payload), end
+        return _event(origin + start, time_s, payload), end
     return Chunk(time_s, names.get(line, f"line {line}"), kind == _RECEIVED, payload), end
 
 

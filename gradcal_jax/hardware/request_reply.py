@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager
 from typing import TypeVar
 
 from .clock import Clock, holding
-from .errors import ChecksumError, FramingError, NotVerified, ReplyTimeout, printable
+from .errors import ChecksumError, FramingError, NotVerified, Rejected, ReplyTimeout, printable
 from .framing import Framer
 from .transport import Transport
 
@@ -31,7 +31,8 @@ class NotThisReply(Exception):
 class Exchange:
     """One conversation at a time on a port. Thread-safe; several devices of one port share one exchange.
 
-    `min_interval_s` is the device's least time between the starts of two requests, on the run's clock;
+    `min_interval_s` is the device's least time between the starts of two requests, `boot_s` the time from here to the
+    first, on the run's clock;
     `reply_timeout_s` is real time.
     """
 
@@ -43,6 +44,8 @@ class Exchange:
         device: str,
         reply_timeout_s: float,
         min_interval_s: float = 0.0,
+        *,
+        boot_s: float = 0.0,
     ) -> None:
         self.transport = transport
         self.clock = clock
@@ -50,7 +53,7 @@ class Exchange:
         self._framer = framer
         self._reply_timeout_s = reply_timeout_s
         self._min_interval_s = min_interval_s
-        self._next_request_s = -float("inf")
+        self._next_request_s = clock.now() + boot_s
         self._lock = threading.RLock()
 
     def alone(self) -> AbstractContextManager[None]:
@@ -117,6 +120,9 @@ class Exchange:
                     return parse(frame)
                 except NotThisReply:
                     continue
+                except Rejected as refusal:
+                    what = f"{self.device} at {self.transport.url} was sent {printable(request)!r}. {refusal}"
+                    raise Rejected(what, code=refusal.code, text=refusal.text) from None
                 except ChecksumError:
                     # The reply to this request is damaged: no other will come.
                     raise

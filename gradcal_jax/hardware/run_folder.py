@@ -78,6 +78,10 @@ class RunFolder:
         """The journal as far as it is sound."""
         return read_journal(self.journal_path)
 
+    def events(self) -> JournalContents:
+        """The events of the journal, without the bytes of lines."""
+        return read_journal(self.journal_path, chunks=False)
+
 
 def new_folder(
     path: Path,
@@ -94,7 +98,7 @@ def new_folder(
     """
     track_of(recipe, [axis.name for axis in rig.axis])
     there = path / "journal"
-    if there.exists() and sessions(read_journal(there)):
+    if there.exists() and sessions(read_journal(there, chunks=False)):
         raise RunFolderError(
             f"{path} holds a run already: go on with it by `gradcal run --resume {path}`, or name another folder."
         )
@@ -198,7 +202,7 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
             f"The run was begun by gradcal {notes.get('version')} and this is {version('gradcal_jax')}: resume it with "
             "the version that began it."
         )
-    contents = folder.contents()
+    contents = folder.events()
     if exit_status(contents) == "success":
         raise RunFolderError(f"The run in {folder.path} is complete; make its log with `gradcal log {folder.path}`.")
     return steps_done(contents, len(folder.recipes()) - 1)

@@ -1,11 +1,11 @@
 """Executes a track on a bench: one clock, everything journalled, safe at every kind of end.
 
-`WAYS` has the states and the transitions between them; each change is an event of the journal. Requests (pause, stop,
-abort) may come from any thread or signal handler and take effect within a quarter of a second of the run's clock, or
-when the device that has the current command has answered. Nothing turns while a run is paused, and interlocks can still
-end it. A step that was interrupted, by a pause or by the end of the process, is repeated from its beginning: the
-chamber goes to the step's first temperature and is stable there, the axes go to their angles, and the journal marks the
-interruption.
+`states.WAYS` has the states and the transitions between them; each change is an event of the journal. Requests (pause,
+stop, abort) may come from any thread or signal handler and take effect within a quarter of a second of the run's clock,
+or when the device that has the current command has answered. Nothing turns while a run is paused; interlocks hold in
+every state, also while an axis searches its reference or the chamber acknowledges. A step that was interrupted, by a
+pause or by the end of the process, is repeated from its beginning: the chamber goes to the step's first temperature and
+is stable there, the axes go to their angles, and the journal marks the interruption.
 
 Beside the executing thread, one thread reads the chamber, one feeds the watchdogs of axes, and one for each unit writes
 its bytes to the disk: no slow device delays a move or lets a watchdog expire.
@@ -21,44 +21,22 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import Enum
+from functools import partial
 from typing import Any, Literal
 
 from ..files.rig import ImuDevice
 from .axis_control import AxisControl
 from .chamber_control import ChamberControl
-from .clock import Clock
-from .errors import HardwareError, LimitExceeded
+from .clock import Clock, beside
+from .errors import HardwareError, LimitExceeded, sentence_of
 from .interlocks import Interlocks, Situation, standard_rules
-from .journal import Journal, JournalFull, event_fields
+from .journal import Journal, event_fields
 from .losses import ExecutedStep, SampleLosses, StepNotDone
-from .roles import AxisReading, ChamberReading, MotionAxis
+from .roles import MotionAxis
 from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, require_identity
+from .states import WAYS, RunProgress, RunResult, RunState
 from .track import Course, Stable, Track, TrackStep, beyond_limits
-
-
-class RunState(Enum):
-    IDLE = "idle"
-    RUNNING = "running"
-    PAUSING = "pausing"
-    PAUSED = "paused"
-    STOPPING = "stopping"
-    ABORTING = "aborting"
-    SAFE = "safe"
-    FAILED = "failed"
-
-
-WAYS: Mapping[RunState, frozenset[RunState]] = {
-    RunState.IDLE: frozenset({RunState.RUNNING, RunState.ABORTING}),
-    RunState.RUNNING: frozenset({RunState.PAUSING, RunState.STOPPING, RunState.ABORTING}),
-    RunState.PAUSING: frozenset({RunState.RUNNING, RunState.PAUSED, RunState.STOPPING, RunState.ABORTING}),
-    RunState.PAUSED: frozenset({RunState.RUNNING, RunState.STOPPING, RunState.ABORTING}),
-    RunState.STOPPING: frozenset({RunState.SAFE, RunState.FAILED}),
-    RunState.ABORTING: frozenset({RunState.SAFE, RunState.FAILED}),
-    RunState.SAFE: frozenset(),
-    RunState.FAILED: frozenset(),
-}
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
 _SLICE_S = 0.25
@@ -66,41 +44,9 @@ _ARRIVAL_S = 0.1
 _PIECES_S = 0.2
 _LONGEST_ARRIVAL_S = 60.0
 _TRIES = 3
+_ALARM_AGAIN_S = 300.0
 # The chamber's temperature while the operator reaches into it.
 _FOR_HANDS_C = 23.0
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """How a run ended: "success", "stopped" (on request) or "aborted", why, and the final state of every device."""
-
-    exit_status: Literal["success", "stopped", "aborted"]
-    reason: str
-    outcomes: tuple[SafeOutcome, ...]
-    steps_done: int
-
-    @property
-    def verified_safe(self) -> bool:
-        return all(outcome.verified for outcome in self.outcomes)
-
-
-@dataclass(frozen=True)
-class RunProgress:
-    """The argument of `on_progress`, called once for each chamber reading in the run's own thread: the run waits until
-    it returns."""
-
-    state: RunState
-    step: str
-    steps_done: int
-    steps: int
-    step_left_s: float | None
-    track_left_s: float
-    chamber: ChamberReading | None
-    axes: Mapping[str, AxisReading]
-    course_c: tuple[float, float] | None = None
-    """The lowest and the highest temperature of the air by the recipe now, without the band."""
-    samples: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
-    """Samples of each unit: received, and missing between them."""
 
 
 class _Interrupted(Exception):
@@ -132,6 +78,8 @@ class Runner:
     first_step: int = 0
     mounting: int = 0
     """How the units hang when the run begins, as `Step.mounting`; 0: unknown."""
+    on_begin: Callable[[], None] = lambda: None
+    """Called once, before the first command that can make anything unsafe."""
     draw: Callable[[Mapping[str, float], int], str] | None = None
     """The drawing of a unit at angles (deg) of the axes, in a mounting, for the operator who turns them."""
 
@@ -139,12 +87,20 @@ class Runner:
         self.state = RunState.IDLE
         self._requests: deque[tuple[Request, str]] = deque()
         self._pause_first = False
+        # Why the run is paused, by a rule or by a request; since when; and when the alarm sounds again.
+        self._why, self._by_rule = "", False
+        self._paused_s: float | None = None
+        self._range_c = (-math.inf, math.inf)
+        self.begun = False
+        """Whether anything was commanded."""
         chamber = self.bench.chamber
         self._chamber = None if chamber is None else ChamberControl(chamber, self.clock, self._event)
         latest_s, alone = self.interlocks.limits.latest_s, not self.bench.imus
         self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, self._drawn, keep_track=alone)
         self._imu_heard_s: dict[str, float] = {}
         self._losses: dict[str, SampleLosses] = {}
+        # Units that are to be configured anew: one that restarted has the settings that it stores.
+        self._unfit: set[str] = set()
         self._unconfirmed: list[ExecutedStep] = []
         self._tries: dict[int, int] = {}
         self._shortfall: StepNotDone | None = None
@@ -164,8 +120,8 @@ class Runner:
 
     def dry_run(self) -> list[str]:
         """Compare the track with the limits that the devices report. Empty: the run may start. Nothing moves."""
-        chamber = self.bench.chamber.limits() if self.bench.chamber is not None else None
-        return beyond_limits(self.track, chamber, {name: axis.limits() for name, axis in self.bench.axes.items()})
+        axes = {name: axis.limits() for name, axis in self.bench.axes.items()}
+        return beyond_limits(self.track, self.bench.chamber_limits(), axes)
 
     def run(self) -> RunResult:
         """Check, execute, make safe."""
@@ -174,10 +130,9 @@ class Runner:
         reason = ""
         with self.clock.party():
             try:
-                self._prepare()
                 self._working.set()
                 self._watching.set()
-                self._start_helpers(helpers)
+                self._prepare(helpers)
                 self._obey_requests()
                 self._enter(RunState.RUNNING)
                 if self._pause_first:
@@ -186,12 +141,10 @@ class Runner:
                 self._execute()
             except _Ended as end:
                 status, reason = end.status, str(end)
-            except HardwareError as problem:
-                status, reason = "aborted", str(problem)
             except KeyboardInterrupt:
                 status, reason = "aborted", "interrupted from the keyboard"
             except Exception as problem:
-                status, reason = "aborted", f"{type(problem).__name__}: {problem}"
+                status, reason = "aborted", sentence_of(problem)
             outcomes = self._end(status, reason)
             self._working.clear()
             with self.clock.aside():
@@ -199,49 +152,57 @@ class Runner:
                     helper.join(timeout=5.0)
             # At the end: no other thread reads the lines of the units any more.
             for name, problem in put_back(self.bench).items():
-                self._event("settings put back", quietly=True, device=name, problem=problem)
+                self._event("settings put back", device=name, problem=problem)
             good = all(outcome.verified for outcome in outcomes)
             if self.on_alarm is not None and not (good and status != "aborted"):
                 unsafe = ", ".join(outcome.name for outcome in outcomes if not outcome.verified)
                 self.on_alarm(f"The run was {status}: {reason}" + (f" NOT VERIFIED SAFE: {unsafe}" if unsafe else ""))
-            self._event("end", quietly=True, exit_status=status, reason=reason, verified_safe=good)
-        return RunResult(status, reason, outcomes, self._steps_done)
+            self._event("end", exit_status=status, reason=reason, verified_safe=good)
+        return RunResult(status, reason, outcomes, self._steps_done, self.begun)
 
     def _drawn(self, angles_deg: Mapping[str, float]) -> str:
         return "" if self.draw is None else self.draw(angles_deg, self.mounting)
 
-    def _prepare(self) -> None:
+    def _prepare(self, helpers: list[threading.Thread]) -> None:
         for name, entry, device in self.bench.devices():
             identity = device.identify()
             require_identity(name, entry, identity)
             self._event("identity", device=name, **event_fields(identity))
             if isinstance(entry, ImuDevice):
-                unit = self.bench.imus[name]
-                settings = unit.configure()
-                self._event("configuration", device=name, **event_fields(settings))
-                self._losses[name] = SampleLosses(unit.decoder(), settings.sample_rate_hz)
+                rate_hz = self._configure(name)
+                self._losses[name] = SampleLosses(self.bench.imus[name].decoder(), rate_hz)
         if problems := self.dry_run():
             raise LimitExceeded("The run was not started. " + " ".join(problems))
-        self._axes.home(self.track.moved, self._duties)
 
-    def _start_helpers(self, helpers: list[threading.Thread]) -> None:
         def start(work: Callable[..., None], *arguments: Any) -> None:
             thread = threading.Thread(target=work, args=arguments, daemon=True, name=work.__name__.strip("_"))
             helpers.append(thread)
             thread.start()
 
+        if self._chamber is not None:
+            reading, limits = self._chamber.chamber.read(), self._chamber.chamber.limits()
+            self._range_c = min(limits.lowest_c, reading.air_c), max(limits.highest_c, reading.air_c)
+            self._chamber.heard(reading)
+            start(self._chamber.watch, self.chamber_every_s, self._watching, self._fail)
+        self.begun = True
+        self.on_begin()
+        # The search for references lets go of a watchdog, and the units' data begin after it.
+        self._axes.home(self.track.moved, self._duties)
         guarded = [axis for axis in self.bench.axes.values() if axis.limits().hardware_watchdog]
         for axis in guarded:
             axis.arm_watchdog()
         if guarded:
             start(self._feed_watchdogs, guarded)
-        if self._chamber is not None:
-            self._chamber.heard(self._chamber.chamber.read())
-            start(self._chamber.watch, self.chamber_every_s, self._watching, self._fail)
         for name in self.bench.imus:
             self.bench.imus[name].start()
             self._imu_heard_s[name] = self.clock.now()
             start(self._carry_bytes, name)
+
+    def _configure(self, name: str) -> float:
+        """Bring a unit to the settings of the rig file. Returns its sample rate, Hz."""
+        settings = self.bench.imus[name].configure()
+        self._event("configuration", device=name, **event_fields(settings))
+        return settings.sample_rate_hz
 
     def _feed_watchdogs(self, axes: list[MotionAxis]) -> None:
         with self.clock.party():
@@ -249,7 +210,7 @@ class Runner:
                 try:
                     for axis in axes:
                         axis.heartbeat()
-                except HardwareError as problem:
+                except Exception as problem:
                     self._problem = f"A watchdog could not be fed: {problem}"
                     return
                 self.clock.sleep(_SLICE_S)
@@ -263,12 +224,19 @@ class Runner:
         unit, losses = self.bench.imus[name], self._losses[name]
         while self._working.is_set():
             try:
+                if name in self._unfit:
+                    with self.clock.party():
+                        self._configure(name)
+                        losses.begin_again(unit.decoder())
+                        unit.start()
+                    self._imu_heard_s[name] = self.clock.now()
+                    self._unfit.discard(name)
                 data, time_s = unit.read_bytes(0.2)
                 if data:
                     self.journal.bytes_of(name, time_s, data, received=True)
                     losses.push(data, time_s)
                     self._imu_heard_s[name] = time_s
-            except HardwareError as problem:
+            except Exception as problem:
                 self._problem = f"{name}: {problem}"
                 return
 
@@ -310,6 +278,12 @@ class Runner:
         if self._tries[number] == _TRIES:
             raise HardwareError(f"Step {name!r} was not executed as written, {_TRIES} times. The last time: {why}.")
         self._axes.stop()
+        while self._unfit:
+            try:
+                self._duties()
+            except _Interrupted:
+                self._wait_paused()
+            self.clock.sleep(_SLICE_S)
         self._shortfall = None
         self._steps_done = number
         self._unconfirmed = [executed for executed in self._unconfirmed if executed.number < number]
@@ -336,8 +310,10 @@ class Runner:
             self._heard_end_s = math.inf
             executed = self._unconfirmed.pop(0)
             step = self.track.steps[executed.number]
+            limits = self.interlocks.limits
             for name, losses in self._losses.items() if step.read_at_s else ():
-                if lost := losses.between(executed, self.interlocks.limits.lost_share):
+                if lost := losses.between(executed, limits.lost_share, limits.latest_s, step.turned_deg):
+                    self._unfit.add(name)
                     self._shortfall = StepNotDone(executed.number, f"{name}: {lost}")
                     return
             self._event("step done", step=step.name, number=executed.number)
@@ -437,7 +413,7 @@ class Runner:
         if chamber is not None and step.temperature_c is not None:
             course = Course(0.0, step.temperature_c, step.ramp_k_per_min)
             chamber.expect(course, self.clock.now())
-            chamber.follow(course)
+            beside(partial(chamber.follow, course), self.clock, self._duties)
         return self.clock.now()
 
     def _hang(self, step: TrackStep) -> None:
@@ -460,8 +436,8 @@ class Runner:
         self._event("hung", step=step.name, mounting=step.mounting, how=step.hang)
 
     def _stabilise(self, step: TrackStep, chamber: ChamberControl, at_c: float, ready: Stable) -> None:
-        chamber.expected.unknown()
-        chamber.hold(at_c)
+        chamber.approach(at_c)
+        beside(partial(chamber.hold, at_c), self.clock, self._duties)
         began = self.clock.now()
         while (value := chamber.stable_at(at_c, ready)) is None:
             self._duties()
@@ -483,29 +459,41 @@ class Runner:
 
     def _watch(self) -> None:
         """Interlocks pause or end the run; a run that is paused or has not begun can only be ended."""
-        if self._problem:
-            raise HardwareError(self._problem)
+        if problem := self._problem or self.journal.problem:
+            raise HardwareError(problem)
         self._axes.watch()
         now = self.clock.now()
-        ages = {name: now - latest_s for name, latest_s in self._imu_heard_s.items()}
+        ages = {name: now - heard_s for name, heard_s in self._imu_heard_s.items() if name not in self._unfit}
         free = shutil.disk_usage(self.journal.path.parent).free
-        chamber, paused = self._chamber, self.state is RunState.PAUSED
-        newest = None if chamber is None else chamber.newest
-        lag_s = self.interlocks.limits.temperature_lag_s
-        course_c = None if chamber is None or paused else chamber.expected.of_late(now, lag_s)
-        situation = Situation(now, newest, self._axes.newest, ages, free, course_c, self._axes.allowed())
+        chamber, paused_s = self._chamber, None if self._paused_s is None else now - self._paused_s
+        situation = Situation(
+            now,
+            None if chamber is None else chamber.newest,
+            self._axes.newest,
+            ages,
+            free,
+            None if chamber is None else chamber.expected.of_late(now, self.interlocks.limits.temperature_lag_s),
+            self._axes.allowed(),
+            self._range_c,
+            chamber is not None and chamber.conditions,
+            self._axes.stalled(),
+            paused_s,
+            self._by_rule,
+        )
         tripped = self.interlocks.check(situation)
-        if tripped is None or (paused and tripped[0].action != "abort"):
+        if tripped is None or (paused_s is not None and tripped[0].action != "abort"):
             return
         rule, text = tripped
-        self._event("interlock", rule=rule.name, action=rule.action, text=text)
+        sentence = f"Interlock '{rule.name}': {text}."
+        self._event("interlock", at_once=False, rule=rule.name, action=rule.action, text=text)
         if rule.action == "abort" or not self.wait_when_paused or self.state is RunState.IDLE:
-            raise _Ended("aborted", f"Interlock '{rule.name}': {text}.")
+            raise _Ended("aborted", sentence)
         if self.on_alarm is not None:
-            self.on_alarm(f"The run is paused. Interlock '{rule.name}': {text}.")
-        self._stop_and_pause()
+            self.on_alarm(f"The run is paused. {sentence}")
+        self._stop_and_pause(sentence, by_rule=True)
 
-    def _stop_and_pause(self) -> None:
+    def _stop_and_pause(self, why: str, *, by_rule: bool = False) -> None:
+        self._why, self._by_rule = why, by_rule
         self.interlocks.forget()
         self._axes.stop()
         if self.state is RunState.RUNNING:
@@ -515,21 +503,25 @@ class Runner:
     def _obey_requests(self) -> None:
         while self._requests:
             what, reason = self._requests.popleft()
-            self._event("request", what=what, reason=reason)
+            self._event("request", at_once=False, what=what, reason=reason)
             if what in ("stop", "abort"):
                 raise _Ended("stopped" if what == "stop" else "aborted", reason)
             if self.state is RunState.IDLE:
                 # Homing comes first.
                 self._pause_first = what != "resume"
             elif what == "resume" and self.state in (RunState.PAUSING, RunState.PAUSED):
+                self._why, self._by_rule = "", False
                 self._enter(RunState.RUNNING)
             elif what == "soft pause" and self.state is RunState.RUNNING:
+                self._why = reason
                 self._enter(RunState.PAUSING)
             elif what == "pause" and self.state is not RunState.PAUSED:
-                self._stop_and_pause()
+                self._stop_and_pause(reason)
 
     def _wait_paused(self) -> None:
         self._enter(RunState.PAUSED)
+        self._paused_s = self.clock.now()
+        alarm_s = self._paused_s + _ALARM_AGAIN_S
         while True:
             self._show(None)
             self.ticked_s = time.monotonic()
@@ -538,7 +530,11 @@ class Runner:
                 break
             self._confirm_steps()
             self._watch()
+            if self._by_rule and self.on_alarm is not None and self.clock.now() >= alarm_s:
+                alarm_s += _ALARM_AGAIN_S
+                self.on_alarm(f"The run is still paused. {self._why}")
             self.clock.sleep(_SLICE_S)
+        self._paused_s = None
         self.interlocks.forget()
 
     def _show(self, end_s: float | None) -> None:
@@ -554,34 +550,30 @@ class Runner:
         newest, course_c = (None, None) if chamber is None else (chamber.newest, chamber.expected.of_late(now, lag_s))
         samples = {name: (losses.received, losses.missing) for name, losses in self._losses.items()}
         where = self.state, step.name, done, len(steps)
-        self.on_progress(RunProgress(*where, left, ahead, newest, self._axes.newest, course_c, samples))
+        self.on_progress(RunProgress(*where, left, ahead, newest, self._axes.newest, course_c, samples, self._why))
 
     def _end(self, status: str, reason: str) -> tuple[SafeOutcome, ...]:
-        """Make safe, with an event in the journal if it can still be written."""
+        """Make safe. What happens is noted for the journal, and nothing waits for the disk before all is safe."""
         # A chamber that is being made safe gets no other commands.
         self._watching.clear()
         chamber = self._chamber
         waits = None if chamber is None else lambda: chamber.end(0.5 * self.safe_deadline_s)
-        self._enter(RunState.ABORTING if status == "aborted" else RunState.STOPPING, quietly=True)
-        self._event("ending", quietly=True, exit_status=status, reason=reason)
+        self._enter(RunState.ABORTING if status == "aborted" else RunState.STOPPING, at_once=False)
+        self._event("ending", at_once=False, exit_status=status, reason=reason)
         outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s, before_chamber=waits))
         for outcome in outcomes:
-            self._event("made safe", quietly=True, **event_fields(outcome))
+            self._event("made safe", **event_fields(outcome))
         good = all(outcome.verified for outcome in outcomes)
-        self._enter(RunState.SAFE if good else RunState.FAILED, quietly=True)
+        self._enter(RunState.SAFE if good else RunState.FAILED)
         return outcomes
 
-    def _enter(self, state: RunState, *, quietly: bool = False) -> None:
+    def _enter(self, state: RunState, *, at_once: bool = True) -> None:
         if state not in WAYS[self.state] and not (self.state is RunState.IDLE and state is RunState.STOPPING):
             raise AssertionError(f"There is no way from {self.state.value} to {state.value}.")
         self.state = state
         self._shown_s = -math.inf
-        self._event("state", quietly=quietly, state=state.value)
+        self._event("state", at_once=at_once, state=state.value)
 
-    def _event(self, name: str, /, *, quietly: bool = False, **data: Any) -> None:
+    def _event(self, name: str, /, *, at_once: bool = True, **data: Any) -> None:
         self.ticked_s = time.monotonic()
-        try:
-            self.journal.event(self.clock.now(), name, **data)
-        except JournalFull:
-            if not quietly:
-                raise
+        self.journal.event(self.clock.now(), name, at_once=at_once, **data)

@@ -7,12 +7,14 @@ read-back, also on failure.
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from .clock import Clock
-from .errors import HardwareError
+from .errors import Disconnected, sentence_of
 from .roles import AxisSafe, ChamberSafe, SafeReport
 from .setup import Bench
+from .transport import Transport
 
 _RETRY_PAUSE_S = 0.2
 
@@ -50,7 +52,7 @@ def make_safe(
 
     def begin(name: str, action: str, act: Callable[[], SafeReport]) -> None:
         attempt, began_s = SafeOutcome(name, action), time.monotonic()
-        arguments = (attempt, act, clock, began_s, deadline_s)
+        arguments = (attempt, act, bench.lines.get(name), clock, began_s, deadline_s)
         thread = threading.Thread(target=_try, args=arguments, daemon=True, name=f"making {name} safe")
         attempts.append((attempt, began_s, thread))
         thread.start()
@@ -84,12 +86,19 @@ def put_back(bench: Bench) -> dict[str, str]:
             try:
                 settings.put_back()
                 problems[name] = ""
-            except HardwareError as problem:
-                problems[name] = str(problem)
+            except Exception as problem:
+                problems[name] = sentence_of(problem)
     return problems
 
 
-def _try(attempt: SafeOutcome, act: Callable[[], SafeReport], clock: Clock, began_s: float, deadline_s: float) -> None:
+def _try(
+    attempt: SafeOutcome,
+    act: Callable[[], SafeReport],
+    line: Transport | None,
+    clock: Clock,
+    began_s: float,
+    deadline_s: float,
+) -> None:
     with clock.party():
         while True:
             attempt.tries += 1
@@ -97,11 +106,13 @@ def _try(attempt: SafeOutcome, act: Callable[[], SafeReport], clock: Clock, bega
                 report = act()
                 attempt.evidence = report.evidence
                 attempt.verified = report.verified
-            except HardwareError as problem:
-                attempt.evidence = str(problem)
-            except Exception as problem:
-                # No error of a driver prevents the next try.
-                attempt.evidence = f"{type(problem).__name__}: {problem}"
+            except BaseException as problem:
+                # No error of a driver, of whatever kind, prevents the next try.
+                attempt.evidence = sentence_of(problem)
+                if isinstance(problem, Disconnected) and line is not None:
+                    # Its cable may be in again.
+                    with suppress(Exception):
+                        line.reopen()
             if attempt.verified or time.monotonic() >= began_s + deadline_s:
                 attempt.took_s = time.monotonic() - began_s
                 return

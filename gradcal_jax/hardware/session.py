@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from types import FrameType
 
@@ -23,8 +23,9 @@ from .interlocks import InterlockLimits, Interlocks, standard_rules
 from .journal import Journal, Recorder
 from .pose import drawn
 from .run_folder import RunFolder, begin_session, mounting_of, require_same_devices, sessions
-from .runner import Runner, RunProgress, RunResult, RunState
+from .runner import Runner
 from .setup import open_rig
+from .states import RunProgress, RunResult, RunState
 from .supervision import Knows, StatusFile, sound_alarm
 from .terminal import Terminal
 
@@ -59,7 +60,7 @@ def run_session(
     """
     recipe = folder.recipe()
     track = track_of(recipe, [axis.name for axis in rig.axis])
-    resumed = folder.contents() if folder.journal_path.exists() else None
+    resumed = folder.events() if folder.journal_path.exists() else None
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(folder.journal_path))
         # Before the ports are opened: they are closed again when the guard takes over.
@@ -74,6 +75,8 @@ def run_session(
         number = 0 if resumed is None else sessions(resumed)
         part = {"first_step": first_step, "recipe": len(folder.recipes()) - 1}
         begin_session(journal, clock.now(), number, rig, simulated=simulated, **part)
+        if journal.problem:
+            raise HardwareError(journal.problem)
         for name, settings in bench.settings.items():
             settings.on_first_change = partial(_changes, journal, clock, watched, name)
         if resumed is not None and number:
@@ -86,14 +89,12 @@ def run_session(
             if on_progress is not None:
                 on_progress(progress)
 
-        chamber = rig.chamber
-        limits = None if chamber is None else InterlockLimits(float(chamber.band), float(chamber.lag))
         runner = Runner(
             track,
             bench,
             journal,
             clock,
-            interlocks or standard_rules(limits),
+            interlocks or standard_rules(limits_of(rig)),
             show,
             None if rig.alarm is None else partial(sound_alarm, rig),
             safe_deadline_s=safe_deadline_s,
@@ -107,20 +108,37 @@ def run_session(
         if handle_signals:
             stack.enter_context(signals_to(runner))
         if watched is not None:
-            watched.begun()
+            runner.on_begin = watched.begun
             stack.enter_context(_beating(watched, runner, journal, clock))
         result = runner.run()
         status.end(result)
-        if watched is not None and result.verified_safe:
+        # A start that commanded nothing leaves nothing to the guard, which would keep the ports from the next one.
+        if watched is not None and (result.verified_safe or not result.begun):
             watched.done()
         return result
 
 
+def limits_of(rig: RigFile) -> InterlockLimits:
+    """The limits that a rig file sets for a run."""
+    longest_s, chamber = float(rig.longest_pause), rig.chamber
+    if chamber is None:
+        return InterlockLimits(longest_pause_s=longest_s)
+    above, below = chamber.never_above, chamber.never_below
+    return InterlockLimits(
+        float(chamber.band),
+        float(chamber.lag),
+        float(chamber.ambient),
+        math.inf if above is None else float(above),
+        -math.inf if below is None else float(below),
+        longest_s,
+    )
+
+
 def _changes(journal: Journal, clock: Clock, watched: Guard | None, device: str, name: str, value: str) -> None:
     """Called before a device's setting is changed: its value goes to the guard and the journal."""
-    journal.event(clock.now(), "setting changed", at_once=False, device=device, setting=name, before=value)
     if watched is not None:
         watched.remember(device, name, value)
+    journal.event(clock.now(), "setting changed", at_once=False, device=device, setting=name, before=value)
 
 
 @contextmanager
@@ -134,12 +152,11 @@ def _beating(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> 
                 continue
             try:
                 sentence = watched.beat()
-            except HardwareError as problem:
+            except Exception as problem:
                 sentence = str(problem)
             if sentence:
                 print(sentence, file=sys.stderr, flush=True)
-                with suppress(HardwareError):
-                    journal.event(clock.now(), "guard", what=sentence)
+                journal.event(clock.now(), "guard", what=sentence)
 
     thread = threading.Thread(target=beat, daemon=True, name="telling the guard")
     thread.start()

@@ -25,7 +25,7 @@ from .journal import Recorder
 from .roles import AxisLimits, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis, TemperatureChamber
 from .settings import KeptSettings
 from .terminal import Terminal, TextLine
-from .transport import Transport
+from .transport import Transport, same_port
 
 Role = Literal["chamber", "axis", "imu"]
 Device = ChamberDevice | AxisDevice | ImuDevice
@@ -39,8 +39,10 @@ ENTRY_POINTS: Final = "gradcal.drivers"
 class Driver:
     """A driver's module, and the names of its device's and its configuration's class in it.
 
-    The module also has `open_exchange(line, clock, config)` or, for a unit, `decoder_of(config, registers)`. A new
-    driver is a module beside the others and a line in `DRIVERS`, or another package's entry point.
+    The module also has `open_exchange(line, clock, config)` or, for a unit, `decoder_of(config, registers)`. A
+    configuration may have `lacks_for(safe)`: a sentence where a device with these options cannot take a safe state of
+    the rig file, else an empty text. A new driver is a module beside the others and a line in `DRIVERS`, or another
+    package's entry point.
     """
 
     role: Role | None
@@ -196,6 +198,8 @@ def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     for role, place, device in _devices(rig):
         try:
             configs[place] = config_of(device, role, place)
+            if not isinstance(device, ImuDevice) and (lack := _lacks_for(configs[place], device.safe)):
+                problems.append(Problem((*place, "safe"), f"this device cannot be left so: {lack}", device.safe))
             if isinstance(device, AxisDevice) and device.encoder is not None:
                 configs[*place, "encoder"] = config_of(device.encoder, role, (*place, "encoder"))
         except SpecError as error:
@@ -203,6 +207,12 @@ def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     if problems:
         raise SpecError(problems)
     return configs
+
+
+def _lacks_for(config: Any, safe: str) -> str:
+    """What a device lacks for a safe state. Drivers that declare nothing can take them all."""
+    declared: Callable[[str], str] = getattr(config, "lacks_for", lambda safe: "")
+    return declared(safe)
 
 
 def _spelt(name: str) -> tuple[str, str, str]:
@@ -250,12 +260,20 @@ class Bench(AbstractContextManager["Bench"]):
     imus: dict[str, ImuStream] = field(default_factory=dict[str, ImuStream])
     console: Console | None = None
     """Where the operator is asked to hang the units anew."""
+    lines: dict[str, Transport] = field(default_factory=dict[str, Transport])
+    """The open serial line of every device, by its name; absent for the terminal."""
     _ports: ExitStack = field(default_factory=ExitStack)
 
     @property
     def settings(self) -> dict[str, KeptSettings]:
         """The settings changed by the drivers of axes and units, by device."""
         return {name: device.settings for name, device in (*self.axes.items(), *self.imus.items())}
+
+    def chamber_limits(self) -> ChamberLimits | None:
+        """The limits of the chamber, within those of the rig file."""
+        if self.chamber is None or self.rig.chamber is None:
+            return None
+        return within_rig(self.chamber.limits(), self.rig.chamber)
 
     def devices(self) -> list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]]:
         """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
@@ -289,6 +307,7 @@ def open_rig(
     configs = configs_of(rig)
     bench = Bench(rig)
     exchanges: dict[str, Any] = {}
+    lines: dict[str, Transport] = {}
 
     def opened(device: Device | EncoderDevice | OperatorPlace, config: Any) -> TextLine:
         url = device.port
@@ -303,16 +322,16 @@ def open_rig(
             if "terminator" in settings:
                 settings["terminator"] = _TERMINATORS[settings["terminator"]]
             settings["baudrate"] = config.baudrate
-            line = Transport(url, clock=clock, recorder=recorder, **settings)
+            line = lines[same_port(url)] = Transport(url, clock=clock, recorder=recorder, **settings)
         bench._ports.callback(line.close)  # pyright: ignore[reportPrivateUsage]
         return line
 
     def axis_or_chamber(device: Device | EncoderDevice, config: Any, *more: Any) -> Any:
         driver = _known(device.driver)
         module = driver.load()
-        if device.port not in exchanges:
-            exchanges[device.port] = module.open_exchange(opened(device, config), clock, config)
-        return getattr(module, driver.device_class)(exchanges[device.port], config, *more)
+        if same_port(device.port) not in exchanges:
+            exchanges[same_port(device.port)] = module.open_exchange(opened(device, config), clock, config)
+        return getattr(module, driver.device_class)(exchanges[same_port(device.port)], config, *more)
 
     try:
         for _, place, device in _devices(rig):
@@ -330,6 +349,9 @@ def open_rig(
                     read = None if encoder is None else axis_or_chamber(encoder, configs[*place, "encoder"])
                     more = (clock, device.name, read)
                 bench.axes[device.name] = axis_or_chamber(device, config, *more)
+        for name, (port, _) in lines_of(rig).items():
+            if same_port(port) in lines:
+                bench.lines[name] = lines[same_port(port)]
         consoles = [exchange for exchange in exchanges.values() if isinstance(exchange, Console)]
         place = rig.operator or OperatorPlace()
         if consoles:
@@ -368,8 +390,26 @@ def only_of(rig: RigFile, names: Collection[str]) -> RigFile:
     return rig.model_copy(update=chosen)
 
 
+def within_rig(limits: ChamberLimits, chamber: ChamberDevice) -> ChamberLimits:
+    """The limits of a chamber that the rig file allows."""
+    lowest, highest = limits.lowest_c, limits.highest_c
+    if chamber.never_below is not None:
+        lowest = max(lowest, float(chamber.never_below))
+    if chamber.never_above is not None:
+        highest = min(highest, float(chamber.never_above))
+    return dataclasses.replace(limits, lowest_c=lowest, highest_c=highest)
+
+
+def lines_of(rig: RigFile) -> dict[str, tuple[str, str]]:
+    """The port and the safe state of every device, by its name: axes, chamber, units."""
+    lines = {entry.name: (entry.port, entry.safe) for entry in rig.axis}
+    if rig.chamber is not None:
+        lines["chamber"] = rig.chamber.port, rig.chamber.safe
+    return lines | {entry.name: (entry.port, "left streaming") for entry in rig.imu}
+
+
 def check_rig(bench: Bench) -> list[DeviceReport]:
-    """Ask every device for its identity and limits; compare serial numbers with the rig file. Nothing moves."""
+    """Ask every device for identity, limits and a reading; compare serial numbers with the rig file. Nothing moves."""
     # The chamber first, as in the rig file.
     return [_report(*device) for device in sorted(bench.devices(), key=lambda device: device[0] != "chamber")]
 
@@ -394,6 +434,11 @@ def _report(name: str, entry: Device, device: MotionAxis | TemperatureChamber | 
         identity = device.identify()
         require_identity(name, entry, identity)
         limits = device.configure() if isinstance(device, ImuStream) else device.limits()
+        if isinstance(entry, ChamberDevice) and isinstance(limits, ChamberLimits):
+            limits = within_rig(limits, entry)
+        if not isinstance(device, ImuStream):
+            # Identity and limits may stand in the rig file alone: at least this is asked of the device.
+            device.read()
         return DeviceReport(name, entry.driver, entry.port, identity, limits)
     except HardwareError as problem:
         return DeviceReport(name, entry.driver, entry.port, identity, problem=str(problem))

@@ -80,15 +80,16 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
 
 def stretches_of(folder: RunFolder) -> list[StretchDone]:
     """The completed stretches of a run's newest recipe."""
-    return stretches_done(folder.contents(), folder.track(), len(folder.recipes()) - 1)
+    return stretches_done(folder.events(), folder.track(), len(folder.recipes()) - 1)
 
 
 def goes_on_at(folder: RunFolder) -> float:
     """Where a run will continue, on its plan's clock (s): while it is under way, the end of its last stretch."""
-    contents, done = folder.contents(), stretches_of(folder)
+    contents, recipe = folder.events(), len(folder.recipes()) - 1
+    done = stretches_done(contents, folder.track(), recipe)
     if done and exit_status(contents) == "lost":
         return done[-1].end_s
-    return sum(step.duration_s for step in folder.track().steps[: steps_done(contents, len(folder.recipes()) - 1)])
+    return sum(step.duration_s for step in folder.track().steps[: steps_done(contents, recipe)])
 
 
 def _until(part: StretchDone, end_s: float) -> StretchDone:

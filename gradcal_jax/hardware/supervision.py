@@ -16,7 +16,8 @@ from typing import Any, Final
 from ..files.rig import RigFile
 from ..files.writing import write_whole
 from .journal import json_of
-from .runner import RunProgress, RunResult
+from .safety import SafeOutcome
+from .states import RunProgress, RunResult
 
 STATUS: Final = "status.json"
 FORMAT: Final = "gradcal-status/1"
@@ -92,6 +93,15 @@ class StatusFile:
                 write_whole(self._path, json.dumps(json_of(newest), indent=1) + "\n")
             with self._change:
                 self._change.wait_for(lambda: self._over, _WRITE_S)
+
+
+def end_status(folder: Path, why: str, outcomes: list[SafeOutcome]) -> None:
+    """How a run ended whose guard made it safe, in its status file; nothing where there is none."""
+    with suppress(OSError, ValueError):
+        safe = all(outcome.verified for outcome in outcomes)
+        ended = {"exit_status": "lost", "reason": why, "verified_safe": safe, "state": "safe" if safe else "failed"}
+        status = {**read_status(folder), **ended, "at_s": time.time()}
+        write_whole(folder / STATUS, json.dumps(json_of(status), indent=1) + "\n")
 
 
 def read_status(folder: Path) -> dict[str, Any]:

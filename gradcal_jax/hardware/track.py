@@ -105,6 +105,18 @@ class TrackStep:
         """The chamber's temperature at the beginning of the step, where it matters."""
         return self.start_c if self.start_c is not None else self.temperature_c
 
+    @property
+    def turned_deg(self) -> float | None:
+        """How far the axes turn in the step, all turns added up; None where that depends on what was before."""
+        if not self.moves or any(move.kind == "go" for move in self.moves):
+            return None
+        total = 0.0
+        for number, move in enumerate(self.moves):
+            later = [after.start_s for after in self.moves[number + 1 :] if after.axis == move.axis]
+            lasts_s = min(later, default=self.duration_s) - move.start_s
+            total += abs(move.angle_deg) if move.kind == "turn" else abs(move.rate_dps) * lasts_s
+        return total
+
 
 @dataclass(frozen=True)
 class Track:

@@ -1,8 +1,9 @@
 """A serial line: opened exclusively, read and written with time-outs, every byte recorded.
 
 A small class around pyserial, so that a fork can replace it. The code depends on these properties of pyserial 3.5: a
-vanished pty or adapter raises `SerialException` from `read` and `write` but a bare `OSError` from `in_waiting`; a
-`socket://` line reports at most one waiting byte; without a write time-out a stuck peer blocks for ever; an exclusive
+vanished pty or adapter raises `SerialException` from `read` and `write` but a bare `OSError` from `in_waiting`,
+`TypeError` where another thread has just closed it, and `termios.error`, which is neither, from an open; a `socket://`
+line reports at most one waiting byte; without a write time-out a stuck peer blocks for ever; an exclusive
 open does not exclude openers that are not exclusive, hence the additional lock file.
 """
 
@@ -19,7 +20,7 @@ import serial
 
 from .clock import Clock
 from .errors import Disconnected, PortRefused, PortTaken
-from .journal import Recorder
+from .journal import Direction, Recorder
 
 if sys.platform == "win32":
     import msvcrt
@@ -29,13 +30,20 @@ else:
 Parity = Literal["N", "E", "O"]
 _MOST = 65536  # bytes read at once
 _WRITE_TIMEOUT_S = 2.0
+owner = ""
+"""What holds the ports of this process, for whoever finds one taken; empty: its number is said."""
+
+
+def same_port(url: str) -> str:
+    """One text for all names of a port: an adapter has several."""
+    return os.path.realpath(url) if url.startswith("/") else url
 
 
 class PortLock:
     """One process, one port: a lock file that the operating system releases when its owner dies."""
 
     def __init__(self, url: str) -> None:
-        identity = os.path.realpath(url) if "://" not in url else url
+        identity = same_port(url)
         folder = Path(tempfile.gettempdir()) / "gradcal-ports"
         self._path = folder / (hashlib.sha256(identity.encode()).hexdigest()[:24] + ".lock")
         try:
@@ -49,17 +57,18 @@ class PortLock:
         try:
             self._take()
         except OSError:
-            owner = os.pread(self._handle, 200, 1).decode("utf-8", "replace").strip() if os.name == "posix" else ""
+            holds = os.pread(self._handle, 200, 1).decode("utf-8", "replace").strip() if os.name == "posix" else ""
             os.close(self._handle)
             raise PortTaken(
-                f"The port {url} is in use by another run{f' ({owner})' if owner else ''}. "
+                f"The port {url} is in use by another run{f' ({holds})' if holds else ''}. "
                 "Wait until it ends or give this run another port."
             ) from None
         # A full disk must not block a port: the name of its owner is only information.
         with contextlib.suppress(OSError):
             os.ftruncate(self._handle, 0)
             # The first byte belongs to the lock (Windows locks a byte range), the note begins behind it.
-            os.write(self._handle, f"\nprocess {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n".encode())
+            holds = owner or f"process {os.getpid()}"
+            os.write(self._handle, f"\n{holds}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n".encode())
 
     def _open(self, folder: Path) -> int:
         """Open the lock file without following links, of folder or file: their target would be changed."""
@@ -97,6 +106,15 @@ def _share(handle: int, mode: int) -> None:
         os.fchmod(handle, mode)
 
 
+def _refused(url: str, problem: BaseException) -> PortRefused:
+    # pyserial adds its own words to the system's message, with number and name twice.
+    why = str(problem).rpartition("] ")[2].removesuffix(f": {url!r}")
+    return PortRefused(
+        f"The port {url} cannot be opened: {why}. Check its name, the cable, the rights of your account, and that no "
+        "other program holds it."
+    )
+
+
 class Transport(contextlib.AbstractContextManager["Transport"]):
     """Bytes to and from one port.
 
@@ -129,20 +147,30 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
             if "://" not in url:
                 port.exclusive = True
             port.open()
-        except (serial.SerialException, OSError, ValueError) as problem:
+        except BaseException as problem:
             self._lock.release()
-            # pyserial adds its own words to the system's message, with number and name twice.
-            why = str(problem).rpartition("] ")[2].removesuffix(f": {url!r}")
-            raise PortRefused(
-                f"The port {url} cannot be opened: {why}. Check its name, the cable, the rights of your account, "
-                "and that no other program holds it."
-            ) from None
+            # Not only `SerialException` and `OSError`: pyserial lets `termios.error` through.
+            if not isinstance(problem, Exception):
+                raise
+            raise _refused(url, problem) from None
         self._port = port
         self._is_socket = url.startswith("socket://")
         self._link = clock.link(url)
         self._link.change(attached=True)
         self._silent = False
         self._closed = False
+
+    def reopen(self) -> None:
+        """Open the port once more, after its cable was out. Raises `PortRefused`."""
+        if self._closed:
+            raise Disconnected(f"The port {self.url} was closed.")
+        with contextlib.suppress(Exception):
+            self._port.close()
+        try:
+            self._port.open()
+        except Exception as problem:
+            raise _refused(self.url, problem) from None
+        self._link.change(attached=True)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -152,8 +180,7 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
     def write(self, data: bytes) -> None:
         if self._terminator:
             data = data.rstrip(b"\r\n") + self._terminator
-        if self._recorder is not None:
-            self._recorder(self._clock.now(), ">", data)
+        now = self._clock.now()
         self._link.change(to_device=len(data), host_is_there=True)
         self._silent = False
         try:
@@ -163,9 +190,10 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
                 f"The port {self.url} takes no bytes: {len(data)} waited {_WRITE_TIMEOUT_S} s to be written. "
                 "Check flow control and that the device is on."
             ) from None
-        except (serial.SerialException, OSError, TypeError) as problem:
-            # TypeError: pyserial waits for a descriptor that another thread has just closed.
+        except Exception as problem:
             raise self._gone(problem) from None
+        finally:
+            self._record(now, ">", data)
 
     def read(self, timeout_s: float) -> bytes:
         """The waiting bytes, as soon as there are any; empty when nothing came in `timeout_s` real seconds."""
@@ -184,13 +212,11 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
                     data += self._port.read(_MOST - 1)
                 elif (waiting := min(self._port.in_waiting, _MOST - 1)) > 0:
                     data += self._port.read(waiting)
-        except (serial.SerialException, OSError, TypeError) as problem:
-            # TypeError: pyserial reads through a descriptor that another thread has just closed.
+        except Exception as problem:
             raise self._gone(problem) from None
         now = self._clock.now()
         if data:
-            if self._recorder is not None:
-                self._recorder(now, "<", data)
+            self._record(now, "<", data)
             # Counted after the stamp: virtual time cannot have moved between arrival and stamp.
             self._link.change(to_host=-len(data), host_is_there=True)
         return data, now
@@ -211,7 +237,7 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
             return
         self._closed = True
         self._link.change(attached=False)
-        with contextlib.suppress(serial.SerialException, OSError):
+        with contextlib.suppress(Exception):
             self._port.close()
         self._lock.release()
 
@@ -221,6 +247,12 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
     def _set_timeout(self, timeout_s: float) -> None:
         if self._port.timeout != timeout_s:
             self._port.timeout = timeout_s
+
+    def _record(self, time_s: float, direction: Direction, data: bytes) -> None:
+        """After the bytes were sent: no recorder keeps a stop off the wire, whatever it raises."""
+        if self._recorder is not None:
+            with contextlib.suppress(Exception):
+                self._recorder(time_s, direction, data)
 
     def _gone(self, problem: Exception) -> Disconnected:
         return Disconnected(f"The port {self.url} is gone ({problem}). Check the cable and the device's power.")

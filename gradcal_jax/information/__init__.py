@@ -27,5 +27,11 @@ from gradcal_jax.information.posterior import (
 from gradcal_jax.information.regressors import at_readings, since_origin
 from gradcal_jax.information.repeated import repeated_gram
 from gradcal_jax.information.residual import STATISTICS, contrasts, residual, statistic
-from gradcal_jax.information.unit_rows import encoder_rows, segments_of, unit_information, unit_system
+from gradcal_jax.information.unit_rows import (
+    encoder_rows,
+    row_of_steps,
+    segments_of,
+    unit_information,
+    unit_system,
+)
 from gradcal_jax.information.whitening import FilterState, whiten, whiten_from

@@ -100,6 +100,16 @@ def unit_system(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> tupl
     return steps, columns if len(row) == len(columns) else xp.where((row >= 0)[:, None], columns[row], 0.0)
 
 
+def row_of_steps(motion: TableMotion, model: UnitModel) -> np.ndarray:
+    """The row that each step of `unit_system` reads (−1: none)."""
+    return _order(segments_of(motion, model), _by_pieces(model))[1]
+
+
+def _by_pieces(model: UnitModel) -> bool:
+    """Whether every piece is a step: where a rate drives a process, so that it is constant or smooth."""
+    return any(bool(np.any(np.asarray(c.model.processes.rate_gain))) for c in model.channels)
+
+
 def _columns(model: UnitModel, nodes: BodyNodes, at: Segments) -> Float[AnyArray, "R p"]:
     """Regressors of every row."""
     own, shared = model.columns(nodes)
@@ -135,8 +145,8 @@ def _joint_steps(
     m = sum(c.model.processes.count for c in model.channels)
     held = model.encoder.held
     n = channels + m + (2 if held else 3) * axes
-    # One step for each segment; where a rate drives a process, for each piece, so that it is constant or smooth.
-    by_pieces = any(np.any(np.asarray(c.model.processes.rate_gain)) for c in model.channels)
+    # One step for each segment, or for each piece.
+    by_pieces = _by_pieces(model)
     duration = line.duration if by_pieces else at.sums(line.duration)
     count = duration.shape[0]
     begins = np.zeros(count, bool)

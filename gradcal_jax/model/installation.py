@@ -128,10 +128,13 @@ class MountingError(InstallationTerm):
 
 
 class CommonScale(InstallationTerm):
-    """A common error of the unit's scale factors: of gravity (m/s²) or of the sample clock (relative)."""
+    """A common error of the unit's scale factors: of gravity (m/s²) or of the sample clock (relative).
+
+    `forces`: whether the clock acts on accelerometers, too, which it does where they give velocity increments."""
 
     stds: Float[AnyArray, " 1"]
     of: str = eqx.field(static=True)
+    forces: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
         if self.of not in ("gravity", "sample_clock"):
@@ -147,7 +150,8 @@ class CommonScale(InstallationTerm):
     def columns(self, nodes: BodyNodes) -> Float[AnyArray, "K 6 1"]:
         def of_group(g: BodyGroup):
             xp = namespace(g.rate)
-            parts = [xp.zeros(g.rate.shape), g.up] if self.of == "gravity" else [g.rate, g.force]
+            still = xp.zeros(g.rate.shape)
+            parts = [still, g.up] if self.of == "gravity" else [g.rate, g.force if self.forces else still]
             return g.integral(xp.concatenate(parts, axis=-1)[..., None])
 
         return nodes.integrals(of_group, (6, 1))

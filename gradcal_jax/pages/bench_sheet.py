@@ -35,7 +35,7 @@ def show(recipe: Recipe, *, heading: Callable[[str], str] = str) -> str:
     left: list[tuple[str, ...]] = []
     for row in recipe.prediction.requirements:
         target = "" if row.target is None else f"target {amount(row.target, row.unit)}: {row.verdict}"
-        value = amount(row.decisive, row.unit)
+        value = amount(row.judged, row.unit)
         left.append((row.name, f"axis {row.axis}", row.statistic, value, target, row.limited_by or ""))
     lines += [heading("What it leaves (1σ)"), columns(left)]
     lines += [f"note: {warning}" for warning in recipe.prediction.warnings]

@@ -14,9 +14,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 import gradcal_jax
-from gradcal_jax import api
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.ieee_terms import calibration_map
+from gradcal_jax.api.prediction import counted_shares
 from gradcal_jax.files.calibration import LOG_HASH, AxisCalibration, Calibration, Result
 from gradcal_jax.files.log import SERIAL_NUMBER
 from gradcal_jax.files.rig import RigFile
@@ -180,8 +180,11 @@ def _validity(calibration: Calibration) -> tuple[str, ...]:
     rows = [
         "The values hold for the unit as it was, on the day of the recording, within the temperatures and rates above; "
         "beyond, those at the edge are held and are not covered.",
-        "The turn-on bias of another day is not part of the stated uncertainty of the bias.",
+        "The turn-on bias of another day is not part of the stated uncertainty of the bias corrections; a result on "
+        "the bias counts it, unless its requirement is of one run.",
     ]
+    if names := dict.fromkeys(error.name for axis in calibration.axis for error in axis.unseen):
+        rows.append(f"Every uncertainty also counts what no residual of the fit shows: {', '.join(names)}.")
     rows += [
         f"Axis {axis.name}: the data say nothing of {', '.join(axis.unobservable)}."
         for axis in calibration.axis
@@ -205,21 +208,18 @@ def _budgets(sources: Sources):
     if sources.recipe is None or sources.calibration is None:
         return
     spec = sources.recipe.axis_spec
-    built = api.assemble(spec)
     known_values = dict(assumed_noise(sources.recipe, None))
     reached = {(row.name, row.axis): row for row in sources.calibration.result}
-    for channel in built.channels:
-        shares = api.error_budget(built, channel, api.posterior_of_plan(built, channel))
-        for name, parts in shares.items():
-            row = reached.get((name, channel))
-            if row is None or row.value is None:
-                continue
-            inputs: list[Input] = []
-            for part, share in parts.items():
-                if share >= 5e-4:
-                    value = known_values.get(part) or known_values.get(f"{part} error") or "as in the spec"
-                    inputs.append(Input(part, value, "normal", "B", share, row.value * sqrt(max(share, 0.0))))
-            yield Budget(name, channel, row.unit, row.value, tuple(inputs))
+    for (name, channel), parts in counted_shares(spec).items():
+        row = reached.get((name, channel))
+        if row is None or row.value is None:
+            continue
+        inputs: list[Input] = []
+        for part, share in parts.items():
+            if share >= 5e-4:
+                value = known_values.get(part) or known_values.get(f"{part} error") or "as in the spec"
+                inputs.append(Input(part, value, "normal", "B", share, row.value * sqrt(max(share, 0.0))))
+        yield Budget(name, channel, row.unit, row.value, tuple(inputs))
 
 
 def _corrections(axis: AxisCalibration, axes: int) -> list[Correction]:

@@ -123,6 +123,9 @@ def _verdict(data: ReportData) -> str:
     if data.verdict == "missed":
         missed = [row for row in with_target if row.verdict == "missed"]
         return f"Missed: the {done} residual exceeds a target ({_against(missed)})."
+    if data.verdict == "not covered":
+        names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "not covered"))
+        return f"Not covered: the data do not reach all temperatures and rates of {names}, so there is no verdict."
     if data.verdict == "unobservable":
         names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "unobservable"))
         return f"Unobservable: this plan does not observe {names}."
@@ -146,6 +149,7 @@ def _requirements(data: ReportData) -> dict[str, Any]:
         "before": "before",
         "predicted": "predicted",
         "achieved": "achieved",
+        "by named terms alone": "named",
         "no plan leaves less than": "limit",
         "own noise, which stays": "own",
         "target": "target",

@@ -73,7 +73,7 @@ def _point(
         return None
     rows = api.predict(varied).requirements
     first = [row for row in rows if row.axis == rows[0].axis]
-    return varied.schedule.duration / 3600.0, [(row.decisive, row.verdict) for row in first]
+    return varied.schedule.duration / 3600.0, [(row.judged, row.verdict) for row in first]
 
 
 def _course(plan: GradientPlan, slope: float, ramps: int) -> Mapping[str, object]:

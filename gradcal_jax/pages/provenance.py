@@ -3,6 +3,8 @@
 from gradcal_jax.files.absent import absent_terms
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.pages.sources import Sources
 
 
@@ -20,23 +22,30 @@ def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> lis
         figures = (
             ("rate random walk", sensor.rate_random_walk),
             ("turn-on bias", sensor.turn_on_bias),
-            ("sample clock error", sensor.sample_clock_error),
+            ("sample clock error", sensor.sample_clock_error if sensor.clock != "host" else "1 ppm, the computer's"),
+            ("offset of the temperature", sensor.temperature_offset),
+            ("lag of the temperature", sensor.temperature_lag),
+            ("input axis beside the table's axis", recipe.axis_spec.rig.table.mounting_accuracy),
+            ("scale of the table's angle", angle.scale_error),
+            ("Earth's rate", recipe.axis_spec.rig.earth_rate),
             ("thermal lag", sensor.thermal_lag),
             ("reading noise", angle.reading_noise or None),
             ("standstill offset", angle.standstill_offset or None),
             ("timing error", angle.timing_error or None),
         )
         rows += [(name, str(value)) for name, value in figures if value is not None]
-        absent = [
-            (term.key, f"counted as zero; typical of its class: {term.typical}")
-            for term in absent_terms(recipe.axis_spec)
-        ]
-        return rows + absent
+        return rows + omitted_rows(recipe.axis_spec)
     if calibration is not None and calibration.noise is not None:
         rows.append(("angle random walk", str(calibration.noise.angle_random_walk)))
         if calibration.noise.rate_random_walk is not None:
             rows.append(("rate random walk", str(calibration.noise.rate_random_walk)))
     return rows
+
+
+def omitted_rows(spec: Spec | UnitSpec) -> list[tuple[str, str]]:
+    """The error terms that a spec leaves out, with the figures that count for them."""
+    words = "not stated, and so counted as is typical of its class: "
+    return [(term.key, words + term.typical) for term in absent_terms(spec)]
 
 
 def provenance_rows(sources: Sources) -> list[tuple[str, str]]:

@@ -46,9 +46,10 @@ class ReportData(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """ "met", "missed" or "unobservable" of all requirements together; empty where none has a target."""
+        """The verdict of all requirements together: "met", "missed", "not covered" or "unobservable"; empty where none
+        has a target."""
         verdicts = {row.verdict for row in self.requirements}
-        for word in ("unobservable", "missed", "met"):
+        for word in ("unobservable", "not covered", "missed", "met"):
             if word in verdicts:
                 return word
         return ""

@@ -24,8 +24,9 @@ _SEEN: Final = 1e-3
 class RequirementFact(NamedTuple):
     """A requirement's residual before, predicted and achieved (1σ, in `unit`); None: not observable, or not known.
 
-    `verdict`: of the achieved residual, else of the predicted one; `limit`: proven for any plan; `coverage`: number of
-    standard deviations that must be within the target.
+    Both count what the spec omits and, in any run, the turn-on bias; `named`: the last one by the terms that the spec
+    names alone, where it is another. `verdict`: of the achieved residual, else of the predicted one; `limit`: proven
+    for any plan; `coverage`: number of standard deviations that must be within the target.
     """
 
     name: str
@@ -38,6 +39,7 @@ class RequirementFact(NamedTuple):
     before: float | None = None
     predicted: float | None = None
     achieved: float | None = None
+    named: float | None = None
     target: float | None = None
     verdict: str | None = None
     limited_by: str | None = None
@@ -48,9 +50,10 @@ class RequirementFact(NamedTuple):
 
 def fact_of(row: RequirementRow, result: Result | UnitResult | None, **more: Any) -> RequirementFact:
     """A requirement as predicted, and as achieved where there is a result. `more`: further fields."""
-    fields: dict[str, Any] = {"statistic": row.statistic, "predicted": row.decisive, "verdict": row.verdict}
+    fields: dict[str, Any] = {"statistic": row.statistic, "predicted": row.judged, "verdict": row.verdict}
+    fields["named"] = None if row.judged == row.decisive else row.decisive
     if result is not None:
-        fields |= {"achieved": result.value, "verdict": result.verdict}
+        fields |= {"achieved": result.value, "verdict": result.verdict, "named": result.named}
     same = ("name", "axis", "quantity", "unit", "temperature_c", "rate_dps", "target", "limited_by")
     return RequirementFact(**{name: getattr(row, name) for name in same}, **(fields | more))
 
@@ -156,7 +159,7 @@ def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | 
 
 def result_alone(row: Result | UnitResult, statistic: str) -> RequirementFact:
     """A requirement of a calibration without a recipe: the achieved residual."""
-    known = {"achieved": row.value, "target": row.target, "verdict": row.verdict}
+    known = {"achieved": row.value, "target": row.target, "verdict": row.verdict, "named": row.named}
     return RequirementFact(row.name, row.axis, row.quantity, statistic, row.unit, **known)
 
 

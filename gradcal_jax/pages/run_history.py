@@ -62,7 +62,7 @@ class RunHistory(NamedTuple):
 
 def history_of(folder: RunFolder) -> RunHistory:
     """The history of a run. Raises `ValueError` where the folder is not a run's."""
-    notes, contents = folder.notes(), folder.contents()
+    notes, contents = folder.notes(), folder.events()
     events = _on_one_clock(contents.events, simulated=bool(notes["simulated"]))
     if not events:
         raise ValueError(f"{folder.path} holds a run that never began: its journal is empty")

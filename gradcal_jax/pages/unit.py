@@ -15,7 +15,7 @@ from gradcal_jax.pages.coefficients import ParameterFact, agreement, parameter_f
 from gradcal_jax.pages.figures import Picture, picture, picture_key
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.plain_text import times_text
-from gradcal_jax.pages.provenance import provenance_rows
+from gradcal_jax.pages.provenance import omitted_rows, provenance_rows
 from gradcal_jax.pages.report_data import AxisFact, ReportData, axis_fact
 from gradcal_jax.pages.requirements import RequirementFact, fact_of, result_alone
 from gradcal_jax.pages.run_history import history_of
@@ -161,7 +161,7 @@ def _assumed(spec: UnitSpec) -> list[tuple[str, str]]:
         ]
         installation += [(f"{axis.name}: encoder error, {h.order} a turn", h.amplitude) for h in axis.angle.harmonics]
     installation += [(f"mounting {k + 1}", m.accuracy or None) for k, m in enumerate(table.mounting)]
-    return rows + [(name, str(value)) for name, value in installation if value is not None]
+    return [*rows, *((name, str(value)) for name, value in installation if value is not None), *omitted_rows(spec)]
 
 
 def unit_words(sources: Sources, data: ReportData) -> dict[str, Any]:

@@ -25,7 +25,7 @@ def spec() -> files.Spec:
 
 
 def value(spec: files.Spec) -> float:
-    return predict(spec).requirements[0].decisive
+    return predict(spec).requirements[0].judged
 
 
 def test_uncertain_figures_make_a_range_that_holds_every_draw(spec):
@@ -85,7 +85,7 @@ def test_a_design_notices_what_it_must_and_pays_for_it(spec):
     assert seen.power > 0.89 > predict(changed(free.spec, {"design.notice": notice}), notices=True).notices[0].power
     # Both are local optima of a few steps: to a per cent.
     assert best.now >= 0.99 * free.now
-    assert best.now == pytest.approx(value(best.spec))
+    assert best.now == pytest.approx(predict(best.spec).requirements[0].decisive)
 
 
 def test_the_probability_to_miss_has_a_gradient_in_the_plan(spec):

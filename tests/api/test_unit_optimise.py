@@ -61,7 +61,7 @@ def test_uncertain_noise_of_a_unit_makes_a_range_that_holds_every_draw():
             for k, ends in figures.items()
         }
         for (low, high), row in zip(ranges, gj.predict(gj.changed(spec, drawn)).requirements, strict=True):
-            assert low * (1 - 1e-9) <= row.decisive <= high * (1 + 1e-9)
+            assert low * (1 - 1e-9) <= row.judged <= high * (1 + 1e-9)
 
 
 def test_the_result_is_never_worse_than_the_plan_as_it_was():

@@ -61,7 +61,8 @@ def test_a_preset_leaves_what_its_kind_of_plan_leaves_and_meets_its_targets_or_s
     for quantity, expected in zip(QUANTITIES, LEFT[name], strict=True):
         if expected is not None:
             assert rows[quantity].decisive == pytest.approx(expected, rel=0.1), quantity
-    missed = {row.quantity for row in found.requirements if row.verdict != "met"}
+    # By the terms that the file names: what it leaves out counts in the verdict, and is no part of the kind of plan.
+    missed = {row.quantity for row in found.requirements if row.decisive is None or row.decisive > row.target}
     said = " ".join(found.warnings)
     if name == BLIND:
         assert {"accelerometer_bias", "accelerometer_scale_factor", "second_order", "gyro_misalignment"} <= missed

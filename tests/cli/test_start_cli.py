@@ -35,7 +35,7 @@ def test_a_preset_asks_nothing_and_its_files_are_sound_and_met(preset, tmp_path,
     spec = sound(texts)
     prediction = gj.predict(spec)
     assert [row.verdict for row in prediction.requirements] == ["met", "met"]
-    assert prediction.counted_as_zero == ()
+    assert prediction.omitted == ()
     assert not any("distinct rates" in s or "beyond" in s for s in prediction.warnings), prediction.warnings
     assert measure(spec).name == "scale factor (mean of max)"
     # Nothing is overwritten unasked.

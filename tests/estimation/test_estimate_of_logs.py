@@ -271,7 +271,10 @@ def test_the_computers_clock_in_the_place_of_the_sensors():
     made = simulate_log(spec, sample_rate_hz=20.0, seed=3, noiseless=True)
     slow = replace(made.log, host_time_s=made.log.time_s.copy(), time_s=made.log.time_s * (1 - 500e-6))
     (right,) = estimate_channels(spec, slow, options=Options(clock="host"))
-    (wrong,) = estimate_channels(spec, slow)
+    (wrong,) = estimate_channels(spec, slow, options=Options(clock="sensor"))
+    # A log with both takes the computer's without being asked.
+    (same,) = estimate_channels(spec, slow)
+    np.testing.assert_array_equal(same.estimate.parameters, right.estimate.parameters)
     b00 = 2  # after the two of the bias
     rows = right.model.to_reported
     truth = (rows @ made.truth["x"][0])[b00]

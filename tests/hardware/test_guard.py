@@ -1,18 +1,24 @@
 """The guard acts when the run could not end by itself, before it writes anything, and in no other case."""
 
+import builtins
 import errno
 import os
 import select
 import shutil
 import signal
+import socket
+import struct
 import subprocess
 import sys
+import termios
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 from hardware_bench import Rig, short_recipe
 from hardware_processes import laboratory, start_run
 from simulated_devices.faults import Faults
@@ -28,7 +34,7 @@ from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.runner import RunProgress, RunResult
 from gradcal_jax.hardware.safety import SafeOutcome
 from gradcal_jax.hardware.session import run_session
-from gradcal_jax.hardware.setup import open_rig
+from gradcal_jax.hardware.setup import only_of, open_rig
 from gradcal_jax.hardware.simulate.lab import SimulatedLab
 
 SPEED = 20.0
@@ -113,7 +119,7 @@ def test_a_port_that_is_gone_keeps_no_other_device_from_being_made_safe(
     }  # fmt: skip
     assert "cannot be opened" in outcomes["unit1"].evidence
     devices = [event.data.get("device") for event in by_guard(tmp_path / "journal")]
-    assert devices == [None, "unit1", "table", "chamber"]
+    assert devices == [None, "table", "chamber", "unit1"]
 
 
 # ------------------------------------------------------------------------------------------------------- when it acts
@@ -274,7 +280,10 @@ def test_what_the_run_leaves_unsafe_is_made_safe(how: str, tmp_path: Path, monke
         if lab.chamber.mode != "STANDBY":
             raise KeyboardInterrupt
 
+    left: list[str] = []
+
     def hindered(*_: object, **__: object) -> list[SafeOutcome]:
+        left.append(lab.chamber.mode)
         if how == "broken off":
             raise KeyboardInterrupt
         return [SafeOutcome("chamber", "standby", False, "has not answered yet", 1, 60.0)]
@@ -288,7 +297,7 @@ def test_what_the_run_leaves_unsafe_is_made_safe(how: str, tmp_path: Path, monke
                 run_of(lab, folder, clock, on_progress=interrupt)
         else:
             assert not run_of(lab, folder, clock, on_progress=interrupt).verified_safe
-        assert lab.chamber.mode != "STANDBY"
+        assert left == ["CONSTANT"]
         end = time.monotonic() + 60.0
         while time.monotonic() < end and len(by_guard(folder.journal_path)) < 4:
             time.sleep(0.1)
@@ -309,3 +318,69 @@ def test_a_run_that_ends_safe_or_does_not_begin_leaves_nothing_to_the_guard(tmp_
         open_rig(lab.rig, clock).close()
     assert by_guard(folder.journal_path) == []
     assert by_guard(refused.journal_path) == []
+
+
+# --------------------------------------------------------------------------------- whatever an opener or a line raises
+
+
+def every_exception() -> list[BaseException]:
+    """One of every kind that there is: Python's own, and those that serial lines add."""
+    kinds: list[type[BaseException]] = [termios.error, struct.error, socket.gaierror, serial.SerialException]
+    kinds += [serial.SerialTimeoutException, serial.PortNotOpenError]
+    kinds += [kind for kind in vars(builtins).values() if isinstance(kind, type) and issubclass(kind, BaseException)]
+    made: list[BaseException] = []
+    for kind in dict.fromkeys(kinds):
+        for arguments in (
+            (),
+            ("why",),
+            ("utf-8", b"x", 0, 1, "why"),
+            ("utf-8", "x", 0, 1, "why"),
+            ("x", 0, 1, "why"),
+            ("why", [OSError()]),
+        ):
+            with suppress(TypeError):
+                made.append(kind(*arguments))
+                break
+        else:
+            raise AssertionError(f"{kind} was not made")
+    return made
+
+
+SOME = (termios.error, OSError, TypeError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit, ExceptionGroup)
+
+
+@pytest.mark.parametrize("where", ["open", "write", "read"])
+def test_the_guard_survives_every_exception_of_one_port(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guard, "_TO_OPEN_S", 0.05)
+    clock, opener, raises = RealClock(), serial.serial_for_url, list[BaseException]()
+    problems = every_exception()
+    assert len(problems) > 60
+    with Rig(clock, stage=True) as rig:
+        spoilt = rig.rig.chamber
+        assert spoilt is not None
+
+        def fails(*_: object, **__: object) -> Any:
+            raise raises[0]
+
+        def opened(url: str, *arguments: Any, **options: Any) -> Any:
+            port = opener(url, *arguments, **options)
+            if url == spoilt.port:
+                monkeypatch.setattr(port, where, fails)
+            return port
+
+        left_turning(rig, tmp_path, clock)
+        monkeypatch.setattr(serial, "serial_for_url", opened)
+        for problem in problems if where == "open" else [one for one in problems if type(one) in SOME]:
+            raises[:] = [problem]
+            with open_rig(only_of(rig.rig, {"table"}), clock) as bench:
+                bench.axes["table"].spin(10.0, 300.0)
+            found = {outcome.name: outcome for outcome in guard.make_folder_safe(tmp_path, deadline_s=0.7)}
+            verified = {name: outcome.verified for name, outcome in found.items()}
+            assert verified == {"table": True, "chamber": False, "unit1": True}, problem
+            assert rig.axis.state(clock.now())[1] == 0.0, problem
+        # Nor does the port stay locked, so that a later try takes it for another run's.
+        monkeypatch.setattr(serial, "serial_for_url", opener)
+        assert all(outcome.verified for outcome in guard.make_folder_safe(tmp_path, deadline_s=10.0))
+        assert rig.chamber.mode == "STANDBY"

@@ -166,10 +166,12 @@ def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path
         else:
 
             def look(progress: RunProgress) -> None:
-                resting = progress.step_left_s is not None and not rig.axis.moving(runner.clock.now())
-                if not ran and progress.steps_done >= 2 and resting:
+                # In the first seconds of the rest: the next turn's command would stop it, too.
+                resting = progress.step_left_s is not None and progress.step_left_s > 12.0
+                if not ran and progress.steps_done >= 2 and resting and not rig.axis.moving(runner.clock.now()):
                     run_away()
 
+            runner.chamber_every_s = 1.0
             runner.on_progress = look
         result = runner.run()
         assert result.exit_status == "aborted"

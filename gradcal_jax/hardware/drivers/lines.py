@@ -54,7 +54,8 @@ _pattern = cache(reply_pattern)
 @dataclass(frozen=True)
 class LinesConfig:
     """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables. 0 or absent: the
-    protocol's value. `zero_deg` is the rig's angle at the device's 0, `direction` +1 or -1."""
+    protocol's value. `zero_deg` is the rig's angle at the device's 0, `direction` +1 or -1. Without `require` the
+    settings that the protocol requires are not asked for."""
 
     protocol: Any = ""
     baudrate: int = 0
@@ -65,6 +66,7 @@ class LinesConfig:
     max_acceleration_dps2: float | None = None
     lowest_deg: float | None = None
     highest_deg: float | None = None
+    require: bool = True
     home_timeout_s: float = 120.0
     stop_timeout_s: float = 30.0
 
@@ -82,6 +84,12 @@ class LinesConfig:
     @property
     def role(self) -> Literal["chamber", "axis"]:
         return self.described.role
+
+    def lacks_for(self, safe: str) -> str:
+        """What a safe state needs and this protocol lacks, empty where nothing."""
+        if safe != AxisSafe.UNPOWER.value or {"off", "powered"} <= {*self.described.tell, *self.described.state}:
+            return ""
+        return 'its protocol has no [tell.off] with a [state.powered] that shows it: add both, or choose "hold"'
 
     @property
     def line_settings(self) -> dict[str, Any]:
@@ -128,7 +136,8 @@ class Codec:
 def open_exchange(transport: Transport, clock: Clock, config: LinesConfig) -> Exchange:
     line = config.described.line
     times_s = config.reply_timeout_s or float(line.timeout), float(line.pause)
-    return Exchange(transport, Codec(config.described).framer(), clock, config.described.title, *times_s)
+    framer = Codec(config.described).framer()
+    return Exchange(transport, framer, clock, config.described.title, *times_s, boot_s=float(line.boot))
 
 
 def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | LinesAxis":
@@ -146,8 +155,9 @@ class _Spoken(ExchangeDriver[LinesConfig]):
 
     def identify(self) -> Identity:
         known = self._read("model", "serial", "firmware")
-        needed = self._read(*(need.field for need in self._protocol.require))
-        for need in self._protocol.require:
+        required = self._protocol.require if self._config.require else ()
+        needed = self._read(*(need.field for need in required))
+        for need in required:
             if not any(needed[need.field] == text or _same_number(needed[need.field], text) for text in need.equals):
                 raise Rejected(f"{self._title} says {need.field} = {needed[need.field]}: {need.why}.")
         model = f"{self._title} {known.get('model', '')}".strip()
@@ -458,8 +468,8 @@ class LinesAxis(_Spoken, Unwatched):
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
         if policy is AxisSafe.UNPOWER:
-            if "off" not in self._protocol.tell:
-                raise Rejected(f"The protocol of {self._title} cannot unpower it; choose the safe policy 'hold'.")
+            if lack := self._config.lacks_for(policy.value):
+                raise Rejected(f"{self._title} cannot be unpowered: {lack}.")
             self._switch("off", "powered", False)
         reading = self.read()
         state = "; ".join(reading.faults) or "no faults"

@@ -19,7 +19,7 @@ from ..clock import Clock
 from ..errors import ChecksumError, FramingError, Rejected, printable
 from ..framing import ModbusReplyFramer
 from ..request_reply import Exchange, NotThisReply, command_and_verify
-from ..roles import ChamberLimits, ChamberReading, Identity
+from ..roles import ChamberLimits, ChamberReading, ChamberSafe, Identity
 from ..transport import Transport
 from .base import ChamberDriver
 
@@ -57,6 +57,14 @@ class WatlowF4Config:
                 raise ValueError(f"{name} is {value}; the F4 numbers them 1 to {highest}, 0 means none.")
         if self.product_input not in (0, 2, 3):
             raise ValueError(f"product_input is {self.product_input}; it is 2 or 3, 0 means none.")
+
+    def lacks_for(self, safe: str) -> str:
+        """What a safe state needs and these options lack, empty where nothing."""
+        if safe != ChamberSafe.STANDBY.value or self.conditioning_event:
+            return ""
+        return (
+            'an event output switches the plant of an F4: name it as conditioning_event, or choose "ambient" or "hold"'
+        )
 
 
 def _frame(body: bytes) -> bytes:
@@ -174,12 +182,8 @@ class WatlowF4Chamber(ChamberDriver[WatlowF4Config]):
         raise Rejected("This driver has no ramp in the controller: the runner steps the set point.")
 
     def standby(self) -> None:
-        if not self._config.conditioning_event:
-            raise Rejected(
-                "This F4 has no conditioning event in the rig file, so it cannot be put into standby. Set "
-                "conditioning_event to the event output that switches the plant, or choose the safe policy "
-                "'ambient' or 'hold'."
-            )
+        if lack := self._config.lacks_for(ChamberSafe.STANDBY.value):
+            raise Rejected(f"This F4 cannot be put into standby: {lack}.")
         self._condition(False)
 
     def _air_c(self) -> float:

@@ -88,6 +88,12 @@ class ZaberConfig:
         if self.direction not in (-1, 1):
             raise ValueError(f"direction is {self.direction}; it is 1 or -1.")
 
+    def lacks_for(self, safe: str) -> str:
+        """What a safe state needs and these options lack, empty where nothing."""
+        if safe != AxisSafe.UNPOWER.value or self.unpower_command:
+            return ""
+        return 'stages differ in the command that unpowers them: name unpower_command, or choose "hold"'
+
 
 @dataclass(frozen=True)
 class Reply:
@@ -219,8 +225,8 @@ class ZaberAxis(ExchangeDriver[ZaberConfig], Unwatched):
         self._ask("stop")
         reading = self._until_idle(self._config.stop_timeout_s, "stopping", raise_faults=False)
         if policy is AxisSafe.UNPOWER:
-            if not self._config.unpower_command:
-                raise Rejected("The rig file names no unpower_command for this stage; choose the safe policy 'hold'.")
+            if lack := self._config.lacks_for(policy.value):
+                raise Rejected(f"This stage cannot be unpowered: {lack}.")
             self._ask(self._config.unpower_command)
         state = "; ".join((*reading.faults, *reading.warnings)) or "no warnings"
         return SafeReport(policy.value, not reading.moving, f"idle at {reading.position_deg:.4f} deg, {state}")
@@ -242,7 +248,8 @@ class ZaberAxis(ExchangeDriver[ZaberConfig], Unwatched):
             reply = self._exchange.query(command(config.device, number, message_id, words), parse)
         if not reply.accepted:
             text = f"{reply.data}, {reply.warning}" if reply.warning != "--" else reply.data
-            raise Rejected(f"The stage refuses {words!r}: {text}.", code=reply.data, text=reply.warning)
+            where = f"The Zaber stage at {self._exchange.transport.url}"
+            raise Rejected(f"{where} refuses {words!r}: {text}.", code=reply.data, text=reply.warning)
         return reply
 
     def _start(self, words: str) -> None:

@@ -26,7 +26,7 @@ from .espec import EspecOptions, SimulatedEspec
 from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from .port import SimulatedPort
-from .sensor import Mounting, Process, SampledSensor, SensorTruth, SimulatedSensor, Triple, TruthBasis
+from .sensor import EARTH_RATE_DPS, Mounting, Process, SampledSensor, SensorTruth, SimulatedSensor, Triple, TruthBasis
 from .stim300 import RATES_HZ, SimulatedStim300, Stim300Options
 from .zaber import SimulatedZaber
 
@@ -259,10 +259,13 @@ class SimulatedLab(SimulatedDevices):
             AxisPlant(replace(axis, seed=16 * axis.seed + number), now) for number in range(1, len(self.axes) + 1)
         ]
         several = len(self.axes) > 1
+        # On the equator, the table turned about the vertical so far that its axis sees the rate that the spec states.
+        along = float(np.degrees(spec.rig.earth_rate or 0.0)) / EARTH_RATE_DPS
+        turned = {"latitude_deg": 0.0, "azimuth_deg": float(np.degrees(np.arcsin(np.clip(along, -1.0, 1.0))))}
         mounting = Mounting(
             axes=tuple(_ALONG[axis] for axis in self.axes) if several else (_ALONG["x"],),
             mounting=_MOUNTED["x"] if several else _MOUNTED[self.axes[0]],
-            **({"earth_rate_dps": 0.0} if several else {}),
+            **({"earth_rate_dps": 0.0} if several else turned if along and np.isfinite(along) else {}),
         )
         self.sensor = SimulatedSensor(
             self.truth.sensor,

@@ -114,6 +114,7 @@ class Mounting:
     axes: tuple[Triple, ...] = ((0.0, 0.0, 1.0),)
     mounting: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     latitude_deg: float = 45.0
+    azimuth_deg: float = 0.0
     earth_rate_dps: float = EARTH_RATE_DPS
 
 
@@ -215,10 +216,11 @@ class SimulatedSensor(SampledSensor):
 
     def _motion(self, ends: NDArray[np.float64], middles: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
         """Mean inertial rate (deg/s) and up-vector in the sensor's frame, `(n, 3)` each."""
-        latitude = np.radians(self._mounting.latitude_deg)
+        latitude, azimuth = np.radians(self._mounting.latitude_deg), np.radians(self._mounting.azimuth_deg)
+        north = np.cos(latitude) * np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
         fixed = np.zeros((3, middles.size, 3))
         earth, up, turning = fixed
-        earth[:] = self._mounting.earth_rate_dps * np.array([0.0, np.cos(latitude), np.sin(latitude)])
+        earth[:] = self._mounting.earth_rate_dps * (north + np.array([0.0, 0.0, np.sin(latitude)]))
         up[:, 2] = 1.0
         for direction, plant in zip(self._mounting.axes, self._axes, strict=True):
             axis = np.array(direction)

@@ -21,7 +21,7 @@ class SimulatedGrbl:
         self.plant = plant
         self._clock = clock
         self._buffer = b""
-        self.settings = {22: 1.0, 100: 250.0, 110: 21600.0, 120: 300.0, 130: 36000.0, 27: 1.0, 25: 3600.0}
+        self.settings = {13: 0.0, 22: 1.0, 100: 250.0, 110: 21600.0, 120: 300.0, 130: 36000.0, 27: 1.0, 25: 3600.0}
         self._state = "Alarm"
         self._silent = False
         self._homed_s: float | None = None

@@ -1,0 +1,173 @@
+"""What a log or an estimate shows by itself to be wrong: units of temperature, requirements beyond the data, channels
+that no device has; and the sentences on what counts although no residual shows it."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from gradcal_jax.estimation import CoarseFit
+from gradcal_jax.files.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
+from gradcal_jax.files.log import LogError
+from gradcal_jax.files.requirement import Requirement, UnitRequirement
+from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.model import AXIS_NAMES, Channel
+
+# K by which a die may be colder or warmer than the chamber's limits, self-heating included.
+_COLDER, _WARMER = 10.0, 35.0
+# K by which a converted temperature may leave the plan's range, and by which the wrong unit leaves it at least.
+_FITS, _LEAVES = 10.0, 12.0
+# Shares of a requirement's range by which the data may fall short of it, and the least of them, K and rad/s.
+_SHORT: Final = 0.04
+_SHORT_K, _SHORT_RATE = 1.5, 1e-3
+# Sizes that no channel has: of a scale-factor error, of a misalignment (rad), of any coefficient in its priors.
+SCALE_FACTOR_ERROR: Final = 0.5
+_MISALIGNED, _PRIORS = 0.3, 50.0
+_OTHER_UNITS: Final = (
+    ("°F", lambda t: (t - 32.0) / 1.8),
+    ("K", lambda t: t - 273.15),
+)
+
+
+def refuse_other_units(spec: Spec | UnitSpec, temperature: np.ndarray, unit: str) -> None:
+    """Raise `LogError` where a unit's temperatures (°C, finite ones count) leave the plan and fit it in another unit of
+    temperature, or are beyond what the chamber can do."""
+    known = temperature[np.isfinite(temperature)]
+    if not len(known):
+        return
+    schedule: Any = spec.schedule
+    segments = getattr(schedule, "segments", ())
+    ends = [t for s in segments for t in (s.temperature_start, s.temperature_end)] or list(schedule.temperatures)
+    low, high, (cold, warm) = float(known.min()), float(known.max()), (min(ends), max(ends))
+    if low >= cold - _LEAVES and high <= warm + _WARMER:
+        return
+    for name, convert in _OTHER_UNITS:
+        if cold - _FITS <= convert(low) and convert(high) <= warm + _FITS:
+            raise LogError(
+                f"{unit}: the log's temperatures, {low:.4g} … {high:.4g} °C, are outside of the plan's, {cold:g} … "
+                f"{warm:g} °C, and inside if they are in {name} ({convert(low):.4g} … {convert(high):.4g} °C): is the "
+                f"column in {name}? Name its unit in the column map"
+            )
+    coldest, warmest = (float(t) for t in spec.rig.chamber.range)
+    if low < coldest - _COLDER or high > warmest + _WARMER:
+        raise LogError(
+            f"{unit}: the log's temperatures, {low:.4g} … {high:.4g} °C, are not those of a chamber of {coldest:g} … "
+            f"{warmest:g} °C (rig.chamber.range): is the unit of the column, or the column, another one?"
+        )
+
+
+def beyond_the_data(
+    requirement: Requirement | UnitRequirement, temperature_c: Sequence[float], rate: Sequence[float]
+) -> str | None:
+    """A sentence where a requirement asks for temperatures (°C) or rates (rad/s) that the data do not cover."""
+    parts = []
+    low, high = (float(t) for t in requirement.temperature)
+    short = max(_SHORT_K, _SHORT * (high - low))
+    if low < temperature_c[0] - short or high > temperature_c[1] + short:
+        parts.append(f"{low:g} … {high:g} °C, and the data cover {temperature_c[0]:.4g} … {temperature_c[1]:.4g} °C")
+    asked = getattr(requirement, "rate", None)
+    if isinstance(asked, tuple):
+        slow, fast = (float(w) for w in asked)
+        short = max(_SHORT_RATE, _SHORT * (fast - slow))
+        if slow < rate[0] - short or fast > rate[1] + short:
+            ends = (f"{np.degrees(w):.4g}" for w in (slow, fast, *rate))
+            parts.append("{} … {} deg/s, and the data cover {} … {} deg/s".format(*ends))
+    if not parts:
+        return None
+    return (
+        f"requirement '{requirement.name}' asks for {'; '.join(parts)}: there is no verdict beyond the data; narrow "
+        "the requirement, or record the rest"
+    )
+
+
+def omitted_sentences(spec: Spec | UnitSpec, temperature: np.ndarray, lag_is_fitted: bool = False) -> list[str]:
+    """What the spec omits and counts in an estimate, in sentences; `temperature`: the record's (°C)."""
+    # How far the dies follow the chamber does not matter to a log, which has their temperature.
+    absent = [term for term in absent_terms(spec) if not term.key.endswith("thermal_lag")]
+    lagging = not lag_is_fitted and (any("temperature_lag" in t.key for t in absent) or spec.sensor.temperature_lag)
+    sentences: list[str] = []
+    if absent:
+        sentences.append(
+            "not in the spec, and so counted with figures typical of the class: "
+            + ", ".join(f"{term.key} {term.typical}" for term in absent)
+            + "; put in your own, or 0 where there is none"
+        )
+    if any(term.key == EARTH for term in absent):
+        sentences.append(EARTH_IS_UNKNOWN)
+    rise, way = float(np.ptp(temperature)), float(abs(temperature[-1] - temperature[0]))
+    if lagging and rise > 5.0 and way > 0.8 * rise:
+        sentences.append(
+            "the temperature goes one way only, so a lag between the measured temperature and the dies' cannot be "
+            "seen: it is taken as zero, and counts as an error"
+        )
+    return sentences
+
+
+def refuse_implausible(where: str, names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> None:
+    """Raise `LogError` for a channel whose coefficients no device has: names as reported (`b00`, `m_y`, `s`), values
+    and the standard deviations of their priors in SI, infinite where flat."""
+    by_name = dict(zip(names, map(float, values), strict=True))
+    scale = next((by_name[n] for n in ("b00", "b_bin0_0", "s", "s0") if n in by_name), 0.0)
+    across = {n[2:3]: v for n, v in by_name.items() if n.startswith("m_")}
+    if sentence := _no_device(1.0 + scale, across):
+        raise LogError(f"{where}: {sentence}")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.where(priors > 0.0, np.abs(values) / priors, 0.0)
+    worst = int(np.argmax(ratios)) if len(ratios) else 0
+    if len(ratios) and ratios[worst] > _PRIORS:
+        raise LogError(
+            f"{where}: {names[worst]} is {ratios[worst]:.3g} times the standard deviation that the spec gives it "
+            "before the calibration: is the unit of the column another one, or the prior too small?"
+        )
+
+
+def refuse_misaligned(name: str, fits: Mapping[str, CoarseFit], channels: Sequence[Channel]) -> None:
+    """Raise `LogError` where the coarse comparison with the table shows a wrong sign, axis or unit of a channel."""
+    wrong: list[tuple[str, str]] = []
+    for c in channels:
+        fit = fits[c.kind]
+        if fit.seen[c.axis]:
+            row = fit.matrix[c.axis]
+            across = {AXIS_NAMES[j]: float(row[j]) for j in range(3) if j != c.axis and fit.seen[j]}
+            if sentence := _no_device(float(row[c.axis]), across):
+                wrong.append((f"{c.name.replace('_', ' ')}", sentence))
+    if not wrong:
+        return
+    both = [fit.matrix for fit in fits.values() if fit.seen.all()]
+    turned = len(both) == 2 and all(_is_rotation(m) for m in both) and np.max(np.abs(both[0] - both[1])) < _MISALIGNED
+    if turned:
+        raise LogError(
+            f"{name}, {', '.join(channel for channel, _ in wrong)}: gyros and accelerometers agree that the body is "
+            "turned against the spec's mounting, by a quarter turn or so: is [rig.table.mounting] that of the log?"
+        )
+    raise LogError(f"{name}, " + "; ".join(f"{channel}: {sentence}" for channel, sentence in wrong[:3]))
+
+
+def _is_rotation(matrix: np.ndarray) -> bool:
+    return bool(np.max(np.abs(matrix @ matrix.T - np.eye(3))) < _MISALIGNED and np.linalg.det(matrix) > 0.0)
+
+
+def _no_device(own: float, across: Mapping[str, float]) -> str:
+    """Why a channel cannot show `own` times what is along its axis, and so much of the others; empty if it can."""
+    large = [axis for axis, value in across.items() if abs(value) > _MISALIGNED * max(1.0, abs(own))]
+    if abs(own - 1.0) <= SCALE_FACTOR_ERROR and not large:
+        return ""
+    shown = f"it shows {own:.3g} times what is along its axis"
+    if large:
+        parts = ", ".join(f"{across[axis]:.3g} times what is along {axis}" for axis in large)
+        return (
+            f"{shown}, and {parts}: are the axes swapped, or is the body turned against the spec's mounting by a "
+            "quarter turn?"
+        )
+    if abs(own + 1.0) < SCALE_FACTOR_ERROR:
+        return f"{shown}: its sign is the opposite of the table's; turn the sign of the column, or the mounting"
+    for ratio, words in (
+        (1.0 / 9.80665, "is the column in g, where m/s^2 are expected?"),
+        (9.80665, "is the column in m/s^2, where g are expected?"),
+        (180.0 / np.pi, "is the column in deg/s, where rad/s are expected?"),
+        (np.pi / 180.0, "is the column in rad/s, where deg/s are expected?"),
+    ):
+        if abs(abs(own) / ratio - 1.0) < 0.1:
+            return f"{shown}: {words}"
+    return f"{shown}: is the column of another axis, unit or sign?"

@@ -1,0 +1,385 @@
+"""Errors that no residual of a run shows, as directions in the space of the parameters.
+
+Within one run the sample clock, the scale of an encoder, the cosine of a mounting, the offset of a thermometer or the
+Earth's rate act as a constant of a map, or as its slope over temperature: the data fit as well with them as without,
+and the estimate is off by a direction `v` of the parameters times the error. Each is therefore no parameter, but a
+column of the posterior's spread: the covariance is `C + Σ v vᵀ`, for predictions and estimates, axes and units alike.
+
+`θ` of the input axis against the table's, each of two angles with standard deviation σ, multiplies the scale factor by
+`cos θ ≈ 1 − (θ₁² + θ₂²)/2`, whose root mean square is √2 σ². The Earth's rate along an axis of unknown direction is
+rectangular within ±15.04 deg/h (GUM, 4.3.7).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.posterior_of_plan import posterior_of_plan
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
+from gradcal_jax.design import Criterion
+from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
+from gradcal_jax.files.calibration import UnseenError
+from gradcal_jax.files.changes import AnySpec, changed
+from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.information import Posterior
+from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, Map, SensorModel, SignalMap
+from gradcal_jax.trajectory import EARTH_RATE, Trajectory
+
+TURN_ON: Final = "turn-on bias"
+UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
+# Temperatures at which the slope of a map is taken, and the step of the difference, K.
+_AT: Final = 64
+_STEP_K: Final = 0.01
+# Part of a run over which its ramp is measured, s.
+_MINUTES: Final = 300.0
+# Last parts of the keys of omitted terms that are no noise: columns of `columns_of`, or terms with parameters.
+_NO_NOISE: Final = frozenset({
+    "thermal_lag", "bias_temperature_gradient", "temperature_offset", "temperature_lag", "mounting_accuracy",
+    "scale_error", "turn_on_bias",
+})  # fmt: skip
+
+
+class ChannelTerms(NamedTuple):
+    """The terms of one channel with their places among all parameters; `kind`: "gyro" or "accelerometer"."""
+
+    kind: str
+    terms: tuple[tuple[slice, Map | SignalMap], ...]
+
+
+class SystematicFigures(NamedTuple):
+    """Standard deviations of the errors that no residual shows, SI: relative of the scale factor, by name, of the
+    gyros; the offset (K) and lag (s) of the thermometer; of biases, by kind: constant, per K/s, and new at every
+    power-on. `slopes`: typical ones of bias and scale factor over temperature, by kind."""
+
+    scale: Mapping[str, float]
+    offset: float
+    lag: float
+    bias: Mapping[str, float]
+    gradient: float
+    turn_on: Mapping[str, float]
+    slopes: Mapping[str, tuple[float, float]]
+
+
+class EstimatedRun(NamedTuple):
+    """An estimate in the place of a plan: its parameters `(p,)`, the range of temperature of its data (°C), and the
+    standard deviation of its lag (s), if that was fitted."""
+
+    parameters: np.ndarray
+    temperature_c: tuple[float, float]
+    ramp: float
+    lag_std: float | None = None
+
+
+def systematic_figures(spec: Spec | UnitSpec) -> SystematicFigures:
+    """The figures that a spec names; what it does not name is zero."""
+    sensor = spec.sensor
+    common = {"offset": float(sensor.temperature_offset or 0.0), "lag": float(sensor.temperature_lag or 0.0)}
+    if isinstance(spec, UnitSpec):
+        gyro, force = spec.sensor.gyro, spec.sensor.accelerometer
+        scales = [float(axis.angle.scale_error or 0.0) for axis in spec.rig.table.axis]
+        triads = {"gyro": gyro, "accelerometer": force}
+        return SystematicFigures(
+            scale={"scale of the table's angle": max(scales)},
+            bias={},
+            gradient=0.0 if gyro is None else float(gyro.bias_temperature_gradient or 0.0),
+            turn_on={kind: float(triad.turn_on_bias or 0.0) for kind, triad in triads.items() if triad is not None},
+            slopes={kind: slopes_of(spec.sensor, kind) for kind, triad in triads.items() if triad is not None},
+            **common,
+        )
+    table, of = spec.rig.table, spec.sensor.gradient_sensitivity
+    return SystematicFigures(
+        scale={
+            "input axis beside the table's axis": 2.0**0.5 * float(table.mounting_accuracy or 0.0) ** 2,
+            "scale of the table's angle": float(table.angle.scale_error or 0.0),
+        },
+        bias={"Earth's rate": UNKNOWN_EARTH_RATE if spec.rig.earth_rate == np.inf else 0.0},
+        gradient=0.0 if of is None else float(of.prior or 0.0),
+        turn_on={"gyro": float(spec.sensor.turn_on_bias or 0.0)},
+        slopes={"gyro": slopes_of(spec.sensor)},
+        **common,
+    )
+
+
+def columns_of(
+    figures: SystematicFigures,
+    channels: Sequence[ChannelTerms],
+    size: int,
+    ramp: float,
+    done: EstimatedRun | None = None,
+) -> dict[str, np.ndarray]:
+    """Columns `(p, k)` of the spread by the name of their error, for `size` parameters and a `ramp` of that many K/s
+    (root mean square). In a plan a map has its class's slopes, in an estimate its own."""
+    columns: dict[str, list[np.ndarray]] = {}
+
+    def add(name: str, column: np.ndarray) -> None:
+        if np.any(column):
+            columns.setdefault(name, []).append(column)
+
+    for kind, terms in channels:
+        if kind == "gyro":
+            for name, std in figures.scale.items():
+                add(name, std * _constants(terms, size, SCALE_FACTOR))
+            for name, std in figures.bias.items():
+                add(name, std * _constants(terms, size, BIAS))
+            add("bias from dT/dt", figures.gradient * ramp * _constants(terms, size, BIAS))
+        if done is None:
+            by_name = dict(zip((BIAS, SCALE_FACTOR), figures.slopes[kind], strict=True))
+            slope = sum((s * _constants(terms, size, name) for name, s in by_name.items()), np.zeros(size))
+        else:
+            slope = _slopes(terms, size, done)
+        lag = figures.lag if done is None or done.lag_std is None else done.lag_std
+        add("offset of the temperature", figures.offset * slope)
+        add("lag of the temperature", lag * ramp * slope)
+    return {name: np.stack(several, axis=1) for name, several in columns.items()}
+
+
+def widened(known: Posterior, columns: Mapping[str, np.ndarray]) -> Posterior:
+    """The posterior with further errors, each a set of columns `(p, k)`."""
+    return known._replace(spread=np.concatenate([known.spread, *columns.values()], axis=1)) if columns else known
+
+
+def another_run(figures: SystematicFigures, channels: Sequence[ChannelTerms], size: int) -> dict[str, np.ndarray]:
+    """Columns for the bias of another power-on."""
+    columns = [figures.turn_on[kind] * _constants(terms, size, BIAS) for kind, terms in channels]
+    return {TURN_ON: np.stack(columns, axis=1)} if any(np.any(c) for c in columns) else {}
+
+
+def _constants(terms, size: int, name: str) -> np.ndarray:
+    """Parameters `(p,)` of the term that is 1 everywhere; zero without the term."""
+    column = np.zeros(size)
+    for where, term in terms:
+        if term.name == name:
+            column[where] = term.constant if isinstance(term, Map) else term.temperature.constant
+    return column
+
+
+def _slopes(terms, size: int, done: EstimatedRun) -> np.ndarray:
+    """Parameters `(p,)` of the estimated terms' derivatives in temperature, `(1/K)`, by least squares over the data's
+    temperatures: exact for polynomials."""
+    column = np.zeros(size)
+    low, high = done.temperature_c
+    at = np.linspace(low, max(high, low + 1.0), _AT)
+    for where, term in terms:
+        functions = term.temperature(at)
+        change = (term.temperature(at + _STEP_K) - term.temperature(at - _STEP_K)) / (2.0 * _STEP_K)
+        # A map over rate is a tensor product, temperature first.
+        own = done.parameters[where].reshape(functions.shape[1], -1)
+        column[where] = np.linalg.lstsq(functions, change @ own, rcond=None)[0].ravel()
+    return column
+
+
+def ramp_of(lines: Sequence[Trajectory]) -> float:
+    """Root mean square of dT/dt over the data that are used, K/s."""
+    total, time = 0.0, 0.0
+    for line in lines:
+        begin, end = (np.asarray(of)[~np.asarray(line.gap)] for of in line.ends())
+        lasting = np.asarray(line.duration)[~np.asarray(line.gap)]
+        lasts = lasting > 0.0
+        total += float(np.sum((end - begin)[lasts] ** 2 / lasting[lasts]))
+        time += float(np.sum(lasting))
+    return (total / time) ** 0.5 if time else 0.0
+
+
+def ramp_of_record(time: np.ndarray, temperature: np.ndarray) -> float:
+    """Root mean square of dT/dt of a record (s, °C), over parts of five minutes, K/s."""
+    span = float(time[-1] - time[0])
+    if span <= 0.0:
+        return 0.0
+    at = np.linspace(time[0], time[-1], max(2, round(span / _MINUTES) + 1))
+    return float(np.sqrt(np.mean((np.diff(np.interp(at, time, temperature)) / np.diff(at)) ** 2)))
+
+
+def terms_of_axis(model: SensorModel) -> list[ChannelTerms]:
+    """The maps of one axis's model."""
+    maps = (model.bias, model.scale)
+    return [ChannelTerms("gyro", tuple((model.where(m.name), m) for m in maps if m is not None))]
+
+
+def terms_of_unit(built: AssembledUnit) -> list[ChannelTerms]:
+    """The maps and terms of every channel of a unit."""
+    model, channels = built.model, []
+    for c in model.channels:
+        own = [(model.where(c.kind, c.axis, t.name), t) for t in c.model.terms if isinstance(t, Map | SignalMap)]
+        channels.append(ChannelTerms(c.kind, tuple(own)))
+    return channels
+
+
+class CountedPosteriors(NamedTuple):
+    """Posteriors of a plan or an estimate. `own`: with what the spec names; `whole`: with what it omits, at its class's
+    typical figures; `any_run`: with the bias of another power-on as well. `built`: whose model the last two are of.
+    `fit`, `columns`: the parts of `any_run`: of noise and priors alone, and of what no residual shows, by name (in an
+    estimate without the turn-on bias)."""
+
+    own: Posterior
+    whole: Posterior
+    any_run: Posterior
+    built: Any
+    fit: Posterior
+    columns: Mapping[str, np.ndarray] = MappingProxyType({})
+
+
+def budget_of_plan(built: Assembled, known: Posterior, channel: Axis, complete: Assembled) -> CountedPosteriors:
+    """The posteriors of one axis of a plan; `complete`: the spec with all that it omits at typical figures."""
+    fit = known if complete is built else posterior_of_plan(complete, channel)
+    turn_on = another_run(systematic_figures(complete.spec), terms_of_axis(complete.model), complete.model.size)
+    return _planned(known, columns_of_plan(built, channel), complete, fit, columns_of_plan(complete, channel), turn_on)
+
+
+def budget_of_unit(built: AssembledUnit, known: Posterior, complete: AssembledUnit) -> CountedPosteriors:
+    """The posteriors of a unit's plan."""
+    fit = known if complete is built else posterior_of_unit(complete)
+    turn_on = another_run(systematic_figures(complete.spec), terms_of_unit(complete), complete.model.size)
+    return _planned(known, columns_of_unit_plan(built), complete, fit, columns_of_unit_plan(complete), turn_on)
+
+
+def own_of_unit(built: AssembledUnit, known: Posterior) -> Posterior:
+    """The posterior of a unit's plan with what the spec names."""
+    return widened(known, columns_of_unit_plan(built))
+
+
+def _planned(known: Posterior, named, complete, fit: Posterior, every, turn_on) -> CountedPosteriors:
+    own = widened(known, named)
+    whole = own if fit is known else widened(fit, every)
+    return CountedPosteriors(own, whole, widened(whole, turn_on), complete, fit, every | turn_on)
+
+
+def columns_of_plan(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
+    """Columns of what no residual of a plan's run shows, as far as the spec names it."""
+    figures = _without_fitted(systematic_figures(built.spec), built.model)
+    return columns_of(figures, terms_of_axis(built.model), built.model.size, ramp_of([built.trajectory(channel)]))
+
+
+def columns_of_unit_plan(built: AssembledUnit) -> dict[str, np.ndarray]:
+    """The same of a whole unit."""
+    ramp = ramp_of([motion.line for motion in (*built.past, built.motion)])
+    return columns_of(systematic_figures(built.spec), terms_of_unit(built), built.model.size, ramp)
+
+
+def _without_fitted(figures: SystematicFigures, model: SensorModel) -> SystematicFigures:
+    """A sensitivity to dT/dt that the model estimates is in its covariance."""
+    return figures if model.term(TEMPERATURE_GRADIENT) is None else figures._replace(gradient=0.0)
+
+
+def budget_of_estimate(
+    built: Assembled, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
+) -> CountedPosteriors:
+    """The posteriors of an estimate of one axis. `noise`: of `omitted_noise`."""
+    figures = (_without_fitted(systematic_figures(s), built.model) for s in (built.spec, with_typical(built.spec)))
+    return _estimated(built, known, done, noise, terms_of_axis(built.model), *figures)
+
+
+def budget_of_unit_estimate(
+    built: AssembledUnit, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
+) -> CountedPosteriors:
+    """The same of a whole unit."""
+    figures = (systematic_figures(s) for s in (built.spec, with_typical(built.spec)))
+    return _estimated(built, known, done, noise, terms_of_unit(built), *figures)
+
+
+def _estimated(
+    built, known: Posterior, done: EstimatedRun, noise, terms, named: SystematicFigures, complete: SystematicFigures
+) -> CountedPosteriors:
+    size = built.model.size
+    own, whole = (columns_of(figures, terms, size, done.ramp, done) for figures in (named, complete))
+    turn_on = another_run(complete, terms, size)
+    left = widened(known, own)
+    columns = {**whole, **noise}
+    counted = widened(known, columns) if absent_terms(built.spec) else left
+    return CountedPosteriors(left, counted, widened(counted, turn_on), built, known, columns)
+
+
+# Share of a coefficient's variance below which a column is left out of a file.
+_NEGLIGIBLE: Final = 1e-4
+
+
+def counted_criterion(criterion: Criterion, built: Assembled, channel: Axis) -> Criterion:
+    """The criterion with what no residual shows and the spec names: no plan removes it, so that it is a part of the
+    variance from the beginning."""
+    more = sum(np.sum((np.asarray(criterion.rows) @ c) ** 2, axis=1) for c in columns_of_plan(built, channel).values())
+    return eqx.tree_at(lambda c: c.beyond, criterion, criterion.beyond + more)
+
+
+def floor_of_plan(spec: Spec, channel: Axis) -> tuple[Assembled, Posterior]:
+    """What no residual of any plan shows, as a posterior of its own, and the model whose parameters it has: with what
+    the spec omits, at typical figures."""
+    built = assemble(with_typical(spec))
+    nothing = Posterior(np.zeros((built.model.size, 0)), np.zeros((built.model.size, 0)))
+    return built, widened(nothing, columns_of_plan(built, channel))
+
+
+def floor_of_unit_plan(spec: UnitSpec) -> tuple[AssembledUnit, Posterior]:
+    """The same of a whole unit."""
+    built = assemble_unit(with_typical(spec))
+    nothing = Posterior(np.zeros((built.model.size, 0)), np.zeros((built.model.size, 0)))
+    return built, widened(nothing, columns_of_unit_plan(built))
+
+
+def shares_of_variance(
+    budget: CountedPosteriors, run: str, statistic_of: Callable[[Posterior], float]
+) -> tuple[float, dict[str, float]]:
+    """The share of noise and priors in the variance of a statistic, and those of what no residual shows, by name; they
+    add up to one."""
+    columns = {n: c for n, c in budget.columns.items() if run == "any run" or n != TURN_ON}
+    total = statistic_of(widened(budget.fit, columns)) ** 2
+    if not (np.isfinite(total) and total > 0.0):
+        return 1.0, {}
+    without = {n: statistic_of(widened(budget.fit, {m: c for m, c in columns.items() if m != n})) for n in columns}
+    parts = {name: 1.0 - value**2 / total for name, value in without.items()}
+    of_fit = statistic_of(budget.fit) ** 2 / total
+    whole = of_fit + sum(parts.values())
+    return of_fit / whole, {name: part / whole for name, part in parts.items()}
+
+
+def unseen_errors(budget: CountedPosteriors, names: Sequence[str], reported: np.ndarray) -> tuple[UnseenError, ...]:
+    """The errors of an estimate that no residual shows, in the coefficients `names`; `reported` `(n, p)`: the engine's
+    parameters to these."""
+    variance = np.sum((reported @ budget.whole.spread) ** 2, axis=1)
+    rows: list[UnseenError] = []
+    for name, columns in budget.columns.items():
+        for column in (reported @ columns).T:
+            large = column**2 > _NEGLIGIBLE * variance
+            if np.any(large):
+                own = {n: float(v) for n, v in zip(names, column, strict=True) if v != 0.0}
+                rows.append(UnseenError(name=name, coefficients=own))
+    return tuple(rows)
+
+
+def omitted_noise(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
+    """Columns of what the noise that a spec omits adds to the covariance after the spec's own plan."""
+    noisy = noise_completed(built.spec)
+    if noisy is built.spec:
+        return {}
+    plan, more = (posterior_of_plan(of, channel) for of in (built, assemble(noisy)))
+    return {"omitted noise": _excess(plan, more, built.model.size, built.model.size)}
+
+
+def omitted_noise_of_unit(built: AssembledUnit) -> dict[str, np.ndarray]:
+    """The same of a whole unit, for the unit's own parameters."""
+    noisy = noise_completed(built.spec)
+    if noisy is built.spec:
+        return {}
+    plan, more = (posterior_of_unit(of) for of in (built, assemble_unit(noisy)))
+    return {"omitted noise": _excess(plan, more, built.model.size, built.model.calibrated)}
+
+
+def noise_completed(spec: AnySpec) -> AnySpec:
+    """The spec with the omitted terms that are noise, or parameters of the table, at typical figures; without those
+    that change the parameters of the sensor or the temperatures of the plan."""
+    noise = {t.key: t.value for t in absent_terms(spec) if t.key.rpartition(".")[2] not in _NO_NOISE}
+    return changed(spec, noise) if noise else spec
+
+
+def _excess(spec: Posterior, noisy: Posterior, size: int, own: int) -> np.ndarray:
+    """Columns `(p, k)` of what the omitted noise adds to the covariance of the first `own` parameters."""
+    more = noisy.spread[:own] @ noisy.spread[:own].T - spec.spread[:own] @ spec.spread[:own].T
+    scale = np.sqrt(np.maximum(np.diag(noisy.spread[:own] @ noisy.spread[:own].T), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(more / np.outer(scale, scale))
+    columns = np.zeros((size, own))
+    columns[:own] = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return columns

@@ -1,0 +1,405 @@
+"""What a spec leaves out, and what no residual shows, counts: in predictions, estimates, verdicts and calibrations."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from estimate_scenes import draw_truth, record, scene
+from simulated_log import simulate_log
+
+import gradcal_jax as gj
+from gradcal_jax.api.calibration import estimate_calibration
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.ieee_terms import calibration_map
+from gradcal_jax.api.unit_estimate import estimate_units
+from gradcal_jax.cli import main
+from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
+from gradcal_jax.files.log import LogError, write_log
+from gradcal_jax.files.unit_spec import parse_unit_spec
+
+SPEC = """
+format = "gradcal-spec/1"
+[sensor]
+quantity = "gyro"
+angle_random_walk = "0.1 deg/sqrt(h)"
+drift = [{ standard_deviation = "1 deg/h", correlation_time = "120 s" }]
+[sensor.bias]
+temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }
+prior = "400 deg/h"
+[sensor.scale_factor]
+temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }
+rate = { basis = "polynomial", degree = 0, scale = "200 deg/s" }
+prior = "3000 ppm"
+[rig.table]
+max_rate = "300 deg/s"
+max_acceleration = "300 deg/s^2"
+[rig.table.angle]
+reading_noise = "0.002 deg"
+standstill_offset = "0.004 deg"
+[rig.chamber]
+range = ["-40 degC", "85 degC"]
+max_heating = "5 K/min"
+max_cooling = "5 K/min"
+[[requirement]]
+name = "M"
+quantity = "scale_factor"
+temperature = ["-20 degC", "60 degC"]
+rate = ["-200 deg/s", "200 deg/s"]
+grid = [5, 5]
+target = "100 ppm"
+[[requirement]]
+name = "B"
+quantity = "bias"
+temperature = ["-20 degC", "60 degC"]
+grid = [5]
+target = "10 deg/h"
+[plan]
+method = "gradient"
+temperature = ["-20 degC", "60 degC"]
+gradient = "4 K/min"
+[plan.cycle]
+moves = [
+  { rest = "10 s", read_every = "1 s" }, { turn = "1440 deg", peak_rate = "200 deg/s", shape = "cosine ramps" },
+  { rest = "10 s", read_every = "1 s" }, { turn = "-1440 deg", peak_rate = "200 deg/s", shape = "cosine ramps" },
+]
+"""
+ZEROS = {
+    "sensor.rate_random_walk": "0 deg/h/sqrt(h)",
+    "sensor.turn_on_bias": "0 deg/h",
+    "sensor.thermal_lag": "0 s",
+    "sensor.sample_clock_error": "0 ppm",
+    "sensor.scale_factor_instability": [],
+    "sensor.temperature_error": {"standard_deviation": "0 K"},
+    "sensor.bias_temperature_gradient": {"prior": "0 deg/h/(K/min)"},
+    "sensor.temperature_offset": "0 K",
+    "sensor.temperature_lag": "0 s",
+    "rig.table.mounting_accuracy": "0 deg",
+    "rig.table.angle.harmonics": [],
+    "rig.table.angle.scale_error": "0 ppm",
+    "rig.earth_rate": "0 deg/h",
+}
+BARE = gj.parse_spec(SPEC)
+EXACT = gj.changed(BARE, ZEROS)
+DEG_PER_H = np.pi / 180.0 / 3600.0
+
+
+def left(spec, name):
+    return next(row for row in gj.predict(spec).requirements if row.name == name)
+
+
+def without(*keys):
+    """The exact spec less some of its zeros."""
+    return gj.changed(EXACT, dict.fromkeys(keys))
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """A log of the exact spec's plan; its truth is known."""
+    made = simulate_log(EXACT, sample_rate_hz=25.0, seed=3)
+    return made.log, made.truth["x"][0]
+
+
+def estimated(spec, log, **options):
+    report = estimate_calibration(spec, log, options=Options(**options))
+    return report, {row.requirement.name: row for row in report.verdicts[log.units[0]]}
+
+
+# --- predictions ------------------------------------------------------------------------------------------------------
+
+
+def test_explicit_zeros_are_the_same_model_and_nothing_is_omitted():
+    assert absent_terms(EXACT) == []
+    bare, exact = gj.predict(BARE), gj.predict(EXACT)
+    np.testing.assert_allclose(bare.covariance, exact.covariance, rtol=1e-12)
+    for a, b in zip(bare.requirements, exact.requirements, strict=True):
+        assert a.decisive == pytest.approx(b.decisive, rel=1e-12)
+        assert b.with_typical is None
+        assert b.judged == b.decisive
+        assert (a.verdict, b.verdict) == ("missed", "met")
+        assert a.with_typical > 5.0 * a.decisive
+    assert {t.key for t in bare.omitted} == set(ZEROS)
+
+
+@pytest.mark.parametrize(
+    ("key", "name", "size"),
+    [
+        ("rig.table.mounting_accuracy", "M", 2**0.5 * np.radians(0.5) ** 2 * 1e6),
+        ("rig.table.angle.scale_error", "M", 50.0),
+        ("sensor.sample_clock_error", "M", 30.0),
+        ("sensor.temperature_offset", "M", 2.0 * slopes_of(BARE.sensor)[1] * 1e6),
+        ("sensor.temperature_lag", "M", 4.0 * slopes_of(BARE.sensor)[1] * 1e6),
+        ("sensor.temperature_lag", "B", 4.0 * slopes_of(BARE.sensor)[0] / DEG_PER_H),
+        ("sensor.bias_temperature_gradient", "B", 40.0),
+        ("rig.earth_rate", "B", 15.04 / 3**0.5),
+    ],
+)
+def test_a_term_that_is_left_out_counts_with_its_figure(key, name, size):
+    """In quadrature, beside what the spec names: each is a constant of a map."""
+    row = left(without(key), name)
+    expected = np.hypot(row.decisive, size)
+    # Constant over the box, so that every statistic of the residual is at most this and at least the larger of the two.
+    assert row.with_typical == pytest.approx(expected, rel=0.08)
+    # The prior of 400 deg/h on the bias takes half a per cent off a sensitivity of 40.
+    assert row.with_typical > size * (1.0 - 1e-2)
+    assert row.decisive == pytest.approx(left(EXACT, name).decisive, rel=1e-12)
+
+
+def test_a_named_figure_counts_as_itself():
+    named = gj.changed(EXACT, {"rig.table.mounting_accuracy": "1 deg"})
+    row = left(named, "M")
+    assert row.with_typical is None
+    assert row.decisive == pytest.approx(
+        np.hypot(left(EXACT, "M").decisive, 2**0.5 * np.radians(1.0) ** 2 * 1e6), rel=0.02
+    )
+
+
+def test_another_power_on_is_a_line_of_its_own_and_decides():
+    named = gj.changed(EXACT, {"sensor.turn_on_bias": "360 deg/h"})
+    row = left(named, "B")
+    assert (row.verdict, row.another_run) == ("missed", pytest.approx(360.0, rel=0.01))
+    assert row.decisive < 10.0
+    this = left(gj.changed(named, {"requirement[1].of": "this run"}), "B")
+    assert (this.verdict, this.another_run) == ("met", None)
+    assert left(named, "M").another_run is None
+
+
+def test_the_command_shows_both_and_asks_for_the_earth(tmp_path, capsys):
+    (tmp_path / "spec.toml").write_text(SPEC)
+    assert main(["predict", str(tmp_path / "spec.toml")]) == 1
+    said = capsys.readouterr().out
+    assert "named alone" in said
+    assert all(key in said for key in ZEROS)
+    assert "[rig] earth_rate" in said
+    assert "--latitude" in said
+    gj.write_toml(EXACT, tmp_path / "exact.toml")
+    assert main(["predict", str(tmp_path / "exact.toml")]) == 0
+    said = capsys.readouterr().out
+    assert "named alone" not in said
+    assert "typical" not in said
+
+
+def test_the_computers_clock_counts_one_ppm():
+    slow = gj.changed(EXACT, {"sensor.sample_clock_error": "200 ppm"})
+    by_host = gj.changed(slow, {"sensor.clock": "host"})
+    assert left(slow, "M").decisive > 199.0
+    one = gj.changed(EXACT, {"sensor.sample_clock_error": "1 ppm"})
+    assert left(by_host, "M").decisive == pytest.approx(left(one, "M").decisive, rel=1e-12)
+    assert "sensor.sample_clock_error" not in {t.key for t in absent_terms(gj.changed(BARE, {"sensor.clock": "host"}))}
+
+
+def test_a_limit_a_derivative_and_a_sensitivity_count_what_no_residual_shows():
+    """Half a degree of the input axis: 108 ppm, however long a plan goes on."""
+    floor = 2**0.5 * np.radians(0.5) ** 2 * 1e6
+    named = gj.changed(EXACT, {"rig.table.mounting_accuracy": "0.5 deg"})
+    row = left(named, "M")
+    assert gj.differentiable(named)({})["M"] == pytest.approx(row.decisive, rel=1e-9)
+    found = gj.sensitivity(named)
+    assert found.residuals["M"][0] == pytest.approx(row.decisive, rel=1e-6)
+    (share,) = (r.percent for r in found.rows if r.requirement == "M" and r.figure.startswith("input axis"))
+    assert share == pytest.approx((floor / row.decisive) ** 2, rel=1e-3)
+    (limit,) = (one for one in gj.limit(named) if one.name == "M")
+    assert floor < limit.certified < limit.value == pytest.approx(row.decisive)
+    (counted,) = (one for one in gj.limit(without("rig.table.mounting_accuracy")) if one.name == "M")
+    assert (counted.certified, counted.value) == pytest.approx((limit.certified, limit.value), rel=1e-6)
+
+
+# --- whole units ------------------------------------------------------------------------------------------------------
+
+UNIT = gj.presets.text("ferraris")
+
+
+def of_unit(spec, name):
+    return next(row for row in gj.predict(spec).requirements if row.name == name)
+
+
+def test_a_unit_counts_what_it_omits_too_and_judges_by_coverage_and_risk():
+    spec = parse_unit_spec(UNIT)
+    prediction = gj.predict(spec)
+    row = prediction.requirements[0]
+    assert row.with_typical > row.decisive
+    assert {"sensor.gyro.turn_on_bias", "sensor.temperature_offset"} <= {t.key for t in prediction.omitted}
+    assert next(r for r in prediction.requirements if r.name == "accelerometer bias").another_run > 700.0
+    full = with_typical(spec)
+    assert absent_terms(full) == []
+    assert of_unit(full, "gyro scale factor").decisive == pytest.approx(row.with_typical, rel=1e-12)
+    target = f"{1.5 * row.judged:.6f} ppm"
+    assert of_unit(gj.changed(spec, {"requirement[0].target": target}), row.name).verdict == "met"
+    twice = gj.changed(spec, {"requirement[0].target": target, "requirement[0].coverage": 2})
+    assert of_unit(twice, row.name).verdict == "missed"
+    assert "2 ×" in of_unit(twice, row.name).rule
+    guarded = gj.changed(spec, {"requirement[0].target": target, "requirement[0].risk": "1 %"})
+    assert of_unit(guarded, row.name).verdict == "missed"
+    assert 0.05 < of_unit(guarded, row.name).specific_risk < 0.2
+
+
+def test_a_clock_does_not_scale_a_force_unless_it_is_a_velocity_increment():
+    """199 ppm of the accelerometers' scale factor were the clock's."""
+    bare = of_unit(parse_unit_spec(UNIT), "accelerometer scale factor")
+    spec = gj.changed(parse_unit_spec(UNIT), {"sensor.sample_clock_error": "200 ppm"})
+    assert of_unit(spec, bare.name).decisive == pytest.approx(bare.decisive, rel=1e-9)
+    spec = gj.changed(spec, {"sensor.accelerometer.velocity_increments": True})
+    assert of_unit(spec, "accelerometer scale factor").decisive > 190.0
+    assert of_unit(spec, "gyro scale factor").decisive > 190.0
+    # The computer's clock ends the question.
+    spec = gj.changed(spec, {"sensor.clock": "host"})
+    assert of_unit(spec, bare.name).decisive == pytest.approx(bare.decisive, rel=0.01)
+
+
+# --- estimates --------------------------------------------------------------------------------------------------------
+
+
+def test_an_estimate_counts_what_its_spec_omits(recorded):
+    log, _ = recorded
+    exact, by_exact = estimated(EXACT, log)
+    bare, by_bare = estimated(BARE, log)
+    for name in ("M", "B"):
+        assert by_exact[name].verdict == "met"
+        assert by_exact[name].named == by_exact[name].value
+        assert by_bare[name].named == pytest.approx(by_exact[name].value, rel=1e-12)
+        assert by_bare[name].value > 5.0 * by_bare[name].named
+        assert by_bare[name].verdict == "missed"
+    assert exact.as_wished
+    assert not bare.as_wished
+    said = " ".join(bare.messages[log.units[0]])
+    assert all(key in said for key in ZEROS if key != "sensor.thermal_lag")
+    assert "--latitude" in said
+    assert "lag" in said
+    assert not any("typical" in m for m in exact.messages[log.units[0]])
+    # The covariance of the fit is the same; what no residual shows stands beside it.
+    assert exact.calibrations[0].axis[0].covariance == bare.calibrations[0].axis[0].covariance
+    assert exact.calibrations[0].axis[0].unseen == ()
+    (axis,) = bare.calibrations[0].axis
+    assert {e.name for e in axis.unseen} >= {"input axis beside the table's axis", "Earth's rate", "omitted noise"}
+    at = np.linspace(-20.0, 60.0, 5)
+    shown = calibration_map(axis, "scale_factor", at, np.linspace(-200.0, 200.0, 5))[1].values
+    assert np.mean(shown.max(axis=0)) == pytest.approx(by_bare["M"].value, rel=1e-3)
+
+
+def faults(log):
+    """Faults that fit a model perfectly: the term that the spec omits, the map, and the log."""
+    time, rate = log.time_s, log.rate_rad_per_s
+    minutes = (log.temperature_c[0, -1] - log.temperature_c[0, 0]) / (time[-1] - time[0]) * 60.0
+    earth = replace(log, rate_rad_per_s=rate + 10.63 * DEG_PER_H)
+    gradient = replace(log, rate_rad_per_s=rate + 9.0 * minutes * DEG_PER_H)
+    angle = replace(log, table_angle_rad=log.table_angle_rad * (1.0 + 9e-5))
+    tilted = replace(log, rate_rad_per_s=rate * np.cos(np.radians(0.9)))
+    warm = replace(log, temperature_c=log.temperature_c - 2.5)
+    return {
+        "rig.earth_rate": ("B", earth),
+        "sensor.bias_temperature_gradient": ("B", gradient),
+        "rig.table.angle.scale_error": ("M", angle),
+        "rig.table.mounting_accuracy": ("M", tilted),
+        "sensor.temperature_offset": ("M", warm),
+    }
+
+
+@pytest.mark.parametrize("key", sorted(faults(simulate_log(EXACT, sample_rate_hz=2.0).log)))
+def test_an_error_that_no_residual_shows_is_within_the_stated_uncertainty(recorded, key):
+    log, truth = recorded
+    name, faulty = faults(log)[key]
+    report, rows = estimated(without(key), faulty)
+    (channel,) = report.channels
+    assert channel.consistency.fit.passed
+    model = channel.model
+    of, unit = (model.scale, 1e6) if name == "M" else (model.bias, 1.0 / DEG_PER_H)
+    where = model.where(of.name)
+    at = np.linspace(-20.0, 60.0, 5)
+    error = of.values(at, np.full(5, 1.0)) @ (channel.estimate.parameters[0] - truth)[where] * unit
+    worst, row = float(np.max(np.abs(error))), rows[name]
+    assert worst > 5.0 * row.named
+    assert worst <= 2.0 * row.worst
+    assert key in " ".join(report.messages[log.units[0]])
+
+
+def test_an_option_that_states_the_earth_leaves_no_term_out(recorded):
+    log, _ = recorded
+    spec = without("rig.earth_rate")
+    turned = replace(log, rate_rad_per_s=log.rate_rad_per_s + 5.0 * DEG_PER_H)
+    _, rows = estimated(spec, turned, earth_rate=5.0 * DEG_PER_H)
+    assert rows["B"].verdict == "met"
+    # And so does the spec.
+    report, rows = estimated(gj.changed(EXACT, {"rig.earth_rate": "5 deg/h"}), turned)
+    plain, _ = estimated(EXACT, log)
+    np.testing.assert_allclose(
+        report.channels[0].estimate.parameters, plain.channels[0].estimate.parameters, rtol=1e-6, atol=1e-12
+    )
+
+
+def test_two_clocks_that_contradict_each_other_are_said_and_the_computers_is_used(recorded, tmp_path, capsys):
+    log, _ = recorded
+    plain, _ = estimated(EXACT, log)
+    write_log(replace(log, host_time_s=log.time_s, time_s=log.time_s * (1.0 + 5e-4)), tmp_path / "log.nc")
+    gj.write_toml(EXACT, tmp_path / "spec.toml")
+    words = ["estimate", str(tmp_path / "log.nc"), "--spec", str(tmp_path / "spec.toml"), "--json"]
+    main(words)
+    (unit,) = json.loads(capsys.readouterr().out)["units"]
+    values = {p["name"]: p["value"] for p in unit["channels"][0]["parameters"]}
+    own = dict(zip(plain.channels[0].model.names(), plain.channels[0].estimate.parameters[0], strict=True))
+    assert values["b00"] == pytest.approx(own["b00"], abs=1e-6)
+    assert any("contradict each other by 499" in m for m in unit["messages"])
+    main([*words, "--clock", "sensor"])
+    (unit,) = json.loads(capsys.readouterr().out)["units"]
+    values = {p["name"]: p["value"] for p in unit["channels"][0]["parameters"]}
+    assert values["b00"] == pytest.approx(own["b00"] + 5e-4, abs=2e-6)
+    assert any("contradict" in m and "--clock host" in m for m in unit["messages"])
+
+
+# --- contradictions ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("unit", "convert"), [("°F", lambda t: 1.8 * t + 32.0), ("K", lambda t: t + 273.15)])
+def test_temperatures_in_another_unit_are_refused_by_name(recorded, unit, convert):
+    log, _ = recorded
+    with pytest.raises(LogError, match=f"inside if they are in {unit}"):
+        estimated(EXACT, replace(log, temperature_c=convert(log.temperature_c)))
+
+
+def test_there_is_no_verdict_beyond_the_data(recorded):
+    log, _ = recorded
+    wide = gj.changed(
+        EXACT,
+        {"requirement[0].rate": ["-290 deg/s", "290 deg/s"], "requirement[1].temperature": ["-40 degC", "60 degC"]},
+    )
+    report, rows = estimated(wide, log)
+    assert {row.verdict for row in rows.values()} == {"not covered"}
+    assert not report.as_wished
+    said = " ".join(report.messages[log.units[0]])
+    assert "'M' asks for -290 … 290 deg/s, and the data cover" in said
+    assert "'B' asks for -40 … 60 °C, and the data cover" in said
+
+
+@pytest.fixture(scope="module")
+def unit_log():
+    spec, rng = scene("two axes", 0.1), np.random.default_rng(4)
+    return spec, record(spec, draw_truth(spec, rng), rng)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda r, f: (r * [1, -1, 1], f), "gyro y: .*sign is the opposite"),
+        (lambda r, f: (r, f / 9.80665), "accelerometer .: .*in g, where m/s"),
+        (lambda r, f: (r[..., [1, 0, 2]], f), "gyro x: .*(swapped|quarter turn)"),
+        (lambda r, f: (np.degrees(r), f), "gyro .: .*deg/s, where rad/s"),
+        (lambda r, f: (r, f[..., [1, 0, 2]] * [1, -1, 1]), "accelerometer .: .*quarter turn"),
+    ],
+)
+def test_a_channel_that_no_device_has_is_refused_by_name_and_cause(unit_log, change, said):
+    spec, logs = unit_log
+    rates, forces = change(logs[0].rate_rad_per_s, logs[0].specific_force_m_per_s2)
+    with pytest.raises(LogError, match=said):
+        estimate_units(spec, [replace(logs[0], rate_rad_per_s=rates, specific_force_m_per_s2=forces)])
+
+
+def test_a_unit_s_estimate_counts_what_its_spec_omits(unit_log):
+    spec, logs = unit_log
+    (report,) = estimate_units(spec, logs)
+    (full,) = estimate_units(with_typical(spec), logs)
+    assert full.requirements
+    for row in report.requirements:
+        assert row.with_typical >= row.decisive
+    assert any("not in the spec" in m for m in report.messages)
+    assert not any("not in the spec" in m for m in full.messages)
+    assert report.calibration.unseen
+    assert report.calibration.result[0].value == report.requirements[0].judged

@@ -1,0 +1,141 @@
+"""Making safe needs no journal: one that cannot be written, or that hangs, keeps no stop off the wire."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hardware_bench import Rig
+
+from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.journal import Journal
+from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
+from gradcal_jax.hardware.setup import open_rig
+from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep
+from gradcal_jax.hardware.transport import Transport
+
+SPIN = AxisCommand(0.0, "table", "spin", rate_dps=150.0, acceleration_dps2=300.0)
+SPINS = Track((TrackStep("spin", 60.0, temperature_c=40.0, moves=(SPIN,)),))
+
+
+@contextmanager
+def spinning(folder: Path, *, stage: bool) -> Iterator[tuple[Rig, Runner]]:
+    """A run that records all of its lines."""
+    clock = RealClock()
+    with ExitStack() as stack:
+        rig, journal = stack.enter_context(Rig(clock, stage=stage)), stack.enter_context(Journal(folder / "journal"))
+        bench = stack.enter_context(open_rig(rig.rig, clock, lambda url: journal.recorder(f"port {url}")))
+        yield rig, Runner(SPINS, bench, journal, clock, safe_deadline_s=10.0, chamber_every_s=0.5)
+
+
+def run_with(rig: Rig, runner: Runner, harm: Any) -> tuple[RunResult, float]:
+    """Run; once the table spins, do harm. The result, and how long (s) after that everything was safe."""
+    began: list[float] = []
+    safe: list[float] = []
+
+    def look(progress: RunProgress) -> None:
+        if not began and rig.axis.state(runner.clock.now())[1] > 149.0:
+            began.append(time.monotonic())
+            harm()
+
+    def see() -> None:
+        while not safe:
+            time.sleep(0.02)
+            if began and rig.axis.state(runner.clock.now())[1] == 0.0 and not rig.chamber.plant.conditioning:
+                safe.append(time.monotonic())
+
+    runner.on_progress = look
+    watch = threading.Thread(target=see, daemon=True)
+    watch.start()
+    result = runner.run()
+    watch.join(timeout=1.0)
+    return result, (safe or [float("inf")])[0] - began[0]
+
+
+def limited(folder: Path, stage: bool) -> None:
+    """Runs in a process of its own, whose files cannot grow by more than a kilobyte from then on."""
+    import resource
+
+    def limit() -> None:
+        most = (folder / "journal").stat().st_size + 1000
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, resource.RLIM_INFINITY))
+
+    with spinning(folder, stage=stage) as (rig, runner):
+        result, took_s = run_with(rig, runner, limit)
+    print(json.dumps({"how": result.exit_status, "why": result.reason, "safe": result.verified_safe, "s": took_s}))
+
+
+@pytest.mark.parametrize("stage", [False, True])
+def test_a_journal_that_cannot_grow_ends_a_spin_safely(tmp_path: Path, stage: bool) -> None:
+    words = [sys.executable, __file__, str(tmp_path), *["stage"] * stage]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120.0, env=environment)
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert (found["how"], found["safe"]) == ("aborted", True), done.stderr
+    assert "the disk is full" in found["why"]
+    assert found["s"] < 5.0
+
+
+@pytest.mark.parametrize("stage", [False, True])
+def test_a_stick_that_is_pulled_ends_a_spin_safely(
+    tmp_path: Path, stage: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pulled, write = threading.Event(), os.write
+    with spinning(tmp_path, stage=stage) as (rig, runner):
+        file = (tmp_path / "journal").stat()
+
+        def gone(handle: int, data: bytes) -> int:
+            if pulled.is_set() and os.path.samestat(os.fstat(handle), file):
+                raise OSError(5, "Input/output error")
+            return write(handle, data)
+
+        monkeypatch.setattr(os, "write", gone)
+        result, took_s = run_with(rig, runner, pulled.set)
+        assert (result.exit_status, result.verified_safe) == ("aborted", True)
+        assert "Input/output error" in result.reason
+        assert took_s < 5.0
+
+
+def test_a_disk_that_hangs_keeps_no_stop_off_the_wire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hangs, awake, write = threading.Event(), threading.Event(), os.write
+    with spinning(tmp_path, stage=True) as (rig, runner):
+        file = (tmp_path / "journal").stat()
+
+        def stuck(handle: int, data: bytes) -> int:
+            if hangs.is_set() and os.path.samestat(os.fstat(handle), file):
+                awake.wait(60.0)
+            return write(handle, data)
+
+        def harm() -> None:
+            hangs.set()
+            runner.request("abort", "SIGTERM")
+            threading.Timer(8.0, awake.set).start()
+
+        monkeypatch.setattr(os, "write", stuck)
+        result, took_s = run_with(rig, runner, harm)
+        assert (result.reason, result.verified_safe) == ("SIGTERM", True)
+        assert took_s < 5.0
+
+
+@pytest.mark.parametrize("problem", [OSError(28, "full"), ValueError("closed"), RuntimeError("any"), MemoryError()])
+def test_bytes_are_sent_and_received_whatever_a_recorder_raises(problem: Exception) -> None:
+    clock = RealClock()
+    with Rig(clock, stage=True) as rig:
+
+        def fails(*_: object) -> None:
+            raise problem
+
+        with Transport(rig.ports[1].url, clock=clock, recorder=fails) as line:
+            line.write(b"/1 1 get pos\n")
+            assert line.read(2.0).startswith(b"@01 1 OK IDLE")
+
+
+if __name__ == "__main__":
+    limited(Path(sys.argv[1]), "stage" in sys.argv[2:])

@@ -1,0 +1,100 @@
+"""A unit that restarts with other settings, stops measuring or loses lines that it does not count: nothing is done."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hardware_bench import Rig, short_recipe
+
+from gradcal_jax.hardware.binding import track_of
+from gradcal_jax.hardware.drivers.vectornav import VectorNavConfig, decoder_of, request
+from gradcal_jax.hardware.journal import Event, Journal, read_journal
+from gradcal_jax.hardware.losses import ExecutedStep, SampleLosses
+from gradcal_jax.hardware.runner import Runner, RunProgress
+from gradcal_jax.hardware.setup import open_rig
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
+
+
+@contextmanager
+def lab(folder: Path) -> Iterator[tuple[Rig, Runner]]:
+    clock = VirtualClock()
+    with Rig(clock, stage=True) as rig, Journal(folder / "journal") as journal:
+        rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"
+        track = track_of(short_recipe(2.0), ["table"])
+        with open_rig(rig.rig, clock) as bench:
+            yield rig, Runner(track, bench, journal, clock, safe_deadline_s=10.0, wait_when_paused=False)
+
+
+def once(runner: Runner, act: Callable[[], Any]) -> None:
+    """Act once, from within the second step with data."""
+    done: list[bool] = []
+
+    def look(progress: RunProgress) -> None:
+        if not done and progress.steps_done == 2 and progress.step_left_s is not None:
+            done.append(True)
+            act()
+
+    runner.chamber_every_s = 1.0
+    runner.on_progress = look
+
+
+def events(folder: Path, name: str) -> list[Event]:
+    return [event for event in read_journal(folder / "journal").events if event.name == name]
+
+
+@pytest.mark.parametrize("rate_code", [1, 3])
+def test_a_unit_that_restarts_at_another_rate_is_configured_again(tmp_path: Path, rate_code: int) -> None:
+    with lab(tmp_path) as (rig, runner):
+
+        def restart() -> None:
+            rig.imu.options.rate_code = rate_code
+            rig.imu.reboot()
+
+        once(runner, restart)
+        result = runner.run()
+        assert result.exit_status == "success", result.reason
+        assert rig.imu._registers["im"] == "0"
+    assert len(events(tmp_path, "configuration")) == 2
+    (amiss, *_) = events(tmp_path, "not done")
+    assert "unit1" in amiss.data["why"]
+    last = [event for event in events(tmp_path, "step done") if event.data["number"] == amiss.data["number"]]
+    assert last
+
+
+def test_a_unit_that_stops_measuring_ends_the_run(tmp_path: Path) -> None:
+    """Datagrams and counter go on, the values stay: a sensor that hangs behind its interface."""
+    with lab(tmp_path) as (rig, runner):
+
+        def freeze() -> None:
+            take = rig.sensor.take
+
+            def stuck(count: int) -> Any:
+                samples = take(count)
+                samples.rate_dps[:] = (0.01, -0.02, 0.03)
+                return samples
+
+            rig.sensor.take = stuck
+
+        once(runner, freeze)
+        result = runner.run()
+        assert result.exit_status == "aborted"
+        assert "its gyros show" in result.reason
+        assert "and the table turned 720" in result.reason
+        assert result.verified_safe
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_lost_lines_of_a_unit_that_does_not_count_are_noticed_by_their_rate(share: float) -> None:
+    config = VectorNavConfig(output="ascii", sample_rate_hz=50.0)
+    losses, random = SampleLosses(decoder_of(config, {}), 50.0), np.random.default_rng(1)
+    line = request("VNIMU,+00.1,+00.2,+00.3,+00.01,+00.02,-09.81,+00.001,+00.002,+00.003,+24.5,+101.3")
+    for k in range(50 * 40):
+        if random.random() >= share:
+            losses.push(line, k / 50.0)
+    said = losses.between(ExecutedStep(0, 1.0, 40.0), 0.02, 1.0, None)
+    assert bool(said) is (share > 0.0)
+    assert share == 0.0 or "45." in said
+    assert share == 0.0 or "samples/s and was set to 50" in said

@@ -99,6 +99,7 @@ prior = "5000 ppm"
 [rig.table]
 max_rate = "300 deg/s"
 max_acceleration = "400 deg/s^2"
+{mounting}
 [rig.table.angle]
 reading_noise = "0.002 deg"
 standstill_offset = "0.004 deg"
@@ -143,8 +144,12 @@ turn_on_bias = "3 deg/h"
 thermal_lag = "30 s"
 scale_factor_instability = [{ standard_deviation = "5 ppm", correlation_time = "20 min" }]
 temperature_error = { standard_deviation = "0.05 K", bias_slope = "2 deg/h/K", scale_factor_slope = "15 ppm/K" }
-bias_temperature_gradient = { prior = "2 deg/h/(K/min)" }"""
+bias_temperature_gradient = { prior = "2 deg/h/(K/min)" }
+temperature_offset = "0.05 K"
+temperature_lag = "0 s"
+"""
 _FULL_ENCODER = """timing_error = "0.1 ms"
+scale_error = "1 ppm"
 harmonics = [{ order = 1, amplitude = "0.002 deg" }]"""
 
 ONE_WAY = '[{ soak = "1 min", at = "-20 degC" }, { ramp_to = "60 degC", rate = "2 K/min" }]'
@@ -181,12 +186,14 @@ def axis_scene(full: bool, seed: int = 1, both_ways: bool | None = None) -> Scen
         turn_on=3.0 * DEG_H * rng.standard_normal() if full else 0.0,
     )  # fmt: skip
     wave = tuple(0.002 * rng.standard_normal(2))
-    encoder = Encoder(0.002, 0.004, waves={1: (float(wave[0]), float(wave[1]))} if full else {})
+    waves = {1: (float(wave[0]), float(wave[1]))} if full else {}
+    encoder = Encoder(0.002, 0.004, scale=1e-6 * rng.standard_normal() if full else 0.0, waves=waves)
     both = full if both_ways is None else both_ways
     offset = 0.05 * rng.standard_normal() if full else 0.0
     clock = 5.0 * PPM * rng.standard_normal() if full else 0.0
     spec = _AXIS.format(
         terms=_FULL_AXIS if full else "", encoder=_FULL_ENCODER if full else "",
+        mounting='mounting_accuracy = "1 mrad"' if full else "",
         scale="150 ppm" if full else "60 ppm", bias="10 deg/h" if full else "2 deg/h",
         programme=BOTH_WAYS if both else ONE_WAY,
     )  # fmt: skip
@@ -309,6 +316,17 @@ moves = [
 {moves},
 ]
 """
+_FULL_UNIT = """thermal_lag = "30 s"
+sample_clock_error = "5 ppm"
+temperature_offset = "0.05 K"
+temperature_lag = "0 s"
+"""
+_FULL_GYRO = """g_sensitivity = { prior = "20 deg/h/g" }
+rate_random_walk = "0.2 deg/h/sqrt(h)"
+turn_on_bias = "1 deg/h"
+scale_factor_instability = [{ standard_deviation = "3 ppm", correlation_time = "20 min" }]
+bias_temperature_gradient = "0 deg/h/(K/min)"
+"""
 _REQUIREMENT = """[[requirement]]
 name = "{quantity}"
 quantity = "{quantity}"
@@ -339,6 +357,9 @@ def unit_scene(full: bool, seed: int = 1, both_ways: bool | None = None) -> Scen
                 along / np.linalg.norm(along), powers(DEG_H * rng.standard_normal(4) * [150.0, 60.0, 30.0, 15.0]),
                 _map(PPM * rng.standard_normal((3, 3)) * sized, 300.0 * DEG), force, white=0.15 / 60.0 * DEG,
                 drift=((1.0 * DEG_H, 120.0),),
+                walk=0.2 * DEG_H / 60.0 if full else 0.0,
+                scale_drift=((3.0 * PPM, 1200.0),) if full else (),
+                turn_on=1.0 * DEG_H * rng.standard_normal() if full else 0.0,
             )
         )  # fmt: skip
     for k in range(3):
@@ -349,6 +370,7 @@ def unit_scene(full: bool, seed: int = 1, both_ways: bool | None = None) -> Scen
                 along / np.linalg.norm(along), powers(MG * rng.standard_normal(4) * [5.0, 2.0, 1.0, 0.5]),
                 lambda t, x, over=over: over(t), square=(200e-6 / G * rng.standard_normal()) if full else 0.0,
                 white=0.05 / 60.0, drift=((50e-6 * G, 200.0),), kind="accelerometer",
+                turn_on=50e-6 * G * rng.standard_normal() if full else 0.0,
             )
         )  # fmt: skip
     axes: list[Axis] = []
@@ -356,7 +378,8 @@ def unit_scene(full: bool, seed: int = 1, both_ways: bool | None = None) -> Scen
         wave = 0.001 * rng.standard_normal(2) if full else np.zeros(2)
         waves = {1: (float(wave[0]), float(wave[1]))} if full else {}
         skew = 50e-6 * rng.standard_normal() if full and k == 0 else 0.0
-        axes.append(Axis(direction, Encoder(0.001, 0.002, waves=waves), skew=skew))
+        scale = 1e-6 * rng.standard_normal() if full else 0.0
+        axes.append(Axis(direction, Encoder(0.001, 0.002, scale=scale, waves=waves), skew=skew))
     base = rng.standard_normal(3) * [100e-6, 100e-6, 2e-3] if full else np.zeros(3)
     both = full if both_ways is None else both_ways
     requirements = "\n".join(
@@ -367,20 +390,23 @@ def unit_scene(full: bool, seed: int = 1, both_ways: bool | None = None) -> Scen
         for name, target in (_TARGETS | ({"g_sensitivity": ("", "5 deg/h/g")} if full else {})).items()
     )  # fmt: skip
     spec = _UNIT.format(
-        terms='thermal_lag = "30 s"\nsample_clock_error = "5 ppm"' if full else "",
-        gyro='g_sensitivity = { prior = "20 deg/h/g" }' if full else "",
-        accelerometer='second_order = { prior = "500 ug/g^2" }' if full else "",
+        terms=_FULL_UNIT if full else "", gyro=_FULL_GYRO if full else "",
+        accelerometer='second_order = { prior = "500 ug/g^2" }\nturn_on_bias = "50 ug"' if full else "",
         site='gravity_accuracy = "5 ug"' if full else "",
         table='tilt = "100 urad"\nazimuth = "2 mrad"' if full else "",
         skew='orthogonality = "50 urad"' if full else "",
-        encoder='harmonics = [{ order = 1, amplitude = "0.001 deg" }]' if full else "",
+        encoder='scale_error = "1 ppm"\nharmonics = [{ order = 1, amplitude = "0.001 deg" }]' if full else "",
         requirements=requirements, programme=BOTH_WAYS if both else ONE_WAY,
         moves=",\n".join(f"  {word}" for word in _UNIT_WORDS),
     )  # fmt: skip
     clock = 5.0 * PPM * rng.standard_normal() if full else 0.0
+    climate = Climate(
+        UP_AND_DOWN if both else UP, air_to_die=30.0 if full else 0.0,
+        offset=0.05 * rng.standard_normal() if full else 0.0,
+    )  # fmt: skip
     return Scene(
         "unit", spec, Bench(axes, base=base, lever=(0.03, -0.02, 0.01) if full else (0.0, 0.0, 0.0)), channels,
-        Motion(UNIT_MOVES, END, 2), Climate(UP_AND_DOWN if both else UP, air_to_die=30.0 if full else 0.0),
+        Motion(UNIT_MOVES, END, 2), climate,
         Chain(clock=clock), ("x", "y", "z"), tuple(name for name, _ in _TABLE), seed=seed,
     )  # fmt: skip
 

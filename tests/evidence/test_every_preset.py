@@ -22,8 +22,8 @@ EXPERIMENTS = tuple(
     for path in sorted((ROOT / "experiments").rglob("*.toml"))
     if tomllib.loads(path.read_text(encoding="utf-8")).get("format") in ("gradcal-spec/1", "gradcal-recipe/1")
 )
-# In the suite itself: the paper's, one static, one standard, a unit on two axes, and one by hand. Thinned: ramps of some
-# twenty minutes in the place of hours, and requirements ("box") within the temperatures that are left.
+# In the suite itself: the paper's, one static, one standard, a unit on two axes, and one by hand. Thinned: ramps of
+# some twenty minutes in the place of hours, and requirements ("box") within the temperatures that are left.
 QUICK = {
     "paper-dynamic-gradient": {
         "plan.temperature": ["10 degC", "40 degC"],

@@ -248,7 +248,7 @@ def _verdicts(budgets: CountedByChannel, channel: UnitChannel) -> list[Verdict]:
     for requirement in built.spec.requirement:
         in_this = residual_map(built, budget.own, requirement)[2]
         any_run = run_of(requirement) == "any run"
-        values = residual_map(built, budget.any_run if any_run else budget.whole, requirement)[2]
+        values = residual_map(built, budget.judged(run_of(requirement)), requirement)[2]
         value, worst = (finite(statistic_of(requirement, values, name)) for name in (requirement.statistic, "max"))
         judged = verdict(requirement, values)
         if judged in ("met", "missed") and beyond_the_data(requirement, *_covered(channel)):

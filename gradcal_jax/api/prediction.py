@@ -69,7 +69,7 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     known = posteriors_of_plan(built)
     shares: dict[Axis, dict[str, dict[str, float]]] = {}
     rows: list[RequirementRow] = []
-    for requirement, channel, budget in _budgets(built, known):
+    for requirement, channel, budget in counted_posteriors(built, known):
         row = _requirement_row(built, budget, requirement, channel)
         more = _risks(budget, requirement, row) if outlook else {}
         if limits:
@@ -92,10 +92,12 @@ def requirement_rows(spec: Spec | UnitSpec) -> list[RequirementRow]:
         unit = assemble_unit(spec)
         return _unit_rows(unit, posterior_of_unit(unit))
     built = assemble(spec)
-    return [_requirement_row(built, budget, r, c) for r, c, budget in _budgets(built, posteriors_of_plan(built))]
+    return [
+        _requirement_row(built, budget, r, c) for r, c, budget in counted_posteriors(built, posteriors_of_plan(built))
+    ]
 
 
-def _budgets(
+def counted_posteriors(
     built: Assembled, known: Mapping[Axis, Posterior]
 ) -> Iterator[tuple[Requirement, Axis, CountedPosteriors]]:
     """Every requirement on every axis, with the posteriors that decide."""
@@ -248,7 +250,7 @@ def counted_shares(spec: Spec) -> dict[tuple[str, Axis], dict[str, float]]:
     built = assemble(spec)
     shares: dict[tuple[str, Axis], dict[str, float]] = {}
     of_fit: dict[Axis, dict[str, dict[str, float]]] = {}
-    for requirement, channel, budget in _budgets(built, posteriors_of_plan(built)):
+    for requirement, channel, budget in counted_posteriors(built, posteriors_of_plan(built)):
         if channel not in of_fit:
             of_fit[channel] = error_budget(budget.built, channel, budget.fit)
         if (found := _shares(budget, requirement, of_fit[channel].get(requirement.name))) is not None:
@@ -279,7 +281,7 @@ def _risks(budget: CountedPosteriors, requirement: Requirement, row: Requirement
     """
     if row.target is None or row.worst is None or row.worst == 0.0:
         return {}
-    known = budget.any_run if run_of(requirement) == "any run" else budget.whole
+    known = budget.judged(run_of(requirement))
     model = budget.built.model
     temperatures, rates = box(requirement, _GRID)
     places = contrasts_of(model, requirement, requirement.statistic, (temperatures, rates))

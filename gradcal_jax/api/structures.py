@@ -12,6 +12,7 @@ import numpy as np
 from gradcal_jax.api.build import shortest_correlation_time
 from gradcal_jax.design import (
     AnyCoordinates,
+    Coordinates,
     CycleNumbers,
     Element,
     Frame,
@@ -220,11 +221,11 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
     candidates = []
     # Many short visits have more numbers than a search can tell apart: they begin with the same moves in each.
     many = choices[0][0] > _MOST_OWN and "cycles" not in design.model_fields_set
-    own_plan: list[Structure] = []
+    own_plan: Structure | None = None
     if "cycle" not in design.free and len(axes) == 1 and not _unsuited(cycle.moves):
-        own_plan = [_spec_cycle(spec, scenarios, cycle, free, time)]
+        own_plan = _spec_cycle(spec, scenarios, cycle, free, time)
         if many:
-            return own_plan
+            return [own_plan]
     for visits, each, between in choices:
         alike = design.cycles == "alike" or many
         groups = 1 if alike else -(-visits // max(1, -(-visits // _MOST_OWN)))
@@ -248,8 +249,12 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
         )
         kind = "the same moves in each" if alike else "moves of their own"
         of = "" if len(axes) == 1 else f" of each of {len(axes)} axes"
-        candidates.append(Structure(coordinates, f"{cycles * groups} turns at the table{of} of {each:.4g} s, {kind}"))
-    return candidates + [own._replace(alone=True) for own in own_plan]
+        words = f"{cycles * groups} turns at the table{of} of {each:.4g} s, {kind}"
+        start = None if own_plan is None else _among(coordinates, cycle.moves)
+        candidates.append(Structure(coordinates, words, start))
+    # A program of its own, for a plan of more moves than are searched.
+    outside = own_plan is not None and all(candidate.start is None for candidate in candidates)
+    return candidates + ([own_plan._replace(alone=True)] if own_plan is not None and outside else [])
 
 
 def _frame(spec: Spec, cycle: ResolvedCycle, own: float, other: float, time: float) -> Frame:
@@ -277,6 +282,37 @@ def _elements(shape: str, groups: int, moves: int, rest: float, *, not_shared: b
             if i < moves - 1 or not_shared or (ends and group == groups - 1):
                 elements.append(Element("rest", rest, group))
     return tuple(elements)
+
+
+def _among(coordinates: Coordinates, moves: Sequence[ResolvedMove]) -> np.ndarray | None:
+    """The vector in which every turn at the table has these moves, but for the rest before the first of them where
+    other axes turn then; None where they are more, or of other shapes, than the structure's."""
+    every = [move for move in moves for _ in range(move.repeat)]
+    turns, rests = [m for m in every if not m.is_rest], [0.0]
+    for move in every:
+        if move.is_rest:
+            rests[-1] += move.duration
+        else:
+            rests.append(0.0)
+    elements = coordinates.elements()
+    durations, peaks, ramps = np.array([e.least for e in elements]), np.zeros(len(elements)), np.zeros(len(elements))
+    group, turned = -1, 0
+    for k, element in enumerate(elements):
+        turned = 0 if element.group != group else turned
+        group = element.group
+        if element.shape == "rest":
+            durations[k] = max(rests[turned] if turned < len(rests) else 0.0, element.least)
+            continue
+        if turned < len(turns):
+            if turns[turned].shape != element.shape:
+                return None
+            durations[k], peaks[k], ramps[k] = turns[turned].duration, turns[turned].peak_rate, turns[turned].ramp
+        turned += 1
+    if turned < len(turns):
+        return None
+    span = float(coordinates.frame.temperature_end) - float(coordinates.frame.temperature_start)
+    steps = span * np.asarray(coordinates.lasting()) / float(coordinates.frame.motion_time)
+    return coordinates.vector(CycleNumbers(durations, peaks, ramps, steps))
 
 
 def _unsuited(moves: Sequence[ResolvedMove]) -> str:

@@ -223,6 +223,10 @@ class CountedPosteriors(NamedTuple):
     fit: Posterior
     columns: Mapping[str, np.ndarray] = MappingProxyType({})
 
+    def judged(self, run: str) -> Posterior:
+        """What a verdict judges in "any run" or in "this run"."""
+        return self.any_run if run == "any run" else self.whole
+
 
 def budget_of_plan(built: Assembled, known: Posterior, channel: Axis, complete: Assembled) -> CountedPosteriors:
     """The posteriors of one axis of a plan; `complete`: the spec with all that it omits at typical figures."""

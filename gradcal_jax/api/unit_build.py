@@ -9,7 +9,6 @@ import numpy as np
 
 from gradcal_jax import model, trajectory
 from gradcal_jax.api.build import basis, chamber_programme, move_of, or_infinite, section_map, slow_processes
-from gradcal_jax.estimation import PlannedMove
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_plan import UnitSchedule
@@ -36,8 +35,6 @@ SPECIFIC_FORCE_BIAS = "bias"
 SECOND_ORDER = "second_order"
 _CONSTANT = Polynomial(0, 0.0, 1.0)
 _LAGGED = 16
-# Parts of a move's time at which its angle is tabulated.
-_PROFILE = 512
 # Standard deviation of an angle that is known exactly, rad: far below any encoder's.
 _EXACT = 1e-12
 # Rounding of a move's rate, at the rate up to which accelerometers are read.
@@ -199,27 +196,6 @@ def geometry(rig: UnitRig) -> Geometry:
         np.asarray(float(rig.site.latitude)),
         np.asarray(float(rig.site.gravity)),
     )
-
-
-def planned_moves(built: AssembledUnit) -> list[list[PlannedMove]]:
-    """The moves of a plan's cycle between its rests."""
-    groups: list[list[PlannedMove]] = [[]]
-    places = np.linspace(0.0, 1.0, _PROFILE + 1)
-    for step in built.spec.schedule.steps:
-        for _ in range(step.move.repeat):
-            if step.axis < 0:
-                groups.append([])
-                continue
-            turn = move_of(replace(step.move, axis="x"), None, np.inf)
-            line = trajectory.gradient_plan(trajectory.programme(0.0, [(turn.duration, 0.0)]), (turn,)).trajectory()
-            begun = np.cumsum(line.turned()) - line.turned()
-            piece = np.clip(np.searchsorted(line.start, places * turn.duration, side="right") - 1, 0, len(begun) - 1)
-            within = (places * turn.duration - line.start[piece]) / line.duration[piece]
-            angle = begun[piece] + line.angle(within[:, None], piece)[:, 0]
-            groups[-1].append(PlannedMove(step.axis, turn.angle, turn.duration, angle / angle[-1]))
-    # The cycle begins anew where it ends.
-    groups[0] = [*groups.pop(), *groups[0]] if len(groups) > 1 else groups[0]
-    return [group for group in groups if group]
 
 
 class RestPoses(NamedTuple):

@@ -5,11 +5,13 @@ The spec describes the noise, the table and the terms; the executed motion is re
 
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from gradcal_jax import estimation
+from gradcal_jax import estimation, trajectory
+from gradcal_jax.api.build import move_of
 from gradcal_jax.api.calibration import excess_of, noise_sentences
 from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of, random_walks, section_of
 from gradcal_jax.api.contradictions import (
@@ -29,11 +31,11 @@ from gradcal_jax.api.systematic import (
     ramp_of_record,
     unseen_errors,
 )
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, planned_moves
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_residual import internal_misalignments
 from gradcal_jax.api.unit_sentences import prior_deviations, unobserved_parameters
-from gradcal_jax.estimation import Consistency, ExecutedUnit, Test, UnitEstimate, UnitReadings, UnitRows
+from gradcal_jax.estimation import Consistency, ExecutedUnit, PlannedMove, Test, UnitEstimate, UnitReadings, UnitRows
 from gradcal_jax.files import correction
 from gradcal_jax.files.calibration import FORMAT, Covariance
 from gradcal_jax.files.contracts import RequirementRow
@@ -57,6 +59,8 @@ from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, Map, Sign
 _REHUNG_S = 6 * 3600.0
 # Residuals of this many times the noise come from a wrong table, order of axes, or sign.
 _ABSURD = 100.0
+# Parts of a planned move's time at which its angle is tabulated.
+_PROFILE = 512
 # An error of the table of more than this many times its standard deviation by the spec is reported.
 _CONTRADICTED = 4.0
 
@@ -252,6 +256,27 @@ def _read(
             "mounting, the unit's axes and signs and the table's angles those of the spec?"
         )
     return done, readings, solution
+
+
+def planned_moves(built: AssembledUnit) -> list[list[PlannedMove]]:
+    """The moves of a plan's cycle between its rests."""
+    groups: list[list[PlannedMove]] = [[]]
+    places = np.linspace(0.0, 1.0, _PROFILE + 1)
+    for step in built.spec.schedule.steps:
+        for _ in range(step.move.repeat):
+            if step.axis < 0:
+                groups.append([])
+                continue
+            turn = move_of(replace(step.move, axis="x"), None, np.inf)
+            line = trajectory.gradient_plan(trajectory.programme(0.0, [(turn.duration, 0.0)]), (turn,)).trajectory()
+            begun = np.cumsum(line.turned()) - line.turned()
+            piece = np.clip(np.searchsorted(line.start, places * turn.duration, side="right") - 1, 0, len(begun) - 1)
+            within = (places * turn.duration - line.start[piece]) / line.duration[piece]
+            angle = begun[piece] + line.angle(within[:, None], piece)[:, 0]
+            groups[-1].append(PlannedMove(step.axis, turn.angle, turn.duration, angle / angle[-1]))
+    # The cycle begins anew where it ends.
+    groups[0] = [*groups.pop(), *groups[0]] if len(groups) > 1 else groups[0]
+    return [group for group in groups if group]
 
 
 def unit_rows(

@@ -102,13 +102,14 @@ class ProgrammeCoordinates(_Programmes):
     def vector(self, start: float, durations: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, " size"]:
         """Coordinates of a programme of at most `stretches` slopes (°C, s, K/s), the longest ones halved as often as
         necessary; values at a bound are moved slightly inside."""
-        durations, slopes = list(durations), list(slopes)
         while len(durations) < self.stretches:
             k = int(np.argmax(durations))
-            durations[k : k + 1], slopes[k : k + 1] = [0.5 * durations[k]] * 2, [slopes[k]] * 2
+            durations = np.insert(durations, k, 0.5 * durations[k])
+            durations[k + 1] *= 0.5
+            slopes = np.insert(slopes, k, slopes[k])
         time, heating, cooling = (float(v) for v in (self.time, self.heating, self.cooling))
-        spare = np.maximum(np.array(durations) / time - _LEAST_SHARE / self.stretches, _INSIDE)
-        size = (2.0 * np.array(slopes) - heating + cooling) / (heating + cooling)
+        spare = np.maximum(durations / time - _LEAST_SHARE / self.stretches, _INSIDE)
+        size = (2.0 * slopes - heating + cooling) / (heating + cooling)
         first = _share(float(self.coldest), float(self.warmest), np.array([start]))
         return np.concatenate([np.log(spare), np.arctanh(np.clip(size, _INSIDE - 1.0, 1.0 - _INSIDE)), first])
 

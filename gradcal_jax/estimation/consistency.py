@@ -11,6 +11,7 @@
 * held out: `χ²_AB − χ²_A`, of the rows of B predicted from A, with the covariance of that prediction.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -60,6 +61,11 @@ class Consistency(NamedTuple):
     beyond_three: float
     largest: float
     splits: tuple[Split, ...]
+
+
+def contradictions(tests: Mapping[str, Test]) -> list[str]:
+    """The names of the tests that fail, at a level at which by chance any of them does once in a hundred."""
+    return [name for name, test in tests.items() if test.probability < _RARE / len(tests)]
 
 
 def chi_squared_test(statistic: float, degrees: int) -> Test:

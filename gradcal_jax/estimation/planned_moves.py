@@ -6,7 +6,7 @@ with the same angles, and the gyros' integrals over the rows show when they bega
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -80,5 +80,5 @@ def timed_moves(
     starts = np.linspace(first, last, max(int(np.ceil((last - first) / (0.25 * np.min(step)))), 2) + 1)
     near = int(np.argmin([apart(float(s)) for s in starts]))
     ends = float(starts[max(near - 1, 0)]), float(starts[min(near + 1, len(starts) - 1)])
-    found = optimize.minimize_scalar(apart, bounds=ends, method="bounded", options={"xatol": 1e-6})
+    found: Any = optimize.minimize_scalar(apart, bounds=ends, method="bounded", options={"xatol": 1e-6})
     return placed(float(found.x))

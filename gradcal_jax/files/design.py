@@ -75,7 +75,7 @@ class Design(Section):
     max_total: Time | None = None
     """Longest plan, soaks included."""
     cycles: Literal["own", "alike"] = "own"
-    """Whether every turn at the table has moves of its own, or all have the same."""
+    """Whether every turn at the table has moves of its own, or all the same; absent: the same where turns are many."""
     moves: Annotated[Count, Field(le=40)] | None = None
     """Turns in each turn at the table; absent: as many as are likely to help."""
     starts: Count = 16

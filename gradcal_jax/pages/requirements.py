@@ -7,13 +7,16 @@ from gradcal_jax import api
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.ieee_terms import Box, calibration_map, grid_of, prior_map
 from gradcal_jax.api.missions import ErrorCurve, error_curves
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, statistic_of
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, run_of, statistic_of
+from gradcal_jax.api.prediction import counted_posteriors
+from gradcal_jax.api.systematic import CountedPosteriors
 from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import AxisCalibration, Result
 from gradcal_jax.files.contracts import RequirementRow
+from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.requirement import HeadingRequirement, Requirement
 from gradcal_jax.files.unit_calibration import UnitResult
-from gradcal_jax.information import statistic
+from gradcal_jax.information import Posterior, statistic
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.pages.sources import Sources
 
@@ -81,7 +84,7 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
             for _, deviation in (calibration_map(axis, name, *grid_of(axis, None, name)),)
         ]
         return "", [result_alone(row, row.statistic.removesuffix(", 1 sigma")) for row in calibration.result], maps
-    built, known = _plan(recipe.axis_spec)
+    built, known, counted = _plan(recipe.axis_spec)
     other = None if sources.before is None else _plan(sources.before)
     results = {} if calibration is None else {(r.name, r.axis, r.quantity): r for r in reversed(calibration.result)}
     axes = {} if calibration is None else {axis.name: axis for axis in reversed(calibration.axis)}
@@ -105,7 +108,7 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
             names = [f"calibration, {c.file}" if len(curves) > 1 else "calibration" for c in curves]
             maps.append(MapFact(row.name, row.axis, row.quantity, (), tuple(zip(names, curves, strict=True))))
             continue
-        values = api.residual_map(built, known[row.axis], requirement)
+        values = _judged_map(counted[row.axis], requirement)
         drawn.append(("predicted", Box(*values, row.unit)))
         axis = axes.get(row.axis)
         if axis is not None and requirement.quantity in _quantities(axis):
@@ -141,20 +144,26 @@ def hidden_by_structure(requirements: list[RequirementFact], maps: list[MapFact]
 
 
 def _plan(spec: Spec):
-    """A spec's model, and the posterior of every channel after its plan."""
+    """A spec's model, the posterior of every channel after its plan, and those that verdicts judge."""
     built = api.assemble(spec)
-    return built, {channel: api.posterior_of_plan(built, channel) for channel in built.channels}
+    known: dict[Axis, Posterior] = {channel: api.posterior_of_plan(built, channel) for channel in built.channels}
+    return built, known, {channel: budget for _, channel, budget in counted_posteriors(built, known)}
+
+
+def _judged_map(budget: CountedPosteriors, requirement: Requirement):
+    """Temperatures, rates and residual that a verdict judges."""
+    return api.residual_map(budget.built, budget.judged(run_of(requirement)), requirement)
 
 
 def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | None:
     """The residual of another plan on the same box or, without one, the spec's prior."""
     if other is None:
         return prior_map(spec, requirement)
-    built, known = other
+    built, _, counted = other
     section = built.spec.sensor.scale_factor if requirement.quantity == "scale_factor" else built.spec.sensor.bias
-    if channel not in known or (section is None and requirement.quantity != "heading"):
+    if channel not in counted or (section is None and requirement.quantity != "heading"):
         return None
-    return Box(*api.residual_map(built, known[channel], requirement), UNIT_OF[requirement.quantity][0])
+    return Box(*_judged_map(counted[channel], requirement), UNIT_OF[requirement.quantity][0])
 
 
 def result_alone(row: Result | UnitResult, statistic: str) -> RequirementFact:

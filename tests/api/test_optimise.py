@@ -92,7 +92,7 @@ def test_elasticities_are_differences_of_predictions(spec):
 @pytest.mark.parametrize("seed", range(3))
 def test_any_point_is_written_feasible_with_whole_turns(spec, seed):
     changed_ = changed(spec, {"design.whole_turns": True})
-    structure, _ = structures(changed_, [])
+    (structure,) = structures(changed_, [])
     point = 2.0 * np.random.default_rng(seed).standard_normal(structure.coordinates.size)
     plan = plan_to_spec(changed_, structure.coordinates, point)
     moves = plan.gradient_schedule.cycle.moves
@@ -385,7 +385,7 @@ STARTS = {
 
 @pytest.mark.parametrize("kind", STARTS)
 def test_the_plan_as_it_is_is_one_of_the_starts(spec, kind):
-    """To rounding and the relaxed readings of rests."""
+    """But for the relaxed readings of rests, and for those that other axes' turns replace."""
     if kind == "a programme":
         own = changed(static(), {"plan.programme": PROGRAMME} | dict.fromkeys(PROGRAMMED))
     elif kind == "set points":
@@ -398,9 +398,9 @@ def test_the_plan_as_it_is_is_one_of_the_starts(spec, kind):
     of = measure(own)
     for structure in begun:
         found = of.exact(structure.coordinates.decode(structure.start))
-        assert found == pytest.approx(exact(own, of), rel=0.06), structure.words
+        assert found == pytest.approx(exact(own, of), rel=0.15), structure.words
     first = next(iter(search(of.compiled(begun[-1].coordinates), starts=1, seed=0, begin=begun[-1].start, alone=True)))
-    assert first.best == pytest.approx(exact(own, of), rel=0.06)
+    assert first.best == pytest.approx(exact(own, of), rel=0.15)
 
 
 PROGRAMMED = ("plan.temperature", "plan.gradient", "plan.soak")
@@ -422,8 +422,10 @@ def test_many_short_visits_begin_with_the_same_moves_in_each(spec):
     (structure,) = structures(many, [])
     assert structure.words.endswith("cycles with the moves of the spec")
     assert not structure.alone
+    # Of moves of their own, too few fit into a visit for the plan to be among them.
     own = changed(many, {"design.cycles": "own"})
-    assert [s.alone for s in structures(own, [])] == [False, True]
+    assert [(s.alone, s.start is None) for s in structures(own, [])] == [(False, True), (True, False)]
+    assert [(s.alone, s.start is None) for s in structures(spec, [])] == [(False, False)]
 
 
 def test_a_worse_result_does_not_replace_a_plan_that_misses_the_same_target(best):

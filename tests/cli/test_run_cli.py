@@ -136,7 +136,7 @@ def test_ctrl_c_pauses_and_again_makes_safe_and_ends(tmp_path):
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=90.0)
     assert process.returncode == 130, err
-    assert "; paused; " in out
+    assert "; paused: Ctrl-C; " in out
     assert "chamber: safe" in out
     assert f"gradcal run --resume {run}" in err
     states = [event.data["state"] for event in read_journal(run / "journal").events if event.name == "state"]

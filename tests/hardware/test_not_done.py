@@ -46,7 +46,7 @@ def counted(port: SimulatedPort, lost: int = -1) -> list[bytes]:
         heard.append(message)
         return [] if len(heard) - 1 == lost else [message]
 
-    port.commands.apply = apply
+    port.commands = apply
     return heard
 
 

@@ -31,7 +31,7 @@ def test_the_plan_itself_is_a_point_of_the_grid(made, panel):
     own = [choice["own"] for choice in panel["choices"]]
     at = (own[0] * len(RAMPS) + own[1]) * len(ANGLES) + own[2]
     for row, told in zip(made.prediction.requirements, panel["requirements"], strict=True):
-        assert told["values"][at] == pytest.approx(row.decisive, rel=1e-5)
+        assert told["values"][at] == pytest.approx(row.judged, rel=1e-5)
         assert told["verdicts"][at] == row.verdict
         assert told["allowed"] == (None if row.target is None else row.target / row.coverage)
     assert panel["hours"][at] == pytest.approx(made.duration_s / 3600.0)
@@ -54,7 +54,7 @@ def test_a_point_is_what_predict_says_of_such_a_spec(made, panel, slope, ramps, 
     )
     rows = gj.predict(other).requirements
     for row, told in zip(rows, panel["requirements"], strict=True):
-        assert told["values"][place(slope, ramps, angle)] == pytest.approx(row.decisive, rel=1e-5)
+        assert told["values"][place(slope, ramps, angle)] == pytest.approx(row.judged, rel=1e-5)
 
 
 def test_what_does_not_fit_has_no_number():

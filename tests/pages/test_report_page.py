@@ -101,8 +101,8 @@ def test_the_requirements_of_a_page_are_those_of_recipe_and_calibration(made, wh
     rows = shown.table("requirements", "requirement")
     assert [row["requirement"].split(" (")[0] for row in rows] == ["all rates", "slow", "at rest"]
     for row, fact, predicted in zip(rows, data.requirements, plan.prediction.requirements, strict=True):
-        assert fact.predicted == predicted.decisive
-        assert row["predicted"] == f"{figures(predicted.decisive)}\N{NO-BREAK SPACE}{predicted.unit}"
+        assert fact.predicted == predicted.judged
+        assert row["predicted"] == f"{figures(predicted.judged)}\N{NO-BREAK SPACE}{predicted.unit}"
         assert row["statistic"] == predicted.statistic
         assert row["limited by"] == predicted.limited_by
     assert data.requirements[0].achieved == found.result[0].value
@@ -120,7 +120,7 @@ def test_predicted_maps_have_the_recipes_statistics_and_achieved_ones_the_covari
         whole[0].maps, plan.prediction.requirements, plan.spec.requirement, strict=True
     ):
         maps = dict(fact.maps)
-        assert statistic(requirement.statistic, maps["predicted"].values) == pytest.approx(predicted.decisive, rel=1e-9)
+        assert statistic(requirement.statistic, maps["predicted"].values) == pytest.approx(predicted.judged, rel=1e-9)
         prior = prior_map(plan.spec, requirement)
         assert prior is not None
         np.testing.assert_array_equal(maps["before"].values, prior.values)
@@ -343,7 +343,7 @@ def test_another_plan_to_compare_with_and_a_limit(made, tmp_path):
     # The same plan before and now leaves the same.
     same = dataclasses.replace(sources, before=plan.spec)
     assert report_data_of(same).requirements[0].before == pytest.approx(
-        plan.prediction.requirements[0].decisive, rel=1e-9
+        plan.prediction.requirements[0].judged, rel=1e-9
     )
 
 

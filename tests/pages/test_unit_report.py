@@ -28,7 +28,7 @@ def written(tmp_path_factory):
 def test_every_number_is_the_prediction_s_and_every_warning_is_on_the_page(written):
     data, html, _ = written
     predicted = gj.predict(SPEC)
-    assert [row.predicted for row in data.requirements] == [row.decisive for row in predicted.requirements]
+    assert [row.predicted for row in data.requirements] == [row.judged for row in predicted.requirements]
     assert [row.verdict for row in data.requirements] == [row.verdict for row in predicted.requirements]
     assert data.verdict == "missed"
     assert "Missed: the predicted residual exceeds a target" in html

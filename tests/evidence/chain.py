@@ -1,0 +1,123 @@
+"""From a spec or recipe to a calibration through the command line: recipe, simulated run, log, estimate; and what the
+run's hidden truth says of it."""
+
+import contextlib
+import io
+import json
+import shutil
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from gradcal_jax.cli import main
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Of one seed. `nees` of `degrees`: the calibration's errors in their own covariance; `fit`: χ² of the data and its
+    degrees; `ratios`: of each requirement (by name), achieved over predicted; `sigmas`: of each parameter, likewise."""
+
+    nees: float
+    degrees: int
+    fit: tuple[float, int]
+    ratios: dict[str, float]
+    sigmas: dict[str, float]
+    exit: int
+    printed: str = field(repr=False)
+
+    @property
+    def wider(self) -> float:
+        """By how much the estimate widens its covariance: data that the model explains with a chance below 1 %."""
+        statistic, degrees = self.fit
+        return float(np.sqrt(statistic / degrees)) if chi2.sf(statistic, degrees) < 0.01 else 1.0
+
+
+def say(*words: object) -> tuple[int, str]:
+    """A command line in this process: exit status, and all that was printed."""
+    heard = io.StringIO()
+    with contextlib.redirect_stdout(heard), contextlib.redirect_stderr(heard):
+        status = main([str(word) for word in words])
+    return status, heard.getvalue()
+
+
+def recipe_of(path: Path, folder: Path) -> Path:
+    """The recipe of a spec; a recipe is its own."""
+    if tomllib.loads(path.read_text(encoding="utf-8"))["format"].startswith("gradcal-recipe"):
+        return path
+    status, printed = say("recipe", path, "-o", folder / "recipe.toml", "--force")
+    assert status in (0, 1), printed
+    return folder / "recipe.toml"
+
+
+def predicted_of(recipe: Path) -> dict[str, Any]:
+    """`gradcal predict --json` of what the recipe makes of the plan."""
+    status, printed = say("predict", recipe, "--json")
+    assert status in (0, 1), printed
+    return json.loads(printed)
+
+
+def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> Chain:
+    """A simulated run of the recipe, its log, and the estimate by the recipe."""
+    run = folder / f"run{seed}"
+    status, printed = say("run", recipe, "--simulate", "--seed", seed, "--json", "-o", run)
+    assert status == 0, printed
+    status, printed = say("log", run)
+    assert status == 0, printed
+    logs = sorted(run.glob("*.nc"))
+    path = run / "calibration.toml"
+    status, printed = say("estimate", *logs, "--recipe", recipe, "-o", path)
+    assert status in (0, 1), printed
+    made = tomllib.loads(path.read_text(encoding="utf-8"))
+    truth = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
+    names, matrix, values, hidden, fits = _of_unit(made, truth) if made["quantity"] == "unit" else _of_axis(made, truth)
+    error = np.array([values[name] - hidden[name] for name in names])
+    scale = np.sqrt(np.diag(matrix))
+    apart = error / scale
+    nees = float(apart @ np.linalg.solve(matrix / np.outer(scale, scale), apart))
+    before = {row["name"]: row["std"] for row in predicted["parameters"]}
+    sigmas = {name: s / before[name] for name, s in zip(names, scale, strict=True) if before.get(name)}
+    asked = {row["name"]: row for row in predicted["requirements"]}
+    ratios = {row["name"]: _ratio(row, asked[row["name"]]) for row in made.get("result", []) if "value" in row}
+    shutil.rmtree(run)
+    fit = (float(fits["statistic"]), int(fits["degrees"]))
+    return Chain(nees, len(names), fit, ratios, sigmas, status, printed)
+
+
+def _ratio(achieved: dict[str, Any], predicted: dict[str, Any]) -> float:
+    key = achieved["statistic"].split(",")[0].replace(" ", "_")
+    before = predicted.get("value", predicted.get(key))
+    assert before is not None, (achieved, predicted)
+    return float(achieved["value"] / before)
+
+
+def _of_axis(made: dict[str, Any], truth: dict[str, Any]) -> tuple[Any, ...]:
+    (axis,) = made["axis"]
+    values: dict[str, float] = {}
+    for part in ("bias", "scale_factor"):
+        values |= axis.get(part, {}).get("coefficients", {})
+    values |= {key: axis[key] for key in ("bias_temperature_gradient",) if key in axis}
+    hidden = truth[axis["name"]]
+    hidden = hidden | {"bias_temperature_gradient": hidden["gradient"]}
+    names = [name for name in axis["covariance"]["names"] if name in hidden and name in values]
+    return names, _part(axis["covariance"], names), values, hidden, axis["fit"][0]
+
+
+def _of_unit(made: dict[str, Any], truth: dict[str, Any]) -> tuple[Any, ...]:
+    values = {
+        f"{channel['kind']}_{channel['axis']}.{name}": value
+        for channel in made["channel"]
+        for term in channel["term"]
+        for name, value in term["coefficients"].items()
+    }
+    (hidden,) = truth["units"].values()
+    names = [name for name in made["covariance"]["names"] if name in hidden and name in values]
+    return names, _part(made["covariance"], names), values, hidden, made["fit"][0]
+
+
+def _part(covariance: dict[str, Any], names: list[str]) -> np.ndarray:
+    where = [covariance["names"].index(name) for name in names]
+    return np.array(covariance["matrix"])[np.ix_(where, where)]

@@ -1,0 +1,175 @@
+"""Every preset and every spec and recipe of the experiments, from plan to calibration: recipe, simulated run, log,
+estimate, three seeds each; the errors against the hidden truth, and what was promised against what was reached."""
+
+import time
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomlkit
+from chain import Chain, chain, predicted_of, recipe_of
+from scipy.stats import chi2
+
+from gradcal_jax.files import presets
+
+ROOT = Path(__file__).parents[2]
+REPORT = ROOT / "experiments" / "evidence" / "presets.md"
+PRESETS = (*presets.names(), *presets.unit_names())
+EXPERIMENTS = tuple(
+    str(path.relative_to(ROOT))
+    for path in sorted((ROOT / "experiments").rglob("*.toml"))
+    if tomllib.loads(path.read_text(encoding="utf-8")).get("format") in ("gradcal-spec/1", "gradcal-recipe/1")
+)
+# In the suite itself: the paper's, one static, one standard, a unit on two axes, and one by hand. Thinned: ramps of
+# some twenty minutes in the place of hours, and requirements ("box") within the temperatures that are left.
+QUICK = {
+    "paper-dynamic-gradient": {
+        "plan.temperature": ["10 degC", "40 degC"],
+        "plan.gradient": "1.5 K/min",
+        "plan.soak.duration": "5 min",
+        "box": ["15 degC", "35 degC"],
+    },
+    "paper-static-gradient": {
+        "plan.temperature": ["10 degC", "30 degC"],
+        "plan.soak.duration": "5 min",
+        "box": ["14 degC", "26 degC"],
+    },
+    "paper-dynamic-standard": {
+        "plan.temperatures": ["0 degC", "10 degC", "20 degC", "30 degC"],
+        "plan.soak": "15 min",
+        "plan.integration": "1 min",
+        "box": ["0 degC", "30 degC"],
+    },
+    "two-axis-table": {
+        "plan.temperature": ["5 degC", "35 degC"],
+        "plan.gradient": "2 K/min",
+        "plan.soak.duration": "5 min",
+        "sensor.thermal_lag": "20 s",
+        "box": ["8 degC", "30 degC"],
+    },
+    "gimbal-by-hand": {
+        "plan.temperature": ["10 degC", "30 degC"],
+        "plan.gradient": "1 K/min",
+        "plan.soak.duration": "1 min",
+        "box": ["14 degC", "26 degC"],
+    },
+}
+
+
+@dataclass
+class Seeds:
+    """Chains of one recipe."""
+
+    name: str
+    chains: list[Chain] = field(default_factory=list[Chain])
+
+    @property
+    def chance(self) -> tuple[float, int]:
+        """χ² of the hidden truth over all seeds, and its degrees of freedom."""
+        return sum(one.nees for one in self.chains), sum(one.degrees for one in self.chains)
+
+    @property
+    def ratios(self) -> np.ndarray:
+        """Achieved over predicted, of every seed and requirement."""
+        return np.array([ratio / one.wider for one in self.chains for ratio in one.ratios.values()])
+
+    def faults(self) -> list[str]:
+        """What does not hold: the truth's χ² in its 99 % band, and each ratio within 10 %."""
+        nees, degrees = self.chance
+        low, high = chi2.ppf([0.005, 0.995], degrees)
+        found = (
+            [] if low < nees < high else [f"χ² of the hidden truth {nees:.1f} of {degrees} ({low:.0f} … {high:.0f})"]
+        )
+        return found + [
+            f"{requirement}: {ratio / one.wider:.3f} of what was predicted"
+            for one in self.chains
+            for requirement, ratio in one.ratios.items()
+            if abs(ratio / one.wider - 1.0) > 0.10
+        ]
+
+
+_HEAD = """# Every preset, spec and recipe, from plan to calibration
+
+Made by `pytest -m evidence tests/evidence/test_every_preset.py`: recipe, run on simulated devices, log and estimate by
+the command line. χ² of the hidden truth: the calibration's errors in its own covariance, all seeds together, with its
+99 % band. Reached over predicted: of every requirement and seed, without what the estimate widens for its fit.
+
+| what | seeds | χ² of the truth | of | band | reached over predicted | not as promised |
+|---|---|---|---|---|---|---|
+"""
+
+
+def report(seeds: Seeds) -> None:
+    """Write or replace the row of a recipe, and the mean over all."""
+    rows: dict[str, str] = {}
+    if REPORT.exists():
+        for line in REPORT.read_text(encoding="utf-8").splitlines():
+            cells = [cell.strip() for cell in line.strip("|").split(" | ")]
+            if len(cells) == 7 and cells[0] not in ("what", "---"):
+                rows[cells[0]] = line
+    nees, degrees = seeds.chance
+    low, high = chi2.ppf([0.005, 0.995], degrees)
+    ratios = seeds.ratios
+    within = f"{ratios.min():.3f} … {ratios.max():.3f}, mean {ratios.mean():.3f}" if len(ratios) else "–"
+    words = "; ".join(dict.fromkeys(seeds.faults())) or "–"
+    cells = (f"{len(seeds.chains)}", f"{nees:.1f}", f"{degrees}", f"{low:.0f} … {high:.0f}", within, words[:200])
+    rows[f"`{seeds.name}`"] = f"| `{seeds.name}` | {' | '.join(cells)} |"
+    means = [float(row.split("mean ")[1].split(" ")[0]) for row in rows.values() if "mean " in row]
+    foot = f"\nMean of {len(means)} means: {np.mean(means):.3f}; {time.strftime('%Y-%m-%d')}.\n" if means else ""
+    REPORT.write_text(_HEAD + "\n".join(rows[name] for name in sorted(rows)) + "\n" + foot, encoding="utf-8")
+
+
+def written(name: str, folder: Path, changes: dict[str, object] | None = None) -> Path:
+    """A preset's spec, thinned, or a file of the experiments."""
+    if name in EXPERIMENTS:
+        return ROOT / name
+    path = folder / "spec.toml"
+    text = presets.text(name)
+    path.write_text(thinned(text, changes) if changes else text, encoding="utf-8")
+    return path
+
+
+def thinned(text: str, changes: dict[str, object]) -> str:
+    """A spec's text with some keys set; "box": the temperatures of all requirements."""
+    tables = tomllib.loads(text)
+    for requirement in tables["requirement"]:
+        requirement["temperature"] = changes["box"]
+    for key, value in changes.items():
+        if key == "box":
+            continue
+        *path, last = key.split(".")
+        here = tables
+        for part in path:
+            here = here[part]
+        here[last] = value
+    return tomlkit.dumps(tables)
+
+
+def seeds_of(name: str, folder: Path, count: int, changes: dict[str, object] | None = None) -> Seeds:
+    recipe = recipe_of(written(name, folder, changes), folder)
+    predicted = predicted_of(recipe)
+    return Seeds(name, [chain(recipe, predicted, folder, seed) for seed in range(1, count + 1)])
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", [*PRESETS, *EXPERIMENTS])
+def test_what_is_promised_is_reached(name: str, tmp_path: Path) -> None:
+    seeds = seeds_of(name, tmp_path, 3)
+    report(seeds)
+    assert not seeds.faults()
+    assert len(seeds.ratios) == 0 or abs(seeds.ratios.mean() - 1.0) < 0.10
+
+
+@pytest.mark.evidence
+def test_the_mean_of_all_is_what_is_promised() -> None:
+    """Of the committed report."""
+    (foot,) = (line for line in REPORT.read_text(encoding="utf-8").splitlines() if line.startswith("Mean of"))
+    assert abs(float(foot.split(": ")[1].split(";")[0]) - 1.0) < 0.03, foot
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_short_run_of_a_preset_reaches_what_is_promised(name: str, tmp_path: Path) -> None:
+    seeds = seeds_of(name, tmp_path, 1, QUICK[name])
+    assert not seeds.faults(), seeds.chains[0].printed

@@ -1,0 +1,179 @@
+"""Faults injected into logs that a simulator of physics wrote: each error is covered, or refused by its name.
+
+The rule, for every requirement of the spec. *Error*: the requirement's own statistic (mean, mean over rate of the
+maximum over temperature, …) of |calibration − truth| over the requirement's own box and grid; over several elements of
+a unit their root mean square, as the spec asks (`axis = "all"`). *U*: twice (k = 2) the standard deviation that the
+calibration file states for that requirement. A fault is handled
+
+* where every error is within its U, or
+* where each requirement whose error is beyond its U has a verdict other than "met" (or there is none), the exit status
+  is 1 or 2, *and* a sentence on the terminal names the kind of fault.
+
+What a log shows by itself (the computer's stamps contradict the sensor's, a part of the plan is missing) must be named
+even where U covers it.
+
+A sentence is a line of words: not a heading, not a row of numbers, not what is printed of every log. All faults have
+the noise of one seed, of which the same run without a fault is within U and silent; other seeds are tried without one.
+"""
+
+import contextlib
+import io
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from fault_list import AXIS, AXIS_FULL, FAULTS, UNIT, UNIT_FULL, Fault, none
+from fault_scenes import Judged, judge
+
+from gradcal_jax.cli import main
+
+SEED = 3
+# In the suite itself; the others are marked as evidence.
+QUICK = ("the Earth's rate, no latitude, axis, lean", "wrong sign of the axis, axis, lean", "forces in g, unit, full")
+REPORT = Path(__file__).parents[2] / "experiments" / "evidence" / "faults.md"
+# Lines that are printed of every log, whatever it holds.
+_ALWAYS = re.compile(
+    r"^(wrote |covers |unit |frame: |discrepancy of |\|f\||axis \w+: \d+ readings|\d+ rows of \d+ channels|"
+    r"residuals are (0\.[89]|1\.[01])|.*\.nc: |.*simple acceptance|the terms, at most)"
+)
+ACCUSES = re.compile(
+    r"disagree|contradict|not valid|not white|not a gyro|not an accelerometer|cannot explain|implausibl", re.IGNORECASE
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    status: int
+    printed: str
+    judged: list[Judged]
+
+    @property
+    def sentences(self) -> list[str]:
+        found: list[str] = []
+        for line in map(str.strip, self.printed.splitlines()):
+            cells = re.split(r"\s{2,}", line)
+            if len(cells) > 1:  # a row of a table: a verdict may be a sentence
+                found += [cell for cell in cells if cell.startswith(("not met:", "not valid", "no verdict"))]
+            elif len(line.split()) > 3 and not _ALWAYS.match(line):
+                found.append(line)
+        return found
+
+    def named(self, words: str) -> str:
+        """The first sentence that names a kind of fault."""
+        return next((line for line in self.sentences if re.search(words, line, re.IGNORECASE)), "")
+
+    @property
+    def beyond(self) -> list[Judged]:
+        return [one for one in self.judged if not one.within]
+
+    @property
+    def refused(self) -> bool:
+        return self.status in (1, 2) and all(one.verdict != "met" for one in self.beyond)
+
+
+def outcome(fault: Fault, folder: Path, seed: int = SEED) -> Outcome:
+    """What the command line says of a scene with a fault."""
+    scene, heard = fault.made(seed), io.StringIO()
+    words = scene.write(folder)
+    with contextlib.redirect_stdout(heard), contextlib.redirect_stderr(heard):
+        status = main(words)
+    return Outcome(status, heard.getvalue(), judge(scene, folder))
+
+
+def handled(fault: Fault, found: Outcome) -> bool:
+    covered, named = bool(found.judged) and not found.beyond, bool(found.named(fault.words))
+    return (covered and (named or not fault.always)) or (found.refused and named)
+
+
+# --- the committed table ----------------------------------------------------------------------------------------------
+
+_HEAD = """# Faults injected into logs
+
+Made by `pytest -m evidence tests/evidence/test_injected_faults.py`, which states the rule. All logs are simulated, by a
+simulator of physics that shares nothing with the program but the log's file. Of each case the requirement with the
+largest error for its U; U with k = 2.
+
+| fault | spec | requirement | true error | stated U | verdict | exit | sentence | handled |
+|---|---|---|---|---|---|---|---|---|
+"""
+
+
+def report(fault: Fault, found: Outcome, good: bool) -> None:
+    """Write or replace the row of a case."""
+    rows: dict[str, str] = {}
+    if REPORT.exists():
+        for line in REPORT.read_text(encoding="utf-8").splitlines():
+            cells = [cell.strip() for cell in line.strip("|").split(" | ")]
+            if len(cells) == 9 and cells[0] != "fault":
+                rows[f"{cells[1]}, {cells[0]}"] = line
+    worst = max(found.judged, key=lambda one: one.error / one.u if one.u else float("inf"), default=None)
+    figures = ("–", "–", "–", "no calibration")
+    if worst is not None:
+        u = "–" if worst.u is None else f"{worst.u:.3g} {worst.unit}"
+        figures = (worst.name, f"{worst.error:.3g} {worst.unit}", u, worst.verdict or "none")
+    sentence = found.named(fault.words).replace("|", "/")
+    sentence = re.sub(r"\S*/(\S+\.(nc|toml))", r"\1", sentence)
+    cells = (fault.name, fault.scene, *figures, str(found.status), sentence[:160] or "–", "yes" if good else "**no**")
+    rows[f"{fault.scene}, {fault.name}"] = f"| {' | '.join(cells)} |"
+    done = sum(row.endswith("| yes |") for row in rows.values())
+    foot = f"\n{done} of {len(rows)} handled; {time.strftime('%Y-%m-%d')}.\n"
+    REPORT.write_text(_HEAD + "\n".join(rows[name] for name in sorted(rows)) + "\n" + foot, encoding="utf-8")
+
+
+# --- the proofs -------------------------------------------------------------------------------------------------------
+
+
+def test_there_are_enough_faults_of_both_kinds() -> None:
+    kinds = [fault.scene.partition(",")[0] for fault in FAULTS]
+    assert len({str(fault) for fault in FAULTS}) == len(FAULTS) >= 40
+    assert kinds.count("axis") >= 20
+    assert kinds.count("unit") >= 20
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_few_in_every_run(name: str, tmp_path: Path) -> None:
+    (fault,) = (fault for fault in FAULTS if str(fault) == name)
+    found = outcome(fault, tmp_path)
+    assert handled(fault, found), found.printed
+
+
+def test_a_sound_log_accuses_nobody(tmp_path: Path) -> None:
+    """Of a spec that gives every term: met, within U, and silent."""
+    found = outcome(Fault("no fault", AXIS_FULL, "", none), tmp_path)
+    assert found.status == 0, found.printed
+    assert [one.verdict for one in found.judged] == ["met", "met"]
+    assert not found.beyond, found.beyond
+    assert not [line for line in found.sentences if ACCUSES.search(line)]
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("fault", FAULTS, ids=str)
+def test_a_fault_is_covered_or_named(fault: Fault, tmp_path: Path) -> None:
+    found = outcome(fault, tmp_path)
+    good = handled(fault, found)
+    report(fault, found, good)
+    assert good, "\n".join([f"exit {found.status}", *map(str, found.beyond), *found.sentences])
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("scene", [AXIS, AXIS_FULL, UNIT, UNIT_FULL])
+def test_without_a_fault_nothing_is_said(scene: str, tmp_path: Path) -> None:
+    """Eight seeds: one may be beyond U, as two standard deviations allow, or alarm, as tests at 1 % do; of a spec that
+    gives every term all verdicts are "met"."""
+    fault, outside, accused = Fault("no fault", scene, ACCUSES.pattern, none), [], []
+    for seed in range(1, 9):
+        found = outcome(fault, tmp_path, seed)
+        if found.beyond:
+            outside.append((seed, found.beyond))
+        alarms = [line for line in found.sentences if ACCUSES.search(line)]
+        wished = found.status == 0 and all(one.verdict == "met" for one in found.judged)
+        if alarms or ("full" in scene and not wished):
+            accused.append((seed, found.status, alarms))
+        if seed == SEED:
+            report(fault, found, bool(found.judged) and not found.beyond and not alarms)
+            assert not found.beyond
+            assert not alarms
+    assert len(outside) <= 1, outside
+    assert len(accused) <= 1, accused

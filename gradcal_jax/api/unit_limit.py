@@ -41,13 +41,9 @@ from gradcal_jax.api.structures import LEAST_TURN
 from gradcal_jax.api.systematic import floor_of_unit_plan
 from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_residual import unit_residual
-<<<<<<< HEAD
 from gradcal_jax.design import PRIOR_OF_WALK, criterion, limit, scale_factor_floor
 from gradcal_jax.design.noise_floor import Course
-=======
-from gradcal_jax.design import criterion, limit
 from gradcal_jax.files.absent import with_typical
->>>>>>> omit
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
 from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -82,28 +78,16 @@ def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
             "a limit of a unit is proven for biases, scale factors that are polynomials, misalignments to the table or "
             "the case, acceleration sensitivity and second order; the spec has no requirement on one of these"
         )
-<<<<<<< HEAD
-    judged = {row.name: row.judged for row in requirement_rows(spec)}
-    model, floor = floor_of_unit_plan(spec)
     kept = kept_in_words(window.time)
-    # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value over the elements.
-    return [
-        plan_limit(r, UNIT_OF[r.quantity], bound, judged[r.name], relaxed, kept).above(
-            float(np.min(unit_residual(model, floor, r).values))
-        )
-        for r, bound, relaxed in proven
-    ]
-=======
     rows = {row.name: row for row in requirement_rows(spec)}
     floors = [floor_of_unit_plan(one) for one in (spec, with_typical(spec))]
     # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value over the elements.
     limits: list[PlanLimit] = []
-    for r, bound in proven:
+    for r, bound, relaxed in proven:
         named, every = (float(np.min(unit_residual(of, floor, r).values)) for of, floor in floors)
-        found = plan_limit(r, UNIT_OF[r.quantity], bound, rows[r.name].decisive, _RELAXED)
+        found = plan_limit(r, UNIT_OF[r.quantity], bound, rows[r.name].decisive, relaxed, kept)
         limits.append(found.above(named, every, rows[r.name].judged))
     return limits
->>>>>>> omit
 
 
 class _Window(NamedTuple):

@@ -48,8 +48,8 @@ class ReportData(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """The verdict of all requirements together: "met", "missed", "not covered", "unobservable" or "not valid"; empty where none
-        has a target."""
+        """The verdict of all requirements together ("met", "missed", "not covered", "unobservable", "not valid"); empty
+        where none has a target."""
         verdicts = {row.verdict for row in self.requirements}
         for word in ("not valid", "unobservable", "not covered", "missed", "met"):
             if word in verdicts:

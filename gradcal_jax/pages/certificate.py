@@ -178,7 +178,7 @@ def _conditions(calibration: Calibration) -> tuple[tuple[str, str], ...]:
 
 def _validity(calibration: Calibration) -> tuple[str, ...]:
     rows = [
-        f"NOT VALID: axis {axis.name}: the data contradict the model ({'; '.join(axis.contradicted)}); no uncertainty is "
+        f"NOT VALID: axis {axis.name}: the data contradict the model ({'; '.join(axis.contradicted)}); nothing is "
         "certified."
         for axis in calibration.axis
         if axis.contradicted

@@ -19,7 +19,8 @@ from gradcal_jax.cli import main
 @dataclass(frozen=True)
 class Chain:
     """Of one seed. `nees` of `degrees`: the calibration's errors in their own covariance; `fit`: χ² of the data and its
-    degrees; `ratios`: of each requirement (by name), achieved over predicted; `sigmas`: of each parameter, likewise."""
+    degrees; `ratios`: of each requirement (by name), achieved over predicted; `sigmas`: of each parameter, likewise,
+    without what the estimate widens for its fit."""
 
     nees: float
     degrees: int
@@ -31,9 +32,14 @@ class Chain:
 
     @property
     def wider(self) -> float:
-        """By how much the estimate widens its covariance: data that the model explains with a chance below 1 %."""
-        statistic, degrees = self.fit
-        return float(np.sqrt(statistic / degrees)) if chi2.sf(statistic, degrees) < 0.01 else 1.0
+        """By how much the estimate widens its results."""
+        return widened(self.fit)
+
+
+def widened(fit: tuple[float, int]) -> float:
+    """The factor for data that the model explains with a chance below 1 %."""
+    statistic, degrees = fit
+    return float(np.sqrt(statistic / degrees)) if chi2.sf(statistic, degrees) < 0.01 else 1.0
 
 
 def say(*words: object) -> tuple[int, str]:
@@ -78,12 +84,14 @@ def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> C
     scale = np.sqrt(np.diag(matrix))
     apart = error / scale
     nees = float(apart @ np.linalg.solve(matrix / np.outer(scale, scale), apart))
+    fit = (float(fits["statistic"]), int(fits["degrees"]))
+    if made["quantity"] != "unit":  # of a unit the results are widened, and the covariance in the file is not
+        scale = scale / widened(fit)
     before = {row["name"]: row["std"] for row in predicted["parameters"]}
     sigmas = {name: s / before[name] for name, s in zip(names, scale, strict=True) if before.get(name)}
     asked = {row["name"]: row for row in predicted["requirements"]}
     ratios = {row["name"]: _ratio(row, asked[row["name"]]) for row in made.get("result", []) if "value" in row}
     shutil.rmtree(run)
-    fit = (float(fits["statistic"]), int(fits["degrees"]))
     return Chain(nees, len(names), fit, ratios, sigmas, status, printed)
 
 

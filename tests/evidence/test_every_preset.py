@@ -38,8 +38,8 @@ QUICK = {
     },
     "paper-dynamic-standard": {
         "plan.temperatures": ["0 degC", "10 degC", "20 degC", "30 degC"],
-        "plan.soak": "15 min",
-        "plan.integration": "1 min",
+        "plan.soak": "10 min",
+        "plan.integration": "2 min",
         "box": ["0 degC", "30 degC"],
     },
     "two-axis-table": {

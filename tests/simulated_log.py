@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from gradcal_jax import formulas
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.files import Spec
-from gradcal_jax.files.log import Log, ReadingKind, Readings
+from gradcal_jax.files.log import AngleReadings, Log, ReadingKind
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.model import BIAS, HARMONICS, SCALE_FACTOR, TEMPERATURE_GRADIENT, SensorModel
 from gradcal_jax.trajectory import Trajectory
@@ -89,7 +89,7 @@ def simulate_log(
         temperature_c=np.broadcast_to(temperature, (units, len(time))).copy(),
         table_axes=tuple(lines),
         table_angle_rad=None if readings else np.stack(angles, axis=-1),
-        readings=Readings.in_order(events) if readings else None,
+        readings=AngleReadings.in_order(events) if readings else None,
         standstill=standstill,
         simulated=True,
         provenance={"source": f"simulated from the spec, seed {seed}"},
@@ -99,7 +99,7 @@ def simulate_log(
 
 def _readings(
     line: Trajectory, axis: int, angle: np.ndarray, time: np.ndarray, hz: float, offset: float, rng
-) -> Readings:
+) -> AngleReadings:
     """The readings of a plan's standing axis, of the table's `angle` at the rows nearest to their times."""
     read, stands = np.asarray(line.read), np.asarray(line.at_rest)
     at = (np.asarray(line.start) + np.asarray(line.duration))[read & stands]
@@ -108,7 +108,7 @@ def _readings(
     between = np.isin(rows, ends) & np.isin(rows, np.rint((np.asarray(line.start)[line.moving] - time[0]) * hz))
     values = angle[rows] + np.where(between, offset * rng.standard_normal(len(rows)), 0.0)
     whole, none = np.full(len(rows), axis), np.full(len(rows), np.nan)
-    return Readings(time[rows], rows, whole, values, none, np.full(len(rows), int(ReadingKind.PLANNED)))
+    return AngleReadings(time[rows], rows, whole, values, none, np.full(len(rows), int(ReadingKind.PLANNED)))
 
 
 class _Motion:

@@ -361,7 +361,11 @@ def _table_angles(built: AssembledUnit, log: Log) -> tuple[np.ndarray, np.ndarra
     angles = np.full((count, len(places)), np.nan)
     for k, place in enumerate(places):
         read = log.readings.of_axis(place, ReadingKind.PLANNED, ReadingKind.STANDING)
-        rows, of_row = np.unique(read.row, return_inverse=True)
+        # Where other axes may move an axis stops at the time of its reading, not where it has settled.
+        stopped = np.clip(np.searchsorted(log.time_s, read.time_s), 1, count - 1)
+        stopped -= read.time_s - log.time_s[stopped - 1] < log.time_s[stopped] - read.time_s
+        alone = np.zeros(count, bool) if log.standstill is None else log.standstill >= 0
+        rows, of_row = np.unique(np.where(alone[read.row], read.row, stopped), return_inverse=True)
         angles[rows, k] = np.bincount(of_row, read.angle_rad, len(rows)) / np.bincount(of_row, None, len(rows))
     return angles, np.isfinite(angles).sum(axis=1) > 0
 

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.log import SERIAL_NUMBER, Finding, Log, Readings, Reason
+from ..files.log import SERIAL_NUMBER, AngleReadings, Finding, Log, Reason
 from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
 from ..files.unit_spec import UnitSpec
@@ -35,7 +35,7 @@ from ..hardware.stretches import breaks_off
 from .alignment import Alignment, AngleTrack, align
 from .clockmap import ClockMap, fit_clock
 from .counter_wraps import Doubt, wraps_resolved
-from .table_angles import MARGIN_S, MOVE_COMMANDS, SETTLED_S, TableAngles, standstills, table_angles
+from .table_angles import MARGIN_S, MOVE_COMMANDS, SETTLED_S, RunAngles, standstills, table_angles
 
 # The length of an interruption that no clock measured.
 _BETWEEN_SESSIONS_S: Final = 60.0
@@ -253,7 +253,7 @@ class _Part:
     device_s: Floats
     host_s: Floats
     clock: ClockMap
-    table: TableAngles
+    table: RunAngles
     standstill: NDArray[np.int64]
     mounting: NDArray[np.int64]
     starts: list[int]
@@ -406,7 +406,7 @@ def _joined(
     times: list[Floats] = []
     standstills: list[NDArray[np.int64]] = []
     starts: list[int] = []
-    readings: list[Readings] = []
+    readings: list[AngleReadings] = []
     row, numbered = 0, 0
     hosts = _on_one_clock(parts)
     for place, (part, host) in enumerate(zip(parts, hosts, strict=True)):
@@ -437,7 +437,7 @@ def _joined(
         table_axes=labels,
         table_course_rad=np.radians(np.concatenate([part.table.course_deg for part in parts])) if labels else None,
         table_rate_rad_per_s=np.radians(np.concatenate(rates)) if (rates := _rates(parts)) else None,
-        readings=Readings.in_order(readings) if labels else None,
+        readings=AngleReadings.in_order(readings) if labels else None,
         standstill=np.concatenate(standstills),
         mounting=mounting - 1 if mounting.all() else None,
         host_time_s=np.concatenate(hosts),

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.log import ReadingKind, Readings
+from ..files.log import AngleReadings, ReadingKind
 from ..hardware.journal import Event
 from ..hardware.stretches import breaks_off
 from ..hardware.track import AxisCommand
@@ -26,18 +26,18 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class TableAngles:
+class RunAngles:
     """The axes of a table at the rows of a log: `course_deg` `(n, L)` for pictures, the `readings`, and the rates held
     `(n, L)`, deg/s, where an axis spins."""
 
     course_deg: Floats
-    readings: Readings
+    readings: AngleReadings
     rates_dps: Floats | None
 
 
 def table_angles(
     events: Sequence[Event], axes: Sequence[str], host: Floats, standstill: NDArray[np.int64], late_s: float
-) -> TableAngles:
+) -> RunAngles:
     """The angles of `axes` at the times `host` (s) of the rows, of which `standstill` is the number of the standstill.
     A row may be `late_s` earlier or later than its time."""
     nothing = np.zeros((len(host), 0))
@@ -45,9 +45,9 @@ def table_angles(
     rates = [_held_rates(events, axis, host) for axis in axes]
     readings = [_table_readings(events, axis, k, host, late_s) for k, axis in enumerate(axes)]
     spun = [np.zeros(len(host)) if own is None else own for own in rates]
-    return TableAngles(
+    return RunAngles(
         np.concatenate([nothing, *courses], axis=1),
-        Readings.in_order(readings),
+        AngleReadings.in_order(readings),
         np.stack(spun, axis=1) if any(own is not None for own in rates) else None,
     )
 
@@ -80,7 +80,7 @@ def standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[floa
     return [(start, end) for start, end in intervals if end > start]
 
 
-def _table_readings(events: Sequence[Event], axis: str, number: int, host: Floats, late_s: float) -> Readings:
+def _table_readings(events: Sequence[Event], axis: str, number: int, host: Floats, late_s: float) -> AngleReadings:
     """The readings of an axis, `number` of the log's, at the times `host` of its rows.
 
     A standing axis is at its angle from the first reading that shows it standing to its next command. Its row is the
@@ -132,7 +132,7 @@ def _table_readings(events: Sequence[Event], axis: str, number: int, host: Float
     close(math.inf)
     times, at, angles, kinds = np.array(rows).reshape(-1, 4).T
     whole, none = np.int64, np.full(len(rows), np.nan)
-    return Readings(times, at.astype(whole), np.full(len(rows), number, whole), angles, none, kinds.astype(whole))
+    return AngleReadings(times, at.astype(whole), np.full(len(rows), number, whole), angles, none, kinds.astype(whole))
 
 
 def _held_rates(events: Sequence[Event], axis: str, host: Floats) -> Floats | None:

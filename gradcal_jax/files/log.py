@@ -99,7 +99,7 @@ class ReadingKind(IntEnum):
 
 
 @dataclass(frozen=True)
-class Readings:
+class AngleReadings:
     """Readings of the table's angle, in order of time. All arrays `[reading]`.
 
     `row`: at the end of this row of the log the axis stands at the angle that was read (of a moving axis the row of the
@@ -116,7 +116,7 @@ class Readings:
     """`ReadingKind`s."""
 
     @classmethod
-    def in_order(cls, parts: Sequence["Readings"]) -> "Readings":
+    def in_order(cls, parts: Sequence["AngleReadings"]) -> "AngleReadings":
         """The readings of several axes or parts, in order of time."""
         none = np.zeros(0), np.zeros(0, np.int64)
         numbers = cls(none[0], none[1], none[1], none[0], none[0], none[1])
@@ -125,18 +125,18 @@ class Readings:
         }
         return cls(**arrays)._chosen(np.argsort(arrays["time_s"], kind="stable"))
 
-    def of_axis(self, axis: int, *kinds: ReadingKind) -> "Readings":
+    def of_axis(self, axis: int, *kinds: ReadingKind) -> "AngleReadings":
         """The readings of one table axis (its index), of the `kinds` (default: all)."""
         chosen = (self.axis == axis) & (np.isin(self.kind, kinds) if kinds else True)
         return self._chosen(chosen)
 
-    def between(self, first: int, last: int) -> "Readings":
+    def between(self, first: int, last: int) -> "AngleReadings":
         """The readings of the rows from `first` to before `last`, counted from `first`."""
         inside = self._chosen((self.row >= first) & (self.row < last))
         return replace(inside, row=inside.row - first)
 
-    def _chosen(self, chosen: Bools | Whole) -> "Readings":
-        return Readings(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
+    def _chosen(self, chosen: Bools | Whole) -> "AngleReadings":
+        return AngleReadings(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
 
 
 class _Variable(NamedTuple):
@@ -246,7 +246,7 @@ class Log:
     specific_force_m_per_s2: Floats | None = None
     """[unit, time, force axis]; +1 g along an axis that points up at rest."""
     force_axes: tuple[str, ...] = ()
-    readings: Readings | None = None
+    readings: AngleReadings | None = None
     """Of the table's angle. `None`: where they were taken is not recorded, and `table_angle_rad` holds at every row."""
     table_course_rad: Floats | None = None
     """[time, table axis]; the angle reconstructed between readings, for pictures."""
@@ -345,7 +345,7 @@ class Log:
         return EvenSeries(rate, valid, self.sample_interval_s, temperature, row)
 
 
-def _check_readings(readings: Readings, rows: int, axes: int) -> None:
+def _check_readings(readings: AngleReadings, rows: int, axes: int) -> None:
     if len({len(getattr(readings, one.name)) for one in fields(readings)}) != 1:
         raise LogError("the readings of the table's angle have columns of different lengths")
     for name, values, end in (("row", readings.row, rows), ("axis", readings.axis, axes)):
@@ -494,7 +494,7 @@ def _from_dataset(dataset: Any) -> Log:
 
     readings = None
     if "reading_time" in dataset.variables:
-        readings = Readings(**{variable.field: array(name, variable) for name, variable in _OF_READINGS.items()})
+        readings = AngleReadings(**{variable.field: array(name, variable) for name, variable in _OF_READINGS.items()})
     return Log(
         **{variable.field: array(name, variable) for name, variable in _VARIABLES.items()},
         readings=readings,

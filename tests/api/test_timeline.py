@@ -44,7 +44,11 @@ def test_every_reading_that_is_counted_is_in_the_timeline(rests, turns):
     assert sum(not r.origin for r in written.readings) == spec.schedule.readings
     cycle, schedule = spec.gradient_schedule.cycle, spec.gradient_schedule
     own = sum(m.repeat * m.readings for m in cycle.moves)
-    assert schedule.readings == schedule.cycles * own
+    # The rest that no cycle fills is read as the cycle's own rests are, or else once, at its end.
+    every = next((float(rest["read_every"].split()[0]) for rest in rests if "read_every" in rest), None)
+    (stretch,) = schedule.stretches
+    left = stretch.leftover > 0.0 if every is None else stretch.leftover // every
+    assert schedule.readings == schedule.cycles * own + left
     for segment in written.segments:
         end = segment.start + segment.duration
         assert segment.read == any(segment.start + 1e-9 < r.time <= end + 1e-9 for r in written.readings)
@@ -65,8 +69,9 @@ def test_of_several_axes_every_one_is_counted(read):
 def test_a_rest_read_at_its_end_is_one_read_so_often_that_this_is_its_only_reading():
     at_end = [{"read": "end"}, {}]
     every = [{"read_every": "6 s"}, {"read_every": "6 s"}]
-    left = [predict(spec_with(rests)).requirements[0].mean for rests in (at_end, every)]
-    unread = predict(spec_with([{"read": "none"}] * 2)).requirements[0].mean
+    filled = {"gradient": "9.375 K/min"}  # 8 cycles of 32 s, and no rest beside
+    left = [predict(spec_with(rests, **filled)).requirements[0].mean for rests in (at_end, every)]
+    unread = predict(spec_with([{"read": "none"}] * 2, **filled)).requirements[0].mean
     assert left[0] == pytest.approx(left[1], rel=1e-12)
     assert unread > 1.01 * left[0]
 

@@ -35,6 +35,7 @@ from gradcal_jax.files.absent import absent_terms, with_typical
 from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, RequirementRow
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, HeadingRequirement, Requirement, UnitRequirement
+from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import STATISTICS, Posterior
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
@@ -54,7 +55,7 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     (`gradcal_jax.information`); verdicts and risks also count every term that the spec omits, at its class's typical
     figure. What cannot be observed is None, with a warning. Errors: none; `read_spec` has validated the spec.
     """
-    absent = absent_terms(spec)
+    absent = absent_terms(spec if isinstance(spec, UnitSpec) else expect_spec(spec))
     omitted = tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent)
     if isinstance(spec, UnitSpec):
         unit = assemble_unit(spec)

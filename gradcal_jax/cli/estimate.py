@@ -302,7 +302,7 @@ def _text(report: "EstimateReport") -> str:
                 lines += [_channel(channel, report.unseen_of(channel))]
         rows = report.verdicts[one.serial_number]
         if rows:
-            shown = [("requirement", "statistic", "residual (1σ)", "named alone", "at worst", "target", "verdict")]
+            shown = [("requirement", "statistic", "left (1σ)", "as named", "at worst", "target", "verdict")]
             for row in rows:
                 target = "" if row.target is None else amount(row.target, row.unit)
                 name, value = f"{row.requirement.name}, axis {row.axis}", amount(row.value, row.unit)

@@ -120,7 +120,7 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
     lines = [strong(prediction.title or name), times, ""]
     if prediction.requirements:
         several = len({row.axis for row in prediction.requirements} & {"x", "y", "z"}) > 1
-        head = ("requirement", "statistic", "residual (1σ)", "named alone", "at worst", "target", "verdict")
+        head = ("requirement", "statistic", "left (1σ)", "as named", "at worst", "target", "verdict")
         rows = [head, *(_row(row, several) for row in prediction.requirements)]
         if all(row.judged == row.decisive for row in prediction.requirements):
             rows = [(*row[:3], *row[4:]) for row in rows]

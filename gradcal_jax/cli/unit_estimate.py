@@ -66,7 +66,7 @@ def text_of_estimate(report: "UnitReport") -> str:
 
     calibration, model = report.calibration, report.built.model
     lines = _head(report, f"{np.count_nonzero(report.solution.used)} rows of {len(model.channels)} channels")
-    shown = [("requirement", "statistic", "residual (1σ)", "named alone", "of", "target", "verdict")]
+    shown = [("requirement", "statistic", "left (1σ)", "as named", "of", "target", "verdict")]
     for result, row in zip(calibration.result, report.requirements, strict=True):
         target = "" if row.target is None else amount(row.target, row.unit)
         worst = (row.limited_by or "").removeprefix("axis ")

@@ -116,8 +116,9 @@ def column_readings(
             lasts = np.append(begins[1:], end - first) - 1
             polled[lasts[time[lasts] - time[begins] > _HELD * read_every]] = True
         polls = np.flatnonzero(polled)
-        goals = np.arange(time[0] + read_every, time[-1] - 0.5 * read_every, read_every)
-        after = np.searchsorted(time[polls], (goals if np.isfinite(read_every) else goals[:0]) - 1e-9)
+        between = np.isfinite(read_every)
+        goals = np.arange(time[0] + read_every, time[-1] - 0.5 * read_every, read_every) if between else np.zeros(0)
+        after = np.searchsorted(time[polls], goals - 1e-9)
         result[first + polls[np.concatenate([[0], after[after < len(polls)], [len(polls) - 1]])]] = True
     return result
 

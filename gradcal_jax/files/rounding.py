@@ -1,10 +1,10 @@
 """Rounding of a spec's plan to the controllers' steps, with its turns as the controllers' trapezoids.
 
 Moves keep their order: a turn's duration is rounded up, so that its ramps do not exceed the limits, and the longest
-standstill of the cycle becomes shorter by as much. An acceleration is the next step up, which may shorten the turn. A
-ramp's slope is rounded to the nearest step, or to the next slower one where a repetition of the cycle would be lost.
-Whole turns stay whole. For a whole unit the axes' angles at rest are rounded, so that rounding errors of poses do not
-add up, and every pose is replaced by its turns.
+standstill of the cycle becomes shorter by as much. An acceleration is the next step up, which may shorten the turn; the
+longest standstill is longer by as much. A ramp's slope is rounded to the nearest step, or to the next slower one where
+a repetition of the cycle would be lost. Whole turns stay whole. For a whole unit the axes' angles at rest are rounded,
+so that rounding errors of poses do not add up, and every pose is replaced by its turns.
 """
 
 import math
@@ -279,7 +279,8 @@ def _duration(move: Table) -> float:
 def _keep_period(
     cycle: Table, spec: Spec, schedule: GradientSchedule, planned: ResolvedCycle, rounder: _Rounder
 ) -> None:
-    """Shorten the longest standstill by the time that rounding added, so that as many repetitions fit as before."""
+    """Shorten the longest standstill by the time that rounding added, so that as many repetitions fit as before, or
+    make it longer by the time that it took off the turns."""
     own, period = planned.moving, planned.duration
     rests = [(units.parse(move["rest"], "time"), move, "rest") for move in cycle["moves"] if "rest" in move]
     if "other_axes" in cycle:
@@ -295,7 +296,8 @@ def _keep_period(
     if not alone:
         return
     longest, table, key = max(alone, key=lambda entry: entry[0])
-    if over > 1e-9 * period and longest - over >= 2.0 * float(rounder.steps.time):
+    moved = over > 0.0 or planned.idle == 0.0  # idle time makes up for shorter turns by itself
+    if moved and abs(over) > 1e-9 * period and longest - over >= 2.0 * float(rounder.steps.time):
         table[key] = rounder.to("time", longest - over, ROUND_FLOOR)
 
 

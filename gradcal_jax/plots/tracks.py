@@ -88,4 +88,6 @@ def _shape(move: TrackMove) -> list[tuple[float, float]]:
         rate = peak * np.sin(2.0 * np.pi * move.cycles * time / lasting)
         return list(zip(time.tolist(), rate.tolist(), strict=True))
     ramp = 0.0 if move.acceleration is None else min(abs(peak) / float(move.acceleration), lasting / 2.0)
-    return [(0.0, 0.0), (ramp, peak), (lasting - ramp, peak), (lasting, 0.0)]
+    # A controller whose accelerations have steps ends a turn a little earlier, and stands for the rest of its time.
+    ends = lasting if move.angle is None else min(lasting, abs(float(move.angle) / peak) + ramp)
+    return [(0.0, 0.0), (ramp, peak), (ends - ramp, peak), (ends, 0.0), (lasting, 0.0)]

@@ -168,14 +168,14 @@ def test_the_command_shows_both_and_asks_for_the_earth(tmp_path, capsys):
     (tmp_path / "spec.toml").write_text(SPEC)
     assert main(["predict", str(tmp_path / "spec.toml")]) == 1
     said = capsys.readouterr().out
-    assert "named alone" in said
+    assert "as named" in said
     assert all(key in said for key in ZEROS)
     assert "[rig] earth_rate" in said
     assert "--latitude" in said
     gj.write_toml(EXACT, tmp_path / "exact.toml")
     assert main(["predict", str(tmp_path / "exact.toml")]) == 0
     said = capsys.readouterr().out
-    assert "named alone" not in said
+    assert "as named" not in said
     assert "typical" not in said
 
 

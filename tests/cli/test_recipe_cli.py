@@ -52,7 +52,7 @@ def test_show_is_a_table_that_a_technician_can_follow(made, capsys):
         "stable: within 0.3 K",
         "+360 deg",
         "full range",
-        "plan.cycle.other_axes.duration: 4 min -> 239.6 s",
+        "plan.cycle.other_axes.duration: 4 min -> 248 s",
     ):
         assert words in shown
     assert shown == gj.show(read_recipe(made)) + "\n"

@@ -36,7 +36,7 @@ CHANGES = {
 
 def a_recipe(folder: Path) -> Path:
     spec = rounded(changed(parse_spec(presets.text("paper-dynamic-gradient")), CHANGES)).spec
-    chamber, motion = tracks_of(spec)
+    chamber, motion = tracks_of(spec, float(steps_of(spec).acceleration))
     made = Recipe(
         format="gradcal-recipe/1",
         status="not optimised",

@@ -31,7 +31,7 @@ COARSE = ControllerSteps(
 def made_of(spec, **keys):
     """A recipe without a prediction: what the file room can make by itself."""
     result = rounded(spec)
-    chamber, motion = tracks_of(result.spec)
+    chamber, motion = tracks_of(result.spec, float(steps_of(spec).acceleration))
     return Recipe(
         format="gradcal-recipe/1",
         status="not optimised",
@@ -233,6 +233,8 @@ def test_a_broken_recipe_is_a_sentence(change, words):
 def test_the_steps_come_from_the_rig_where_it_names_them():
     spec = files.changed(MEMS, {"rig.resolution.rate": "0.5 deg/s", "plan.cycle.moves[1].peak_rate": "299.7 deg/s"})
     assert math.degrees(float(steps_of(spec).rate)) == pytest.approx(0.5)
-    assert steps_of(PAPER) == ControllerSteps()
+    default = steps_of(PAPER)
+    assert math.degrees(float(default.acceleration)) == pytest.approx(360.0 / 1152000 / 1.6384e-4)
+    assert default == ControllerSteps(acceleration=default.acceleration)
     made = rounded(spec).spec.plan.cycle.moves[1]
     assert made.peak_rate == Quantity.read("299.5 deg/s", "angular rate")

@@ -273,7 +273,8 @@ def test_other_axes_read_as_the_first_rest_unless_told():
     document["plan"]["cycle"]["other_axes"]["read_every"] = "2 s"
     assert files.spec_of(document).schedule.cycle.other_read_every == 2.0
     document["plan"]["cycle"]["other_axes"] = {"duration": "4 min"}
-    assert files.spec_of(document).schedule.readings == 17 * 26
+    # Two minutes of the ramp that no cycle fills are read as the cycle's rests are.
+    assert files.spec_of(document).schedule.readings == 17 * 26 + 120
     document["plan"]["cycle"]["other_axes"] = {"duration": "4 min", "read": True}
     for i in (0, 4):
         del document["plan"]["cycle"]["moves"][i]["read_every"]

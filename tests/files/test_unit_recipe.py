@@ -22,7 +22,7 @@ def preset(name: str) -> UnitSpec:
 
 def recipe_of_unit(spec: UnitSpec) -> Recipe:
     made = rounded(spec).spec
-    chamber, motion = tracks_of(made)
+    chamber, motion = tracks_of(made, float(steps_of(spec).acceleration))
     return Recipe(
         format="gradcal-recipe/1",
         status="not optimised",

@@ -302,12 +302,12 @@ def _text(report: "EstimateReport") -> str:
                 lines += [_channel(channel, report.unseen_of(channel))]
         rows = report.verdicts[one.serial_number]
         if rows:
-            shown = [("requirement", "statistic", "left (1σ)", "as named", "at worst", "target", "verdict")]
+            shown = [("requirement", "statistic", "residual 1σ", "as named", "at worst", "target", "verdict")]
             for row in rows:
                 target = "" if row.target is None else amount(row.target, row.unit)
                 name, value = f"{row.requirement.name}, axis {row.axis}", amount(row.value, row.unit)
                 worst = "" if row.worst is None else amount(row.worst, row.unit)
-                alone = amount(row.named, row.unit)
+                alone = amount(row.named, "").strip()
                 shown.append((name, row.requirement.statistic, value, alone, worst, target, row.verdict or ""))
             if all(row.named == row.value for row in rows):
                 shown = [(*cells[:3], *cells[4:]) for cells in shown]

@@ -120,7 +120,7 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
     lines = [strong(prediction.title or name), times, ""]
     if prediction.requirements:
         several = len({row.axis for row in prediction.requirements} & {"x", "y", "z"}) > 1
-        head = ("requirement", "statistic", "left (1σ)", "as named", "at worst", "target", "verdict")
+        head = ("requirement", "statistic", "residual 1σ", "as named", "at worst", "target", "verdict")
         rows = [head, *(_row(row, several) for row in prediction.requirements)]
         if all(row.judged == row.decisive for row in prediction.requirements):
             rows = [(*row[:3], *row[4:]) for row in rows]
@@ -185,7 +185,7 @@ def _row(row: "RequirementRow", several: bool) -> tuple[str, ...]:
     if row.uncertain is not None:
         left += f" ({row.uncertain[0]:.4g} … {row.uncertain[1]:.4g})"
     worst = "" if row.worst is None else amount(row.worst, row.unit)
-    alone = amount(row.decisive, row.unit)
+    alone = amount(row.decisive, "").strip()
     return (_named(row, several), row.statistic, left, alone, worst, target, row.verdict or "")
 
 

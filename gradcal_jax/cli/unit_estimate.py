@@ -66,11 +66,11 @@ def text_of_estimate(report: "UnitReport") -> str:
 
     calibration, model = report.calibration, report.built.model
     lines = _head(report, f"{np.count_nonzero(report.solution.used)} rows of {len(model.channels)} channels")
-    shown = [("requirement", "statistic", "left (1σ)", "as named", "of", "target", "verdict")]
+    shown = [("requirement", "statistic", "residual 1σ", "as named", "of", "target", "verdict")]
     for result, row in zip(calibration.result, report.requirements, strict=True):
         target = "" if row.target is None else amount(row.target, row.unit)
         worst = (row.limited_by or "").removeprefix("axis ")
-        value, alone = amount(result.value, row.unit), amount(row.decisive, row.unit)
+        value, alone = amount(result.value, row.unit), amount(row.decisive, "").strip()
         shown.append((row.name, row.statistic, value, alone, worst, target, row.verdict or ""))
     if all(row.judged == row.decisive for row in report.requirements):
         shown = [(*cells[:3], *cells[4:]) for cells in shown]

@@ -137,28 +137,31 @@ def _table_readings(events: Sequence[Event], axis: str, number: int, host: Float
 
 def _held_rates(events: Sequence[Event], axis: str, host: Floats) -> Floats | None:
     """The rate of an axis at the times `host`, deg/s: the commanded rate of its spins, the reference of the standard
-    method, zero where it stands, and straight lines in between. None for an axis that never spins."""
+    method, zero where it stands, and straight lines in between. None for an axis
+    that never spins."""
     if not any(_spins(event, axis) for event in events):
         return None
-    known, since_s, rate, before = np.full(len(host), np.nan), math.inf, 0.0, 0.0
+    knots: list[tuple[float, float]] = []
+    since_s, rate = math.inf, 0.0
 
     def close(until_s: float) -> None:
-        first, last = np.searchsorted(host, [since_s, until_s - MARGIN_S])
-        known[first : max(first, last)] = rate
+        if since_s < until_s:
+            knots.extend([(since_s, rate), (until_s, rate)])
 
     for event in events:
-        if event.name == "angle" and event.data["axis"] == axis and not event.data["moving"] and since_s == math.inf:
-            since_s, rate = float(event.data["time_s"]) + SETTLED_S, 0.0
-        elif (event.name in MOVE_COMMANDS and event.data["axis"] == axis) or breaks_off(event):
+        own = event.data.get("axis") == axis
+        if event.name == "angle" and own and not event.data["moving"] and since_s == math.inf:
+            since_s, rate = float(event.data["time_s"]), 0.0
+        elif (event.name in MOVE_COMMANDS and own) or breaks_off(event):
             began_s = float(event.data.get("began_s", event.time_s))
             close(began_s)
             before, since_s = (rate if since_s < math.inf else 0.0), math.inf
             if _spins(event, axis):
                 rate = float(event.data["rate_dps"])
                 since_s = began_s + abs(rate - before) / float(event.data["acceleration_dps2"]) + _LATE_S
-    close(math.inf)
-    there = np.isfinite(known)
-    return np.interp(host, host[there], known[there]) if there.any() else None
+    close(float(host[-1]))
+    times, rates = np.array(knots).reshape(-1, 2).T
+    return np.interp(host, times, rates) if len(knots) else None
 
 
 def _spins(event: Event, axis: str) -> bool:

@@ -46,6 +46,7 @@ from gradcal_jax.units import dimension_of
 Begins = Literal["at its time", "when stable"]
 Doing = Literal["rest", "turn", "spin", "oscillate", "spline", "turn by hand", "wait"]
 
+_HAIR: Final = 1e-6  # of a step
 # The trapezoid's ramp as a share of the duration, for motions with duration and angle only.
 _RAMP_SHARE: Final = {"half sine": 1.0 - 2.0 / math.pi, "raised cosine": 0.5, "hand": 0.5}
 
@@ -332,8 +333,8 @@ def makeable_acceleration(acceleration: float, step: float | None, steepest: flo
     the table is weaker than a step. All in rad/s²."""
     if step is None or step > steepest:
         return acceleration
-    # A multiple that rounding errors of the arithmetic raise stays what it is.
-    return step * min(math.ceil(acceleration / step * (1.0 - 1e-6)), math.floor(steepest / step * (1.0 + 1e-9)))
+    # A multiple that rounding errors of the arithmetic raise or lower stays what it is.
+    return step * min(math.ceil(acceleration / step - _HAIR), math.floor(min(steepest / step, 1e12) + _HAIR))
 
 
 def trapezoid_acceleration(move: ResolvedMove) -> float:

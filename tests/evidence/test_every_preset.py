@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomlkit
-from chain import Chain, chain, predicted_of, recipe_of
+from chain import AIR_LAG_S, Chain, chain, predicted_of, recipe_of
 from scipy.stats import chi2
 
 from gradcal_jax.files import presets
@@ -149,7 +149,7 @@ def thinned(text: str, changes: dict[str, object]) -> str:
 
 def seeds_of(name: str, folder: Path, count: int, changes: dict[str, object] | None = None) -> Seeds:
     recipe = recipe_of(written(name, folder, changes), folder)
-    predicted = predicted_of(recipe)
+    predicted = predicted_of(recipe, AIR_LAG_S if changes else 0.0)
     return Seeds(name, [chain(recipe, predicted, folder, seed) for seed in range(1, count + 1)])
 
 

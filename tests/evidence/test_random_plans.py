@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tomlkit
-from chain import chain, predicted_of, recipe_of
+from chain import AIR_LAG_S, chain, predicted_of, recipe_of
 from scipy.stats import chi2
 
 Tables = dict[str, Any]
@@ -86,7 +86,7 @@ def axis_plan(rng: np.random.Generator) -> Tables:
         "scale_factor": _maps(rng, "3000 ppm"),
     }
     if rng.random() < 0.4:
-        sensor["sample_clock_error"] = "10 ppm"
+        sensor |= {"sample_clock_error": "10 ppm", "clock": "host"}
     angle = {"reading_noise": _of(rng, 0.002, 0.05, "deg")}
     if rng.random() < 0.6:
         angle["standstill_offset"] = _of(rng, 0.002, 0.02, "deg")
@@ -180,7 +180,7 @@ def differences(kind: str, number: int, folder: Path) -> dict[str, float]:
     spec = folder / "spec.toml"
     spec.write_text(tomlkit.dumps(PLANS[kind](np.random.default_rng([number, 40]))), encoding="utf-8")
     recipe = recipe_of(spec, folder)
-    predicted = predicted_of(recipe)
+    predicted = predicted_of(recipe, AIR_LAG_S)
     done = chain(recipe, predicted, folder, seed=number)
     assert done.sigmas, done.printed
     assert chi2.sf(*done.fit) > 1e-4, f"the run's own data do not fit: χ² {done.fit[0]:.0f} of {done.fit[1]}"

@@ -84,20 +84,29 @@ def _table_readings(events: Sequence[Event], axis: str, number: int, host: Float
     """The readings of an axis, `number` of the log's, at the times `host` of its rows.
 
     A standing axis is at its angle from the first reading that shows it standing to its next command. Its row is the
-    nearest to the reading's time in between, without `late_s` and the margins of a standstill. An axis that stood at an
-    interruption and is not read behind it (its angle was typed) has its last reading again where the next step begins.
+    nearest to the reading's time in between, without `late_s` and the margins of a standstill. An axis that is not read
+    again (its angle was typed) has its last reading where samples begin, also behind an interruption at which it stood.
     """
     rows: list[tuple[float, int, float, ReadingKind]] = []
     stands: list[tuple[float, Event]] = []
     last: Event | None = None
     again_s = math.nan
 
-    def add(time_s: float, event: Event, at_s: float, kind: ReadingKind, *, next_row: bool = False) -> None:
+    def add(
+        time_s: float,
+        event: Event,
+        at_s: float,
+        kind: ReadingKind,
+        *,
+        next_row: bool = False,
+        until_s: float | None = None,
+    ) -> None:
         row = int(np.searchsorted(host, at_s))
         if not next_row and row > 0 and (row == len(host) or at_s - host[row - 1] < host[row] - at_s):
             row -= 1
         # Where no samples are near, the reading has no row.
-        if row < len(host) and abs(host[row] - at_s) <= SETTLED_S + late_s:
+        near_s = SETTLED_S + late_s if until_s is None else until_s - at_s
+        if row < len(host) and abs(host[row] - at_s) <= near_s:
             rows.append((time_s, row, math.radians(float(event.data["position_deg"])), kind))
 
     def close(until_s: float) -> None:
@@ -106,6 +115,7 @@ def _table_readings(events: Sequence[Event], axis: str, number: int, host: Float
             stands.append((again_s, last))
         first_s = stands[0][0] if stands else 0.0
         begin_s, end_s = first_s + SETTLED_S + late_s, until_s - MARGIN_S - late_s
+        count, kind = len(rows), ReadingKind.PLANNED
         for time_s, event in stands:
             kind = ReadingKind.PLANNED if event.data.get("planned", True) else ReadingKind.STANDING
             if begin_s > end_s:
@@ -113,6 +123,10 @@ def _table_readings(events: Sequence[Event], axis: str, number: int, host: Float
             else:
                 at_s = max(time_s, begin_s)
                 add(time_s, event, min(at_s, end_s), kind, next_row=at_s < end_s)
+        if stands and len(rows) == count and begin_s < end_s:
+            time_s, event = stands[-1]
+            samples_s = host[np.searchsorted(host[:-1], max(time_s, begin_s))] + 2.0 * SETTLED_S
+            add(time_s, event, float(samples_s), kind, next_row=True, until_s=end_s)
         stands.clear()
 
     for event in events:

@@ -80,10 +80,12 @@ def executed_unit(
     Errors: `ValueError` where the table never stands, where its angles are not known there, or where the gyros'
     integral over a move is not a sequence of turns of single axes.
     """
-    spans = [_inner(log.time_s, int(a), int(b) - 1) for a, b in runs(log.standing) if b - a > 1]
+    stands = [(int(a), int(b) - 1) for a, b in runs(log.standing) if b - a > 1]
+    spans = [_inner(log.time_s, *stand) for stand in stands]
     if len(spans) < 2:
         raise ValueError("the table stands still less than twice in the log, so there is no pose to compare")
-    means = _mean_angles(log, spans)
+    # A reading has the row at which its axis stands; of an angle at every row those at the ends do not count.
+    means = _mean_angles(log, stands if log.at_a_stop.any() else spans)
     slow = np.median(np.diff(log.time_s)) > SLOW_S
     legs = _legs(log, geometry, spans, means, planned if slow else ())
     angles = _own_angles(log, spans, legs)

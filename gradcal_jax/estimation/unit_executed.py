@@ -29,6 +29,8 @@ _PARTS = 64
 _GUARD_S = 0.1
 # The speed at a stop is this many times below that on both sides; speeds below this share of the fastest are noise.
 _DIP, _SLOWEST = 10.0, 1e-3
+# A stop is read within this time of where the gyros see it.
+_LATE_S = 0.5
 # Least change of an axis's angle (rad) that counts as a turn.
 _LEAST_TURN = np.radians(0.05)
 # The gyros' integral over a move differs from the table's angle by at most this share and this angle (rad).
@@ -84,6 +86,10 @@ def executed_unit(
     spans = [_inner(log.time_s, *stand) for stand in stands]
     if len(spans) < 2:
         raise ValueError("the table stands still less than twice in the log, so there is no pose to compare")
+    if read_every < _PIECE_S and log.at_a_stop.any():
+        # Every reading is a reference: a standstill is that from its first to its last.
+        read = [np.flatnonzero(log.at_a_stop[a : b + 1]) + a for a, b in stands]
+        spans = [(int(rows[0]), int(rows[-1])) for rows in read if len(rows)]
     # A reading has the row at which its axis stands; of an angle at every row those at the ends do not count.
     means = _mean_angles(log, stands if log.at_a_stop.any() else spans)
     slow = np.median(np.diff(log.time_s)) > SLOW_S
@@ -164,10 +170,14 @@ def _legs(
                 pairs = itertools.pairwise([last, *map(int, begins), first])
                 result += [_Leg(k, t.move.axis, a, b, t) for t, (a, b) in zip(timed, pairs, strict=True)]
                 continue
+        still = None
         for since, axis in np.argwhere(stops[last + 1 : first]):
             row = int(since) + last + 1
             if abs(log.angles[row, axis] - at[axis]) > _LEAST_TURN:
-                legs.append(_Leg(k, int(axis), legs[-1].end, row))
+                if still is None and quiet is not None:
+                    speed = np.linalg.norm((log.rates[rows[1:]] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen], axis=1)
+                    still = last + 1 + np.array(_valleys(speed), int)
+                legs.append(_Leg(k, int(axis), legs[-1].end, _stop_near(log.time_s, row, legs[-1].end, still)))
                 at[axis] = log.angles[row, axis]
         rest, turned = _Leg(k, -1, legs[-1].end, first), np.flatnonzero(np.abs(means[k + 1] - at) > _LEAST_TURN)
         if len(turned) == 1 or quiet is None:
@@ -186,6 +196,14 @@ def _legs(
                 )
         result += legs[1:]
     return result
+
+
+def _stop_near(time_s: np.ndarray, row: int, after: int, still: np.ndarray | None) -> int:
+    """The row at which the gyros see the stop that was read at `row`: stamps of readings and of samples are late by
+    different times. `still`: rows at which the gyros see a stop."""
+    if still is None or not len(near := still[(still > after) & (np.abs(time_s[still] - time_s[row]) < _LATE_S)]):
+        return row
+    return int(near[np.argmin(np.abs(near - row))])
 
 
 def _felt_legs(

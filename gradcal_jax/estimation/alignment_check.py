@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.estimation.unit_executed import UnitRows
+from gradcal_jax.estimation.unit_executed import UnitRows, mean_angles
 from gradcal_jax.formulas import runs
 from gradcal_jax.trajectory import Geometry, frames
 
@@ -33,7 +33,7 @@ def coarse_fits(rows: UnitRows, geometry: Geometry) -> dict[str, CoarseFit]:
     if len(rests) < 2:
         return dict.fromkeys(("gyro", "accelerometer"), CoarseFit(np.eye(3), np.zeros(3, bool)))
     step = np.diff(rows.time_s, prepend=rows.time_s[0])
-    angles = np.array([np.nanmean(rows.angles[a:b], axis=0) for a, b in rests]).reshape(len(rests), -1)
+    angles = np.array(mean_angles(rows, [(a, b - 1) for a, b in rests])).reshape(len(rests), -1)
     mounting = np.array([rows.mounting[a] for a, _ in rests], int)
     stages = frames(geometry, angles, mounting)
     totals = np.cumsum(np.nan_to_num(rows.rates) * step[:, None], axis=0)

@@ -91,7 +91,7 @@ def executed_unit(
         read = [np.flatnonzero(log.at_a_stop[a : b + 1]) + a for a, b in stands]
         spans = [(int(rows[0]), int(rows[-1])) for rows in read if len(rows)]
     # A reading has the row at which its axis stands; of an angle at every row those at the ends do not count.
-    means = _mean_angles(log, stands if log.at_a_stop.any() else spans)
+    means = mean_angles(log, stands if log.at_a_stop.any() else spans)
     slow = np.median(np.diff(log.time_s)) > SLOW_S
     legs = _legs(log, geometry, spans, means, planned if slow else ())
     angles = _own_angles(log, spans, legs)
@@ -109,7 +109,7 @@ class _Leg(NamedTuple):
     timed: TimedMove | None = None
 
 
-def _mean_angles(log: UnitRows, spans: list[tuple[int, int]]) -> list[np.ndarray]:
+def mean_angles(log: UnitRows, spans: list[tuple[int, int]]) -> list[np.ndarray]:
     """The mean angles (rad) of all axes in every standstill; an axis that is not read there stands as before."""
     result: list[np.ndarray] = []
     for first, last in spans:

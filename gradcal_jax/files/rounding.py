@@ -37,6 +37,8 @@ from gradcal_jax.formulas import repetitions
 
 _HAIR: Final = Decimal("1e-6")  # of a step: rounding of the arithmetic, never of the plan
 _MOST_MOVES: Final = 1000
+# Relative difference of accelerations that changes nothing of a turn.
+_SAME_ACCELERATION: Final = 1e-3
 # By kind of text: which of the steps, its dimension, the fewest steps of a value other than zero, and the way to round.
 _KINDS: Final[Mapping[str, tuple[str, str, int, str]]] = {
     "temperature": ("temperature", "temperature", 0, ROUND_HALF_EVEN),
@@ -350,7 +352,10 @@ def _turn(angle: float, move: ResolvedMove, shape: str, steepest: float, fastest
         peak = units.parse(text, "angular rate")
     least = (math.pi / 2.0 if shape == "cosine ramps" else 1.0) * peak / steepest
     if shape == "linear ramps":
-        ramp = least = peak / makeable_acceleration(peak / max(ramp, least), rounder.acceleration, steepest)
+        planned = peak / max(ramp, least)
+        made = makeable_acceleration(planned, rounder.acceleration, steepest)
+        if abs(made - planned) > _SAME_ACCELERATION * planned:
+            ramp = least = peak / made
     duration_text = rounder.to("time", size / peak + max(ramp, least), ROUND_CEILING)
     duration = units.parse(duration_text, "time")
     if peak > 2.0 * size / duration:

@@ -114,7 +114,7 @@ def limited(spec: files.Spec, travel: float, shape: str, cycles: str, **design) 
         {"turn": "-20 deg", "duration": "12 s", "shape": shape},
     ]
     keys = {"rig.table.travel": f"{travel:.6g} deg", "plan.cycle.moves": moves, "design.cycles": cycles}
-    keys["rig.resolution.acceleration"] = "0.0001 deg/s^2"  # of a table that makes any acceleration
+    keys["rig.resolution.acceleration"] = "0.0000001 deg/s^2"  # of a table that makes any acceleration
     return changed(spec, keys | {f"design.{key}": value for key, value in design.items()})
 
 

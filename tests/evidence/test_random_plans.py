@@ -149,7 +149,7 @@ def unit_plan(rng: np.random.Generator) -> Tables:
             "bias": {"temperature": _WARM, "prior": "400 deg/h"},
             "scale_factor": _maps(rng, "1000 ppm"),
             "misalignment": {"prior": "1 mrad"},
-        }
+        },
     }
     if rng.random() < 0.6 and two:
         sensor["accelerometer"] = {

@@ -1,0 +1,81 @@
+"""A failed test of the fit counts: no verdict "met", no certified uncertainty, no status 0; sound data raise none."""
+
+import json
+import re
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from logs_zoo import GRADIENT
+from simulated_log import simulate_log
+
+import gradcal_jax as gj
+from gradcal_jax.cli import main
+from gradcal_jax.files import parse_spec
+
+# What the short plan leaves is far below these.
+WIDE = GRADIENT.replace('target = "2000 ppm"', 'target = "9 %"').replace(
+    'name = "bias"\nquantity = "bias"', 'name = "bias"\nquantity = "bias"\ntarget = "9000 deg/h"'
+)
+
+
+def noisier(log: gj.Log) -> gj.Log:
+    """Three times the noise of the spec."""
+    noise = np.random.default_rng(3).standard_normal(log.rate_rad_per_s.shape)
+    density = np.radians(0.5) / 60.0 * np.sqrt(8.0)
+    return replace(log, rate_rad_per_s=log.rate_rad_per_s + density / np.sqrt(log.sample_interval_s) * noise)
+
+
+def drifting(log: gj.Log) -> gj.Log:
+    """A jump of the scale factor by a per cent in mid-run, which χ² and halves see."""
+    late = log.time_s > np.mean(log.time_s)
+    return replace(log, rate_rad_per_s=log.rate_rad_per_s * np.where(late, 1.01, 1.0)[None, :, None])
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return simulate_log(parse_spec(WIDE), sample_rate_hz=20.0, seed=11, readings=True).log
+
+
+def estimated(log: gj.Log, folder, capsys) -> tuple[int, dict, str, dict]:
+    """Exit status, JSON, text and calibration of `gradcal estimate`."""
+    (folder / "spec.toml").write_text(WIDE, encoding="utf-8")
+    gj.write_log(log, folder / "log.nc")
+    words = ["estimate", str(folder / "log.nc"), "--spec", str(folder / "spec.toml")]
+    capsys.readouterr()
+    status = main([*words, "--json"])
+    said = json.loads(capsys.readouterr().out)
+    assert main([*words, "-o", str(folder / "calibration.toml"), "--force"]) == status
+    text = capsys.readouterr().out
+    return status, said, text, tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))
+
+
+def test_sound_data_are_met_and_say_nothing(sound, tmp_path, capsys):
+    status, said, text, made = estimated(sound, tmp_path, capsys)
+    assert {row["verdict"] for unit in said["units"] for row in unit["requirements"]} == {"met"}
+    assert status == 0
+    assert "not valid" not in text
+    assert "contradicted" not in made["axis"][0]
+
+
+@pytest.mark.parametrize(("fault", "test"), [(noisier, "χ² of the fit"), (drifting, "first half against second")])
+def test_data_that_contradict_the_model_are_not_valid_anywhere(sound, fault, test, tmp_path, capsys):
+    status, said, text, made = estimated(fault(sound), tmp_path, capsys)
+    assert status == 1
+    assert {row["verdict"] for unit in said["units"] for row in unit["requirements"]} == {"not valid"}
+    assert re.search(rf"not valid: [^\n]*{test}", text)
+    assert test in made["axis"][0]["contradicted"]
+    assert {row["verdict"] for row in made["result"]} == {"not valid"}
+    path = str(tmp_path / "calibration.toml")
+    assert main(["report", path, "--certificate", "-o", str(tmp_path / "c.html"), "--json"]) in (0, 1)
+    certified = json.loads(capsys.readouterr().out)
+    assert all(row["expanded"] is None and row["standard"] is None for row in certified["results"])
+    assert all(row["scale_factor_expanded"] is None for row in certified["corrections"])
+    assert certified["validity"][0].startswith("NOT VALID")
+    assert main(["report", path, "-o", str(tmp_path / "page.html")]) in (0, 1)
+    certificate, page = ((tmp_path / f"{name}.html").read_text(encoding="utf-8") for name in ("c", "page"))
+    assert '<p class="verdict not valid">NOT VALID' in certificate
+    assert '<p class="verdict not valid">Not valid' in page
+    for shown in (certificate, page):  # the glossary names the verdicts
+        assert not re.search(r">\s*met\b|class=.verdict met|Met:", shown)

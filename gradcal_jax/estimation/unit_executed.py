@@ -33,6 +33,8 @@ _DIP, _SLOWEST = 10.0, 1e-3
 _LATE_S = 0.5
 # Least change of an axis's angle (rad) that counts as a turn.
 _LEAST_TURN = np.radians(0.05)
+# ... and that of two single readings, which have their own noise.
+_TURNED = np.radians(1.0)
 # The gyros' integral over a move differs from the table's angle by at most this share and this angle (rad).
 _FOLLOWS, _BIAS = 0.05, np.radians(3.0)
 # Largest angle between nodes of a move (rad).
@@ -173,7 +175,7 @@ def _legs(
         still = None
         for since, axis in np.argwhere(stops[last + 1 : first]):
             row = int(since) + last + 1
-            if abs(log.angles[row, axis] - at[axis]) > _LEAST_TURN:
+            if abs(log.angles[row, axis] - at[axis]) > _TURNED:
                 if still is None and quiet is not None:
                     speed = np.linalg.norm((log.rates[rows[1:]] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen], axis=1)
                     still = last + 1 + np.array(_valleys(speed), int)

@@ -46,6 +46,8 @@ from gradcal_jax.trajectory import Geometry, rotation
 _ROUNDS = 12
 # The iteration ends at a step that changes no parameter by more than this share of its standard deviation.
 _SETTLED = 1e-3
+# Readings of one standstill differ by less, rad.
+_TURNS = np.radians(1.0)
 # Step of finite differences, rad.
 _SMALL_TURN = 1e-5
 
@@ -205,21 +207,24 @@ def readings_of(
         return readings
     # The motion is that of the mean angles; the reference is each reading.
     before, after = done.motion.angles()
-    read = _angles_read(log, done.rows)
+    read = _angles_read(log, done.rows, np.concatenate([before[:1], after]))
     apart = np.stack([read[at.last + 1] - after[at.last], read[at.first] - before[at.first]], axis=1)
     shown = np.sum(encoder_rows(done.motion, model, readings.nominal()) * apart[at.row_segment], axis=(1, 2))
     return readings._replace(observed=np.where(at.used, observed - shown, 0.0))
 
 
-def _angles_read(log: UnitRows, rows: np.ndarray) -> np.ndarray:
-    """The angles (rad) that were read at rows of the log, or nearest to them, `(P + 1, L)`."""
-    result = np.empty((len(rows), log.angles.shape[1]))
+def _angles_read(log: UnitRows, rows: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """The angles (rad) that were read at rows of the log, or nearest to them in the same standstill of the axis, of
+    which the motion has the angles `moved`, `(P + 1, L)`."""
+    result = np.empty_like(moved)
     for axis, angles in enumerate(log.angles.T):
         known = np.flatnonzero(np.isfinite(angles))
         after = np.clip(np.searchsorted(log.time_s[known], log.time_s[rows]), 0, len(known) - 1)
         before = np.maximum(after - 1, 0)
         nearer = log.time_s[rows] - log.time_s[known[before]] < log.time_s[known[after]] - log.time_s[rows]
-        result[:, axis] = angles[known[np.where(nearer, before, after)]]
+        apart = [np.abs(angles[known[place]] - moved[:, axis]) for place in (before, after)]
+        turns = np.abs(apart[0] - apart[1]) > _TURNS
+        result[:, axis] = angles[known[np.where(np.where(turns, apart[0] < apart[1], nearer), before, after)]]
     return result
 
 

@@ -1,6 +1,7 @@
 """Estimates -> calibration files and reports: coefficients in the paper's basis, requirements, verdicts in words."""
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -10,6 +11,7 @@ from gradcal_jax.api.contract_rows import counted_std, finite, fit_rows, provena
 from gradcal_jax.api.contradictions import (
     SCALE_FACTOR_ERROR,
     beyond_the_data,
+    diagnosis_sentences,
     omitted_sentences,
     refuse_other_units,
 )
@@ -27,6 +29,7 @@ from gradcal_jax.api.posterior_of_plan import (
     target_of,
     verdict,
 )
+from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.standard_estimate import point_channel
 from gradcal_jax.api.systematic import (
     CountedPosteriors,
@@ -143,11 +146,12 @@ def estimate_calibration(
     log does not hold what the estimate needs.
     """
     spec, options, said = with_options(spec, [log], options or Options())
+    (log,), faults = without_bad_rows(spec, [log])
     if log.temperature_c is not None:
         for name in units or log.units:
             refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
     channels = estimate_channels(spec, log, axes=axes, units=units, options=options)
-    return _report(spec, log, channels, options, sources, said)
+    return _report(spec, log, channels, options, sources, said, faults)
 
 
 def estimate_points(
@@ -175,9 +179,12 @@ def _report(
     options: Options,
     sources: dict[str, str] | None,
     said: Sequence[str] = (),
+    faults: Mapping[str, RecordFaults] = MappingProxyType({}),
 ) -> EstimateReport:
+    shown = {channel.unit: faults.get(channel.unit, RecordFaults()) for channel in channels}
+    channels = [channel._replace(not_valid=tuple(shown[channel.unit].not_valid)) for channel in channels]
     for channel in channels:
-        _refuse_the_absurd(channel)
+        _refuse_the_absurd(channel, shown[channel.unit].also)
     by_unit: dict[str, list[UnitChannel]] = {}
     for channel in channels:
         by_unit.setdefault(channel.unit, []).append(channel)
@@ -186,7 +193,12 @@ def _report(
     budgets = {(c.unit, c.axis): _budget(built, c, noise) for c in channels}
     verdicts = {unit: tuple(v for c in own for v in _verdicts(budgets, c)) for unit, own in by_unit.items()}
     messages = {
-        unit: (*said, *(m for c in own for m in words(c, len(own) > 1)), *_beside_verdicts(spec, own))
+        unit: (
+            *said,
+            *shown[unit].sentences,
+            *(m for c in own for m in words(c, len(own) > 1)),
+            *_beside_verdicts(spec, own),
+        )
         for unit, own in by_unit.items()
     }
     calibrations = tuple(
@@ -197,7 +209,7 @@ def _report(
     return EstimateReport(calibrations, tuple(channels), verdicts, messages, measured)
 
 
-def _refuse_the_absurd(channel: UnitChannel) -> None:
+def _refuse_the_absurd(channel: UnitChannel, also: str) -> None:
     """Raise `LogError` for a scale-factor error that no gyro has: the reference must be wrong."""
     scale = channel.model.scale
     if scale is None or scale.rate is None:
@@ -214,14 +226,14 @@ def _refuse_the_absurd(channel: UnitChannel) -> None:
     if (largest := float(np.max(np.abs(values)))) > SCALE_FACTOR_ERROR:
         raise LogError(
             f"axis {channel.axis} of {channel.unit}: a scale-factor error of {largest * PPM:.4g} ppm is not a gyro's: "
-            "is the reference of another axis, unit or sign, or are the listed turns wrong?"
+            f"is the reference of another axis, unit or sign, or are the listed turns wrong?{also}"
         )
 
 
 def contradictions_of(channel: UnitChannel) -> list[str]:
-    """The tests of a channel's fit that fail, by name: its data contradict the model."""
+    """What makes a channel's calibration not valid, by name: what its record shows, and tests of the fit that fail."""
     structure = {f"structure of the {test.quantity.replace('_', ' ')}": test.test for test in channel.structure}
-    return contradictions(_tests_of(channel.consistency) | structure)
+    return [*channel.not_valid, *contradictions(_tests_of(channel.consistency) | structure)]
 
 
 def _tests_of(tests: Consistency) -> dict[str, Test]:
@@ -312,6 +324,11 @@ def words(channel: UnitChannel, several: bool = False) -> list[str]:
     sentences += [f"{where}the data say nothing of {combination}" for combination in unseen]
     if tests.fit.degrees > 0:
         sentences += [where + sentence for sentence in noise_sentences(tests, not tests.fit.passed, "sensor")]
+    if contradictions_of(channel):
+        seen = channel.observations
+        moved = seen.rate_rad_per_s[seen.used] != 0.0
+        own = diagnosis_sentences(channel.estimate.residuals[0], seen.time_s[seen.used], moved)
+        sentences += [where + sentence for sentence in own]
     if not tests.whiteness.passed:
         sentences.append(f"{where}the residuals are not white: the spec's noise does not explain their correlation")
     sentences += [where + structure_in_words(test) for test in channel.structure if test.noticed]

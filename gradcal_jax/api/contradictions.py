@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from gradcal_jax.estimation import CoarseFit
+from gradcal_jax.estimation import CoarseFit, diagnosis
 from gradcal_jax.files.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
 from gradcal_jax.files.log import LogError
 from gradcal_jax.files.requirement import Requirement, UnitRequirement
@@ -100,6 +100,25 @@ def omitted_sentences(spec: Spec | UnitSpec, temperature: np.ndarray, lag_is_fit
         sentences.append(
             "the temperature goes one way only, so a lag between the measured temperature and the dies' cannot be "
             "seen: it is taken as zero, and counts as an error"
+        )
+    return sentences
+
+
+def diagnosis_sentences(residual: np.ndarray, time_s: np.ndarray, moved: np.ndarray) -> list[str]:
+    """What residuals that contradict the model look like, in sentences; arguments as of `estimation.diagnosis`."""
+    seen, sentences = diagnosis(residual, time_s, moved), list[str]()
+    if len(seen.events):
+        when = ", ".join(f"{a:.5g} s" if b - a < 1.0 else f"{a:.5g} … {b:.5g} s" for a, b in seen.events[:3])
+        sentences.append(
+            f"{seen.readings} of {len(residual)} readings do not fit the others, at {when}"
+            + (" and at other times" if len(seen.events) > 3 else "")
+            + ": has the encoder slipped, the bias jumped, or was the unit knocked? --robust counts them less"
+        )
+    if seen.motion_tells:
+        sentences.append(
+            f"readings after moves differ {seen.moving:.3g} times as much as the spec's noise says, those at rest "
+            f"{seen.resting:.3g} times: vibration on the move, wobble or angle errors of the table, its timing, or a "
+            "scale factor that changes"
         )
     return sentences
 

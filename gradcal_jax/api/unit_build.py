@@ -194,7 +194,7 @@ def geometry(rig: UnitRig) -> Geometry:
         np.eye(3),
         np.array(mountings),
         np.asarray(float(rig.site.latitude)),
-        np.asarray(float(rig.site.gravity)),
+        np.asarray(rig.site.gravity_m_per_s2),
     )
 
 

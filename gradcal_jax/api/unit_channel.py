@@ -41,6 +41,8 @@ class UnitChannel(NamedTuple):
     neighbours: tuple[estimation.Group, ...] = ()
     structure: tuple[StructureTest, ...] = ()
     """One test for every polynomial map."""
+    not_valid: tuple[str, ...] = ()
+    """What the record shows that makes the calibration not valid, by name."""
 
 
 class Recorded(NamedTuple):

@@ -16,6 +16,7 @@ from gradcal_jax.api.calibration import excess_of, noise_sentences, not_valid
 from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of, random_walks, section_of
 from gradcal_jax.api.contradictions import (
     beyond_the_data,
+    diagnosis_sentences,
     omitted_sentences,
     refuse_implausible,
     refuse_misaligned,
@@ -24,6 +25,7 @@ from gradcal_jax.api.contradictions import (
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import bridged_temperature, time_of, usable_rows, with_options
 from gradcal_jax.api.prediction import unit_requirement_row
+from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.systematic import (
     EstimatedRun,
     budget_of_unit_estimate,
@@ -132,13 +134,20 @@ def estimate_units(
     if not names:
         raise LogError("no unit is in all of the logs")
     spec, options, said = with_options(spec, logs, options)
+    logs, faults = without_bad_rows(spec, logs)
     for log, name in itertools.product(logs, names):
         if log.temperature_c is not None:
             refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
     built = assemble_unit(spec)
     noise = omitted_noise_of_unit(built)
-    reports = (_report(built, logs, name, options, sources or {}, noise) for name in names)
-    return [report._replace(messages=(*said, *report.messages)) for report in reports]
+    reports = list[UnitReport]()
+    for name in names:
+        try:
+            report = _report(built, logs, name, options, sources or {}, noise, faults[name])
+        except LogError as error:
+            raise LogError(f"{error}{faults[name].also}") from None
+        reports.append(report._replace(messages=(*said, *faults[name].sentences, *report.messages)))
+    return reports
 
 
 def _report(
@@ -148,6 +157,7 @@ def _report(
     options: Options,
     sources: dict[str, str],
     noise: dict[str, np.ndarray],
+    shown: RecordFaults,
 ) -> UnitReport:
     rows, messages = unit_rows(built, logs, name, options)
     starts = np.flatnonzero(~rows.usable & (np.diff(rows.time_s, prepend=-np.inf) > 0.0))
@@ -182,7 +192,7 @@ def _report(
     record = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
     ramp = ramp_of_record(rows.time_s[record], temperature[record])
     budget = budget_of_unit_estimate(built, known, EstimatedRun(solution.parameters, covered[0], ramp), noise)
-    contradicted = estimation.contradictions(_tests_of(tests, channels))
+    contradicted = (*shown.not_valid, *estimation.contradictions(_tests_of(tests, channels)))
     requirements, beyond = [], list[str]()
     for requirement in built.spec.requirement:
         row = unit_requirement_row(built, budget, requirement)
@@ -195,6 +205,8 @@ def _report(
         requirements.append(row)
     requirements = tuple(requirements)
     calibration = _calibration(built, logs, name, solution, tests, channels, requirements, covered, options, sources)
+    if contradicted:
+        calibration = calibration.model_copy(update={"contradicted": contradicted})
     own = {f"{c.name}.{n}" for c in calibration.channel for term in c.term for n in term.coefficients}
     kept = [k for k, n in enumerate(model.names()) if n in own]
     unseen = unseen_errors(budget, [model.names()[k] for k in kept], model.to_reported[kept])
@@ -205,7 +217,11 @@ def _report(
     names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
     lesser = counting_less(solution.weights, of_segment[at.row_segment][used], names)
     beside = *omitted_sentences(built.spec, temperature[record]), *beyond
-    return report._replace(messages=(*messages, *lesser, *_words(report, solution), *beside))
+    turned = np.concatenate([[0], np.cumsum(done.motion.axis >= 0)])
+    moved = (turned[at.last + 1] > turned[at.first])[at.row_segment][used]
+    looks = diagnosis_sentences(solution.estimate.residuals[0], of_segment[at.row_segment][used], moved)
+    told = _words(report, solution), looks if contradicted else []
+    return report._replace(messages=(*messages, *lesser, *itertools.chain(*told), *beside))
 
 
 def _refuse_the_implausible(built: AssembledUnit, name: str, solution: UnitEstimate) -> None:
@@ -373,7 +389,8 @@ def _table_angles(built: AssembledUnit, log: Log) -> tuple[np.ndarray, np.ndarra
 def _covered(done, rows: UnitRows, temperature: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
     """The ranges of temperature (°C) and rate (rad/s) of the rows used."""
     inside = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
-    fastest = np.nanmax(np.abs(rows.rates[inside]), initial=0.0) if np.isfinite(rows.rates).any() else 0.0
+    rates = np.abs(np.where(rows.usable[:, None], rows.rates, np.nan)[inside])
+    fastest = float(np.nanmax(rates, initial=0.0)) if np.isfinite(rates).any() else 0.0
     at, fastest = temperature[inside], np.radians(np.ceil(np.degrees(fastest) * 10.0) / 10.0)
     # Outwards to a tenth: the ends of the first and the last standstill are not counted.
     return (np.floor(at.min() * 10.0) / 10.0, np.ceil(at.max() * 10.0) / 10.0), (-float(fastest), float(fastest))
@@ -500,7 +517,6 @@ def _calibration(
             for k in range(model.calibrated, model.size)
         ),
         "fit": fit_rows(named.items()),
-        "contradicted": tuple(estimation.contradictions(named)),
         "unobservable": tuple(n for n in unobserved_parameters(built, solution.known) if n in kept),
         "noise": _noise(spec, logs[0]),
         "result": tuple(_result(row) for row in requirements),

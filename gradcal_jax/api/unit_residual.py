@@ -216,7 +216,7 @@ def _navigation(built: AssembledUnit, requirement, temperatures: np.ndarray):
     build up, gt³/6 of the gyro's about the other (the Earth's rate and Schuler's period left out: t is short).
     """
     model, site = built.model, built.spec.rig.site
-    g = float(site.gravity)
+    g = site.gravity_m_per_s2
     earth = EARTH_RATE * np.array([0.0, np.cos(float(site.latitude)), np.sin(float(site.latitude))])
 
     def force(i: int) -> np.ndarray:

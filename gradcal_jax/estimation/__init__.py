@@ -10,12 +10,14 @@ from gradcal_jax.estimation.consistency import (
     split,
     whiteness,
 )
+from gradcal_jax.estimation.diagnosis import diagnosis as diagnosis
 from gradcal_jax.estimation.executed import Executed, column_readings, executed, standing_with
 from gradcal_jax.estimation.neighbours import Group, closest_neighbours, like_rates, moves_between_rests
 from gradcal_jax.estimation.planned_moves import PlannedMove
 from gradcal_jax.estimation.plateaus import plateaus
 from gradcal_jax.estimation.robust import HUBER, estimate_robustly
 from gradcal_jax.estimation.samples import integrated_error, sample_nodes, true_rate
+from gradcal_jax.estimation.settling import settling as settling
 from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
 from gradcal_jax.estimation.solve import Estimate, Observations, Whitened, solve, whitened, whitened_columns
 from gradcal_jax.estimation.standstill import find_standstills

@@ -53,6 +53,12 @@ class AbsentTerm(NamedTuple):
         return "up to 15.04 deg/h" if self.key == EARTH else _words(self.value)
 
 
+# Of normal gravity at sea level: 3.09 um/s^2 a metre of height, and 0.3 mm/s^2 of anomaly.
+_NORMAL_GRAVITY: Final = AbsentTerm(
+    "gravity_accuracy", "250 ug", "gravity is not stated: normal gravity at sea level, for heights of up to 1000 m"
+)
+
+
 def absent_terms(spec: Spec | UnitSpec) -> list[AbsentTerm]:
     """Every term of the error budget that the file does not name and that affects its plan. Errors: none."""
     return list(_of_unit(spec) if isinstance(spec, UnitSpec) else _of_axis(spec))
@@ -89,7 +95,8 @@ def _of_unit(spec: UnitSpec) -> Iterator[AbsentTerm]:
     if force is not None:
         terms = terms_of("accelerometer", accelerometer_grade(sensor).name)
         yield from _unnamed(force, "sensor.accelerometer", terms)
-        yield from _unnamed(site, "rig.site", [t for t in of_table if t.key == "gravity_accuracy"])
+        of_site = [t for t in of_table if t.key == "gravity_accuracy"]
+        yield from _unnamed(site, "rig.site", of_site if site.gravity is not None else [_NORMAL_GRAVITY])
     yield from _unnamed(table, "rig.table", [t for t in of_table if t.key in _OF_UNIT_TABLES])
     within = [t for t in _below("angle.", of_table) if t.key != "timing_error" and (scaled or t.key != "scale_error")]
     for k, axis in enumerate(table.axis):

@@ -142,10 +142,19 @@ class Site(Section):
 
     latitude: Latitude
     """Geodetic latitude, north positive."""
-    gravity: PositiveSpecificForce = Quantity(9.80665, "9.80665 m/s^2", "acceleration")
-    """Local gravity as it is used."""
+    gravity: PositiveSpecificForce | None = None
+    """Local gravity as it is used; absent: normal gravity at sea level of the latitude."""
     gravity_accuracy: SizeOfSpecificForce = Quantity(0.0, "0 mg", "acceleration")
     """Standard deviation of gravity; its error is common to all accelerometers."""
+
+    @property
+    def gravity_m_per_s2(self) -> float:
+        """Gravity as it is used, m/s²: stated, or Somigliana's formula with the constants of WGS 84 (NIMA TR8350.2,
+        2000, section 4)."""
+        if self.gravity is not None:
+            return float(self.gravity)
+        sine = math.sin(float(self.latitude)) ** 2
+        return 9.7803253359 * (1.0 + 0.00193185265241 * sine) / math.sqrt(1.0 - 0.00669437999013 * sine)
 
 
 class AxisEncoder(Section):

@@ -80,6 +80,7 @@ class Reason(IntFlag):
     FROZEN_TEMPERATURE = 16
     LEFT_OUT = 32
     MISSING_FORCE = 64
+    FROZEN_VALUES = 128
 
     @property
     def words(self) -> str:

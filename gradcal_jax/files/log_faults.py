@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from gradcal_jax import formulas
 from gradcal_jax.files.log import Bools, Finding, Floats, Log, LogError, Reason, intervals_within, mean_interval
 from gradcal_jax.files.section import Section
+from gradcal_jax.files.signal_faults import at_a_limit, frozen_temperature
 
 _FASTEST_RATE: Final = 90.0
 """rad/s, 5000 deg/s: beyond the full scale of the sensors that this program calibrates."""
@@ -36,7 +37,6 @@ _GAP: Final = 1.6
 """Intervals: less is jitter."""
 _WINDOW: Final = 5
 """Rows on either side over which stamps make up for jitter."""
-_STUCK: Final = 3
 _COARSE: Final = 0.1
 """Fraction of rows with the stamp of another, above which stamps do not distinguish rows."""
 _RESTART: Final = 10
@@ -54,7 +54,6 @@ _LONGEST_S: Final = 14 * 86400.0
 """Stamps closer or farther apart, and records longer, are those of another unit: a gyro gives some samples a second."""
 _NOISIEST: Final = np.radians(300.0) / 60.0
 """rad/√s, 300 deg/√h: a hundred times the angle random walk of the coarsest MEMS gyros on sale."""
-_FROZEN_S: Final = 30.0
 _DRIFT: Final = 50e-6
 """Clock errors smaller than this are those of any crystal."""
 _BLOCKS: Final = 50
@@ -301,7 +300,7 @@ class _Examination:
         else:
             where = np.zeros(rate.shape[:2], bool)
             for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
-                where[unit] |= _stuck_at_extreme(rate[unit, :, axis])
+                where[unit] |= at_a_limit(rate[unit, :, axis])
             words = "stuck at the largest or least rate of the record"
         self.mask(where, Reason.SATURATED, self.policy.saturated, words)
 
@@ -309,7 +308,7 @@ class _Examination:
         missing, policy = ~(np.abs(temperature) < _ABSURD), self.policy
         self.mask(missing, Reason.MISSING_TEMPERATURE, policy.missing_temperatures, "without a temperature")
         known = np.where(missing, np.nan, temperature)
-        frozen = np.stack([_frozen(time, values, starts) for values in known])
+        frozen = np.stack([frozen_temperature(time, values, starts) for values in known])
         whole = [name for name, rows in zip(self.raw.units, frozen, strict=True) if rows.all()]
         if whole:
             text = f"the temperature of {', '.join(whole)} never changes: constant, or not connected?"
@@ -423,47 +422,6 @@ def _least_walk(values: Floats, interval: float) -> float:
             spread = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
             walks.append(spread * float(np.sqrt(size * interval / 2)))
     return min(walks, default=0.0)
-
-
-def _stuck_at_extreme(values: Floats) -> Bools:
-    """Rows of runs of `_STUCK` and more at the largest or the least value, where that is far from the others."""
-    result = np.zeros(len(values), bool)
-    finite = np.isfinite(values)
-    if not finite.any():
-        return result
-    middle = float(np.median(values[finite]))
-    usual = float(np.median(np.abs(values[finite] - middle)))
-    for extreme in (float(values[finite].max()), float(values[finite].min())):
-        if abs(extreme - middle) > 20 * usual > 0:
-            for start, stop in formulas.runs(values == extreme).tolist():
-                result[start:stop] |= stop - start >= _STUCK
-    return result
-
-
-def _frozen(time: Floats, values: Floats, starts: NDArray[np.int64]) -> Bools:
-    """Rows whose temperature does not change for far longer than is usual in this record, all if it never does."""
-    result = np.zeros(len(values), bool)
-    known = np.isfinite(values)
-    if not known.any():
-        return result
-    changes = np.ones(len(values), bool)
-    changes[1:] = (values[1:] != values[:-1]) & (known[1:] | known[:-1])
-    changes[starts] = True
-    begin = np.flatnonzero(changes)
-    end = np.append(begin[1:], len(values))
-    lasting = time[np.minimum(end, len(time) - 1)] - time[begin]
-    if np.ptp(values[known]) == 0.0:
-        return known if time[-1] - time[0] > _FROZEN_S else result
-    finite = known[begin]
-    # A coarse sensor on a slow ramp repeats values too, but evenly; and after a frozen stretch there is a jump.
-    usual = float(np.median(lasting[finite]))
-    jump = np.abs(np.diff(values[begin]))
-    step = float(np.median(jump[np.isfinite(jump)])) if np.isfinite(jump).any() else 0.0
-    after = np.append(jump, np.inf)
-    long = finite & (lasting > max(_FROZEN_S, 10 * usual)) & ((after > 4 * step) | (lasting > 100 * usual))
-    for index in np.flatnonzero(long):
-        result[begin[index] : end[index]] = True
-    return result
 
 
 def _wander(interval: Floats) -> float:

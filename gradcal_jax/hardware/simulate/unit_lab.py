@@ -166,7 +166,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
     truth = TableTruth(
         axes=tuple(axis.unit_vector for axis in table.axis),
         latitude=float(site.latitude),
-        gravity=float(site.gravity) + draw(float(site.gravity_accuracy), "gravity"),
+        gravity=site.gravity_m_per_s2 + draw(float(site.gravity_accuracy), "gravity"),
         base=(*base, azimuth),
         orthogonality=leans,
         mountings=tuple(mountings),

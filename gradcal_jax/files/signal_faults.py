@@ -1,0 +1,206 @@
+"""Faults that the samples of one channel show by themselves: values at a limit, values that stand still, coarse steps.
+
+A channel with fine steps hardly ever repeats a value: its noise is larger than the step. So many values alike on end
+are no chance, and neither are many at the channel's own extreme. Where the steps are *coarse*, larger than the noise,
+values repeat by nature: then neither is looked for, and the steps are the fault. A value x between two steps q apart,
+with noise σ, is rounded to a mean that is off by up to q/π·exp(−2π²σ²/q²), q/2 without noise, however long it is
+averaged (Widrow and Kollár, Quantization Noise, 2008, section 4).
+"""
+
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gradcal_jax import formulas
+from gradcal_jax.files.log import Bools, Floats, Log, Reason
+
+# Values alike on end: of a sample that stands still, of one at a limit; and the least number of the latter in all.
+_FROZEN, _STUCK, _AT_A_LIMIT = 60, 3, 10
+# Times the usual repetition of a channel whose samples are read more often than they are made.
+_UNUSUAL: Final = 10.0
+# A coarse channel changes in less than this share of its rows at rest, by no more than these steps.
+_REPEATED, _FEW_STEPS = 0.7, 1.5
+# Share of a step by which rounding may be off before that is said.
+_OFF: Final = 0.02
+# Rows of which the least step is found, and of a window in which the noise is.
+_LOOKED_AT, _WINDOW = 1 << 17, 64
+_FROZEN_S: Final = 30.0
+_ROUNDING: Final = 1e-9
+_NAMES: Final = {"gyro": ("deg/s", np.pi / 180.0), "accelerometer": ("g", 9.80665)}
+
+
+class Steps(NamedTuple):
+    """Steps of a channel: the least one, and by how much rounding to it may be off; zero where it is fine."""
+
+    step: float
+    off: float
+
+
+class SignalFaults(NamedTuple):
+    """What the samples of a unit show: which rows `(n,)` are at a limit, in which a value stands still, and in which
+    the temperature does; sentences on them, and by its name on coarse steps, which no choice of rows mends."""
+
+    saturated: Bools
+    frozen: Bools
+    frozen_temperature: Bools
+    sentences: tuple[str, ...]
+    coarse: dict[str, str]
+
+
+def coarse_steps(values: Floats) -> Steps:
+    """The steps of a channel `(n,)`, in its unit."""
+    some = values[np.isfinite(values)][:_LOOKED_AT]
+    distinct = np.unique(some)
+    if len(distinct) < 2 or len(some) < 2 * _WINDOW:
+        return Steps(0.0, 0.0)
+    steps = np.diff(distinct)
+    # (Differences that are rounding are no steps.)
+    step = float(np.min(steps[steps > _ROUNDING * float(np.ptp(some))]))
+    # At rest, which is the quieter half of all windows.
+    windows = some[: len(some) // _WINDOW * _WINDOW].reshape(-1, _WINDOW)
+    variance = windows.var(axis=1)
+    quiet = windows[variance <= np.median(variance)]
+    changes = np.abs(np.diff(quiet, axis=1))
+    moved = changes[changes > 0.5 * step]
+    # (A sample that is read several times repeats too, and then changes by many steps.)
+    if len(moved) > _REPEATED * changes.size or (len(moved) and float(np.median(moved)) > _FEW_STEPS * step):
+        return Steps(step, 0.0)
+    noise = max(float(np.median(quiet.var(axis=1))) - step**2 / 12.0, 0.0)
+    off = min(0.5, float(np.exp(-2.0 * np.pi**2 * noise / step**2)) / np.pi) if noise > 0.0 else 0.5
+    return Steps(step, off * step if off > _OFF else 0.0)
+
+
+def at_a_limit(values: Floats) -> Bools:
+    """`(n,)`: rows at the largest or least value of a channel of fine steps, where it is held again and again."""
+    result = np.zeros(len(values), bool)
+    finite = values[np.isfinite(values)]
+    if not len(finite) or coarse_steps(values).off > 0.0:
+        return result
+    middle = float(np.median(finite))
+    usual = float(np.median(np.abs(finite - middle)))
+    for extreme in (float(finite.max()), float(finite.min())):
+        there = values == extreme
+        held = [(start, stop) for start, stop in formulas.runs(there).tolist() if stop - start >= _STUCK]
+        far = abs(extreme - middle) > 20.0 * usual > 0.0
+        # (One long run alone is a channel that stands still.)
+        if held and (far or (len(held) > 1 and np.count_nonzero(there) >= _AT_A_LIMIT)):
+            result |= there
+    return result
+
+
+def standing_still(values: Floats) -> Bools:
+    """`(n,)`: rows of a channel of fine steps with one value for far longer than is usual in it."""
+    result = np.zeros(len(values), bool)
+    if len(values) < 2 * _FROZEN or coarse_steps(values).off > 0.0:
+        return result
+    begin = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
+    lengths = np.diff(begin, append=len(values))
+    if len(lengths) < 2:
+        return result
+    for index in np.flatnonzero(lengths > max(float(_FROZEN), _UNUSUAL * float(np.quantile(lengths, 0.9)))):
+        result[begin[index] : begin[index] + lengths[index]] = np.isfinite(values[begin[index]])
+    return result
+
+
+def frozen_temperature(time_s: Floats, values: Floats, starts: NDArray[np.int64]) -> Bools:
+    """`(n,)`: rows whose temperature does not change for far longer than is usual in this record, all if it never
+    does; `starts`: rows at which stretches begin."""
+    result = np.zeros(len(values), bool)
+    known = np.isfinite(values)
+    if not known.any():
+        return result
+    changes = np.ones(len(values), bool)
+    changes[1:] = (values[1:] != values[:-1]) & (known[1:] | known[:-1])
+    changes[starts] = True
+    begin = np.flatnonzero(changes)
+    end = np.append(begin[1:], len(values))
+    lasting = time_s[np.minimum(end, len(time_s) - 1)] - time_s[begin]
+    if np.ptp(values[known]) == 0.0:
+        return known if time_s[-1] - time_s[0] > _FROZEN_S else result
+    finite = known[begin]
+    # A coarse sensor on a slow ramp repeats values too, but evenly; and after a frozen stretch there is a jump.
+    usual = float(np.median(lasting[finite]))
+    jump = np.abs(np.diff(values[begin]))
+    step = float(np.median(jump[np.isfinite(jump)])) if np.isfinite(jump).any() else 0.0
+    # (Of the last stretch nothing is after it: it must be longer than all others.)
+    alone = lasting[-1] > 3.0 * float(np.max(lasting[:-1], initial=0.0))
+    after = np.append(jump, np.inf if alone else 0.0)
+    long = finite & (lasting > max(_FROZEN_S, 10.0 * usual)) & (after > 4.0 * step)
+    for index in np.flatnonzero(long):
+        result[begin[index] : end[index]] = True
+    return result
+
+
+def signal_faults(log: Log, unit: str | int = 0) -> SignalFaults:
+    """What the samples of a unit's channels show by themselves, of the rows that are not masked."""
+    number, usable = log.unit_index(unit), log.usable(unit)
+    saturated, frozen, unknown = (np.zeros(len(usable), bool) for _ in range(3))
+    still = dict[bytes, tuple[Bools, list[str]]]()
+    sentences, coarse = list[str](), dict[str, str]()
+    triads = (("gyro", log.axes, log.rate_rad_per_s), ("accelerometer", log.force_axes, log.specific_force_m_per_s2))
+    for kind, labels, values in triads:
+        for k, label in enumerate(labels if values is not None else ()):
+            assert values is not None
+            own = np.where(usable, values[number, :, k], np.nan)
+            (name, size), where = _NAMES[kind], f"{kind} {label}"
+            steps = coarse_steps(own)
+            if steps.off:
+                coarse[f"coarse steps of {where}"] = (
+                    f"{where}: its steps of {steps.step / size:.3g} {name} are coarse for its noise: quantised values "
+                    f"may be off by {steps.off / size:.2g} {name} however long they are averaged; log more digits, or "
+                    "take a smaller full scale"
+                )
+            if (limit := at_a_limit(own)).any():
+                saturated |= limit
+                largest = float(np.max(np.abs(own[limit]))) / size
+                sentences.append(
+                    f"{where} is saturated in {np.count_nonzero(limit)} rows, at {largest:.4g} {name}: the moves and "
+                    "standstills with them are left out"
+                )
+            if (alike := standing_still(own) & ~limit).any():
+                frozen |= alike
+                still.setdefault(alike.tobytes(), (alike, []))[1].append(where)
+    if log.temperature_c is not None:
+        values = np.where(np.isfinite(log.temperature_c[number]), log.temperature_c[number], np.nan)
+        unknown = frozen_temperature(log.time_s, values, log.stretch_starts) & usable
+        if unknown[usable].all():
+            unknown[:] = False  # a constant temperature, which others judge
+        elif unknown.any():
+            still[b""] = (unknown, ["the thermometer"])
+    sentences += [_stands_still(", ".join(names), log.time_s, rows) for rows, names in still.values()]
+    return SignalFaults(_whole(log, saturated), frozen, unknown, tuple(sentences), coarse)
+
+
+def without_faults(log: Log) -> tuple[Log, dict[str, SignalFaults]]:
+    """The log with such rows masked, without temperatures that stand still, and by unit what was found."""
+    status = np.zeros((len(log.units), len(log.time_s)), np.uint16) if log.status is None else log.status.copy()
+    found = {name: signal_faults(log, name) for name in log.units}
+    for k, faults in enumerate(found.values()):
+        status[k, faults.saturated] |= Reason.SATURATED.value
+        status[k, faults.frozen] |= Reason.FROZEN_VALUES.value
+        status[k, faults.frozen_temperature] |= Reason.FROZEN_TEMPERATURE.value
+    unknown = np.array([faults.frozen_temperature for faults in found.values()])
+    temperature = log.temperature_c
+    if temperature is not None and unknown.any():
+        temperature = np.where(unknown, np.nan, temperature)
+    return replace(log, status=status, temperature_c=temperature) if status.any() else log, found
+
+
+def _stands_still(what: str, time: Floats, still: Bools) -> str:
+    stretches = formulas.runs(still).tolist()
+    first, last = stretches[0]
+    more = f", and {len(stretches) - 1} more times" if len(stretches) > 1 else ""
+    return (
+        f"frozen: {what} from {time[first]:.6g} to {time[last - 1]:.6g} s{more} (one value, in a record where it "
+        f"changes): {np.count_nonzero(still)} rows are left out"
+    )
+
+
+def _whole(log: Log, rows: Bools) -> Bools:
+    """The rows of all standstills and moves with such rows: noise that is cut off on one side shifts a mean."""
+    if log.standstill is None or not rows.any():
+        return rows
+    number = np.concatenate([[0], np.cumsum(np.diff(log.standstill) != 0)])
+    return np.isin(number, np.unique(number[rows]))

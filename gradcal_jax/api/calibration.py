@@ -15,7 +15,7 @@ from gradcal_jax.api.contradictions import (
     omitted_sentences,
     refuse_other_units,
 )
-from gradcal_jax.api.estimate import estimate_channels
+from gradcal_jax.api.estimate import common_axes, estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import with_options
 from gradcal_jax.api.posterior_of_plan import (
@@ -146,7 +146,8 @@ def estimate_calibration(
     log does not hold what the estimate needs.
     """
     spec, options, said = with_options(spec, [log], options or Options())
-    (log,), faults = without_bad_rows(spec, [log])
+    estimated = axes or common_axes(assemble(spec), log)
+    (log,), faults = without_bad_rows(spec, [log], [f"gyro {axis}" for axis in estimated])
     if log.temperature_c is not None:
         for name in units or log.units:
             refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)

@@ -38,7 +38,7 @@ def estimate_channels(
     """
     spec, options, _ = with_options(spec, [log], options or Options())
     built = assemble(spec)
-    wanted_axes = [log.axes[log.axis_index(a)] for a in axes] or _common_axes(built, log)
+    wanted_axes = [log.axes[log.axis_index(a)] for a in axes] or common_axes(built, log)
     if options.earth_rate and len(wanted_axes) > 1:
         raise ValueError(
             "the Earth's rate differs between axes, and changes while other axes turn: estimate one axis at a "
@@ -51,7 +51,8 @@ def estimate_channels(
     return result
 
 
-def _common_axes(built: Assembled, log: Log) -> list[str]:
+def common_axes(built: Assembled, log: Log) -> list[str]:
+    """The axes that spec and log have in common; the log's only one. Raises `LogError`."""
     common = [axis for axis in log.axes if axis in built.channels]
     if common:
         return common

@@ -1,7 +1,7 @@
 """What a record shows to be wrong before anything is estimated: rows that no estimate may use are masked, and what no
 choice of rows mends makes the calibration not valid."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -34,28 +34,33 @@ class RecordFaults(NamedTuple):
         return "".join(f"; {sentence}" for sentence in self.sentences)
 
 
-def without_bad_rows(spec: Spec | UnitSpec, logs: Sequence[Log]) -> tuple[list[Log], Mapping[str, RecordFaults]]:
-    """The logs with such rows masked, and by unit what was found in any of them."""
+def without_bad_rows(
+    spec: Spec | UnitSpec, logs: Sequence[Log], channels: Collection[str]
+) -> tuple[list[Log], Mapping[str, RecordFaults]]:
+    """The logs with such rows masked, and by unit what was found in any of them; `channels`: those that are estimated,
+    such as "gyro x"."""
     cleaned, left_out, wrong = list[Log](), dict[str, list[str]](), dict[str, dict[str, str]]()
     for log in logs:
-        clean, found = without_faults(log)
+        clean, found = without_faults(log, channels)
         for name, faults in found.items():
             if not clean.usable(name).any():
                 raise LogError(f"{name}: no row is left that may be used: {'; '.join(faults.sentences)}")
         cleaned.append(clean)
         for name, faults in found.items():
             left_out.setdefault(name, []).extend(faults.sentences)
-            wrong.setdefault(name, {}).update(faults.coarse | _ends_of_standstills(spec, clean, name))
+            wrong.setdefault(name, {}).update(faults.coarse | _ends_of_standstills(spec, clean, name, channels))
     return cleaned, {name: RecordFaults(tuple(left_out[name]), wrong[name]) for name in left_out}
 
 
-def _ends_of_standstills(spec: Spec | UnitSpec, log: Log, name: str) -> dict[str, str]:
+def _ends_of_standstills(spec: Spec | UnitSpec, log: Log, name: str, channels: Collection[str]) -> dict[str, str]:
     if log.standstill is None:
         return {}
     angles = [spec.rig.table.angle] if isinstance(spec, Spec) else [axis.angle for axis in spec.rig.table.axis]
     known = min(float(np.hypot(float(a.reading_noise), float(a.standstill_offset))) for a in angles)
     found = dict[str, str]()
     for k, label in enumerate(log.axes):
+        if f"gyro {label}" not in channels:
+            continue
         rate = log.rate_rad_per_s[log.unit_index(name), :, k]
         seen = estimation.settling(log.time_s, rate, log.standstill >= 0, log.usable(name))
         if seen is None:

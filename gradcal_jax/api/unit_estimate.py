@@ -134,11 +134,11 @@ def estimate_units(
     if not names:
         raise LogError("no unit is in all of the logs")
     spec, options, said = with_options(spec, logs, options)
-    logs, faults = without_bad_rows(spec, logs)
     for log, name in itertools.product(logs, names):
         if log.temperature_c is not None:
             refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
     built = assemble_unit(spec)
+    logs, faults = without_bad_rows(spec, logs, [c.name.replace("_", " ") for c in built.model.channels])
     noise = omitted_noise_of_unit(built)
     reports = list[UnitReport]()
     for name in names:

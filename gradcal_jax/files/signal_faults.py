@@ -7,14 +7,14 @@ with noise σ, is rounded to a mean that is off by up to q/π·exp(−2π²σ²/
 averaged (Widrow and Kollár, Quantization Noise, 2008, section 4).
 """
 
+from collections.abc import Container
 from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax import formulas
-from gradcal_jax.files.log import Bools, Floats, Log, Reason
+from gradcal_jax.files.log import Bools, Floats, Log, Reason, Whole
 
 # Values alike on end: of a sample that stands still, of one at a limit; and the least number of the latter in all.
 _FROZEN, _STUCK, _AT_A_LIMIT = 60, 3, 10
@@ -28,6 +28,8 @@ _OFF: Final = 0.02
 _LOOKED_AT, _WINDOW = 1 << 17, 64
 _FROZEN_S: Final = 30.0
 _ROUNDING: Final = 1e-9
+# A gap lasts longer than this, and than so many intervals: over less, a rate is interpolated.
+_GAP_S, _GAP_ROWS = 0.25, 4.0
 _NAMES: Final = {"gyro": ("deg/s", np.pi / 180.0), "accelerometer": ("g", 9.80665)}
 
 
@@ -39,9 +41,11 @@ class Steps(NamedTuple):
 
 
 class SignalFaults(NamedTuple):
-    """What the samples of a unit show: which rows `(n,)` are at a limit, in which a value stands still, and in which
-    the temperature does; sentences on them, and by its name on coarse steps, which no choice of rows mends."""
+    """What the samples of a unit show: rows at which stretches begin, those after gaps included; which rows `(n,)` are
+    at a limit, in which a value stands still, and in which the temperature does; sentences on them, and by its name on
+    coarse steps, which no choice of rows mends."""
 
+    starts: Whole
     saturated: Bools
     frozen: Bools
     frozen_temperature: Bools
@@ -104,7 +108,7 @@ def standing_still(values: Floats) -> Bools:
     return result
 
 
-def frozen_temperature(time_s: Floats, values: Floats, starts: NDArray[np.int64]) -> Bools:
+def frozen_temperature(time_s: Floats, values: Floats, starts: Whole) -> Bools:
     """`(n,)`: rows whose temperature does not change for far longer than is usual in this record, all if it never
     does; `starts`: rows at which stretches begin."""
     result = np.zeros(len(values), bool)
@@ -133,18 +137,35 @@ def frozen_temperature(time_s: Floats, values: Floats, starts: NDArray[np.int64]
     return result
 
 
-def signal_faults(log: Log, unit: str | int = 0) -> SignalFaults:
-    """What the samples of a unit's channels show by themselves, of the rows that are not masked."""
+def after_gaps(log: Log) -> tuple[Whole, list[str]]:
+    """Rows at which a log's stretches begin, gaps that it does not mark included, and a sentence on those."""
+    interval = np.diff(log.time_s)
+    usual = float(np.median(interval))
+    gaps = np.flatnonzero(interval > max(_GAP_S, _GAP_ROWS * usual)) + 1
+    new = np.setdiff1d(gaps, log.stretch_starts)
+    if not len(new):
+        return log.stretch_starts, []
+    lost, longest = np.sum(interval[new - 1] / usual - 1.0), float(np.max(interval[new - 1]))
+    return np.union1d(log.stretch_starts, new).astype(np.int64), [
+        f"{len(new)} gap{'s' if len(new) > 1 else ''} with about {lost:.0f} samples lost, the longest {longest:.3g} s, "
+        f"the first at {log.time_s[new[0] - 1]:.6g} s: what moved meanwhile is left out"
+    ]
+
+
+def signal_faults(log: Log, unit: str | int = 0, channels: Container[str] | None = None) -> SignalFaults:
+    """What the samples of a unit's `channels` ("gyro x"; None: of all) show by themselves, of rows not masked."""
     number, usable = log.unit_index(unit), log.usable(unit)
     saturated, frozen, unknown = (np.zeros(len(usable), bool) for _ in range(3))
     still = dict[bytes, tuple[Bools, list[str]]]()
-    sentences, coarse = list[str](), dict[str, str]()
+    starts, sentences = after_gaps(log)
+    coarse = dict[str, str]()
     triads = (("gyro", log.axes, log.rate_rad_per_s), ("accelerometer", log.force_axes, log.specific_force_m_per_s2))
     for kind, labels, values in triads:
-        for k, label in enumerate(labels if values is not None else ()):
-            assert values is not None
-            own = np.where(usable, values[number, :, k], np.nan)
+        for k, label in enumerate(labels):
             (name, size), where = _NAMES[kind], f"{kind} {label}"
+            if values is None or (channels is not None and where not in channels):
+                continue
+            own = np.where(usable, values[number, :, k], np.nan)
             steps = coarse_steps(own)
             if steps.off:
                 coarse[f"coarse steps of {where}"] = (
@@ -170,13 +191,14 @@ def signal_faults(log: Log, unit: str | int = 0) -> SignalFaults:
         elif unknown.any():
             still[b""] = (unknown, ["the thermometer"])
     sentences += [_stands_still(", ".join(names), log.time_s, rows) for rows, names in still.values()]
-    return SignalFaults(_whole(log, saturated), frozen, unknown, tuple(sentences), coarse)
+    return SignalFaults(starts, _whole(log, saturated), frozen, unknown, tuple(sentences), coarse)
 
 
-def without_faults(log: Log) -> tuple[Log, dict[str, SignalFaults]]:
-    """The log with such rows masked, without temperatures that stand still, and by unit what was found."""
+def without_faults(log: Log, channels: Container[str] | None = None) -> tuple[Log, dict[str, SignalFaults]]:
+    """The log with such rows masked, without temperatures that stand still, and by unit what was found; `channels` as
+    of `signal_faults`."""
     status = np.zeros((len(log.units), len(log.time_s)), np.uint16) if log.status is None else log.status.copy()
-    found = {name: signal_faults(log, name) for name in log.units}
+    found = {name: signal_faults(log, name, channels) for name in log.units}
     for k, faults in enumerate(found.values()):
         status[k, faults.saturated] |= Reason.SATURATED.value
         status[k, faults.frozen] |= Reason.FROZEN_VALUES.value
@@ -185,7 +207,10 @@ def without_faults(log: Log) -> tuple[Log, dict[str, SignalFaults]]:
     temperature = log.temperature_c
     if temperature is not None and unknown.any():
         temperature = np.where(unknown, np.nan, temperature)
-    return replace(log, status=status, temperature_c=temperature) if status.any() else log, found
+    starts = next(iter(found.values())).starts
+    if not status.any() and len(starts) == len(log.stretch_starts):
+        return log, found
+    return replace(log, status=status, temperature_c=temperature, stretch_starts=starts), found
 
 
 def _stands_still(what: str, time: Floats, still: Bools) -> str:

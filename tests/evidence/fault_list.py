@@ -58,6 +58,7 @@ SITE = r"gravity|latitude|site"
 TABLE = r"tilt|level|table|base|orthogonal|azimuth|installation"
 STRUCTURE = r"structure|degree|does not fit|beyond the model|model"
 SPIKES = r"spike|outlier|robust|beyond 3σ|single|cannot explain|χ²|chi-squared"
+EVENT = r"jump|knock|slip|moved|drift|disagree|changes|transient"
 STILL = r"standstill|settl|marked|still moving|not at rest|stands"
 STEPS_OF_T = r"thermometer|temperature.*(resolution|steps|coarse|quanti)|resolution.*temperature"
 
@@ -233,6 +234,14 @@ def kinked(size: float) -> Callable[[Scene], None]:
     return change
 
 
+def cubic(scene: Scene) -> None:
+    def one(c: Channel) -> Channel:
+        scale = c.scale
+        return replace(c, scale=lambda t, x: scale(t, x) + 300 * PPM * (x / (200 * DEG)) ** 3)
+
+    scene.channels = [one(c) if c.kind == "gyro" else c for c in scene.channels]
+
+
 def stepped(size: float) -> Callable[[Scene], None]:
     """A bias that steps at 30 °C, as at a change of phase in a glue."""
 
@@ -282,6 +291,53 @@ def odd_turns(scene: Scene) -> None:
                      ('"720 deg"', '"240 deg"'), ('"-720 deg"', '"-240 deg"')):  # fmt: skip
         scene.replace(old, new)
     scene.replace("\n]\n", '\n  { rest = "1 s" },\n]\n')
+
+
+def later(second: float, edit: Callable[[np.ndarray], np.ndarray]) -> Callable[[Scene], None]:
+    """A change of the samples from a time on."""
+
+    def change(r: Recorded) -> Recorded:
+        return replace(r, values=np.where((r.time > second)[:, None], edit(r.values), r.values))
+
+    return rows(change)
+
+
+def of_first(factor: float = 1.0, more: float = 0.0) -> Callable[[np.ndarray], np.ndarray]:
+    """Of the first gyro alone."""
+    return lambda v: (
+        v * np.where(np.arange(v.shape[1]) == 0, factor, 1.0) + np.where(np.arange(v.shape[1]) == 0, more, 0)
+    )
+
+
+def warming(r: Recorded) -> Recorded:
+    """A transient of 100 deg/h after the power is on."""
+    course = 100 * DEG_H * np.exp(-(r.time - r.time[0]) / 600.0)
+    return replace(r, values=r.values + course[:, None] * (np.arange(r.values.shape[1]) == 0))
+
+
+def one_sided(v: np.ndarray) -> np.ndarray:
+    return np.where(np.arange(v.shape[1]) == 0, np.minimum(v, (150.0 if v.shape[1] == 1 else 250.0) * DEG), v)
+
+
+def slipped_in_its_bracket(v: np.ndarray) -> np.ndarray:
+    c, s = np.cos(2e-3), np.sin(2e-3)
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.column_stack([v[:, :3] @ turn, v[:, 3:] @ turn])
+
+
+def in_bursts(r: Recorded) -> Recorded:
+    """Five seconds of every fifty are lost."""
+    kept = np.arange(len(r.time)) % 2500 < 2250
+    host = None if r.host is None else r.host[kept]
+    return Recorded(r.time[kept], r.values[kept], r.temperature[kept], r.angles[kept], r.stands[kept], host)
+
+
+def marked_late(r: Recorded) -> Recorded:
+    """Standstills that are marked 0.3 s longer than they last."""
+    stands = r.stands.copy()
+    for k in np.flatnonzero((stands[1:] < 0) & (stands[:-1] >= 0)) + 1:
+        stands[k : k + 15] = stands[k - 1]
+    return replace(r, stands=stands)
 
 
 def half_heated(scene: Scene) -> None:
@@ -413,7 +469,30 @@ FAULTS: tuple[Fault, ...] = (
     Fault("noise and drift four times the spec's", UNIT_FULL, NOISE, also(noisier(4.0), drifting(4.0))),
     Fault("scale factor drifts by 100 ppm in 20 min", AXIS, INSTABILITY, every(scale_drift=((100 * PPM, 1200.0),))),
     Fault("scale factor drifts by 100 ppm in 20 min", UNIT, INSTABILITY, every(scale_drift=((100 * PPM, 1200.0),))),
+    # Events.
+    Fault("bias jumps by 60 deg/h", AXIS_FULL, EVENT, later(1000.0, of_first(more=60 * DEG_H))),
+    Fault("bias jumps by 60 deg/h", UNIT_FULL, EVENT, later(1000.0, of_first(more=60 * DEG_H))),
+    Fault("scale factor jumps by 300 ppm", AXIS_FULL, EVENT, later(1200.0, of_first(1.0003))),
+    Fault("scale factor jumps by 300 ppm", UNIT_FULL, EVENT, later(1200.0, of_first(1.0003))),
+    Fault("the unit turns by 2 mrad in its bracket", UNIT_FULL, EVENT, later(1200.0, slipped_in_its_bracket)),
+    Fault("transient of 100 deg/h after power-on", AXIS_FULL, EVENT, rows(warming)),
+    Fault("transient of 100 deg/h after power-on", UNIT_FULL, EVENT, rows(warming)),
+    Fault("five seconds lost of every fifty", AXIS_FULL, DROPPED, rows(in_bursts), always=True),
+    Fault("five seconds lost of every fifty", UNIT_FULL, DROPPED, rows(in_bursts), always=True),
+    Fault("clipped on one side", AXIS_FULL, SATURATION, values(one_sided), always=True),
+    Fault("clipped on one side", UNIT_FULL, SATURATION, values(one_sided), always=True),
+    Fault("standstills marked 0.3 s too long", AXIS_FULL, STILL, rows(marked_late)),
+    Fault("standstills marked 0.3 s too long", UNIT_FULL, STILL, rows(marked_late)),
+    Fault("angles of the two axes swapped", UNIT_FULL, SWAPPED,
+          rows(lambda r: replace(r, angles=r.angles[:, ::-1]))),
+    Fault("the inner axis counts backwards", UNIT_FULL, SIGN,
+          rows(lambda r: replace(r, angles=r.angles * np.array([1.0, -1.0])))),
+    Fault("encoder steps of 0.1 deg", AXIS_FULL, NOISE, encoders(step=0.1 * DEG)),
+    Fault("encoder steps of 0.1 deg", UNIT_FULL, NOISE, encoders(step=0.1 * DEG)),
+    Fault("third harmonic of the encoder, 0.05 deg", UNIT_FULL, HARMONICS, encoders(waves={3: (0.03, 0.04)})),
     # Maps that the spec's functions cannot follow.
+    Fault("cubic of the rate, 300 ppm", AXIS_FULL, STRUCTURE, cubic),
+    Fault("cubic of the rate, 300 ppm", UNIT_FULL, STRUCTURE, cubic),
     Fault("scale factor differs by direction, ±100 ppm", AXIS_FULL, STRUCTURE, kinked(100 * PPM)),
     Fault("scale factor differs by direction, ±100 ppm", UNIT_FULL, STRUCTURE, kinked(100 * PPM)),
     Fault("bias steps by 30 deg/h at 30 degC", AXIS_FULL, STRUCTURE, stepped(30 * DEG_H)),

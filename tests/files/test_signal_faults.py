@@ -139,3 +139,24 @@ def test_masked_rows_are_not_judged():
     cleaned, found = without_faults(replace(log, status=status))
     assert not found["A"].sentences
     assert cleaned.counts() == {"used": len(rate) - 200, "marked": 200}
+
+
+def test_gaps_begin_new_stretches_and_single_lost_rows_do_not():
+    log = log_of(turning())
+    kept = np.ones(len(log.time_s), bool)
+    kept[[1000, 1500, 3000]] = False
+    kept[2000:2100] = False
+    assert log.standstill is not None
+    thin = replace(
+        log,
+        time_s=log.time_s[kept],
+        rate_rad_per_s=log.rate_rad_per_s[:, kept],
+        standstill=log.standstill[kept],
+        rows_read=-1,
+    )
+    cleaned, found = without_faults(thin)
+    assert cleaned.stretch_starts.tolist() == [0, 1998]
+    assert found["A"].sentences == (
+        "1 gap with about 100 samples lost, the longest 2.02 s, the first at 39.98 s: what moved meanwhile is left out",
+    )
+    assert without_faults(cleaned)[0].stretch_starts.tolist() == [0, 1998]

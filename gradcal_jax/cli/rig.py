@@ -133,4 +133,5 @@ def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
     limits = {} if report.limits is None else asdict(report.limits)
     limits.pop("registers", None)
     rows = [f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in limits.items()]
+    rows += [report.remark] if report.remark else []
     return [(*head, described), *(("", "", "", row) for row in rows)]

@@ -374,6 +374,8 @@ class DeviceReport:
     identity: Identity | None = None
     limits: ChamberLimits | AxisLimits | ImuSettings | None = None
     problem: str = ""
+    remark: str = ""
+    """What is to be mended though the device answers: it does so late."""
 
     @property
     def good(self) -> bool:
@@ -411,7 +413,10 @@ def lines_of(rig: RigFile) -> dict[str, tuple[str, str]]:
 def check_rig(bench: Bench) -> list[DeviceReport]:
     """Ask every device for identity, limits and a reading; compare serial numbers with the rig file. Nothing moves."""
     # The chamber first, as in the rig file.
-    return [_report(*device) for device in sorted(bench.devices(), key=lambda device: device[0] != "chamber")]
+    devices = sorted(bench.devices(), key=lambda device: device[0] != "chamber")
+    reports = [_report(*device) for device in devices]
+    late = {name: line.late for name, line in bench.lines.items()}
+    return [dataclasses.replace(report, remark=late.get(report.name, "")) for report in reports]
 
 
 def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:

@@ -37,8 +37,8 @@ def made(folder: Path, hours: float) -> Path:
     from gradcal_jax.hardware.journal import Journal
     from gradcal_jax.hardware.run_folder import begin_session, new_folder
 
-    ramp_k = 100.0
-    changes = {"plan.temperature": ["-30 degC", "70 degC"], "plan.gradient": f"{ramp_k / hours / 60.0} K/min"}
+    ramp_k = min(100.0, 60.0 * hours)
+    changes = {"plan.temperature": ["-30 degC", f"{ramp_k - 30.0:g} degC"], "plan.gradient": f"{ramp_k / hours / 60.0} K/min"}
     rests = [{"rest": "150 s", "read_every": "5 s"}, {"turns": 1, "peak_rate": "200 deg/s", "shape": "linear ramps"}]
     changes |= {"plan.cycle.moves": [*rests, rests[0], {**rests[1], "turns": -1}]}
     recipe, rig = short_recipe(changes=changes), parse_rig(TEMPLATE)
@@ -65,7 +65,8 @@ def made(folder: Path, hours: float) -> Path:
                     at_s, move = happens.pop(0)
                     turned += 0.0 if move is None else move.angle_deg
                     _happened(journal, begins["begins_s"] + at_s, step.name, move, turned)
-                journal.bytes_of("unit1", now_s + 0.001, b"".join(frames[(taken + k) % 16] for k in range(PIECE)), received=True)  # fmt: skip
+                piece = b"".join(frames[(taken + k) % 16] for k in range(PIECE))
+                journal.bytes_of("unit1", now_s + 0.001, piece, received=True)
                 taken += PIECE
                 now_s = began_s + taken / RATE_HZ
                 if now_s - began_s > seconds:

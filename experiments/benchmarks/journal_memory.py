@@ -38,7 +38,10 @@ def made(folder: Path, hours: float) -> Path:
     from gradcal_jax.hardware.run_folder import begin_session, new_folder
 
     ramp_k = min(100.0, 60.0 * hours)
-    changes = {"plan.temperature": ["-30 degC", f"{ramp_k - 30.0:g} degC"], "plan.gradient": f"{ramp_k / hours / 60.0} K/min"}
+    changes = {
+        "plan.temperature": ["-30 degC", f"{ramp_k - 30.0:g} degC"],
+        "plan.gradient": f"{ramp_k / hours / 60.0} K/min",
+    }
     rests = [{"rest": "150 s", "read_every": "5 s"}, {"turns": 1, "peak_rate": "200 deg/s", "shape": "linear ramps"}]
     changes |= {"plan.cycle.moves": [*rests, rests[0], {**rests[1], "turns": -1}]}
     recipe, rig = short_recipe(changes=changes), parse_rig(TEMPLATE)

@@ -9,6 +9,7 @@ from cyclopts import App
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Force, Json, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE, FAILED
+from gradcal_jax.files.problems import instead
 from gradcal_jax.pages.plain_text import columns
 
 if TYPE_CHECKING:
@@ -42,20 +43,25 @@ def new(*, output: OutputOrPrint, force: Force = False) -> int:
 
 @rig_app.command
 def protocols(name: str | None = None, /) -> int:
-    """List the devices that the driver "lines" knows, or print the description of one, to start your own from.
+    """List the devices that the drivers "lines" and "registers" know, or print the description of one, to start your
+    own from.
 
     Parameters
     ----------
     name
         The device whose description to print.
     """
-    from gradcal_jax.files.line_protocol import protocol_of, protocol_text, shipped
+    from gradcal_jax.files import line_protocol, register_protocol
 
+    known = {one: ("lines", line_protocol.protocol_of(one)) for one in line_protocol.shipped()}
+    registers = line_protocol.shipped(register_protocol.FORMAT)
+    known |= {one: ("registers", register_protocol.register_protocol_of(one)) for one in registers}
     if name is None:
-        print(columns([(one, protocol_of(one).role, protocol_of(one).title) for one in shipped()]))
+        print(columns([(one, kind, protocol.role, protocol.title) for one, (kind, protocol) in known.items()]))
     else:
-        protocol_of(name)
-        print(protocol_text(name), end="")
+        if name not in known:
+            raise ValueError(f"expected the name of a protocol; {instead(name, known)}")
+        print(line_protocol.protocol_text(name), end="")
     return DONE
 
 

@@ -64,8 +64,7 @@ _HERE: Final = f"{__package__}.drivers"
 DRIVERS: Final[Mapping[str, Driver]] = {
     "espec": Driver("chamber", f"{_HERE}.espec", "EspecChamber", "EspecConfig"),
     "weiss": Driver("chamber", f"{_HERE}.weiss", "WeissChamber", "WeissConfig"),
-    "watlow_f4": Driver("chamber", f"{_HERE}.watlow_f4", "WatlowF4Chamber", "WatlowF4Config", text=False),
-    "watlow_f4t": Driver("chamber", f"{_HERE}.watlow_f4t", "WatlowF4TChamber", "WatlowF4TConfig", text=False),
+    "registers": Driver("chamber", f"{_HERE}.registers", "RegistersChamber", "RegistersConfig", text=False),
     "lines": Driver(None, f"{_HERE}.lines", "lines_device", "LinesConfig", text=False),
     "zaber": Driver("axis", f"{_HERE}.zaber", "ZaberAxis", "ZaberConfig"),
     "odrive": Driver("axis", f"{_HERE}.odrive", "ODriveAxis", "ODriveConfig"),

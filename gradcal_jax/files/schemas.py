@@ -17,6 +17,7 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "rig": ("rig", "RigFile"),
     "lines": ("line_protocol", "LineProtocol"),
     "registers": ("register_protocol", "RegisterProtocol"),
+    "text": ("text_unit", "TextUnit"),
     "timeline": ("contracts", "Timeline"),
     "unit-timeline": ("unit_timeline", "UnitTimeline"),
     "prediction": ("contracts", "Prediction"),

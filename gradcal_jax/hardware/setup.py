@@ -70,6 +70,7 @@ DRIVERS: Final[Mapping[str, Driver]] = {
     "odrive": Driver("axis", f"{_HERE}.odrive", "ODriveAxis", "ODriveConfig"),
     OPERATOR: Driver("axis", f"{_HERE}.operator", "OperatorAxis", "OperatorConfig"),
     "stim300": Driver("imu", f"{_HERE}.stim300", "Stim300Stream", "Stim300Config"),
+    "text_unit": Driver("imu", f"{_HERE}.text_unit", "TextUnitStream", "TextUnitConfig", text=False),
     "vectornav": Driver("imu", f"{_HERE}.vectornav", "VectorNavStream", "VectorNavConfig"),
 }
 """The drivers that come with this program; `driver_of` knows those of other packages, too."""

@@ -1,5 +1,6 @@
 """`gradcal rig`: the devices of a rig and their ports."""
 
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING
 from cyclopts import App
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Force, Json, OutputOrPrint, as_json, writable
+from gradcal_jax.cli.output import Flag, Force, Json, Output, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE, FAILED
 from gradcal_jax.files.problems import instead
 from gradcal_jax.pages.plain_text import columns
@@ -109,6 +110,41 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
         good = all(entry.good for entry in (*reports, *tried))
         print("every device answers as the rig file says" if good else "the rig is not ready")
     return DONE if all(entry.good for entry in (*reports, *tried)) else FAILED
+
+
+@rig_app.command
+def record(rig: Path, /, *, output: Output, move: Flag = False, force: Force = False) -> int:
+    """Talk to every device of a rig, and keep all bytes both ways in one file, which shows whether a driver fits it.
+
+    Send that file with a report: it is replayed as the device. Nothing moves, unless --move is given. The exit status
+    is 3 where a device did not answer as it should.
+
+    Parameters
+    ----------
+    rig
+        The rig file.
+    output
+        The transcript to write.
+    move
+        Condition the chamber at its present temperature, home each axis and turn it by 10 deg, too: the operator stands
+        by.
+    """
+    from gradcal_jax.files.rig import read_rig
+    from gradcal_jax.hardware.clock import RealClock
+    from gradcal_jax.hardware.transcript import record_bench
+
+    description = read_rig(rig)
+    writable(output, force)
+    output.unlink(missing_ok=True)
+    said = record_bench(description, output, RealClock(), move=move)
+    bad = [(device, call, text) for device, call, text in said if re.match(r"[A-Z]\w+: ", text)]
+    print(
+        columns(
+            [(device, call, "answered" if (device, call, text) not in bad else text) for device, call, text in said]
+        )
+    )
+    print(f"wrote {output}")
+    return FAILED if bad else DONE
 
 
 def _tried(rig: "RigFile", recipe: Path, move: bool) -> "list[Tried]":

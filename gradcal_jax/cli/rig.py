@@ -137,12 +137,8 @@ def record(rig: Path, /, *, output: Output, move: Flag = False, force: Force = F
     writable(output, force)
     output.unlink(missing_ok=True)
     said = record_bench(description, output, RealClock(), move=move)
-    bad = [(device, call, text) for device, call, text in said if re.match(r"[A-Z]\w+: ", text)]
-    print(
-        columns(
-            [(device, call, "answered" if (device, call, text) not in bad else text) for device, call, text in said]
-        )
-    )
+    bad = [text for _, _, text in said if re.match(r"[A-Z]\w+: ", text)]
+    print(columns([(device, call, text if text in bad else "answered") for device, call, text in said]))
     print(f"wrote {output}")
     return FAILED if bad else DONE
 

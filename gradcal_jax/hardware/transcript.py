@@ -1,4 +1,4 @@
-"""Every byte of a bench with its time, line and direction, in one file: bug report, evidence, source of a replayed test.
+"""Every byte of a bench with its time, line and direction, in one file: bug report, evidence, a test that is replayed.
 
 One line of text a chunk, append-only, readable without this program:
 

@@ -3,7 +3,6 @@
 Recordings of real benches belong into `recordings/`; each is replayed here.
 """
 
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -59,12 +58,12 @@ def same(path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path, clock = tmp_path_factory.mktemp("bench") / "bench.txt", VirtualClock()
     with Rig(clock, stage=True) as rig:
         rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"
         record_bench(rig.rig, path, clock, move=True)
-    yield path
+    return path
 
 
 def test_a_bench_is_recorded_with_what_the_drivers_made_of_it(recorded: Path) -> None:

@@ -182,6 +182,8 @@ SHORTER = {"predict my.toml --monte-carlo 500": "predict my.toml --monte-carlo 6
 NO_DEVICE = {
     "rig check rig.toml",
     "rig check mine/rig.toml",
+    "rig check rig.toml --recipe recipe.toml --move",
+    "rig record rig.toml -o bench.txt --move",
     "run recipe.toml --rig rig.toml -o run1",
     "run recipe.toml --rig mine/rig.toml -o monday",
 }

@@ -1,5 +1,6 @@
 """`gradcal rig`: the devices of a rig and their ports."""
 
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -7,8 +8,9 @@ from typing import TYPE_CHECKING
 from cyclopts import App
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Force, Json, OutputOrPrint, as_json, writable
+from gradcal_jax.cli.output import Flag, Force, Json, Output, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE, FAILED
+from gradcal_jax.files.problems import instead
 from gradcal_jax.pages.plain_text import columns
 
 if TYPE_CHECKING:
@@ -42,20 +44,25 @@ def new(*, output: OutputOrPrint, force: Force = False) -> int:
 
 @rig_app.command
 def protocols(name: str | None = None, /) -> int:
-    """List the devices that the driver "lines" knows, or print the description of one, to start your own from.
+    """List the devices that the drivers "lines" and "registers" know, or print the description of one, to start your
+    own from.
 
     Parameters
     ----------
     name
         The device whose description to print.
     """
-    from gradcal_jax.files.line_protocol import protocol_of, protocol_text, shipped
+    from gradcal_jax.files import line_protocol, register_protocol
 
+    known = {one: ("lines", line_protocol.protocol_of(one)) for one in line_protocol.shipped()}
+    registers = line_protocol.shipped(register_protocol.FORMAT)
+    known |= {one: ("registers", register_protocol.register_protocol_of(one)) for one in registers}
     if name is None:
-        print(columns([(one, protocol_of(one).role, protocol_of(one).title) for one in shipped()]))
+        print(columns([(one, kind, protocol.role, protocol.title) for one, (kind, protocol) in known.items()]))
     else:
-        protocol_of(name)
-        print(protocol_text(name), end="")
+        if name not in known:
+            raise ValueError(f"expected the name of a protocol; {instead(name, known)}")
+        print(line_protocol.protocol_text(name), end="")
     return DONE
 
 
@@ -105,6 +112,37 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
     return DONE if all(entry.good for entry in (*reports, *tried)) else FAILED
 
 
+@rig_app.command
+def record(rig: Path, /, *, output: Output, move: Flag = False, force: Force = False) -> int:
+    """Talk to every device of a rig, and keep all bytes both ways in one file, which shows whether a driver fits it.
+
+    Send that file with a report: it is replayed as the device. Nothing moves, unless --move is given. The exit status
+    is 3 where a device did not answer as it should.
+
+    Parameters
+    ----------
+    rig
+        The rig file.
+    output
+        The transcript to write.
+    move
+        Condition the chamber at its present temperature, home each axis and turn it by 10 deg, too: the operator stands
+        by.
+    """
+    from gradcal_jax.files.rig import read_rig
+    from gradcal_jax.hardware.clock import RealClock
+    from gradcal_jax.hardware.transcript import record_bench
+
+    description = read_rig(rig)
+    writable(output, force)
+    output.unlink(missing_ok=True)
+    said = record_bench(description, output, RealClock(), move=move)
+    bad = [text for _, _, text in said if re.match(r"[A-Z]\w+: ", text)]
+    print(columns([(device, call, text if text in bad else "answered") for device, call, text in said]))
+    print(f"wrote {output}")
+    return FAILED if bad else DONE
+
+
 def _tried(rig: "RigFile", recipe: Path, move: bool) -> "list[Tried]":
     from gradcal_jax.files.recipe import read_recipe
     from gradcal_jax.hardware.binding import track_of
@@ -133,4 +171,5 @@ def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
     limits = {} if report.limits is None else asdict(report.limits)
     limits.pop("registers", None)
     rows = [f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in limits.items()]
+    rows += [report.remark] if report.remark else []
     return [(*head, described), *(("", "", "", row) for row in rows)]

@@ -330,5 +330,5 @@ def progress_text(progress: "RunProgress", simulated: bool) -> str:
         angle = f"{axis.position_deg:.3f} deg" if known else "turned by hand"
         parts.append(f"{name} {angle}" + (" moving" if known and axis.moving else ""))
         parts += [f"FAULT {fault}" for fault in axis.faults]
-    parts.append(f"{time_text(progress.track_left_s)} left")
+    parts += [f"{time_text(progress.track_left_s)} left", *progress.remarks]
     return "; ".join(part for part in parts if part)

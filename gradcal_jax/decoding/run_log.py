@@ -14,7 +14,7 @@ provenance. Where a run was resumed or a unit restarted, the computer's clock gi
 
 import itertools
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -27,7 +27,7 @@ from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
 from ..files.unit_spec import UnitSpec
 from ..hardware.errors import HardwareError
-from ..hardware.journal import Chunk, Event, JournalContents
+from ..hardware.journal import Chunk, Event, JournalContents, records_of
 from ..hardware.roles import STANDARD_GRAVITY, ImuBatch, ImuDecoder, join
 from ..hardware.run_folder import SESSION, RunFolder, exit_status, rig_as_run
 from ..hardware.setup import config_of, driver_of
@@ -56,7 +56,8 @@ class _Session:
     begun_s: float
     mounting: int
     events: list[Event] = field(default_factory=list[Event])
-    chunks: dict[str, list[Chunk]] = field(default_factory=dict[str, list[Chunk]])
+    stream: "_Stream | None" = None
+    """The unit's own samples."""
 
     @property
     def origin_s(self) -> float:
@@ -75,20 +76,29 @@ def log(folder: str | Path, unit: str | None = None, *, recording: Log | None = 
     run = RunFolder(Path(folder))
     about = {name: str(text) for name, text in run.notes().get("about", {}).items()}
     if recording is not None:
-        decoded = log_of_recording(run.contents(), run.recipe(), run.rig(), recording, unit)
+        decoded = log_of_recording(run.events(), run.recipe(), run.rig(), recording, unit)
     else:
-        decoded = log_of(run.contents(), run.recipe(), run.rig(), unit)
+        decoded = log_of(run.events(), run.recipe(), run.rig(), unit, records=records_of(run.journal_path))
     return replace(decoded, provenance={**about, **decoded.provenance})
 
 
-def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:
-    """The log of one unit (by name; None: the rig's only one), decoded with the configuration in the journal. Raises
-    `HardwareError` where the journal holds no samples of a stretch with data."""
+def log_of(
+    contents: JournalContents,
+    recipe: Recipe,
+    rig: RigFile,
+    unit: str | None = None,
+    *,
+    records: Iterable[Event | Chunk] | None = None,
+) -> Log:
+    """The log of one unit (by name; None: the rig's only one), decoded with the configuration in the journal.
+
+    `records`: all records, one by one, where `contents` has the events alone. Raises `HardwareError` where the journal
+    holds no samples of a stretch with data."""
     rig = rig_as_run(contents, rig)
     device = _device(rig, unit)
     parts: list[_Part] = []
     aside = 0
-    sessions = _sessions(contents)
+    sessions = _sessions(contents.records if records is None else records, device)
     names = [axis.name for axis in rig.axis]
     if isinstance(recipe.spec, UnitSpec):
         # A whole unit's table has the axes of its spec, in that order; a single axis may have another name.
@@ -96,7 +106,7 @@ def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | 
         names = drawn if set(drawn) <= set(names) else names
     axes = _axes_of(sessions, names)
     for session in sessions:
-        kept, left = _parts(session, device, axes)
+        kept, left = _parts(session, axes)
         parts += kept
         aside += left
     if not parts:
@@ -119,7 +129,7 @@ def log_of_recording(contents: JournalContents, recipe: Recipe, rig: RigFile, re
     """
     rig = rig_as_run(contents, rig)
     number = recorded.unit_index(unit or 0)
-    sessions = _sessions(contents)
+    sessions = _sessions(contents.records)
     axes = _axes_of(sessions, [axis.name for axis in rig.axis])
     labels = _labels(axes, recipe, rig)
     rates = {axis: np.degrees(recorded.rate_rad_per_s[number, :, k]) for k, axis in enumerate(recorded.axes)}
@@ -209,22 +219,89 @@ def _device(rig: RigFile, unit: str | None) -> ImuDevice:
     return rig.imu[names.index(unit)]
 
 
-def _sessions(contents: JournalContents) -> list[_Session]:
+def _sessions(records: Iterable[Event | Chunk], device: ImuDevice | None = None) -> list[_Session]:
+    """The sessions of a run, with the samples of a unit, which are decoded as they are read."""
     sessions: list[_Session] = []
     mounting = 0
-    for record in contents.records:
+    for record in records:
         if isinstance(record, Event):
             if record.name == SESSION:
                 data = record.data
                 wall_clock_s, simulated = float(data["wall_clock_s"]), bool(data["simulated"])
                 sessions.append(_Session(int(data["number"]), simulated, wall_clock_s, record.time_s, mounting))
+                sessions[-1].stream = None if device is None else _Stream(device)
             elif record.name == "hung":
                 mounting = int(record.data["mounting"])
             if sessions:
                 sessions[-1].events.append(record)
-        elif sessions and record.received:
-            sessions[-1].chunks.setdefault(record.line, []).append(record)
+                if (stream := sessions[-1].stream) is not None and record.name == "configuration":
+                    stream.configure(record)
+        elif sessions and record.received and (stream := sessions[-1].stream) is not None:
+            stream.push(record)
     return sessions
+
+
+# Batches that are joined at once, so that no small arrays are kept.
+_TOGETHER: Final = 4096
+
+
+class _Stream:
+    """The samples of a unit in a session: only what a log needs, in as few bytes as hold it exactly."""
+
+    def __init__(self, device: ImuDevice) -> None:
+        self._device = device
+        self._early: list[Chunk] = []
+        self._small: list[ImuBatch] = []
+        self._blocks: list[ImuBatch] = []
+        self.decoder: ImuDecoder | None = None
+
+    def configure(self, event: Event) -> None:
+        """The decoder is that of the unit's first configuration in the session."""
+        if event.data["device"] != self._device.name or self.decoder is not None:
+            return
+        config = config_of(self._device, "imu", ("imu", self._device.name))
+        driver = driver_of(self._device.driver)
+        assert driver is not None
+        self.decoder = driver.load().decoder_of(config, event.data["registers"])
+        for chunk in self._early:
+            self.push(chunk)
+        self._early.clear()
+
+    def push(self, chunk: Chunk) -> None:
+        if chunk.line != self._device.name:
+            return
+        if self.decoder is None:
+            self._early.append(chunk)
+            return
+        self._small.append(self.decoder.push(chunk.data, chunk.time_s))
+        if len(self._small) == _TOGETHER:
+            self._pack()
+
+    def samples(self) -> ImuBatch:
+        """All of them; this object forgets them."""
+        self._pack()
+        blocks, self._blocks = self._blocks, []
+        fields: dict[str, Any] = {}
+        for name in ImuBatch.__dataclass_fields__:
+            fields[name] = np.concatenate([getattr(block, name) for block in blocks])
+            # One quantity at a time is there twice.
+            blocks = [replace(block, **{name: np.zeros(0)}) for block in blocks]
+        return ImuBatch(**fields)
+
+    def _pack(self) -> None:
+        batch, self._small = join(self._small), []
+        if not len(batch) and self._blocks:
+            return
+        packed = {name: _packed(getattr(batch, name)) for name in ("gyro_dps", "acceleration_g")}
+        packed |= {name: getattr(batch, name).astype(np.int32) for name in ("status", "gap_before")}
+        packed["temperature_c"] = batch.temperature_c.mean(axis=1, keepdims=True)
+        self._blocks.append(replace(batch, raw_gyro=np.zeros((len(batch), 0), np.int32), **packed))
+
+
+def _packed(values: Floats) -> Any:
+    """As numbers of four bytes where these are the same."""
+    small = values.astype(np.float32)
+    return small if np.array_equal(small, values, equal_nan=True) else values
 
 
 def _axes_of(sessions: Sequence[_Session], names: Sequence[str]) -> list[str]:
@@ -266,22 +343,21 @@ class _Part:
     repeated: int = 0
 
 
-def _parts(session: _Session, device: ImuDevice, axes: Sequence[str]) -> tuple[list[_Part], int]:
+def _parts(session: _Session, axes: Sequence[str]) -> tuple[list[_Part], int]:
     """The parts of a session, and the number of samples in streams without a usable part."""
-    decoder = _decoder(session, device)
-    chunks = session.chunks.get(device.name, [])
-    if decoder is None or not chunks:
+    stream = session.stream
+    if stream is None or (decoder := stream.decoder) is None:
         return [], 0
-    samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks])
+    samples = stream.samples()
     parts: list[_Part] = []
     aside = 0
     starts = np.flatnonzero(samples.restarted[1:]) + 1
-    for rows in np.split(np.arange(len(samples)), starts):
-        part = _part(session, decoder, _subset(samples, rows), axes)
+    for begin, end in itertools.pairwise([0, *starts.tolist(), len(samples)]):
+        part = _part(session, decoder, _subset(samples, slice(begin, end)), axes)
         if part is None:
-            aside += len(rows)
+            aside += end - begin
         else:
-            parts.append(replace(part, restarted=bool(rows[0])))
+            parts.append(replace(part, restarted=begin > 0))
     if parts:
         # The decoder counts for the whole session, and the counts of all parts are added.
         parts[0] = replace(parts[0], bad_bytes=decoder.bad_bytes, repeated=decoder.repeated_datagrams)
@@ -331,9 +407,11 @@ def _part_with_table(
     # Numbered anew: of a standstill that a pause cut short no row may be left.
     left = np.unique(number[number >= 0])
     number[number >= 0] = np.searchsorted(left, number[number >= 0])
+    # Where the rows that count have no hole they are not copied.
+    together = len(rows) == rows[-1] - rows[0] + 1
     return _Part(
         session,
-        _subset(samples, rows),
+        _subset(samples, slice(int(rows[0]), int(rows[-1]) + 1) if together else rows),
         samples.device_time_s[rows],
         at_s,
         clock,
@@ -346,19 +424,8 @@ def _part_with_table(
     )
 
 
-def _subset(samples: ImuBatch, rows: NDArray[np.int64]) -> ImuBatch:
+def _subset(samples: ImuBatch, rows: NDArray[np.int64] | slice) -> ImuBatch:
     return ImuBatch(**{name: getattr(samples, name)[rows] for name in ImuBatch.__dataclass_fields__})
-
-
-def _decoder(session: _Session, device: ImuDevice) -> ImuDecoder | None:
-    """A new decoder, from the unit's configuration in the journal."""
-    own = (e for e in session.events if e.name == "configuration" and e.data["device"] == device.name)
-    if (configuration := next(own, None)) is None:
-        return None
-    config = config_of(device, "imu", ("imu", device.name))
-    driver = driver_of(device.driver)
-    assert driver is not None
-    return driver.load().decoder_of(config, configuration.data["registers"])
 
 
 def _stretches(events: Sequence[Event]) -> list[tuple[float, float]]:
@@ -421,14 +488,14 @@ def _joined(
         since = own.time_s - part.host_s[own.row]
         readings.append(replace(own, time_s=times[-1][own.row] + since, row=own.row + row))
         row += len(host)
-    samples = join([part.samples for part in parts])
+    samples = join([part.samples for part in parts]) if len(parts) > 1 else parts[0].samples
     marked = np.where(samples.status != 0, np.uint16(Reason.MARKED.value), np.uint16(0)).astype(np.uint16)
     read = aside + sum(part.read for part in parts)
-    force = samples.acceleration_g * STANDARD_GRAVITY
+    force = samples.acceleration_g.astype(np.float64) * STANDARD_GRAVITY
     mounting = np.concatenate([part.mounting for part in parts])
     return Log(
         time_s=np.concatenate(times),
-        rate_rad_per_s=np.radians(samples.gyro_dps)[None],
+        rate_rad_per_s=np.radians(samples.gyro_dps.astype(np.float64))[None],
         units=(unit,),
         axes=axes,
         specific_force_m_per_s2=force[None] if np.isfinite(force).any() else None,

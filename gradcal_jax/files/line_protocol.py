@@ -23,7 +23,7 @@ value cannot be read back is refused. The order and verification of commands are
 import re
 from collections.abc import Iterator, Mapping
 from importlib import resources
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, cast
 
 from pydantic import BeforeValidator, Field
 
@@ -405,25 +405,44 @@ def shows(sent: str, reply: str) -> bool:
     return abs(float(sent) - float(reply)) <= 0.51 * 10.0**-decimals
 
 
-def protocol_of(value: object) -> LineProtocol:
-    """The protocol of a rig file: the name of one of this program's, or its own tables.
+def protocol_of(value: object, changes: object = None) -> LineProtocol:
+    """The protocol of a rig file: the name of one of this program's, or its own tables; and what differs from it.
 
     Raises:
         ValueError: no such name, or (as `SpecError`) everything that is wrong with the tables.
     """
     if isinstance(value, Mapping):
         tables: dict[str, Any] = dict(value)  # pyright: ignore[reportUnknownArgumentType]
-        return model_of(LineProtocol, tables, FORMAT, "")
+        return model_of(LineProtocol, changed_tables(tables, changes), FORMAT, "")
     if not isinstance(value, str) or value not in shipped():
         word = value if isinstance(value, str) else ""
         raise ValueError(f"expected the name of a protocol, or its tables; {instead(word, shipped())}")
-    return model_of(LineProtocol, read_toml(protocol_text(value), value), FORMAT, value)
+    return model_of(LineProtocol, changed_tables(read_toml(protocol_text(value), value), changes), FORMAT, value)
 
 
-def shipped() -> tuple[str, ...]:
-    """The names of the protocols that come with this program."""
-    names = (entry.name for entry in (resources.files("gradcal_jax.files.presets") / "devices").iterdir())
-    return tuple(sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml")))
+def changed_tables(tables: Mapping[str, Any], changes: object) -> dict[str, Any]:
+    """Tables with some keys changed, table by table; `false` in the place of a table removes it."""
+    if changes is None:
+        return dict(tables)
+    if not isinstance(changes, Mapping):
+        raise ValueError("changes are tables of the description that differ from it")
+    result = dict(tables)
+    for name, change in cast("Mapping[str, Any]", changes).items():
+        before = result.get(name)
+        if change is False and not isinstance(before, bool):
+            result.pop(name, None)
+        elif isinstance(change, Mapping) and isinstance(before, Mapping):
+            result[name] = changed_tables(cast("Mapping[str, Any]", before), cast("object", change))
+        else:
+            result[name] = change
+    return result
+
+
+def shipped(kind: str = FORMAT) -> tuple[str, ...]:
+    """The names of the protocols of a format that come with this program."""
+    files = (resources.files("gradcal_jax.files.presets") / "devices").iterdir()
+    names = (file.name for file in files if file.name.endswith(".toml") and f'"{kind}"' in file.read_text("utf-8"))
+    return tuple(sorted(name.removesuffix(".toml") for name in names))
 
 
 def protocol_text(name: str) -> str:

@@ -51,7 +51,7 @@ class ChamberDevice(Section):
     """`[chamber]`: the device that makes the temperature."""
 
     driver: Text
-    """Name of its driver: espec, weiss, watlow_f4 or watlow_f4t."""
+    """Name of its driver: espec, weiss, or registers or lines with a protocol."""
     port: Port
     """Where it is connected: a device path, COM3, or a socket:// or rfc2217:// address."""
     safe: Literal["standby", "hold", "ambient"]

@@ -16,6 +16,8 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "unit-spec": ("unit_spec", "UnitSpec"),
     "rig": ("rig", "RigFile"),
     "lines": ("line_protocol", "LineProtocol"),
+    "registers": ("register_protocol", "RegisterProtocol"),
+    "text": ("text_unit", "TextUnit"),
     "timeline": ("contracts", "Timeline"),
     "unit-timeline": ("unit_timeline", "UnitTimeline"),
     "prediction": ("contracts", "Prediction"),

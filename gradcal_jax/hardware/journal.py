@@ -229,20 +229,28 @@ class Journal(AbstractContextManager["Journal"]):
 def read_journal(path: Path, *, chunks: bool = True) -> JournalContents:
     """All sound records of a journal, however it ends; without `chunks` its events alone, which take little memory.
     Raises `HardwareError` where there is no such file."""
+    contents = JournalContents()
+    contents.records += (record for record in records_of(path, contents) if chunks or isinstance(record, Event))
+    return contents
+
+
+def records_of(path: Path, contents: JournalContents | None = None) -> Iterator[Event | Chunk]:
+    """The records of a journal one by one; `contents` gets what else `read_journal` finds. Raises `HardwareError`."""
     try:
         with path.open("rb") as file:
-            return _parse(file, chunks)
+            yield from _parse(file, contents or JournalContents())
     except OSError as problem:
         raise HardwareError(f"The journal {path} cannot be read: {problem.strerror}.") from None
 
 
 def parse_journal(data: bytes) -> JournalContents:
-    return _parse(BytesIO(data), True)
-
-
-def _parse(file: BinaryIO, chunks: bool) -> JournalContents:
-    """Read block by block: a journal of a day is larger than what a computer can spare."""
     contents = JournalContents()
+    contents.records += _parse(BytesIO(data), contents)
+    return contents
+
+
+def _parse(file: BinaryIO, contents: JournalContents) -> Iterator[Event | Chunk]:
+    """Read block by block: a journal of a day is larger than what a computer can spare."""
     names: dict[int, str] = {}
     buffer, origin, ended = b"", 0, False
     while not ended:
@@ -263,14 +271,12 @@ def _parse(file: BinaryIO, chunks: bool) -> JournalContents:
             if isinstance(record, Event) and record.name == LINE_EVENT:
                 names[int(record.data["number"])] = str(record.data["name"])
             contents.latest_s = max(contents.latest_s, record.time_s)
-            if chunks or isinstance(record, Event):
-                contents.records.append(record)
+            yield record
         else:
             rest = len(buffer) - (not ended and buffer.endswith(_SYNC[:1]))
             contents.damaged_bytes += rest - position
             position = rest
         buffer, origin = buffer[position:], origin + position
-    return contents
 
 
 def _record(data: bytes, start: int, origin: int, names: dict[int, str]) -> tuple[Event | Chunk | None, int]:

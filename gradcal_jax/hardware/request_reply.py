@@ -3,16 +3,20 @@
 The rules of retrying: the input is drained before every request, so that a late reply to an earlier query does not
 count as the reply to this one; after a time-out or a damaged reply the line is given time to become silent; queries are
 repeated, commands are not (their driver reads back instead).
+
+A reply that comes after its time-out is recognised by its request's own parser, and said (`Transport.late`).
 """
 
+import math
 import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from .clock import Clock, holding
-from .errors import ChecksumError, FramingError, NotVerified, Rejected, ReplyTimeout, printable
+from .errors import ChecksumError, FramingError, HardwareError, NotVerified, Rejected, ReplyTimeout, printable
 from .framing import Framer
 from .transport import Transport
 
@@ -21,11 +25,38 @@ Reply = TypeVar("Reply")
 # The silence (real time) that ends a disturbed conversation.
 _SETTLE_S = 0.05
 _TRIES = 3
+# How long a reply is awaited that did not come in all tries, in their time-outs: only to say that it is late.
+_LATER = 2.0
+_FORGOTTEN_S = 30.0
 _BETWEEN_LOOKS_S = 0.2
 
 
 class NotThisReply(Exception):
     """Raised by a reply parser for a sound frame that answers another request: the exchange continues to wait."""
+
+
+@dataclass
+class _Unanswered:
+    """A request whose reply did not come in time: when each try was sent, when the first was given up; and, once a
+    reply came to a later try, how late that is if it is the first's, and when those to the others are due."""
+
+    request: bytes
+    parse: Callable[[bytes], object]
+    over_s: float
+    sent_s: list[float]
+    late_s: float | None = None
+    due_s: list[float] = field(default_factory=list[float])
+
+    def answered(self, now_s: float) -> None:
+        """A reply came to a later try."""
+        took_s, self.late_s = now_s - self.sent_s[0], now_s - self.over_s
+        self.due_s = [sent_s + took_s for sent_s in self.sent_s[1:]]
+
+    def is_answered_by(self, frame: bytes) -> bool:
+        with suppress(NotThisReply, HardwareError):
+            self.parse(frame)
+            return True
+        return False
 
 
 class Exchange:
@@ -54,6 +85,8 @@ class Exchange:
         self._reply_timeout_s = reply_timeout_s
         self._min_interval_s = min_interval_s
         self._next_request_s = clock.now() + boot_s
+        self._unanswered: _Unanswered | None = None
+        self._sent_s = -math.inf
         self._lock = threading.RLock()
 
     def alone(self) -> AbstractContextManager[None]:
@@ -75,19 +108,30 @@ class Exchange:
         `repeat` (queries only) the request is repeated after those and after a time-out. `pause_after_s` replaces the
         usual interval to the next request.
         """
+        timeout_s = reply_timeout_s or self._reply_timeout_s
         with self.alone():
             tries = _TRIES if repeat else 1
             for attempt in range(1, tries + 1):
                 try:
-                    reply = self._once(request, parse, reply_timeout_s or self._reply_timeout_s, pause_after_s)
+                    reply = self._once(request, parse, timeout_s, pause_after_s)
+                    waited = self._unanswered
                     if attempt > 1:
                         # The reply was a late one to an earlier try, and the one to this try is still to come.
-                        self.transport.drain(_SETTLE_S)
+                        if waited is not None:
+                            waited.answered(time.monotonic())
+                        self._look_for_late(self.transport.drain(_SETTLE_S))
+                    elif waited is not None and waited.request == request:
+                        self._unanswered = None
                     return reply
-                except (ReplyTimeout, FramingError):
-                    self.transport.drain(_SETTLE_S)
-                    if attempt == tries:
-                        raise
+                except (ReplyTimeout, FramingError) as problem:
+                    silent = isinstance(problem, ReplyTimeout)
+                    if silent and (attempt == 1 or self._unanswered is None):
+                        self._unanswered = _Unanswered(request, parse, time.monotonic(), [self._sent_s])
+                    last = attempt == tries
+                    found = last and silent and repeat and self._look_for_late(self.transport.read(_LATER * timeout_s))
+                    found = self._look_for_late(self.transport.drain(_SETTLE_S)) or found
+                    if last:
+                        raise (ReplyTimeout(self.transport.late) if silent and found else problem) from None
             raise AssertionError("unreachable: the last try returns or raises")
 
     def write(self, request: bytes, *, pause_after_s: float | None = None) -> None:
@@ -97,10 +141,43 @@ class Exchange:
 
     def _send(self, request: bytes, pause_after_s: float | None) -> None:
         self.clock.sleep_until(self._next_request_s)
-        self.transport.drain()
-        self._framer.reset()
+        self._look_for_late(self.transport.drain(), "up to ")
         self._next_request_s = self.clock.now() + (self._min_interval_s if pause_after_s is None else pause_after_s)
+        self._sent_s = time.monotonic()
+        waited = self._unanswered
+        if waited is not None and waited.request == request and waited.late_s is None:
+            waited.sent_s.append(self._sent_s)
+        if waited is not None and self._sent_s - waited.over_s > _FORGOTTEN_S:
+            self._unanswered = None
         self.transport.write(request)
+
+    def _look_for_late(self, data: bytes, about: str = "") -> bool:
+        """Whether a reply that came too late is among bytes that nobody waits for any more."""
+        self._framer.reset()
+        frames = self._framer.push(data) if data and self._unanswered else []
+        self._framer.reset()
+        return sum(self._note_late(frame, about) for frame in frames) > 0
+
+    def _note_late(self, frame: bytes, about: str = "") -> bool:
+        waited = self._unanswered
+        if waited is None or not waited.is_answered_by(frame):
+            return False
+        waited.due_s = waited.due_s[1:]
+        if not waited.due_s:
+            self._unanswered = None
+        late_s, about = (time.monotonic() - waited.over_s, about) if waited.late_s is None else (waited.late_s, "")
+        self.transport.late = (
+            f"{self.device} at {self.transport.url} was sent {printable(waited.request)!r} and answered "
+            f"{about}{max(late_s, 0.1):.1f} s late: raise reply_timeout."
+        )
+        return True
+
+    def _is_due(self, frame: bytes, request: bytes, reply_timeout_s: float) -> bool:
+        """Whether a frame that could answer this request answers a try of the one before, which is due about now."""
+        waited = self._unanswered
+        if waited is None or waited.request == request or not waited.due_s:
+            return False
+        return time.monotonic() >= waited.due_s[0] - 0.3 * reply_timeout_s and self._note_late(frame)
 
     def _once(
         self, request: bytes, parse: Callable[[bytes], Reply], reply_timeout_s: float, pause_after_s: float | None
@@ -116,9 +193,12 @@ class Exchange:
             spoke = bool(data)
             received += data
             for frame in self._framer.push(data):
+                if self._is_due(frame, request, reply_timeout_s):
+                    continue
                 try:
                     return parse(frame)
                 except NotThisReply:
+                    self._note_late(frame)
                     continue
                 except Rejected as refusal:
                     what = f"{self.device} at {self.transport.url} was sent {printable(request)!r}. {refusal}"
@@ -128,6 +208,7 @@ class Exchange:
                     raise
                 except FramingError as damage:
                     # This may be noise before the reply, which may still come in time.
+                    self._note_late(frame)
                     problem = damage
         if problem is not None:
             raise problem

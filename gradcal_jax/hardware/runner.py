@@ -114,6 +114,7 @@ class Runner:
         self._working = threading.Event()
         self._watching = threading.Event()
         self._shown_s = -math.inf
+        self._late: set[str] = set()
         self._steps_done = self.first_step
         self._step_ends_s = 0.0
 
@@ -541,8 +542,16 @@ class Runner:
         self._paused_s = None
         self.interlocks.forget()
 
+    def _late_replies(self) -> tuple[str, ...]:
+        """A sentence for each line on which replies come after their time-out; an event for each device at first."""
+        late = {name: line.late for name, line in self.bench.lines.items() if line.late}
+        for name in late.keys() - self._late:
+            self._event("late reply", at_once=False, device=name, what=late[name])
+        self._late |= late.keys()
+        return tuple(dict.fromkeys(late.values()))
+
     def _show(self, end_s: float | None) -> None:
-        now = self.clock.now()
+        now, late = self.clock.now(), self._late_replies()
         if self.on_progress is None or now - self._shown_s < self.chamber_every_s:
             return
         self._shown_s = now
@@ -553,8 +562,8 @@ class Runner:
         chamber, lag_s = self._chamber, self.interlocks.limits.temperature_lag_s
         newest, course_c = (None, None) if chamber is None else (chamber.newest, chamber.expected.of_late(now, lag_s))
         samples = {name: (losses.received, losses.missing) for name, losses in self._losses.items()}
-        where = self.state, step.name, done, len(steps)
-        self.on_progress(RunProgress(*where, left, ahead, newest, self._axes.newest, course_c, samples, self._why))
+        where, air = (self.state, step.name, done, len(steps), left, ahead), (newest, self._axes.newest, course_c)
+        self.on_progress(RunProgress(*where, *air, samples, self._why, late))
 
     def _end(self, status: str, reason: str) -> tuple[SafeOutcome, ...]:
         """Make safe. What happens is noted for the journal, and nothing waits for the disk before all is safe."""

@@ -64,13 +64,13 @@ _HERE: Final = f"{__package__}.drivers"
 DRIVERS: Final[Mapping[str, Driver]] = {
     "espec": Driver("chamber", f"{_HERE}.espec", "EspecChamber", "EspecConfig"),
     "weiss": Driver("chamber", f"{_HERE}.weiss", "WeissChamber", "WeissConfig"),
-    "watlow_f4": Driver("chamber", f"{_HERE}.watlow_f4", "WatlowF4Chamber", "WatlowF4Config", text=False),
-    "watlow_f4t": Driver("chamber", f"{_HERE}.watlow_f4t", "WatlowF4TChamber", "WatlowF4TConfig", text=False),
+    "registers": Driver("chamber", f"{_HERE}.registers", "RegistersChamber", "RegistersConfig", text=False),
     "lines": Driver(None, f"{_HERE}.lines", "lines_device", "LinesConfig", text=False),
     "zaber": Driver("axis", f"{_HERE}.zaber", "ZaberAxis", "ZaberConfig"),
     "odrive": Driver("axis", f"{_HERE}.odrive", "ODriveAxis", "ODriveConfig"),
     OPERATOR: Driver("axis", f"{_HERE}.operator", "OperatorAxis", "OperatorConfig"),
     "stim300": Driver("imu", f"{_HERE}.stim300", "Stim300Stream", "Stim300Config"),
+    "text_unit": Driver("imu", f"{_HERE}.text_unit", "TextUnitStream", "TextUnitConfig", text=False),
     "vectornav": Driver("imu", f"{_HERE}.vectornav", "VectorNavStream", "VectorNavConfig"),
 }
 """The drivers that come with this program; `driver_of` knows those of other packages, too."""
@@ -374,6 +374,8 @@ class DeviceReport:
     identity: Identity | None = None
     limits: ChamberLimits | AxisLimits | ImuSettings | None = None
     problem: str = ""
+    remark: str = ""
+    """What is to be mended though the device answers: it does so late."""
 
     @property
     def good(self) -> bool:
@@ -411,7 +413,10 @@ def lines_of(rig: RigFile) -> dict[str, tuple[str, str]]:
 def check_rig(bench: Bench) -> list[DeviceReport]:
     """Ask every device for identity, limits and a reading; compare serial numbers with the rig file. Nothing moves."""
     # The chamber first, as in the rig file.
-    return [_report(*device) for device in sorted(bench.devices(), key=lambda device: device[0] != "chamber")]
+    devices = sorted(bench.devices(), key=lambda device: device[0] != "chamber")
+    reports = [_report(*device) for device in devices]
+    late = {name: line.late for name, line in bench.lines.items()}
+    return [dataclasses.replace(report, remark=late.get(report.name, "")) for report in reports]
 
 
 def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:

@@ -67,3 +67,5 @@ class RunProgress:
     """Samples of each unit: received, and missing between them."""
     why: str = ""
     """Why the run is paused, or will be."""
+    remarks: tuple[str, ...] = ()
+    """What the operator is to mend after the run: devices that answer late."""

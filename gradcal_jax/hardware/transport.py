@@ -167,6 +167,8 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
         self._link.change(attached=True)
         self._silent = False
         self._closed = False
+        self.late = ""
+        """The newest reply that came after its time-out, for the operator; empty: none."""
 
     def reopen(self) -> None:
         """Open the port once more, after its cable was out. Raises `PortRefused`."""

@@ -34,6 +34,7 @@ ARGUMENTS = {
     "replan": "FILE -o OUT",
     "report": "FILE -o OUT",
     "rig check": "FILE",
+    "rig record": "FILE -o OUT",
     "run": "FILE --simulate -o OUT",
     "schema": "FILE",
     "sensitivity": "FILE",

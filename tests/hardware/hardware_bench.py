@@ -19,7 +19,7 @@ from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers import espec, lines, odrive, stim300, vectornav, watlow_f4, watlow_f4t, weiss, zaber
+from gradcal_jax.hardware.drivers import espec, lines, odrive, registers, stim300, vectornav, weiss, zaber
 from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
@@ -70,34 +70,46 @@ def weiss_bench(
         yield weiss.WeissChamber(weiss.open_exchange(transport, clock, config), config), device, port
 
 
+def f4_config(reply_timeout_s: float = 0.2, changes: dict[str, Any] | None = None) -> registers.RegistersConfig:
+    """A rig with a limit controller on input 1 and a probe in the load, or with other changes."""
+    own = {
+        "registers": {"limit": {"address": 201}, "product": {"address": 104, "decimals": "places2"}},
+        "alarm": {"limit input 1": {"field": "limit", "equals": "1"}},
+    }
+    changes = own if changes is None else changes
+    return registers.RegistersConfig("watlow-f4", changes, reply_timeout_s=reply_timeout_s)
+
+
+def f4t_config(reply_timeout_s: float = 0.2, changes: dict[str, Any] | None = None) -> registers.RegistersConfig:
+    return registers.RegistersConfig("watlow-f4t", changes, reply_timeout_s=reply_timeout_s)
+
+
 @contextmanager
 def f4_bench(
     clock: Clock,
     options: WatlowF4Options | None = None,
-    config: watlow_f4.WatlowF4Config | None = None,
+    config: registers.RegistersConfig | None = None,
     truth: ChamberTruth | None = None,
     **port_options: Any,
-) -> Iterator[tuple[watlow_f4.WatlowF4Chamber, SimulatedWatlowF4, SimulatedPort]]:
+) -> Iterator[tuple[registers.RegistersChamber, SimulatedWatlowF4, SimulatedPort]]:
     device = SimulatedWatlowF4(ChamberPlant(truth or ChamberTruth(), clock.now()), clock, options)
-    config = config or watlow_f4.WatlowF4Config(
-        reply_timeout_s=0.2, conditioning_event=1, limit_input=1, product_input=2
-    )
+    config = config or f4_config()
     with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield watlow_f4.WatlowF4Chamber(watlow_f4.open_exchange(transport, clock, config), config), device, port
+        yield registers.RegistersChamber(registers.open_exchange(transport, clock, config), config), device, port
 
 
 @contextmanager
 def f4t_bench(
     clock: Clock,
     options: WatlowF4TOptions | None = None,
-    config: watlow_f4t.WatlowF4TConfig | None = None,
+    config: registers.RegistersConfig | None = None,
     truth: ChamberTruth | None = None,
     **port_options: Any,
-) -> Iterator[tuple[watlow_f4t.WatlowF4TChamber, SimulatedWatlowF4T, SimulatedPort]]:
+) -> Iterator[tuple[registers.RegistersChamber, SimulatedWatlowF4T, SimulatedPort]]:
     device = SimulatedWatlowF4T(ChamberPlant(truth or ChamberTruth(), clock.now()), clock, options)
-    config = config or watlow_f4t.WatlowF4TConfig(reply_timeout_s=0.2)
+    config = config or f4t_config()
     with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield watlow_f4t.WatlowF4TChamber(watlow_f4t.open_exchange(transport, clock, config), config), device, port
+        yield registers.RegistersChamber(registers.open_exchange(transport, clock, config), config), device, port
 
 
 def _lines_bench(protocol: str, simulated: Any, plant_of: Any) -> Any:

@@ -5,6 +5,7 @@ minimalmodbus and pymodbus, which share nothing with this package, check the sim
 
 import asyncio
 import socket
+import struct
 import threading
 from typing import Any
 
@@ -15,7 +16,9 @@ from hardware_bench import (
     cts_bench,
     espec_bench,
     f4_bench,
+    f4_config,
     f4t_bench,
+    f4t_config,
     f4t_scpi_bench,
     julabo_bench,
     thermotron_bench,
@@ -27,10 +30,8 @@ from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import WeissOptions
 
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers import watlow_f4t
 from gradcal_jax.hardware.drivers.espec import EspecConfig
-from gradcal_jax.hardware.drivers.watlow_f4 import WatlowF4Config
-from gradcal_jax.hardware.drivers.watlow_f4t import WatlowF4TConfig
+from gradcal_jax.hardware.drivers.registers import RegistersChamber, RegistersConfig, open_exchange
 from gradcal_jax.hardware.drivers.weiss import WeissConfig
 from gradcal_jax.hardware.errors import (
     Disconnected,
@@ -41,6 +42,7 @@ from gradcal_jax.hardware.errors import (
     Rejected,
     ReplyTimeout,
 )
+from gradcal_jax.hardware.modbus import Tcp, parse_words, parse_written, read_body, write_body
 from gradcal_jax.hardware.request_reply import NotThisReply
 from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
 from gradcal_jax.hardware.setup import DRIVERS
@@ -377,9 +379,10 @@ def test_f4_in_fahrenheit_without_standby_and_with_a_tripped_limit() -> None:
     wrong_unit = f4_bench(VirtualClock(), WatlowF4Options(fahrenheit=True))
     with wrong_unit as (chamber, _, _), pytest.raises(Rejected, match="Fahrenheit"):
         chamber.identify()
-    unswitched = f4_bench(VirtualClock(), WatlowF4Options(conditioning_event=0), WatlowF4Config(reply_timeout_s=0.2))
+    changes = {"tell": {"on": False, "off": False}, "state": {"conditioning": False}}
+    unswitched = f4_bench(VirtualClock(), WatlowF4Options(conditioning_event=0), f4_config(changes=changes))
     with unswitched as (chamber, _, _):
-        with pytest.raises(Rejected, match="conditioning_event"):
+        with pytest.raises(Rejected, match="no \\[tell\\] off"):
             chamber.safe(ChamberSafe.STANDBY)
         with pytest.raises(Rejected, match="steps"):
             chamber.ramp(50.0, 1.0)
@@ -402,7 +405,7 @@ def test_f4_scales_by_its_own_decimals(decimals: int) -> None:
 def test_f4_flipped_bits_on_the_line_never_give_a_wrong_reading() -> None:
     clock = VirtualClock()
     faults = Faults(seed=11, probability={"flip": 0.25})
-    config = WatlowF4Config(reply_timeout_s=0.03, conditioning_event=1)
+    config = f4_config(0.03, {})
     with f4_bench(clock, config=config, faults=faults) as (chamber, _, _):
         read = 0
         for _ in range(20):
@@ -419,20 +422,25 @@ def test_f4_flipped_bits_on_the_line_never_give_a_wrong_reading() -> None:
 # --- Watlow F4T -------------------------------------------------------------------------------------------------------
 
 
+def float_words(value: float) -> tuple[int, int]:
+    """A float as two registers, the low word first."""
+    high, low = struct.unpack(">HH", struct.pack(">f", value))
+    return low, high
+
+
 def test_f4t_messages_byte_for_byte() -> None:
     """By hand from the protocol's definition: 25.0 is 41C80000, and its low word goes first."""
-    assert watlow_f4t.words_of(25.0) == (0x0000, 0x41C8)
-    assert watlow_f4t.float_of((0x0000, 0xC220)) == -40.0
-    asked = watlow_f4t.request(7, 1, watlow_f4t.read_body(2820, 2))
+    tcp = Tcp(1)
+    asked = [tcp.message(read_body(2820, 2)) for _ in range(7)][-1]
     assert asked == bytes.fromhex("0007 0000 0006 01 03 0B04 0002")
-    told = watlow_f4t.request(8, 1, watlow_f4t.write_body(2782, watlow_f4t.words_of(25.0)))
+    told = tcp.message(write_body(2782, (0x0000, 0x41C8)))
     assert told == bytes.fromhex("0008 0000 000B 01 10 0ADE 0002 04 0000 41C8")
-    assert watlow_f4t.parse_words(bytes.fromhex("0007 0000 0007 01 03 04 0000 41C8"), asked, 2) == (0, 0x41C8)
-    watlow_f4t.parse_written(bytes.fromhex("0008 0000 0006 01 10 0ADE 0002"), told)
+    assert parse_words(tcp, bytes.fromhex("0007 0000 0007 01 03 04 0000 41C8"), asked, 2) == (0, 0x41C8)
+    parse_written(tcp, bytes.fromhex("0008 0000 0006 01 10 0ADE 0002"), told)
     with pytest.raises(NotThisReply):
-        watlow_f4t.parse_written(bytes.fromhex("0007 0000 0006 01 10 0ADE 0002"), told)
+        parse_written(tcp, bytes.fromhex("0007 0000 0006 01 10 0ADE 0002"), told)
     with pytest.raises(Rejected, match="register address"):
-        watlow_f4t.parse_words(bytes.fromhex("0007 0000 0003 01 83 02"), asked, 2)
+        parse_words(tcp, bytes.fromhex("0007 0000 0003 01 83 02"), asked, 2)
 
 
 def test_simulated_f4t_satisfies_an_independent_client_and_ignores_set_points_while_its_loop_is_off() -> None:
@@ -469,9 +477,9 @@ def test_simulated_f4t_satisfies_an_independent_client_and_ignores_set_points_wh
 def test_f4t_driver_speaks_with_an_independent_server() -> None:
     server_room = pytest.importorskip("pymodbus.server")
     simulator = pytest.importorskip("pymodbus.simulator")
-    registers = {2730: [10], 2774: [*watlow_f4t.words_of(-70.0), *watlow_f4t.words_of(180.0)]}
-    registers |= {2782: [0, 0], 2794: [62], 2810: [*watlow_f4t.words_of(-12.5)], 2814: [10], 6730: [15]}
-    registers |= {2820: [*watlow_f4t.words_of(21.25)], 16568: [251]}
+    registers = {2730: [10], 2774: [*float_words(-70.0), *float_words(180.0)]}
+    registers |= {2782: [0, 0], 2794: [62], 2810: [*float_words(-12.5)], 2814: [10], 6730: [15]}
+    registers |= {2820: [*float_words(21.25)], 16568: [251]}
     registers |= {12: [0xE240, 1], 4: [4], 16: [ord(letter) for letter in "F4T1L1EAA1D1AAA"]}
     data = [
         simulator.SimData(place, values=values, datatype=simulator.DataType.REGISTERS)
@@ -493,20 +501,20 @@ def test_f4t_driver_speaks_with_an_independent_server() -> None:
     clock = RealClock()
     transport = Transport(f"socket://127.0.0.1:{number}", clock=clock)
     try:
-        config = WatlowF4TConfig(alarms=0)
-        chamber = watlow_f4t.WatlowF4TChamber(watlow_f4t.open_exchange(transport, clock, config), config)
+        config = f4t_config(changes={"alarm": False})
+        chamber = RegistersChamber(open_exchange(transport, clock, config), config)
         identity = chamber.identify()
-        assert (identity.model, identity.serial_number) == ("F4T1L1EAA1D1AAA", "123456")
+        assert (identity.model, identity.serial_number) == ("Watlow F4T F4T1L1EAA1D1AAA", "123456")
         assert (chamber.limits().lowest_c, chamber.limits().highest_c) == (-70.0, 180.0)
         reading = chamber.read()
         assert (reading.air_c, reading.setpoint_c, reading.mode, reading.conditioning) == (21.25, -12.5, "AUTO", True)
         chamber.hold(-12.5)
-        assert chamber._float(2782) == -12.5
+        assert chamber._number("target") == -12.5
         # This server keeps what it is told and does nothing: what is in force stays, and that is noticed.
-        with pytest.raises(NotVerified, match="set point 40"):
+        with pytest.raises(NotVerified, match=r"setpoint \(target = 40\)"):
             chamber.hold(40.0)
         with pytest.raises(Rejected, match="exception 2"):
-            chamber._words(1356)
+            chamber._words("alarm1", 1)
     finally:
         transport.close()
         asyncio.run_coroutine_threadsafe(server.shutdown(), loop).result(5.0)
@@ -531,7 +539,7 @@ def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on
         device.memory.words[1456] = 10
         assert chamber.read().alarms == ("alarm 2",)
     with f4t_bench(clock, WatlowF4TOptions(locked=True)) as (chamber, device, _):
-        with pytest.raises(NotVerified, match="set points are ignored while it is off"):
+        with pytest.raises(NotVerified, match=r"Watlow F4T: on \(loop = 10\)"):
             chamber.hold(30.0)
         assert not device.plant.conditioning
     with (
@@ -539,11 +547,18 @@ def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on
         pytest.raises(Rejected, match="Celsius"),
     ):
         chamber.identify()
-    event = WatlowF4TConfig(conditioning_event=3, reply_timeout_s=0.2)
+    plant = {"equals": False, "field": "plant", "begins": "63"}
+    event = f4t_config(
+        changes={
+            "registers": {"event": {"address": 16598}, "plant": {"address": 16598}},
+            "tell": {"on": {"event": 63}, "off": {"event": 62}},
+            "state": {"conditioning": plant},
+        }
+    )
     with f4t_bench(clock, WatlowF4TOptions(conditioning_event=3), event) as (chamber, device, _):
         chamber.hold(30.0)
         assert device.plant.conditioning
         device.memory.words[16598] = 62
         assert not chamber.read().conditioning
-    with pytest.raises(ValueError, match="loop is 5"):
-        WatlowF4TConfig(loop=5)
+    with pytest.raises(ValueError, match="address is 256"):
+        RegistersConfig("watlow-f4t", address=256)

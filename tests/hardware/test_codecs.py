@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax.hardware import checksums
-from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, watlow_f4, watlow_f4t, weiss, zaber
+from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, weiss, zaber
 from gradcal_jax.hardware.drivers.stim300_datagrams import LAYOUTS, Stim300Decoder
 from gradcal_jax.hardware.errors import ChecksumError, FramingError, HardwareError, LimitExceeded, Rejected
 from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer, ModbusTcpFramer
+from gradcal_jax.hardware.modbus import Rtu, Tcp, parse_words, parse_written, read_body, write_body
 from gradcal_jax.hardware.request_reply import NotThisReply
 from gradcal_jax.hardware.roles import ImuBatch
 
@@ -158,21 +159,28 @@ def test_weiss_record_of_another_layout_is_refused() -> None:
 # --- Watlow F4 --------------------------------------------------------------------------------------------------------
 
 
+RTU = Rtu(1)
+
+
+def words_in(frame: bytes) -> tuple[int, ...]:
+    return parse_words(RTU, frame, golden.MODBUS_READ_PV, 1)
+
+
 def test_modbus_golden_vectors() -> None:
-    assert watlow_f4.read_request(1, 100) == golden.MODBUS_READ_PV
-    assert watlow_f4.read_request(1, 200) == golden.MODBUS_STATUS
-    assert watlow_f4.write_request(1, 300, watlow_f4.unscaled(25.0, 1)) == golden.MODBUS_WRITE_25
-    assert watlow_f4.write_request(1, 300, watlow_f4.unscaled(-40.0, 1)) == golden.MODBUS_WRITE_MINUS_40
-    assert watlow_f4.write_request(1, 1217, 1) == golden.MODBUS_TERMINATE
-    assert watlow_f4.parse_registers(golden.MODBUS_25, 1, 1) == (250,)
-    assert watlow_f4.with_decimals(*watlow_f4.parse_registers(golden.MODBUS_MINUS_40, 1, 1), 1) == -40.0
-    watlow_f4.parse_echo(golden.MODBUS_WRITE_25, golden.MODBUS_WRITE_25)
+    assert RTU.message(read_body(100)) == golden.MODBUS_READ_PV
+    assert RTU.message(read_body(200)) == golden.MODBUS_STATUS
+    assert RTU.message(write_body(300, (250,))) == golden.MODBUS_WRITE_25
+    assert RTU.message(write_body(300, (-400,))) == golden.MODBUS_WRITE_MINUS_40
+    assert RTU.message(write_body(1217, (1,))) == golden.MODBUS_TERMINATE
+    assert words_in(golden.MODBUS_25) == (250,)
+    assert words_in(golden.MODBUS_MINUS_40) == (65536 - 400,)
+    parse_written(RTU, golden.MODBUS_WRITE_25, golden.MODBUS_WRITE_25)
     with pytest.raises(FramingError):
-        watlow_f4.parse_echo(golden.MODBUS_WRITE_MINUS_40, golden.MODBUS_WRITE_25)
+        parse_written(RTU, golden.MODBUS_WRITE_MINUS_40, golden.MODBUS_WRITE_25)
     with pytest.raises(Rejected, match="register address"):
-        watlow_f4.parse_registers(golden.MODBUS_EXCEPTION, 1, 1)
+        words_in(golden.MODBUS_EXCEPTION)
     with pytest.raises(NotThisReply):
-        watlow_f4.parse_registers(golden.MODBUS_WRITE_25, 1, 1)
+        words_in(golden.MODBUS_WRITE_25)
 
 
 # --- Zaber ------------------------------------------------------------------------------------------------------------
@@ -313,21 +321,18 @@ def test_no_flipped_odrive_reply_is_accepted(frame: bytes) -> None:
 
 @pytest.mark.parametrize("frame", [golden.MODBUS_25, golden.MODBUS_MINUS_40])
 def test_no_flipped_modbus_reply_is_accepted(frame: bytes) -> None:
-    def parse(reply: bytes) -> object:
-        return watlow_f4.parse_registers(reply, 1, 1)
-
-    assert accepted_text(ModbusReplyFramer(1), parse, frame) != []
-    assert [bad for bad in flips(frame) if accepted_text(ModbusReplyFramer(1), parse, bad)] == []
+    assert accepted_text(ModbusReplyFramer(1), words_in, frame) != []
+    assert [bad for bad in flips(frame) if accepted_text(ModbusReplyFramer(1), words_in, bad)] == []
 
 
 def test_no_flipped_modbus_echo_or_exception_is_accepted() -> None:
     sent = golden.MODBUS_WRITE_25
     for bad in flips(sent):
-        assert accepted_text(ModbusReplyFramer(1), lambda reply: watlow_f4.parse_echo(reply, sent), bad) == []
+        assert accepted_text(ModbusReplyFramer(1), lambda reply: parse_written(RTU, reply, sent), bad) == []
     for bad in flips(golden.MODBUS_EXCEPTION):
         for frame in ModbusReplyFramer(1).push(bad):
             with pytest.raises((ChecksumError, NotThisReply)):
-                watlow_f4.parse_registers(frame, 1, 1)
+                words_in(frame)
 
 
 @pytest.mark.parametrize("frame", golden.STIM300_FRAMES)
@@ -543,7 +548,7 @@ def test_stim300_with_line_ends() -> None:
     st.lists(st.tuples(st.integers(0, 65535), st.binary(min_size=2, max_size=30)), max_size=6),
 )
 def test_modbus_tcp_messages_come_out_whole_however_they_are_cut(noise: bytes, data: st.DataObject, told: list) -> None:
-    messages = [watlow_f4t.request(number, 1, body) for number, body in told]
+    messages = [Tcp(1).message(body) for _, body in told]
     stream = b"".join(messages)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=8)))
     framer, found = ModbusTcpFramer(), list[bytes]()
@@ -554,12 +559,7 @@ def test_modbus_tcp_messages_come_out_whole_however_they_are_cut(noise: bytes, d
     # Of anything at all nothing is raised but what says so, and what is kept is bounded.
     framer.push(noise)
     assert len(framer.pending) < 300
-    sent = watlow_f4t.request(1, 1, watlow_f4t.read_body(2820, 2))
+    sent = Tcp(1).message(read_body(2820, 2))
     for frame in ModbusTcpFramer().push(sent[:2] + bytes(2) + noise):
         with suppress(FramingError, NotThisReply, Rejected):
-            watlow_f4t.parse_words(frame, sent, 2)
-
-
-@given(st.floats(width=32, allow_nan=False))
-def test_floats_of_the_f4t_survive_their_registers(value: float) -> None:
-    assert watlow_f4t.float_of(watlow_f4t.words_of(value)) == value
+            parse_words(Tcp(1), frame, sent, 2)

@@ -14,6 +14,7 @@ import pytest
 from hardware_bench import (
     espec_bench,
     f4_bench,
+    f4_config,
     odrive_bench,
     stim300_bench,
     vectornav_bench,
@@ -24,10 +25,11 @@ from hardware_evidence import record
 from simulated_devices.faults import FAULTS, Faults
 
 from gradcal_jax.hardware import checksums
-from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, watlow_f4, weiss, zaber
+from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, weiss, zaber
 from gradcal_jax.hardware.drivers.stim300_datagrams import Stim300Decoder
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, NotVerified
 from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer
+from gradcal_jax.hardware.modbus import Rtu, parse_words, read_body
 from gradcal_jax.hardware.request_reply import NotThisReply
 from gradcal_jax.hardware.roles import join
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
@@ -52,6 +54,9 @@ def taken(framer: Any, parse: Callable[[bytes], object], stream: bytes) -> list[
     return found
 
 
+ASKED_F4 = Rtu(1).message(read_body(100))
+
+
 def believed(protocol: str, stream: bytes) -> list[object]:
     if protocol == "STIM300":
         return [None] * len(Stim300Decoder().push(stream + bytes(80), 0.0))
@@ -60,7 +65,10 @@ def believed(protocol: str, stream: bytes) -> list[object]:
     ways: dict[str, tuple[Any, Callable[[bytes], object]]] = {
         "ESPEC": (LineFramer(b"\r\n"), espec.parse_temperatures),
         "Weiss": (LineFramer(b"\r"), lambda frame: weiss.parse_record(frame, WEISS_LAYOUT)),
-        "Watlow F4": (ModbusReplyFramer(1), lambda frame: watlow_f4.parse_registers(frame, 1, 1)),
+        "Watlow F4": (
+            ModbusReplyFramer(1),
+            lambda frame: parse_words(Rtu(1), frame, ASKED_F4, 1),
+        ),
         "Zaber": (LineFramer(b"\r\n"), lambda frame: zaber.parse_reply(frame, demand_checksum=True)),
         "ODrive": (LineFramer(b"\r\n"), odrive.parse_line),
         "STIM300 Utility Mode": (LineFramer(b"\r"), stim300.parse_utility),
@@ -149,7 +157,7 @@ ASKED: dict[str, Any] = {
             reply_timeout_s=0.05, acknowledge_timeout_s=0.05, description_silence_s=0.05, product_channel="MV01"
         ),
     ),
-    "Watlow F4": (f4_bench, watlow_f4.WatlowF4Config(reply_timeout_s=0.05, conditioning_event=1, product_input=2)),
+    "Watlow F4": (f4_bench, f4_config(0.05)),
     "Zaber": (zaber_bench, zaber.ZaberConfig(reply_timeout_s=0.05)),
     "ODrive": (odrive_bench, odrive.ODriveConfig(reply_timeout_s=0.05)),
 }

@@ -296,11 +296,13 @@ def test_limits_of_the_rig_file_reach_the_run_and_its_dry_run(tmp_path: Path, ca
 # ------------------------------------------------------------------------------------- safe states that can be taken
 
 
+UNSWITCHED = 'options = { protocol = "watlow-f4", changes = { tell = { on = false, off = false } } }'
 WITHOUT = {
     "a stage without its command": ('[[axis]]\nname = "a"\ndriver = "zaber"\nport = "COM1"\nsafe = "unpower"\n'
                                     "gravity_loaded = false\n", "name unpower_command"),
-    "an F4 with its defaults": ('[chamber]\ndriver = "watlow_f4"\nport = "COM1"\nsafe = "standby"\n',
-                                "name it as conditioning_event"),
+    "an F4 whose plant is not switched": (
+        f'[chamber]\ndriver = "registers"\nport = "COM1"\nsafe = "standby"\n{UNSWITCHED}\n',
+                                          "no [tell] on and off"),
     "an axis in lines without off": ('[[axis]]\nname = "a"\ndriver = "lines"\nport = "COM1"\nsafe = "unpower"\n'
                                      'gravity_loaded = false\noptions = { protocol = "grbl" }\n', "no [tell.off]"),
 }  # fmt: skip
@@ -330,13 +332,12 @@ def test_a_safe_state_that_a_device_cannot_take_is_refused_before_anything(what:
     assert not (tmp_path / "run").exists()
 
 
-def test_the_template_with_an_f4_in_it_says_what_is_missing() -> None:
-    text = TEMPLATE.replace('driver  = "espec"', 'driver  = "watlow_f4"')
-    with pytest.raises(SpecError, match="conditioning_event"):
+def test_an_f4_that_cannot_be_switched_off_may_be_held() -> None:
+    text = TEMPLATE.replace('driver  = "espec"', f'driver = "registers"\n{UNSWITCHED}')
+    with pytest.raises(SpecError, match=r"no \[tell\] on and off"):
         configs_of(parse_rig(text))
     configs_of(parse_rig(text.replace('safe    = "standby"', 'safe    = "hold"   ')))
-    named = text.replace("# [chamber.options]", "[chamber.options]\nconditioning_event = 1\n#")
-    configs_of(parse_rig(named))
+    configs_of(parse_rig(text.replace(UNSWITCHED, 'options = { protocol = "watlow-f4" }')))
 
 
 # ----------------------------------------------------------------------------------------------------------- axes

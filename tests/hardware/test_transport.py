@@ -15,9 +15,9 @@ import pytest
 from hardware_bench import espec_bench, served
 from hypothesis import given
 from hypothesis import strategies as st
-from simulated_devices import transcript
 from simulated_devices.replay import ReplayedDevice
 
+from gradcal_jax.hardware import transcript
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers import espec
 from gradcal_jax.hardware.errors import Disconnected, PortRefused
@@ -119,9 +119,9 @@ def test_missing_port_is_refused_in_a_sentence() -> None:
 def test_bytes_go_round_and_are_recorded(on_socket: bool, tmp_path: Path) -> None:
     message = bytes(range(256))
     with (
-        transcript.TextTranscript(tmp_path / "line.txt", "echo") as record,
+        transcript.Transcript(tmp_path / "line.txt") as record,
         SimulatedPort(Echo(), RealClock(), on_socket=on_socket) as port,
-        Transport(port.url, clock=RealClock(), recorder=record.record) as line,
+        Transport(port.url, clock=RealClock(), recorder=record.recorder("line")) as line,
     ):
         line.write(message)
         heard = b""
@@ -190,10 +190,10 @@ def test_transcript_text_keeps_every_byte(data: bytes) -> None:
 
 def test_transcript_opens_however_it_was_torn(tmp_path: Path) -> None:
     path = tmp_path / "torn.txt"
-    record = transcript.TextTranscript(path, "a remark")
+    record = transcript.Transcript(path)
     for index in range(5):
-        record.record(index + 0.5, ">", f"TEMP?{index}\r\n".encode())
-        record.record(index + 0.75, "<", b"\x80\\26.4\r\n")
+        record.recorder("line")(index + 0.5, ">", f"TEMP?{index}\r\n".encode())
+        record.recorder("line")(index + 0.75, "<", b"\x80\\26.4\r\n")
     record.close()
     whole = path.read_text()
     entries = transcript.read(path)
@@ -204,7 +204,7 @@ def test_transcript_opens_however_it_was_torn(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="first line"):
         transcript.parse(["hello\n"])
     with pytest.raises(ValueError, match="Line 2"):
-        transcript.parse([transcript.HEADER + "\n", "nonsense\n", "1.0 > x\n"])
+        transcript.parse([transcript.HEADER + "\n", "nonsense\n", "1.0 line > x\n"])
 
 
 def test_recorded_conversation_becomes_a_device(tmp_path: Path) -> None:
@@ -220,9 +220,9 @@ def test_recorded_conversation_becomes_a_device(tmp_path: Path) -> None:
 
     device = SimulatedEspec(ChamberPlant(ChamberTruth()), clock)
     with (
-        transcript.TextTranscript(path) as record,
+        transcript.Transcript(path) as record,
         SimulatedPort(device, clock) as port,
-        Transport(port.url, clock=clock, recorder=record.record) as line,
+        Transport(port.url, clock=clock, recorder=record.recorder("line")) as line,
         clock.party(),
     ):
         live = conversation(line)

@@ -8,9 +8,11 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hardware_bench import Rig, cts_bench, espec_bench, grbl_bench, short_recipe, zaber_bench
+from simulated_devices.faults import Faults
 
 from gradcal_jax.cli import main
 from gradcal_jax.cli.run import progress_text
@@ -19,8 +21,9 @@ from gradcal_jax.files.rig import rig_of
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware import guard
 from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.drivers.espec import EspecConfig
 from gradcal_jax.hardware.drivers.lines import LinesConfig
-from gradcal_jax.hardware.errors import Disconnected, PortTaken, Rejected
+from gradcal_jax.hardware.errors import Disconnected, PortTaken, Rejected, ReplyTimeout
 from gradcal_jax.hardware.guard import Guard
 from gradcal_jax.hardware.journal import read_journal
 from gradcal_jax.hardware.run_folder import new_folder
@@ -28,8 +31,10 @@ from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
 from gradcal_jax.hardware.safety import make_safe
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import check_each, open_rig
+from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.supervision import read_status
+from gradcal_jax.hardware.transport import Transport
 
 FORMAT = {"format": "gradcal-rig/1"}
 
@@ -256,3 +261,93 @@ def test_a_refusal_names_device_and_port() -> None:
         device._move = lambda *_: (False, "BADDATA")
         with pytest.raises(Rejected, match=f"The Zaber stage at {port.url} refuses"):
             axis.spin(10.0, 100.0)
+
+
+# ------------------------------------------------------------------------------------------------------ late answers
+
+
+class Slow:
+    """A chamber's line whose replies come so many real seconds after the request, each in its own time."""
+
+    def __init__(self, port: SimulatedPort, delay_s: float) -> None:
+        self._port, self._delay_s = port, delay_s
+
+    def __call__(self, message: bytes) -> list[bytes]:
+        if message:
+            threading.Timer(self._delay_s, self._port.say, (message,)).start()
+        return []
+
+
+def port_of(device: Any) -> Transport:
+    return device._exchange.transport
+
+
+@pytest.mark.parametrize("delay_s", [0.4, 0.55, 1.2])
+def test_a_reply_that_comes_after_its_time_out_is_said_to_be_late(delay_s: float) -> None:
+    """Of the first to the last try: the query succeeds by an earlier try's reply, or fails and is answered then."""
+    with espec_bench(RealClock(), config=EspecConfig(reply_timeout_s=0.3, query_pause_s=0.0)) as (chamber, _, port):
+        port.faults = Slow(port, delay_s)
+        if delay_s < 0.9:
+            chamber._air_c()
+            time.sleep(0.5)
+            port.faults = None
+            chamber._air_c()
+        else:
+            with pytest.raises(ReplyTimeout, match="raise reply_timeout"):
+                chamber._air_c()
+        late = port_of(chamber).late
+        assert f"The ESPEC chamber at {port.url} was sent 'TEMP?" in late
+        assert "s late: raise reply_timeout" in late
+        assert float(late.partition("answered ")[2].partition(" s late")[0]) == pytest.approx(delay_s - 0.3, abs=0.2)
+
+
+def test_an_acknowledgement_that_comes_too_late_is_said() -> None:
+    with espec_bench(RealClock(), config=EspecConfig(reply_timeout_s=0.3, set_pause_s=0.0)) as (chamber, _, port):
+        slow = Slow(port, 0.5)
+        port.faults = lambda message: slow(message) if message.startswith(b"OK:TEMP") else [message]
+        chamber.hold(40.0)
+        time.sleep(0.5)
+        chamber._air_c()
+        assert "was sent 'TEMP, S40.0" in port_of(chamber).late
+
+
+def test_replies_in_time_are_not_called_late_though_some_are_lost() -> None:
+    with espec_bench(RealClock(), config=EspecConfig(reply_timeout_s=0.3, query_pause_s=0.0)) as (chamber, _, port):
+        port.faults = Faults(probability={"drop": 0.3}, seed=3)
+        for _ in range(20):
+            chamber._air_c()
+        assert port_of(chamber).late == ""
+
+
+def test_a_late_reply_is_not_taken_for_the_answer_to_the_next_question() -> None:
+    """To "TYPE?" it comes in the second try; the second try's own reply arrives while "ROM?" is waited for, whose
+    answer may be any text."""
+    with espec_bench(RealClock(), config=EspecConfig(reply_timeout_s=0.3, query_pause_s=0.0)) as (chamber, _, port):
+        port.faults = Slow(port, 0.45)
+        assert chamber.identify().firmware == "P3S1.10"
+
+
+def test_late_replies_are_said_by_check_and_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    seen: list[str] = []
+    with Rig(RealClock(), stage=True) as rig:
+        tables = rig.rig.model_dump(mode="json", exclude_unset=True)
+        tables["chamber"]["options"] = {"reply_timeout": "0.2 s"}
+        write_toml(rig_of(tables), tmp_path / "rig.toml")
+        rig.ports[0].faults = Slow(rig.ports[0], 0.3)
+        assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 0
+        assert "s late: raise reply_timeout" in " ".join(capsys.readouterr().out.split())
+        changes = {"rig.table.max_acceleration": "300 deg/s^2"}
+        run = new_folder(tmp_path / "run", short_recipe(1.0, changes=changes), rig_of(tables), simulated={})
+
+        def look(progress: RunProgress) -> None:
+            if progress.remarks:
+                seen.append(progress_text(progress, False))
+                runners[0].request("abort")
+
+        runners: list[Runner] = []
+        result = run_session(run, rig_of(tables), RealClock(), on_progress=look, with_runner=runners.append)
+        assert seen, result.reason
+    assert "The ESPEC chamber at" in seen[0]
+    assert "late: raise reply_timeout" in seen[0]
+    (event,) = (one for one in read_journal(run.journal_path).events if one.name == "late reply")
+    assert event.data["device"] == "chamber"

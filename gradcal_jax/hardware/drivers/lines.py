@@ -36,16 +36,12 @@ from ..errors import (
 )
 from ..framing import LineFramer
 from ..request_reply import Exchange, NotThisReply, command_and_verify
-from ..roles import AxisLimits, AxisReading, AxisSafe, ChamberLimits, ChamberReading, Identity, SafeReport
+from ..roles import AxisLimits, AxisReading, AxisSafe, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
-from .base import ChamberDriver, ExchangeDriver, MeanRate, Unwatched
+from .base import MeanRate, Unwatched
+from .described import DescribedChamber, DescribedDevice, Texts
 
-Texts = dict[str, str]
-"""Fields in the device's own text."""
-
-_LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
-_SETTLED_K = 2.0
 _POLL_S = 0.05
 _STOPS_AGAIN_S = 1.0
 _pattern = cache(reply_pattern)
@@ -53,11 +49,13 @@ _pattern = cache(reply_pattern)
 
 @dataclass(frozen=True)
 class LinesConfig:
-    """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables. 0 or absent: the
-    protocol's value. `zero_deg` is the rig's angle at the device's 0, `direction` +1 or -1. Without `require` the
-    settings that the protocol requires are not asked for."""
+    """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables; `changes`:
+    tables that differ from it, `false` for one that is left out. 0 or absent: the protocol's value. `zero_deg` is the
+    rig's angle at the device's 0, `direction` +1 or -1. Without `require` the settings that the protocol requires are
+    not asked for."""
 
     protocol: Any = ""
+    changes: Any = None
     baudrate: int = 0
     reply_timeout_s: float = 0.0
     direction: int = 1
@@ -79,7 +77,7 @@ class LinesConfig:
     @cached_property
     def described(self) -> LineProtocol:
         """The description of the protocol."""
-        return protocol_of(self.protocol)
+        return protocol_of(self.protocol, self.changes)
 
     @property
     def role(self) -> Literal["chamber", "axis"]:
@@ -145,23 +143,14 @@ def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | Lin
     return (LinesChamber if config.role == "chamber" else LinesAxis)(exchange, config)
 
 
-class _Spoken(ExchangeDriver[LinesConfig]):
-    """Common to both roles: queries, commands, states."""
+class _Spoken(DescribedDevice[LinesConfig]):
+    """Common to both roles: questions and commands in lines."""
+
+    _DRIVER = "lines"
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
-        super().__init__(exchange, config)
-        self._protocol, self._title = config.described, config.described.title
-        self._codec = Codec(config.described)
-
-    def identify(self) -> Identity:
-        known = self._read("model", "serial", "firmware")
-        required = self._protocol.require if self._config.require else ()
-        needed = self._read(*(need.field for need in required))
-        for need in required:
-            if not any(needed[need.field] == text or _same_number(needed[need.field], text) for text in need.equals):
-                raise Rejected(f"{self._title} says {need.field} = {needed[need.field]}: {need.why}.")
-        model = f"{self._title} {known.get('model', '')}".strip()
-        return Identity("lines", model, known.get("serial", ""), known.get("firmware", ""))
+        super().__init__(exchange, config, config.described, require=config.require)
+        self._protocol, self._codec = config.described, Codec(config.described)
 
     def _read(self, *names: str) -> Texts:
         """The fields of these names, each query sent once, in this order; fields without a query are absent."""
@@ -232,102 +221,22 @@ class _Spoken(ExchangeDriver[LinesConfig]):
             clock=self._clock,
         )
 
-    def _switch(self, name: str, state: str, on: bool) -> None:
-        """Send "on" or "off" until the device shows that state, unless it does already."""
-        names = self._asks_of(state)
-        if self._is(state, self._read(*names)) is not on:
-            command_and_verify(
-                lambda: self._tell(name),
-                lambda: self._read(*names),
-                lambda texts: self._is(state, texts) is on,
-                what=f"{self._title} {name}",
-                clock=self._clock,
-            )
 
-    def _is(self, name: str, texts: Texts) -> bool:
-        condition = self._protocol.state.get(name)
-        if condition is None:
-            return False
-        try:
-            return condition.holds(texts[condition.field])
-        except ValueError:
-            raise FramingError(f"{self._title} says {condition.field} = {texts[condition.field]!r}.") from None
-
-    def _asks_of(self, *states: str) -> list[str]:
-        return [self._protocol.state[name].field for name in states if name in self._protocol.state]
-
-
-def _same_number(left: str, right: str) -> bool:
-    try:
-        return float(left) == float(right)
-    except ValueError:
-        return False
-
-
-class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
+class LinesChamber(_Spoken, DescribedChamber[LinesConfig]):
     """Role `Chamber`."""
 
-    _BOUNDS = "{low:g} to {high:g} degC, the limits in the protocol of {device}. Change the plan."
-
-    def limits(self) -> ChamberLimits:
-        known = self._protocol.limits
-        assert known.lowest is not None
-        assert known.highest is not None
-        numbers = float(known.lowest), float(known.highest), float(known.resolution)
-        slowest = 0.0 if known.slowest is None else float(known.slowest) * 60.0
-        fastest = math.inf if known.fastest is None else float(known.fastest) * 60.0
-        return ChamberLimits(*numbers, "ramp" in self._protocol.tell, slowest, fastest, self._ramp_step())
-
-    def read(self) -> ChamberReading:
-        texts = self._read("air", "setpoint", "product", *self._asks_of("conditioning", "alarm"))
-        time_s = self._clock.now()
-        conditions = self._is("conditioning", texts)
-        alarms: tuple[str, ...] = ()
-        if self._is("alarm", texts):
-            named = [name for name in ("code", "message", self._protocol.state["alarm"].field) if name in texts]
-            alarms = (" ".join(dict.fromkeys(texts[name] for name in named)),)
-        product = self._celsius(texts["product"]) if "product" in texts else None
-        mode = texts[self._protocol.state["conditioning"].field]
-        air_c, setpoint_c = self._celsius(texts["air"]), self._celsius(texts["setpoint"])
-        return ChamberReading(time_s, air_c, product, setpoint_c, mode, conditions, alarms)
-
-    def hold(self, temperature_c: float) -> None:
-        self._check(temperature_c)
-        self._free_ramp()
-        self._go_to(temperature_c)
-        self._switch("on", "conditioning", True)
-
-    def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
-        if "ramp" not in self._protocol.tell:
-            raise Rejected(f"The protocol of {self._title} has no ramps: it is ramped by steps of its set point.")
-        limits = self.limits()
-        if not max(limits.slowest_ramp_k_per_min, 1e-9) <= rate_k_per_min <= limits.fastest_ramp_k_per_min:
-            raise LimitExceeded(f"{rate_k_per_min:g} K/min lies outside what {self._title} can do.")
-        self._check(temperature_c)
-        now = self.read()
-        if not now.conditioning or abs(now.setpoint_c - now.air_c) >= _SETTLED_K:
-            # A ramp begins at the set point: set it to the temperature of the air.
-            self.hold(min(max(now.air_c, limits.lowest_c), limits.highest_c))
-        unit = self._protocol.units.ramp
-        shown_by = self._protocol.tell["ramp"].shown_by
-        shown = self._tell_shown("ramp", {"ramp": units.convert(rate_k_per_min, "K/min", unit)}, shown_by)
-        self._go_to(temperature_c)
-        self._switch("on", "conditioning", True)
-        return units.convert(float(shown[shown_by[0]]), unit, "K/min")
-
-    def standby(self) -> None:
-        self._switch("off", "conditioning", False)
-        self._free_ramp()
-
-    def _air_c(self) -> float:
-        return self.read().air_c
-
-    def _go_to(self, temperature_c: float) -> None:
+    def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:
         value = {"setpoint": units.convert(temperature_c, "degC", self._protocol.units.temperature)}
         self._tell_shown("setpoint", value, ("target" if "target" in self._protocol.fields else "setpoint",))
 
+    def _resolution_k(self) -> float:
+        return float(self._protocol.limits.resolution)
+
+    def _tell_ramp(self, rate: float) -> float:
+        shown_by = self._protocol.tell["ramp"].shown_by
+        return float(self._tell_shown("ramp", {"ramp": rate}, shown_by)[shown_by[0]])
+
     def _free_ramp(self) -> None:
-        """Remove the ramp, which otherwise stays in force, also for the next user of the panel."""
         free, command = self._protocol.limits.free_ramp, self._protocol.tell.get("ramp")
         if command is None or free is None:
             return
@@ -335,14 +244,7 @@ class LinesChamber(_Spoken, ChamberDriver[LinesConfig]):
         if not all(shows(str(free), shown[part]) for part in command.shown_by):
             self._tell_shown("ramp", {"ramp": free}, command.shown_by)
 
-    def _celsius(self, text: str) -> float:
-        value = units.convert(float(text), self._protocol.units.temperature, "degC")
-        if not _LOWEST_PLAUSIBLE_C <= value <= _HIGHEST_PLAUSIBLE_C:
-            raise FramingError(f"{self._title} reports {value} degC, which is not plausible. Check line and sensor.")
-        return value
-
     def _ramp_step(self) -> float:
-        """The resolution of the text of a ramp, K/min."""
         command = self._protocol.tell.get("ramp")
         if command is None:
             return 0.0

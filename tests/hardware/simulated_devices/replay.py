@@ -5,7 +5,7 @@ What the host says must come in the recorded order; bytes may be cut differently
 
 from collections.abc import Sequence
 
-from simulated_devices.transcript import Entry
+from gradcal_jax.hardware.transcript import Entry
 
 
 class ReplayedDevice:
@@ -32,7 +32,8 @@ class ReplayedDevice:
 
     def receive(self, data: bytes) -> list[bytes]:
         self._heard += data
-        replies: list[bytes] = []
+        # What a unit sent by itself before anything was asked.
+        replies = self._said()
         while self._heard:
             if self.finished:
                 self.unexpected.append(self._heard)

@@ -1,0 +1,184 @@
+"""`gradcal-registers/1`: the description of a chamber that is read and commanded by Modbus registers, without code.
+
+    format = "gradcal-registers/1"
+    role   = "chamber"
+    title  = "Eurotherm 3504"
+    [registers.air]                      # a number of the device, by its name here
+    address  = 1
+    decimals = 1
+    [registers.setpoint]
+    address  = 2
+    decimals = 1
+    [tell]                               # a command: the registers that are written, in this order
+    setpoint = { setpoint = "{setpoint}" }
+    on       = { run = 1 }
+    [state.conditioning]                 # a state of the device, from a register
+    field  = "run"
+    equals = "1"
+
+Every value that is written is read back, from its own register or from the one that `shown_in` names. The order of
+commands and their verification are in the driver (`hardware.drivers.registers`).
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field
+
+from gradcal_jax.files.document import model_of, read_toml
+from gradcal_jax.files.line_protocol import (
+    Condition,
+    DeviceLimits,
+    DeviceUnits,
+    RequiredSetting,
+    changed_tables,
+    protocol_text,
+    shipped,
+)
+from gradcal_jax.files.problems import Problem, instead
+from gradcal_jax.files.quantity import Count, Flag, Quantity, SizeOfTime, Text, Time
+from gradcal_jax.files.section import Section
+
+FORMAT: Final = "gradcal-registers/1"
+VALUE: Final = re.compile(r"\{([a-z]+)\}")
+_VALUES: Final[Mapping[str, str]] = {
+    "setpoint": "setpoint", "ramp": "ramp", "on": "", "off": "", "no_ramp": "", "end_program": "",
+}  # fmt: skip
+
+
+class ModbusLine(Section):
+    """`[line]`."""
+
+    transport: Literal["rtu", "tcp"] = "rtu"
+    """RTU frames on a serial line, or messages of Modbus TCP, whose port is `socket://ADDRESS:502`."""
+    baudrate: Count = 9600
+    """Bits per second."""
+    parity: Literal["N", "E", "O"] = "N"
+    """None, even or odd."""
+    stopbits: Literal[1, 2] = 1
+    """Stop bits of a character."""
+    low_word_first: Flag = False
+    """Whether of numbers of two registers the first has the lower 16 bits."""
+    timeout: Time = Quantity(1.0, "1 s", "time")
+    """How long a reply is waited for."""
+    pause: SizeOfTime = Quantity(0.03, "0.03 s", "time")
+    """Least time between two messages."""
+
+
+class Register(Section):
+    """`[registers.NAME]`. A text is in `count` registers, a character in each."""
+
+    address: Annotated[int, Field(strict=True, ge=0, le=65535)]
+    """Its number in the message, counted from 0: a manual's 40001 or 4x0001 is 0."""
+    type: Literal["int16", "uint16", "int32", "uint32", "float32", "text"] = "int16"
+    """What it holds."""
+    decimals: Annotated[int, Field(strict=True, ge=0, le=6)] | Text = 0
+    """A whole number is the value times ten to this power; or the name of the register that holds that power."""
+    count: Annotated[int, Field(strict=True, ge=1, le=60)] = 1
+    """How many registers a text has."""
+    input: Flag = False
+    """Whether it is an input register (function 4), which is only read."""
+    codes: dict[str, Text] = Field(default_factory=dict[str, str])
+    """Words for its numbers, such as { 0 = "OFF", 1 = "RUN" }."""
+    shown_in: Text | None = None
+    """The register that shows what was written to this one; absent: itself."""
+
+
+class RegisterProtocol(Section):
+    """A whole description of a chamber that is read and commanded by registers."""
+
+    format: Literal["gradcal-registers/1"]
+    """Name and version of this file format."""
+    role: Literal["chamber"]
+    """What the device is."""
+    title: Text
+    """A name for people."""
+    line: ModbusLine = ModbusLine()
+    """How a message is framed."""
+    units: DeviceUnits = DeviceUnits()
+    """What the device's own numbers are in."""
+    limits: DeviceLimits = DeviceLimits()
+    """What it can do, where no registers `lowest` and `highest` say it."""
+    on_first: Flag = False
+    """Whether it takes a set point only while it conditions."""
+    registers: dict[str, Register]
+    """Its registers, by name. Known names: air, setpoint, product, mode, lowest, highest, model, serial, firmware."""
+    tell: dict[str, dict[str, int | float | Text]]
+    """What can be told, by name: the registers that are written and their values."""
+    state: dict[str, Condition] = Field(default_factory=dict[str, Condition])
+    """What registers say of the device, by name: conditioning, program, ramps."""
+    alarm: dict[str, Condition] = Field(default_factory=dict[str, Condition])
+    """Its alarms, by name."""
+    require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
+    """How it must be set before anything is told to it."""
+
+    @property
+    def fields(self) -> dict[str, str]:
+        """Every field that can be read -> its register."""
+        return {name: name for name in self.registers}
+
+    def _problems(self) -> Iterator[Problem]:
+        known = self.registers
+        for name in ("air", "setpoint"):
+            if name not in known:
+                yield Problem(("registers", name), "this key is missing; a chamber needs it", kind="missing")
+        if "setpoint" not in self.tell:
+            yield Problem(("tell", "setpoint"), "this key is missing; a chamber needs it", kind="missing")
+        for name in ("lowest", "highest"):
+            if name not in known and getattr(self.limits, name) is None:
+                message = f"this key is missing; give it, or a register {name}"
+                yield Problem(("limits", name), message, kind="missing")
+        for tells, state in ((("on", "off"), "conditioning"), (("end_program",), "program"), (("no_ramp",), "ramps")):
+            if any(name in self.tell for name in tells) and state not in self.state:
+                message = f"this key is missing; nothing else shows what tell.{tells[0]} did"
+                yield Problem(("state", state), message, kind="missing")
+        if ("on" in self.tell) is not ("off" in self.tell):
+            yield Problem(("tell",), "expected both on and off, or neither")
+        if "ramp" in self.tell and "no_ramp" not in self.tell and self.limits.free_ramp is None:
+            message = "this key is missing; a ramp must be taken off again"
+            yield Problem(("tell", "no_ramp"), message, kind="missing")
+        yield from self._badly_written()
+
+    def _badly_written(self) -> Iterator[Problem]:
+        known = self.registers
+        named = [(("registers", name, "shown_in"), entry.shown_in) for name, entry in known.items()]
+        named += [(("registers", n, "decimals"), e.decimals) for n, e in known.items() if isinstance(e.decimals, str)]
+        named += [(("state", name, "field"), entry.field) for name, entry in self.state.items()]
+        named += [(("alarm", name, "field"), entry.field) for name, entry in self.alarm.items()]
+        for key, name in named:
+            if name is not None and name not in known:
+                yield Problem(key, f"there is no such register; {instead(str(name), known)}", name)
+        for name, writes in self.tell.items():
+            if name not in _VALUES:
+                yield Problem(("tell", name), f"a chamber is told {', '.join(_VALUES)}; {instead(name, _VALUES)}")
+                continue
+            for register, value in writes.items():
+                entry = known.get(register)
+                if entry is None:
+                    yield Problem(("tell", name, register), f"there is no such register; {instead(register, known)}")
+                elif entry.input or entry.type == "text":
+                    yield Problem(("tell", name, register), "this register is only read")
+                allowed = f"{{{_VALUES[name]}}}"
+                if isinstance(value, str) and (not _VALUES[name] or value != allowed):
+                    message = f"expected a number{f' or {allowed}' if _VALUES[name] else ''}"
+                    yield Problem(("tell", name, register), message, value)
+            if _VALUES[name] and f"{{{_VALUES[name]}}}" not in writes.values():
+                yield Problem(("tell", name), f"no register gets {{{_VALUES[name]}}}")
+
+
+def register_protocol_of(value: object, changes: object = None) -> RegisterProtocol:
+    """The protocol of a rig file: the name of one of this program's, or its own tables; and what differs from it.
+
+    Raises:
+        ValueError: no such name, or (as `SpecError`) everything that is wrong with the tables.
+    """
+    if isinstance(value, Mapping):
+        tables: dict[str, Any] = dict(value)  # pyright: ignore[reportUnknownArgumentType]
+        return model_of(RegisterProtocol, changed_tables(tables, changes), FORMAT, "")
+    names = shipped(FORMAT)
+    if not isinstance(value, str) or value not in names:
+        word = value if isinstance(value, str) else ""
+        raise ValueError(f"expected the name of a protocol, or its tables; {instead(word, names)}")
+    tables = dict(read_toml(protocol_text(value), value))
+    return model_of(RegisterProtocol, changed_tables(tables, changes), FORMAT, value)

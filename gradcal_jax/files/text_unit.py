@@ -1,0 +1,127 @@
+"""`gradcal-text/1`: the description of a unit that prints its samples as lines of text, without code.
+
+    format       = "gradcal-text/1"
+    title        = "Arduino with an IMU"
+    line         = "$IMU,{gyro_x},{gyro_y},{gyro_z},{acceleration_x},{acceleration_y},{acceleration_z},{time}"
+    rate         = "100 Hz"
+    gyro         = "deg/s"               # what the numbers are in
+    acceleration = "m/s^2"
+    time         = { unit = "us", modulus = 4294967296 }
+    checksum     = "xor8"                # *HH at the end: of all characters between "$" and "*"
+
+In `line` a field in braces is a number, `{}` a number and `{:text}` a text that are ignored. Without `{count}` or
+`{time}` a lost line is noticed by the rate of samples alone.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field
+
+from gradcal_jax import units
+from gradcal_jax.files.document import model_of
+from gradcal_jax.files.problems import Problem, instead
+from gradcal_jax.files.quantity import Count, Frequency, Quantity, SizeOfTime, Text, Time
+from gradcal_jax.files.section import Section
+
+FORMAT: Final = "gradcal-text/1"
+NAMES: Final = (
+    *(f"{quantity}_{axis}" for quantity in ("gyro", "acceleration") for axis in "xyz"),
+    "temperature",
+    "count",
+    "time",
+)
+_FIELD: Final = re.compile(r"\{([a-z_]*)(?::(text))?\}")
+_NUMBER: Final = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?|[nN][aA][nN])"
+
+
+class UnitTime(Section):
+    """`time`, of the field `{time}`."""
+
+    unit: Literal["s", "ms", "us"] = "s"
+    """What it is in."""
+    modulus: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
+    """The number at which it begins at 0 again; absent: never."""
+
+
+class TextUnit(Section):
+    """A whole description of a unit that prints lines."""
+
+    format: Literal["gradcal-text/1"]
+    """Name and version of this file format."""
+    title: Text = "The unit"
+    """A name for people."""
+    line: Text
+    """A line, with fields in braces."""
+    rate: Frequency
+    """How many samples it prints in a second."""
+    gyro: Text = "deg/s"
+    """What rates are in."""
+    acceleration: Text = "m/s^2"
+    """What accelerations are in."""
+    temperature: Text = "degC"
+    """What temperatures are in."""
+    counter: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
+    """The number at which `{count}` begins at 0 again."""
+    time: UnitTime = UnitTime()
+    """What `{time}` is in."""
+    checksum: Literal["none", "xor8"] = "none"
+    """What follows the line: nothing, or "*" and two hexadecimal digits of the exclusive or between "$" and "*"."""
+    baudrate: Count = 115200
+    """Bits per second."""
+    boot: SizeOfTime = Quantity(0.0, "0 s", "time")
+    """Time that the unit is given after its port was opened, which restarts many boards."""
+    timeout: Time = Quantity(3.0, "3 s", "time")
+    """How long its first lines are waited for."""
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The names of its fields."""
+        return tuple(match[1] for match in _FIELD.finditer(self.line) if match[1])
+
+    def _problems(self) -> Iterator[Problem]:
+        if {"{", "}"} & set(_FIELD.sub("", self.line)) or re.search(r"\}\{", self.line):
+            yield Problem(
+                ("line",), "expected fields such as {gyro_x}, with a character between two of them", self.line
+            )
+            return
+        for name in self.fields:
+            if name not in NAMES:
+                yield Problem(("line",), f"{{{name}}} is not known here; {instead(name, NAMES)}", self.line)
+        if len(set(self.fields)) != len(self.fields):
+            yield Problem(("line",), "a field stands twice", self.line)
+        if not any(name.startswith(("gyro", "acceleration")) for name in self.fields):
+            yield Problem(("line",), "expected a field of a rate or an acceleration, such as {gyro_x}", self.line)
+        if ("count" in self.fields) is not (self.counter is not None):
+            yield Problem(("counter",), "expected with a field {count}, and only there: at how many it begins again")
+        if {"count", "time"} <= set(self.fields):
+            yield Problem(("line",), "expected {count} or {time}, not both: name the other one {}", self.line)
+        for name, dimension in (("gyro", "angular rate"), ("acceleration", "acceleration"), ("temperature",) * 2):
+            try:
+                units.parse(f"1 {getattr(self, name)}", dimension)
+            except ValueError as problem:
+                yield Problem((name,), str(problem), getattr(self, name))
+
+    def pattern(self) -> re.Pattern[str]:
+        """The pattern of a line, with the fields as named groups."""
+        pattern, place = "", 0
+        for match in _FIELD.finditer(self.line):
+            pattern += _literal(self.line[place : match.start()])
+            place = match.end()
+            ends = re.escape(self.line[place]) if place < len(self.line) else ""
+            group = (f"([^{ends}]*)" if ends else "(.*)") if match[2] else rf"[ \t]*{_NUMBER}[ \t]*"
+            pattern += group.replace("(", f"(?P<{match[1]}>", 1) if match[1] else group
+        return re.compile(pattern + _literal(self.line[place:]))
+
+
+def _literal(text: str) -> str:
+    return r"[ \t]+".join(re.escape(part) for part in text.split(" "))
+
+
+def text_unit_of(value: object) -> TextUnit:
+    """The description in a rig file. Raises `ValueError`, or (as `SpecError`) everything that is wrong with it."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f'expected the tables of a description: format = "{FORMAT}", line = "…", rate = "…"')
+    tables: dict[str, Any] = dict(value)  # pyright: ignore[reportUnknownArgumentType]
+    return model_of(TextUnit, tables, FORMAT, "")

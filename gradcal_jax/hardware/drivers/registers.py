@@ -1,0 +1,213 @@
+"""Chambers that are read and commanded by Modbus registers which a rig file describes (`files.register_protocol`).
+
+Every register that is written is read back, from itself or from the one that shows its effect; a set point that a
+controller accepts and ignores is noticed so. A program that runs is ended before a set point, and a ramp is taken off
+by `hold` and `standby`.
+
+Unverified on real hardware: everything; each description says what its sources leave open.
+"""
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from ... import units
+from ...files.register_protocol import Register, RegisterProtocol, register_protocol_of
+from ..clock import Clock
+from ..errors import FramingError, LimitExceeded
+from ..modbus import Modbus, Rtu, Tcp, parse_words, parse_written, read_body, write_body
+from ..request_reply import Exchange, command_and_verify
+from ..roles import ChamberSafe
+from ..transport import Transport
+from .described import DescribedChamber, Texts
+
+_FINEST_DECIMALS = 3
+_FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}
+
+
+@dataclass(frozen=True)
+class RegistersConfig:
+    """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables; `changes`:
+    tables that differ from it, `false` for one that is left out. 0 or absent: the protocol's value. Without `require`
+    the settings that the protocol requires are not asked for."""
+
+    protocol: Any = ""
+    changes: Any = None
+    address: int = 1
+    baudrate: int = 0
+    reply_timeout_s: float = 0.0
+    require: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.address <= 255:
+            raise ValueError(f"The controller's address is {self.address}; Modbus addresses are 0 to 255.")
+        if not self.baudrate:
+            object.__setattr__(self, "baudrate", self.described.line.baudrate)
+
+    @cached_property
+    def described(self) -> RegisterProtocol:
+        """The description of the protocol."""
+        return register_protocol_of(self.protocol, self.changes)
+
+    @cached_property
+    def modbus(self) -> Modbus:
+        """The codec of the line."""
+        return (Tcp if self.described.line.transport == "tcp" else Rtu)(self.address)
+
+    def lacks_for(self, safe: str) -> str:
+        """What a safe state needs and this protocol lacks, empty where nothing."""
+        if safe != ChamberSafe.STANDBY.value or "off" in self.described.tell:
+            return ""
+        return 'its description has no [tell] on and off: add them by `changes`, or choose "ambient" or "hold"'
+
+    @property
+    def line_settings(self) -> dict[str, Any]:
+        return {"parity": self.described.line.parity, "stopbits": self.described.line.stopbits}
+
+
+def open_exchange(transport: Transport, clock: Clock, config: RegistersConfig) -> Exchange:
+    line = config.described.line
+    times_s = config.reply_timeout_s or float(line.timeout), float(line.pause)
+    return Exchange(transport, config.modbus.framer(), clock, config.described.title, *times_s)
+
+
+class RegistersChamber(DescribedChamber[RegistersConfig]):
+    """Role `Chamber`."""
+
+    _DRIVER = "registers"
+
+    def __init__(self, exchange: Exchange, config: RegistersConfig) -> None:
+        super().__init__(exchange, config, config.described, require=config.require)
+        self._protocol, self._modbus = config.described, config.modbus
+        self._powers: dict[str, int] = {}
+
+    def _read(self, *names: str) -> Texts:
+        return {name: self._text(name) for name in dict.fromkeys(names) if name in self._protocol.registers}
+
+    def _tell(self, name: str, values: Mapping[str, float] | None = None, *, by_itself: bool = False) -> Texts:
+        """Write the registers of a command, one after the other, each until it is shown; `by_itself`: where it was
+        written, whatever shows its effect."""
+        written: Texts = {}
+        for register, value in self._protocol.tell[name].items():
+            number = float(value) if not isinstance(value, str) else (values or {})[value.strip("{}")]
+            shown_in = self._protocol.registers[register].shown_in
+            written[register] = self._write(name, register, number, register if by_itself else shown_in or register)
+        return written
+
+    def _tell_shown(self, name: str, values: Mapping[str, float], shown_by: tuple[str, ...]) -> Texts:
+        return self._tell(name, values)
+
+    def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:
+        value = units.convert(temperature_c, "degC", self._protocol.units.temperature)
+        # What is in force moves while a ramp runs.
+        self._tell("setpoint", {"setpoint": value}, by_itself=ramps)
+
+    def _resolution_k(self) -> float:
+        name, entry = self._register_of("setpoint", "{setpoint}")
+        resolution = float(self._protocol.limits.resolution)
+        return resolution if entry.type == "float32" else 10.0 ** -self._decimals(name)
+
+    def _tell_ramp(self, rate: float) -> float:
+        return float(self._tell("ramp", {"ramp": rate})[self._register_of("ramp", "{ramp}")[0]])
+
+    def _ramp_step(self) -> float:
+        if "ramp" not in self._protocol.tell:
+            return 0.0
+        name, entry = self._register_of("ramp", "{ramp}")
+        step = 0.0 if entry.type == "float32" else 10.0 ** -self._decimals(name)
+        return units.convert(step, self._protocol.units.ramp, "K/min")
+
+    def _free_ramp(self) -> None:
+        if "no_ramp" in self._protocol.tell:
+            self._switch("no_ramp", "ramps", False)
+        elif "ramp" in self._protocol.tell and (free := self._protocol.limits.free_ramp) is not None:
+            self._tell("ramp", {"ramp": free})
+
+    def _make_ready(self) -> None:
+        super()._make_ready()
+        if self._protocol.on_first:
+            self._condition(True)
+
+    def _alarm_fields(self) -> list[str]:
+        return [condition.field for condition in self._protocol.alarm.values()]
+
+    def _alarms(self, texts: Texts) -> tuple[str, ...]:
+        return tuple(
+            name for name, condition in self._protocol.alarm.items() if condition.holds(texts[condition.field])
+        )
+
+    def _mode(self, texts: Texts) -> str:
+        if self._is("program", texts):
+            return texts[self._protocol.state["program"].field]
+        condition = self._protocol.state.get("conditioning")
+        return texts.get("mode") or ("on" if condition is None else texts[condition.field])
+
+    def _register_of(self, command: str, value: str) -> tuple[str, Register]:
+        """The register that gets a command's value."""
+        (name, *_) = (name for name, written in self._protocol.tell[command].items() if written == value)
+        return name, self._protocol.registers[name]
+
+    def _write(self, command: str, name: str, value: float, shown_in: str) -> str:
+        """Write a number until it is shown; returns it as the device rounds it."""
+        entry, decimals = self._protocol.registers[name], self._decimals(name)
+        try:
+            number = value if entry.type == "float32" else round(value * 10.0**decimals)
+            data = struct.pack(_FORMATS[entry.type], number)
+        except (struct.error, OverflowError):
+            raise LimitExceeded(f"{value:g} does not fit the register {name} of {self._title}.") from None
+        words = struct.unpack(f">{len(data) // 2}H", data)
+        words = words[::-1] if self._protocol.line.low_word_first else words
+        body = write_body(entry.address, words)
+        near = 0.51 * 10.0 ** -(_FINEST_DECIMALS if entry.type == "float32" else min(decimals, _FINEST_DECIMALS))
+
+        def send() -> None:
+            sent = self._modbus.message(body)
+            self._exchange.query(sent, lambda frame: parse_written(self._modbus, frame, sent), repeat=False)
+
+        rounded = value if entry.type == "float32" else number / 10.0**decimals
+        command_and_verify(
+            send,
+            lambda: self._number(shown_in),
+            lambda shown: abs(shown - rounded) <= near,
+            what=f"{self._title}: {command} ({name} = {value:g})",
+            clock=self._clock,
+        )
+        return f"{rounded:.6g}"
+
+    def _text(self, name: str) -> str:
+        entry = self._protocol.registers[name]
+        if entry.type == "text":
+            return "".join(chr(word & 0xFF) for word in self._words(name, entry.count) if word & 0xFF).strip()
+        value, decimals = self._number(name), self._decimals(name)
+        if entry.type == "float32":
+            return f"{value:.4f}"
+        return entry.codes.get(f"{value:.{decimals}f}", f"{value:.{decimals}f}")
+
+    def _number(self, name: str) -> float:
+        entry = self._protocol.registers[name]
+        wanted = _FORMATS[entry.type]
+        words = self._words(name, struct.calcsize(wanted) // 2)
+        words = words[::-1] if self._protocol.line.low_word_first else words
+        (value,) = struct.unpack(wanted, struct.pack(f">{len(words)}H", *words))
+        if not math.isfinite(value):
+            raise FramingError(f"{self._title} says that {name} is {value}. Check type and order of the words.")
+        return float(value) if entry.type == "float32" else value / 10.0 ** self._decimals(name)
+
+    def _words(self, name: str, count: int) -> tuple[int, ...]:
+        entry = self._protocol.registers[name]
+        sent = self._modbus.message(read_body(entry.address, count, 4 if entry.input else 3))
+        return self._exchange.query(sent, lambda frame: parse_words(self._modbus, frame, sent, count))
+
+    def _decimals(self, name: str) -> int:
+        power = self._protocol.registers[name].decimals
+        if isinstance(power, int):
+            return power
+        if power not in self._powers:
+            places = self._number(power)
+            if places not in range(7):
+                raise FramingError(f"{self._title} says {places:g} decimals in {power}; 0 to 6 were expected.")
+            self._powers[power] = int(places)
+        return self._powers[power]

@@ -1,0 +1,212 @@
+"""Units that print their samples as lines of text, which a rig file describes (`files.text_unit`).
+
+Nothing is sent to such a unit, and it cannot be asked who it is: its lines are its identity. A counter that wraps early
+shows losses modulo its modulus, and the host's clock the rest (as of a STIM300); a time or a long counter shows them
+all, and that the unit restarted.
+
+Unverified on real hardware: everything.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ... import units
+from ...files.text_unit import NAMES, TextUnit, text_unit_of
+from ..checksums import xor8
+from ..clock import Clock
+from ..errors import FramingError, ReplyTimeout, printable
+from ..framing import LineFramer
+from ..request_reply import Exchange
+from ..roles import Identity, ImuBatch, ImuSettings, join
+from ..settings import KeptSettings
+from ..transport import Transport
+from .base import ImuDriver
+from .stim300_datagrams import GapCounter
+
+_ENOUGH = 3
+_LOOKS_S = 0.1
+_LONG = 1 << 16
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+
+
+@dataclass(frozen=True)
+class TextUnitConfig:
+    """Options of the rig file. `protocol`: the description's tables. 0: the description's value."""
+
+    protocol: Any = None
+    baudrate: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.baudrate:
+            object.__setattr__(self, "baudrate", self.described.baudrate)
+
+    @cached_property
+    def described(self) -> TextUnit:
+        """The description of the unit."""
+        return text_unit_of(self.protocol)
+
+
+class TextUnitDecoder:
+    """Lines -> samples. A line that comes twice in succession counts once, if it has a counter or a time."""
+
+    def __init__(self, unit: TextUnit) -> None:
+        self._unit, self._pattern, self._framer = unit, unit.pattern(), LineFramer()
+        self._rate = float(unit.rate)
+        self.sample_s = 1.0 / self._rate
+        self._stamp = "count" if "count" in unit.fields else "time" if "time" in unit.fields else ""
+        tick_s = _SECONDS[unit.time.unit] if self._stamp == "time" else self.sample_s
+        self._modulus = unit.counter if self._stamp == "count" else unit.time.modulus
+        short = self._stamp == "count" and self._modulus is not None and self._modulus < _LONG
+        self.round_samples = int(self._modulus or 0) if short else 0
+        self.resolution_s = tick_s if self._stamp == "time" else self.sample_s
+        self._tick_s = tick_s
+        self._gaps = GapCounter(step=1, modulus=self.round_samples, ticks_per_s=self._rate) if short else None
+        self._before: tuple[float, float] | None = None
+        self._last_line = b""
+        self._lines = 0
+        self._disturbed = False
+        self._scales = [_line_of(unit.gyro, "deg/s"), _line_of(unit.acceleration, "mg", 1e-3)]
+        self._scales.append(_line_of(unit.temperature, "degC"))
+        self.bad_bytes = 0
+        self.repeated_datagrams = 0
+
+    def matches(self, frame: bytes) -> re.Match[str] | None:
+        """The fields of a sound line."""
+        if self._unit.checksum == "xor8":
+            body, star, check = frame.rstrip().rpartition(b"*")
+            if not star or body[:1] != b"$" or check.upper() != b"%02X" % xor8(body[1:]):
+                return None
+            frame = body
+        return self._pattern.fullmatch(frame.decode("latin-1").strip())
+
+    def push(self, data: bytes, host_time_s: float) -> ImuBatch:
+        rows: list[list[float]] = []
+        disturbed: list[bool] = []
+        for frame in self._framer.push(data):
+            match = self.matches(frame)
+            if match is None:
+                # The first line may be the end of one that began before.
+                self.bad_bytes += len(frame)
+                self._disturbed = True
+            elif self._stamp and frame == self._last_line:
+                self.repeated_datagrams += 1
+            else:
+                fields = match.groupdict()
+                rows.append([float(fields[name]) if name in fields else np.nan for name in NAMES])
+                disturbed.append(self._disturbed)
+                self._disturbed = False
+                self._last_line = frame
+        if not rows:
+            return join([])
+        table = np.array(rows)
+        times, gaps, restarted = self._times(table[:, 7 + (self._stamp == "time")], host_time_s, disturbed[0])
+        (gyro, _), (force, _), (degree, zero) = self._scales
+        return ImuBatch(
+            host_time_s=np.zeros(len(rows)) + host_time_s,
+            device_time_s=times,
+            gyro_dps=table[:, 0:3] * gyro,
+            acceleration_g=table[:, 3:6] * force,
+            temperature_c=np.repeat(table[:, 6:7] * degree + zero, 3, axis=1),
+            raw_gyro=np.zeros((len(rows), 3), np.int32),
+            status=np.zeros(len(rows), np.int64),
+            gap_before=gaps,
+            disturbed=np.array(disturbed) & bool(self.round_samples),
+            restarted=restarted,
+        )
+
+    def _times(self, stamps: Any, host_time_s: float, disturbed: bool) -> tuple[Any, Any, Any]:
+        """The unit's own times, the samples missing before each, and whether it restarted before each."""
+        count = len(stamps)
+        never = np.zeros(count, np.bool_)
+        if not self._stamp:
+            first, self._lines = self._lines, self._lines + count
+            return np.arange(first + 1, first + 1 + count) / self._rate, np.zeros(count, np.int64), never
+        if self._gaps is not None:
+            counts, gaps = self._gaps.push(stamps.astype(np.int64), host_time_s, disturbed=disturbed)
+            return counts / self._rate, gaps, never
+        sample = self.sample_s / self._tick_s
+        stamp, ticks = self._before or (float(stamps[0]) - sample, 0.0)
+        steps = np.diff(stamps, prepend=stamp)
+        if self._modulus is not None:
+            steps = np.mod(steps, float(self._modulus))
+            restarted = steps > 0.5 * self._modulus
+        else:
+            restarted = steps < 0.0
+        steps = np.where(restarted, sample, steps)
+        counts = ticks + np.cumsum(steps)
+        self._before = float(stamps[-1]), float(counts[-1])
+        return counts * self._tick_s, np.maximum(np.rint(steps / sample).astype(np.int64) - 1, 0), restarted
+
+
+def _line_of(unit: str, wanted: str, factor: float = 1.0) -> tuple[float, float]:
+    """Slope and offset from one unit of measurement to another."""
+    zero = units.convert(0.0, unit, wanted) * factor
+    return units.convert(1.0, unit, wanted) * factor - zero, zero
+
+
+def decoder_of(config: TextUnitConfig, registers: Mapping[str, str]) -> TextUnitDecoder:
+    """The decoder of a described unit."""
+    del registers
+    return TextUnitDecoder(config.described)
+
+
+class TextUnitStream(ImuDriver[TextUnitConfig]):
+    """Role `ImuStream`."""
+
+    def __init__(self, transport: Transport, clock: Clock, config: TextUnitConfig) -> None:
+        unit = config.described
+        super().__init__(Exchange(transport, LineFramer(), clock, unit.title, float(unit.timeout)), config)
+        self._unit, self._ready_s = unit, clock.now() + float(unit.boot)
+        self.settings = KeptSettings()
+
+    def identify(self) -> Identity:
+        self._listen()
+        return Identity("text_unit", self._unit.title)
+
+    def configure(self) -> ImuSettings:
+        self._listen()
+        return ImuSettings(float(self._unit.rate), self.decoder().round_samples, {"line": self._unit.line})
+
+    def start(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def decoder(self) -> TextUnitDecoder:
+        return TextUnitDecoder(self._unit)
+
+    def _listen(self) -> None:
+        """Wait for lines of the description. Raises with what the unit printed instead."""
+        transport, decoder = self._exchange.transport, self.decoder()
+        self._clock.sleep_until(self._ready_s)
+        timeout_s = float(self._unit.timeout)
+        end = self._clock.now() + timeout_s
+        framer, good, other = LineFramer(), 0, list[bytes]()
+        received = b""
+        transport.drain()
+        while good < _ENOUGH and self._clock.now() < end:
+            self._clock.sleep(_LOOKS_S)
+            data = transport.read(0.0)
+            received = (received + data)[-1000:]
+            for frame in framer.push(data):
+                if decoder.matches(frame) is not None:
+                    good += 1
+                else:
+                    other.append(frame)
+        if good >= _ENOUGH:
+            return
+        where = f"{self._unit.title} at {transport.url}"
+        if not received:
+            raise ReplyTimeout(f"{where} printed nothing in {timeout_s:g} s. Check power, cable, port, and `boot`.")
+        if not other and not good:
+            raise FramingError(f"{where} sends {printable(received[-80:])!r} without an end of a line. Baud rate?")
+        shown = printable(other[-1]) if other else f"{good} lines"
+        raise FramingError(
+            f"{where} printed {shown!r} in {timeout_s:g} s, and the description expects {self._unit.line!r}"
+            + (" with a check sum" if self._unit.checksum != "none" else "")
+            + ". Compare them character by character; garbled text is a wrong baud rate."
+        )

@@ -1,0 +1,210 @@
+"""Every byte of a bench with its time, line and direction, in one file: bug report, evidence, a test that is replayed.
+
+One line of text a chunk, append-only, readable without this program:
+
+    # gradcal-transcript/1
+    # rig: {"format": "gradcal-rig/1", …}
+    12.345678 /dev/ttyUSB0 > TEMP?\\r\\n
+    12.361402 /dev/ttyUSB0 < 26.4,0.0,140.0,-50.0\\r\\n
+    12.361988 chamber # limits: ChamberLimits(…)
+
+`>` goes to the device, `<` comes from it, `#` is what a driver made of it; seconds are those of the clock of the run.
+Bytes other than printable ASCII are written `\\xNN`, `\\r`, `\\n`, the backslash itself `\\\\`.
+"""
+
+import json
+import re
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TextIO
+
+from ..files.rig import RigFile
+from .clock import Clock
+from .errors import HardwareError
+from .journal import Direction, Recorder
+from .roles import AxisSafe, ChamberSafe
+from .safety import put_back
+from .setup import Bench, open_rig
+
+HEADER = "# gradcal-transcript/1"
+_RIG = "# rig: "
+_ENCODED = [chr(b) if 32 <= b < 127 else f"\\x{b:02x}" for b in range(256)]
+_ENCODED[ord("\r")], _ENCODED[ord("\n")], _ENCODED[ord("\\")] = "\\r", "\\n", "\\\\"
+_ESCAPE = re.compile(r"\\(x[0-9a-f]{2}|[rn\\])")
+_LINE = re.compile(r"(?P<time>-?\d+\.\d+) (?P<line>\S+) (?P<direction>[<>#]) (?P<text>.*)")
+_STREAM_S = 2.0
+# Of a move that shows that commands take effect: small, slow.
+_MOVE_DEG, _MOVE_DPS, _MOVE_DPS2 = 10.0, 10.0, 20.0
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One chunk of a transcript."""
+
+    time_s: float
+    direction: Direction
+    data: bytes
+    line: str = "line"
+
+
+def encode(data: bytes) -> str:
+    return "".join([_ENCODED[byte] for byte in data])
+
+
+def decode(text: str) -> bytes:
+    """The bytes of an encoded text; a ValueError names what is no escape of this format."""
+    out = bytearray()
+    position = 0
+    while (backslash := text.find("\\", position)) >= 0:
+        escape = _ESCAPE.match(text, backslash)
+        if escape is None:
+            raise ValueError(
+                f"{text[backslash : backslash + 4]!r} is no escape of a transcript; use \\xNN, \\r, \\n, \\\\"
+            )
+        out += text[position:backslash].encode("latin-1")
+        word = escape.group(1)
+        out.append({"r": 13, "n": 10, "\\": 92}[word] if word[0] != "x" else int(word[1:], 16))
+        position = escape.end()
+    return bytes(out + text[position:].encode("latin-1"))
+
+
+class Transcript:
+    """Append-only file. Each chunk reaches the operating system before it returns."""
+
+    def __init__(self, path: Path, rig: RigFile | None = None) -> None:
+        fresh = not path.exists() or path.stat().st_size == 0
+        self._file: TextIO = path.open("a", encoding="ascii", errors="backslashreplace", newline="\n")
+        self._lock = threading.Lock()
+        if fresh:
+            self._file.write(HEADER + "\n")
+        if rig is not None:
+            self._file.write(_RIG + json.dumps(rig.model_dump(mode="json", exclude_unset=True)) + "\n")
+        self._file.flush()
+
+    def recorder(self, line: str) -> Recorder:
+        """A recorder for a `Transport`."""
+        return partial(self._write, line)
+
+    def note(self, time_s: float, device: str, text: str) -> None:
+        """What a driver made of the bytes before."""
+        self._write(device, time_s, "#", text.encode("utf-8"))
+
+    def _write(self, line: str, time_s: float, direction: Direction, data: bytes) -> None:
+        with self._lock:
+            if not self._file.closed:
+                self._file.write(f"{time_s:.6f} {line} {direction} {encode(data)}\n")
+                self._file.flush()
+
+    def close(self) -> None:
+        with self._lock:
+            self._file.close()
+
+    def __enter__(self) -> "Transcript":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def parse(lines: Iterable[str]) -> list[Entry]:
+    """The chunks of a transcript; a last line that was torn by a crash is left out.
+
+    Raises ValueError for a line that no version of this format can have, with its number.
+    """
+    entries: list[Entry] = []
+    numbered = [(number, line) for number, line in enumerate(lines, 1) if line.strip()]
+    if not numbered or numbered[0][1].rstrip("\n") != HEADER:
+        raise ValueError(f"This is no transcript: its first line must be {HEADER!r}.")
+    for number, line in numbered[1:]:
+        whole, text = line.endswith("\n"), line.rstrip("\n")
+        if text.startswith("#"):
+            continue
+        match = _LINE.fullmatch(text)
+        try:
+            if match is None:
+                raise ValueError("a line is `seconds line > bytes` or `seconds line < bytes`")
+            direction: Direction = ">" if match["direction"] == ">" else "<" if match["direction"] == "<" else "#"
+            entries.append(Entry(float(match["time"]), direction, decode(match["text"]), match["line"]))
+        except ValueError as problem:
+            if not whole and number == numbered[-1][0]:
+                break
+            raise ValueError(f"Line {number} of the transcript cannot be read: {problem}.") from None
+    return entries
+
+
+def read(path: Path) -> list[Entry]:
+    with path.open(encoding="ascii") as file:
+        return parse(file)
+
+
+def rig_in(path: Path) -> dict[str, Any]:
+    """The rig file's tables in a transcript. Raises `ValueError` where there are none."""
+    with path.open(encoding="ascii") as file:
+        for line in file:
+            if line.startswith(_RIG):
+                return json.loads(line.removeprefix(_RIG))
+    raise ValueError(f"{path} has no line {_RIG!r}: it was not made by `gradcal rig record`")
+
+
+def conversation(bench: Bench, clock: Clock, *, move: bool) -> Iterator[tuple[str, str, str]]:
+    """Device, call and outcome of all that shows whether a driver fits its device. Nothing moves without `move`."""
+
+    def outcome(call: Callable[[], object]) -> str:
+        try:
+            result = call()
+        except HardwareError as problem:
+            return f"{type(problem).__name__}: {problem}"
+        # Times differ from one conversation to the next.
+        return repr(replace(result, time_s=0.0) if hasattr(result, "time_s") else result)  # pyright: ignore[reportArgumentType, reportUnknownArgumentType, reportCallIssue]
+
+    if (chamber := bench.chamber) is not None:
+        for name in ("identify", "limits", "read"):
+            yield "chamber", name, outcome(getattr(chamber, name))
+        if move:
+            at_c = 23.0
+            with suppress(HardwareError):
+                at_c = round(chamber.read().air_c)
+            yield "chamber", "hold", outcome(lambda: chamber.hold(at_c))
+            yield "chamber", "read", outcome(chamber.read)
+            safe = ChamberSafe(bench.rig.chamber.safe) if bench.rig.chamber is not None else ChamberSafe.HOLD
+            yield "chamber", "safe", outcome(lambda: chamber.safe(safe, at_c))
+    for entry in bench.rig.axis:
+        axis = bench.axes[entry.name]
+        for name in ("identify", "limits", "read"):
+            yield entry.name, name, outcome(getattr(axis, name))
+        if move:
+            yield entry.name, "home", outcome(axis.home)
+            for goal in (_MOVE_DEG, 0.0):
+                turn = partial(axis.move_to, goal, _MOVE_DPS, _MOVE_DPS2)
+                yield entry.name, f"move_to {goal:g}", outcome(turn)
+                clock.sleep(_MOVE_DEG / _MOVE_DPS + 2.0)
+                yield entry.name, "read", outcome(axis.read)
+            yield entry.name, "safe", outcome(partial(axis.safe, AxisSafe(entry.safe)))
+    for entry in bench.rig.imu:
+        unit = bench.imus[entry.name]
+        yield entry.name, "identify", outcome(unit.identify)
+        yield entry.name, "configure", outcome(unit.configure)
+        yield entry.name, "start", outcome(unit.start)
+        ends_s = clock.now() + _STREAM_S
+        while clock.now() < ends_s:
+            clock.sleep(0.05)
+            unit.read_bytes(0.0)
+
+
+def record_bench(rig: RigFile, path: Path, clock: Clock, *, move: bool = False) -> list[tuple[str, str, str]]:
+    """Talk to all devices of a rig and keep every byte. Returns device, call and outcome; raises `HardwareError` where
+    a port cannot be opened."""
+    said: list[tuple[str, str, str]] = []
+    with Transcript(path, rig) as transcript, open_rig(rig, clock, transcript.recorder) as bench, clock.party():
+        try:
+            for device, call, text in conversation(bench, clock, move=move):
+                transcript.note(clock.now(), device, f"{call}: {text}")
+                said.append((device, call, text))
+        finally:
+            for device, problem in put_back(bench).items():
+                transcript.note(clock.now(), device, f"settings put back: {problem or 'all'}")
+    return said

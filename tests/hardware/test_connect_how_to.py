@@ -1,0 +1,114 @@
+"""What the how-to "connect my device" writes is a green `rig check`, on peers not written from it; and its errors."""
+
+import re
+import struct
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hardware_bench import sensor_on_table
+from simulated_devices.line_chambers import SimulatedCts
+from simulated_devices.line_tables import SimulatedGrbl
+from simulated_devices.text_unit import SimulatedTextUnit, TextUnitOptions
+
+from gradcal_jax.cli import main
+from gradcal_jax.hardware.checksums import crc16_modbus
+from gradcal_jax.hardware.clock import Clock, RealClock
+from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
+from gradcal_jax.hardware.simulate.port import SimulatedPort
+
+TEXT = (Path(__file__).parents[2] / "docs" / "how-to" / "connect.md").read_text(encoding="utf-8")
+BLOCKS = dict(re.findall(r"```toml\n# (\w+)\.toml\n(.+?)```", TEXT, flags=re.S))
+
+
+class Oven:
+    """A slave with three registers."""
+
+    def __init__(self) -> None:
+        self.words = {1: 265, 2: 230, 23: 0}
+
+    def receive(self, data: bytes) -> list[bytes]:
+        if crc16_modbus(data[:-2]) != data[-2:]:
+            return []
+        function, register, value = struct.unpack(">BHH", data[1:6])
+        if register not in self.words:
+            body = bytes([function | 0x80, 2])
+        elif function == 3:
+            body = bytes([3, 2]) + struct.pack(">h", self.words[register])
+        else:
+            self.words[register] = value
+            body = data[1:6]
+        reply = data[:1] + body
+        return [reply + crc16_modbus(reply)]
+
+
+def peer(name: str, clock: Clock) -> Any:
+    if name == "cts":
+        return SimulatedCts(ChamberPlant(ChamberTruth(), clock.now()), clock)
+    if name == "modbus":
+        return Oven()
+    if name == "grbl":
+        return SimulatedGrbl(AxisPlant(None, clock.now()), clock)
+    return SimulatedTextUnit(sensor_on_table(clock, sample_rate_hz=100.0), clock, TextUnitOptions(boot_s=1.5))
+
+
+def checked(
+    text: str, name: str, folder: Path, capsys: pytest.CaptureFixture[str], device: Any = None
+) -> tuple[int, str]:
+    clock = RealClock()
+    with ExitStack() as stack:
+        # A pseudo-terminal has no parity.
+        port = stack.enter_context(SimulatedPort(device or peer(name, clock), clock, on_socket=name == "cts"))
+        text = re.sub(r'port( +)= "[^"]+"', rf'port\1= "{port.url}"', text)
+        (folder / "rig.toml").write_text(text, encoding="utf-8")
+        status = main(["rig", "check", str(folder / "rig.toml")])
+    said = capsys.readouterr()
+    return status, " ".join((said.out + said.err).split())
+
+
+@pytest.mark.parametrize("name", ["cts", "modbus", "grbl", "board"])
+def test_what_the_how_to_writes_is_a_green_check(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, said = checked(BLOCKS[name], name, tmp_path, capsys)
+    assert status == 0, said
+    assert "every device answers as the rig file says" in said
+
+
+def test_its_lines_are_as_many_as_it_says() -> None:
+    lines = {name: len(block.strip().splitlines()) for name, block in BLOCKS.items()}
+    assert lines == {"cts": 6, "modbus": 20, "grbl": 8, "board": 12}
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("modbus", ("address = 2,", "address = 40003,"), "exception 2 (register address)"),
+        ("modbus", ("air      = { address = 1, decimals = 1 }", 'air      = { address = 1, type = "uint16" }'), ""),
+        ("modbus", ("address = 1, decimals = 1", "address = 1, decimals = 0"), "is not plausible"),
+        ("modbus", ('[chamber.options.protocol.state]\nconditioning = { field = "run", equals = "RUN" }', ""),
+         "nothing else shows what tell.on did"),
+        ("modbus", ('title  = "my oven"\n', 'title  = "my oven"\nline   = { timeout = "0.2 s" }\n'), ""),
+        ("grbl", ('protocol = "grbl"', 'protocol = "grb"'), "nearest: 'grbl'"),
+        ("board", ("{temperature},{time}", "{time}"), "and the description expects"),
+        ("board", ("{gyro_x}", "{gx}"), "{gx} is not known here"),
+        ("board", ('boot     = "2 s"', 'boot     = "0 s"\ntimeout  = "0.5 s"'), "printed nothing in 0.5 s"),
+    ],
+)  # fmt: skip
+def test_errors_that_one_makes_are_said(
+    name: str, change: tuple[str, str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert change[0] in BLOCKS[name]
+    status, said = checked(BLOCKS[name].replace(*change), name, tmp_path, capsys)
+    assert words in said
+    assert status != 0 or not words
+    if words and name == "modbus" and "tell" not in words:
+        assert words in TEXT
+
+
+def test_a_mute_line_and_a_set_point_that_is_only_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    class Mute:
+        def receive(self, data: bytes) -> list[bytes]:
+            return []
+
+    status, said = checked(BLOCKS["modbus"], "modbus", tmp_path, capsys, Mute())
+    assert (status, "did not answer in 1 s" in said) == (3, True)

@@ -1,0 +1,189 @@
+"""Units that print text, described in the rig file in some ten lines: from `rig check` to a log."""
+
+import itertools
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hardware_bench import Rig, sensor_on_table, short_recipe
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated_devices.text_unit import SimulatedTextUnit, TextUnitOptions
+
+from gradcal_jax.decoding.run_log import log as log_of_run
+from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.rig import RigFile, rig_of
+from gradcal_jax.hardware.checksums import xor8
+from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, TextUnitDecoder, decoder_of
+from gradcal_jax.hardware.roles import ImuBatch, join
+from gradcal_jax.hardware.run_folder import new_folder
+from gradcal_jax.hardware.session import run_session
+from gradcal_jax.hardware.setup import check_each, configs_of
+from gradcal_jax.hardware.simulate.port import SimulatedPort
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
+
+BOARD: dict[str, Any] = {
+    "format": "gradcal-text/1",
+    "title": "the board",
+    "line": "$IMU,{gyro_x},{gyro_y},{gyro_z},{acceleration_x},{acceleration_y},{acceleration_z},{temperature},{time}",
+    "rate": "100 Hz",
+    "time": {"unit": "us", "modulus": 2**32},
+    "checksum": "xor8",
+    "timeout": "2 s",
+}
+COUNTED = BOARD | {"line": "{gyro_z} {count}", "checksum": "none", "counter": 256}
+COUNTED.pop("time")
+PLAIN = {key: value for key, value in COUNTED.items() if key != "counter"} | {
+    "line": "{:text};{gyro_z}",
+    "gyro": "rad/s",
+}
+
+
+def decoder(protocol: dict[str, Any]) -> TextUnitDecoder:
+    return decoder_of(TextUnitConfig(protocol), {})
+
+
+def printed(number: int, gyro: float = 1.5) -> bytes:
+    body = f"IMU,{gyro:.3f},-0.25,3,0,0,9.80665,25.5,{10_000 * number % 2**32}".encode()
+    return b"$" + body + b"*%02X\r\n" % xor8(body)
+
+
+def pushed(unit: TextUnitDecoder, data: bytes, at_s: float = 0.0) -> ImuBatch:
+    return unit.push(data, at_s)
+
+
+# ------------------------------------------------------------------------------------------------------------ lines
+
+
+def test_numbers_come_out_in_the_units_of_this_program() -> None:
+    batch = pushed(decoder(BOARD), b"ready\r\n" + printed(7) + printed(8))
+    assert batch.gyro_dps[1].tolist() == [1.5, -0.25, 3.0]
+    assert batch.acceleration_g[1] == pytest.approx([0.0, 0.0, 1.0])
+    assert batch.temperature_c[1].tolist() == [25.5] * 3
+    assert np.diff(batch.device_time_s) == pytest.approx([0.01])
+    rad = pushed(decoder(PLAIN), b"any; 1.0\n")
+    assert rad.gyro_dps[0, 2] == pytest.approx(57.29578)
+    assert np.isnan(rad.gyro_dps[0, :2]).all()
+
+
+def test_lost_lines_are_counted_by_time_and_by_counter() -> None:
+    timed = pushed(decoder(BOARD), b"".join(printed(k) for k in range(1000) if k not in (400, 401, 402)))
+    assert timed.gap_before.sum() == 3
+    assert timed.gap_before[400] == 3
+    lines = [f"0.5 {k % 256}\n".encode() for k in range(1000) if k not in (400, 401, 402)]
+    counted = pushed(decoder(COUNTED), b"".join(lines))
+    assert (counted.gap_before.sum(), counted.gap_before[400]) == (3, 3)
+    assert decoder(COUNTED).round_samples == 256
+
+
+def test_a_time_that_wraps_goes_on_and_one_that_goes_back_is_a_restart() -> None:
+    wraps = 2**32 // 10_000
+    unit = decoder(BOARD)
+    times = pushed(unit, b"".join(printed(k) for k in range(wraps - 3, wraps + 4)))
+    assert not times.restarted.any()
+    assert np.diff(times.device_time_s) == pytest.approx(0.01, abs=2e-6)
+    again = pushed(unit, printed(0) + printed(1))
+    assert again.restarted.tolist() == [True, False]
+    assert again.gap_before.tolist() == [0, 0]
+
+
+@given(st.binary(max_size=30), st.lists(st.integers(0, 400), max_size=6))
+@settings(max_examples=50, deadline=None)
+def test_samples_do_not_depend_on_how_the_stream_was_cut(noise: bytes, cuts: list[int]) -> None:
+    data = noise.replace(b"$", b"?") + b"\n" + b"".join(printed(k) for k in range(6))
+    whole, unit = pushed(decoder(BOARD), data), decoder(BOARD)
+    places = sorted({0, len(data), *(min(cut, len(data)) for cut in cuts)})
+    parts = join([unit.push(data[begin:end], 0.0) for begin, end in itertools.pairwise(places)])
+    assert len(whole) == len(parts) == 6
+    np.testing.assert_array_equal(whole.device_time_s, parts.device_time_s)
+
+
+def test_no_bit_of_a_line_may_be_wrong_where_it_has_a_check_sum() -> None:
+    line = printed(7)
+    for place, bit in itertools.product(range(len(line) - 2), range(8)):
+        bad = line[:place] + bytes([line[place] ^ 1 << bit]) + line[place + 1 :]
+        # Case of the check's letters alone is no error.
+        assert len(pushed(decoder(BOARD), bad)) == 0 or bad.upper() == line.upper()
+
+
+def test_a_doubled_line_counts_once() -> None:
+    unit = decoder(COUNTED)
+    batch = pushed(unit, b"0.5 7\n0.5 7\n0.5 8\n")
+    assert (len(batch), batch.gap_before.sum(), unit.repeated_datagrams) == (2, 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"line": "$IMU,{gx},{gyro_y}"}, "{gx} is not known here"),
+        ({"line": "{gyro_x}{gyro_y}"}, "with a character between two of them"),
+        ({"line": "{temperature}"}, "expected a field of a rate or an acceleration"),
+        ({"line": "{gyro_x},{count}"}, "at how many it begins again"),
+        ({"gyro": "deg"}, "gyro"),
+        ({"rate": "100"}, "rate"),
+        ({"lines": "x"}, 'nearest: "line"'),
+    ],
+)
+def test_a_description_that_cannot_be_right_is_refused(change: dict[str, Any], words: str) -> None:
+    imu = {"name": "a", "driver": "text_unit", "port": "COM1", "options": {"protocol": BOARD | change}}
+    with pytest.raises(SpecError, match=re.escape(words)):
+        configs_of(rig_of({"format": "gradcal-rig/1", "imu": [imu]}))
+
+
+# -------------------------------------------------------------------------------------------------------- on a rig
+
+
+def with_board(rig: RigFile, url: str, **change: Any) -> RigFile:
+    tables = rig.model_dump(mode="json", exclude_unset=True)
+    tables["imu"] = [{"name": "unit1", "driver": "text_unit", "port": url, "options": {"protocol": BOARD | change}}]
+    tables["axis"][0]["options"]["max_acceleration"] = "2000 deg/s^2"
+    return rig_of(tables)
+
+
+def board(rig: Rig, clock: Any, **options: Any) -> SimulatedPort:
+    sensor = sensor_on_table(clock, sample_rate_hz=100.0, axis=rig.axis, chamber=rig.chamber.plant)
+    return SimulatedPort(SimulatedTextUnit(sensor, clock, TextUnitOptions(**options)), clock)
+
+
+def test_a_run_with_a_board_that_prints_text(tmp_path: Path) -> None:
+    clock = VirtualClock()
+    with Rig(clock, stage=True) as rig, board(rig, clock) as port:
+        described = with_board(rig.rig, port.url)
+        run = new_folder(tmp_path / "run", short_recipe(2.0), described, simulated={})
+        result = run_session(run, described, clock, simulated=True)
+        assert result.exit_status == "success", result.reason
+    log = log_of_run(run.path)
+    assert np.diff(log.time_s) == pytest.approx(0.01, abs=1e-5)
+    # Its gyro turned as the table did.
+    turned = np.degrees(np.sum(np.abs(log.rate_rad_per_s[0, :, 2]))) * 0.01
+    assert turned > 300.0
+    assert log.specific_force_m_per_s2 is not None
+    assert log.provenance["driver"] == "text_unit"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"line": "$IMU,{gyro_x},{gyro_y},{gyro_z},{time}"}, "printed '$IMU,"),
+        ({"checksum": "none"}, "and the description expects"),
+    ],
+)
+def test_a_check_shows_what_is_printed_and_what_was_expected(change: dict[str, Any], words: str) -> None:
+    clock = RealClock()
+    with Rig(clock, stage=True) as rig, board(rig, clock) as port:
+        (report,) = (one for one in check_each(with_board(rig.rig, port.url, **change), clock) if one.name == "unit1")
+    assert words in report.problem
+    assert "Compare them character by character" in report.problem
+
+
+def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for() -> None:
+    clock = RealClock()
+    with Rig(clock, stage=True) as rig, board(rig, clock, boot_s=3.0) as port:
+        for boot, good in (("0 s", False), ("3 s", True)):
+            rig_file = with_board(rig.rig, port.url, boot=boot, timeout="1 s")
+            (report,) = (one for one in check_each(rig_file, clock) if one.name == "unit1")
+            assert report.good is good, report.problem
+            assert good or "printed nothing in 1 s" in report.problem

@@ -148,7 +148,7 @@ def _assumed(spec: UnitSpec) -> list[tuple[str, str]]:
     table, site = spec.rig.table, spec.rig.site
     installation: list[tuple[str, Any]] = [
         ("thermal lag", spec.sensor.thermal_lag),
-        ("sample clock error", spec.sensor.sample_clock_error),
+        ("sample clock error", spec.sensor.clock_text),
         ("accuracy of gravity", site.gravity_accuracy or None),
         ("tilt of the base", table.tilt or None),
         ("azimuth of the base", table.azimuth or None),

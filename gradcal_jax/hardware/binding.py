@@ -11,11 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from ..files.recipe import Recipe
+from ..files.sensor import Sensor, UnitSensor
 from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove
 from ..formulas import reading_times, shape_pieces
 from ..units import to_unit
 from .errors import HardwareError
-from .track import AxisCommand, Course, Stable, Track, TrackStep
+from .track import AxisCommand, Course, GyroErrors, Stable, Track, TrackStep
 
 _LONGEST_STAND_S = 600.0
 _SPLINE_PIECE_S = 0.5
@@ -44,7 +45,21 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
             steps.append(_unused(segments[0], recipe.stability, first=not steps))
         else:
             steps += _stretch(block, segments, recipe.stability, names, first=not steps)
-    return Track(tuple(steps))
+    return Track(tuple(steps), _gyro_errors(recipe.spec.sensor))
+
+
+def _gyro_errors(sensor: Sensor | UnitSensor) -> GyroErrors | None:
+    """Three standard deviations of what the spec says before the calibration, where that is more than usual."""
+    gyro = sensor if isinstance(sensor, Sensor) else sensor.gyro
+    if gyro is None:
+        return None
+    usual, bias, scale = GyroErrors(), 0.0, 0.0
+    if gyro.bias is not None and gyro.bias.prior is not None:
+        # Of three gyros.
+        bias = 3.0 * 3.0**0.5 * to_unit(float(gyro.bias.prior), "deg/s")
+    if (section := gyro.scale_factor) is not None and section.prior is not None:
+        scale = 3.0 * float(section.prior) * (section.temperature.size * section.rate.size) ** 0.5
+    return GyroErrors(max(usual.share, scale), max(usual.bias_dps, bias))
 
 
 def _names(recipe: Recipe, axes: Sequence[str]) -> dict[str, str]:
@@ -137,6 +152,7 @@ def _stretch(
                 goes_there=bool(block.start) and number == 0,
                 hang=block.hang or "",
                 mounting=block.mounting or 0,
+                used=True,
             )
         )
         for move in piece.moves:

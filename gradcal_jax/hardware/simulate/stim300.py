@@ -127,7 +127,8 @@ class SimulatedStim300:
             raw = np.clip(np.rint(samples.temperature_c * 256.0), -32768, 32767).astype(">i2")
             sensors = np.ascontiguousarray(np.repeat(raw[:, None], 3, axis=1)).view(np.uint8).reshape(count, 6)
             parts += [part for _ in contents for part in (sensors, status)]
-        counter = ((first + 1 + np.arange(count)) * step % 256).astype(np.uint8)[:, None]
+        number: NDArray[np.int64] = first + np.arange(count, dtype=np.int64)
+        counter = ((number + 1) * step % 256).astype(np.uint8)[:, None]
         latency = np.frombuffer(self.options.latency_us.to_bytes(2, "big"), np.uint8)
         parts += [counter, np.tile(latency, (count, 1))]
         bodies = np.concatenate(parts, axis=1)
@@ -136,7 +137,7 @@ class SimulatedStim300:
         rows = np.hstack([bodies, crc.astype(">u4")[:, None].view(np.uint8), np.tile(end, (count, 1))])
         data, length = rows.tobytes(), rows.shape[1]
         messages: list[bytes] = []
-        for index in np.flatnonzero(self._fit_line(first + np.arange(count), length)).tolist():
+        for index in np.flatnonzero(self._fit_line(number, length)).tolist():
             if self._waiting:
                 self.counters["special"] += 1
                 messages.append(self._waiting.pop(0))

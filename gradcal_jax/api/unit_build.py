@@ -43,7 +43,8 @@ _SLACK = 1e-9
 
 class AssembledUnit(NamedTuple):
     """A unit's spec in the core's terms. `points`: quadrature points along a piece for functions of temperature, which
-    are smooth there (`rough`: not along the pieces of a log). `past`: the motions before the plan begins, in order."""
+    are smooth there (`rough`: not along the pieces of a log). `past`: the motions before the plan begins, in order.
+    `until_s`: where the plan is broken off, on its clock."""
 
     spec: UnitSpec
     model: UnitModel
@@ -51,14 +52,15 @@ class AssembledUnit(NamedTuple):
     points: int
     rough: bool
     past: tuple[TableMotion, ...] = ()
+    until_s: float = np.inf
 
     def body_nodes(self) -> BodyNodes:
         """The nodes on which the terms are integrated."""
         return trajectory.body_nodes(self.motion, self.points)
 
 
-def assemble_unit(spec: UnitSpec) -> AssembledUnit:
-    """Model and motion of a unit's spec."""
+def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
+    """Model and motion of a unit's spec, whose plan is broken off at `until_s` of its clock."""
     model_ = unit_model(spec)
     bases = [t.temperature for c in model_.channels for t in c.model.terms if isinstance(t, Map | SignalMap)]
     degree = max(b.degree if isinstance(b, Polynomial | BSpline) else 0 for b in bases)
@@ -66,7 +68,12 @@ def assemble_unit(spec: UnitSpec) -> AssembledUnit:
     points = max(degree + 1, _LAGGED if spec.sensor.lag is not None else 1)
     past = tuple(motion_of(part, spec, model_) for part in spec.past)
     rough = any(b.breaks for b in bases)
-    return AssembledUnit(spec, model_, motion_of(spec.schedule, spec, model_), points, rough, past)
+    motion = motion_of(spec.schedule, spec, model_)
+    if until_s < np.inf:
+        line = motion.line.between(-np.inf, until_s)
+        parts = motion.axis[: line.piece_count], motion.mounting[: line.piece_count]
+        motion = trajectory.table_motion(line, *parts, motion.geometry, motion.start_angles, _highest_order(spec))
+    return AssembledUnit(spec, model_, motion, points, rough, past, until_s)
 
 
 def posterior_of_unit(built: AssembledUnit) -> Posterior:
@@ -233,10 +240,14 @@ def motion_of(plan: UnitSchedule, spec: UnitSpec, of: UnitModel) -> TableMotion:
     # Between two stretches the table stands where the cycle began, up to whole turns, and the mounting changes.
     stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
     mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
-    orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
-    harmonics = max(orders, default=0)
+    harmonics = _highest_order(spec)
     whole = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), np.array(plan.start), harmonics)
     return trajectory.divided_motion(whole, *_breaks(of), harmonics)
+
+
+def _highest_order(spec: UnitSpec) -> int:
+    """Of an encoder's error over the angle."""
+    return max((h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics), default=0)
 
 
 def _breaks(of: UnitModel) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:

@@ -22,6 +22,7 @@ from gradcal_jax.api.contradictions import (
     refuse_other_units,
 )
 from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.log_rows import bridged_temperature, time_of, usable_rows, with_options
 from gradcal_jax.api.prediction import unit_requirement_row
 from gradcal_jax.api.systematic import (
@@ -131,6 +132,7 @@ def estimate_units(
     names = list(units) or [name for name in logs[0].units if all(name in log.units for log in logs)]
     if not names:
         raise LogError("no unit is in all of the logs")
+    lacks = lacks_of(spec, logs)
     spec, options, said = with_options(spec, logs, options)
     for log, name in itertools.product(logs, names):
         if log.temperature_c is not None:
@@ -138,7 +140,15 @@ def estimate_units(
     built = assemble_unit(spec)
     noise = omitted_noise_of_unit(built)
     reports = (_report(built, logs, name, options, sources or {}, noise) for name in names)
-    return [report._replace(messages=(*said, *report.messages)) for report in reports]
+    if lacks is None:
+        return [report._replace(messages=(*said, *report.messages)) for report in reports]
+    return [
+        report._replace(
+            calibration=report.calibration.model_copy(update={"lacks": lacks}),
+            messages=(lacks, *said, *report.messages),
+        )
+        for report in reports
+    ]
 
 
 def _report(

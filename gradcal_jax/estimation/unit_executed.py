@@ -85,7 +85,8 @@ def executed_unit(
     integral over a move is not a sequence of turns of single axes.
     """
     stands = [(int(a), int(b) - 1) for a, b in runs(log.standing) if b - a > 1]
-    spans = [_inner(log.time_s, *stand) for stand in stands]
+    # Standstills of a run, whose readings are events, have margins already.
+    spans = stands if log.at_a_stop.any() else [_inner(log.time_s, *stand) for stand in stands]
     if len(spans) < 2:
         raise ValueError("the table stands still less than twice in the log, so there is no pose to compare")
     if read_every < _PIECE_S and log.at_a_stop.any():
@@ -93,7 +94,7 @@ def executed_unit(
         read = [np.flatnonzero(log.at_a_stop[a : b + 1]) + a for a, b in stands]
         spans = [(int(rows[0]), int(rows[-1])) for rows in read if len(rows)]
     # A reading has the row at which its axis stands; of an angle at every row those at the ends do not count.
-    means = mean_angles(log, stands if log.at_a_stop.any() else spans)
+    means = mean_angles(log, spans)
     slow = np.median(np.diff(log.time_s)) > SLOW_S
     legs = _legs(log, geometry, spans, means, planned if slow else ())
     angles = _own_angles(log, spans, legs)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from ..files.recipe import Recipe
 from ..files.sensor import Sensor, UnitSensor
 from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove
+from ..files.unit_spec import UnitSpec
 from ..formulas import reading_times, shape_pieces
 from ..units import to_unit
 from .errors import HardwareError
@@ -39,12 +40,14 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
             stretches[-1][1].append(segment)
         else:
             stretches.append((block, [segment]))
+    # A unit's table that is read while it stands is read at the end of its rests, too, as in the plan.
+    ends = isinstance(recipe.spec, UnitSpec) and recipe.spec.rig.table.standing == "read"
     steps: list[TrackStep] = []
     for block, segments in stretches:
         if block is None:
             steps.append(_unused(segments[0], recipe.stability, first=not steps))
         else:
-            steps += _stretch(block, segments, recipe.stability, names, first=not steps)
+            steps += _stretch(block, segments, recipe.stability, names, first=not steps, ends=ends)
     return Track(tuple(steps), _gyro_errors(recipe.spec.sensor))
 
 
@@ -116,11 +119,17 @@ class _Piece:
 
 
 def _stretch(
-    block: MotionBlock, segments: Sequence[ChamberSegment], stability: Stability, names: dict[str, str], *, first: bool
+    block: MotionBlock,
+    segments: Sequence[ChamberSegment],
+    stability: Stability,
+    names: dict[str, str],
+    *,
+    first: bool,
+    ends: bool,
 ) -> list[TrackStep]:
     waits = segments[0].begins == "when stable"
     total = math.fsum(float(segment.duration) for segment in segments)
-    pieces = _pieces(block, total, names)
+    pieces = _pieces(block, total, names, ends=ends)
     knees: list[Course] = []
     clock = 0.0
     for segment in segments:
@@ -172,7 +181,7 @@ def _temperature(segments: Sequence[ChamberSegment], at_s: float) -> float:
     return float(segments[-1].temperature_end)
 
 
-def _pieces(block: MotionBlock, total: float, names: dict[str, str]) -> list[_Piece]:
+def _pieces(block: MotionBlock, total: float, names: dict[str, str], *, ends: bool) -> list[_Piece]:
     if block.repeat == 1 and len(block.moves) == 1 and block.moves[0].do in ("rest", "wait"):
         return _standing(block, total)
     if any(move.do == "spin" for move in block.moves):
@@ -193,7 +202,7 @@ def _pieces(block: MotionBlock, total: float, names: dict[str, str]) -> list[_Pi
         if number == 0:
             piece.read_at_s.append(0.0)
         for move in own if last else block.moves:
-            _add(piece, move, names)
+            _add(piece, move, names, ends=ends)
         if last and block.standing_after > 0.0 and block.read_every_after is not None:
             begin = piece.duration_s - float(block.standing_after)
             times = reading_times(float(block.standing_after), float(block.read_every_after))
@@ -236,7 +245,7 @@ def _points(block: MotionBlock, names: dict[str, str]) -> list[_Piece]:
     return pieces
 
 
-def _add(piece: _Piece, move: TrackMove, names: dict[str, str]) -> None:
+def _add(piece: _Piece, move: TrackMove, names: dict[str, str], *, ends: bool) -> None:
     """The commands and the readings of one line of the recipe."""
     duration = float(move.duration)
     for repetition in range(move.repeat):
@@ -245,6 +254,8 @@ def _add(piece: _Piece, move: TrackMove, names: dict[str, str]) -> None:
             piece.moves += _commands(move, start, names[move.axis])
         if move.read_every is not None:
             piece.read_at_s += [start + time for time in reading_times(duration, float(move.read_every))]
+            if ends and move.do == "rest" and piece.read_at_s[-1:] != [start + duration]:
+                piece.read_at_s.append(start + duration)
         elif move.read == "end":
             piece.read_at_s.append(start + duration)
 

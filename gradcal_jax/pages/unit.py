@@ -40,6 +40,8 @@ def unit_report_data(sources: Sources) -> ReportData:
         values = {row["name"]: row["value"] for row in coefficient_rows(calibration)}
         agreed = agreement(values, calibration.covariance, hidden)
         axes = (axis_fact(calibration, calibration.serial_number, (), agreed),)
+        if calibration.lacks is not None:
+            notes.append(calibration.lacks)
         if calibration.unobservable:
             notes.append(f"the data say nothing of {', '.join(calibration.unobservable)}")
     simulated = any(source is not None and source.simulated for source in (history, calibration))

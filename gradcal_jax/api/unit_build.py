@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from gradcal_jax import model, trajectory
@@ -70,10 +71,22 @@ def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
     rough = any(b.breaks for b in bases)
     motion = motion_of(spec.schedule, spec, model_)
     if until_s < np.inf:
-        line = motion.line.between(-np.inf, until_s)
-        parts = motion.axis[: line.piece_count], motion.mounting[: line.piece_count]
-        motion = trajectory.table_motion(line, *parts, motion.geometry, motion.start_angles, _highest_order(spec))
+        motion = _broken_off(motion, until_s, _highest_order(spec))
     return AssembledUnit(spec, model_, motion, points, rough, past, until_s)
+
+
+def _broken_off(motion: TableMotion, until_s: float, harmonics: int) -> TableMotion:
+    """The motion up to a time: of a move nothing, of a rest what lies before it, with a reading at its end."""
+    line, source = motion.line, np.arange(len(motion.axis))
+    parts = (until_s - line.start) / np.where(line.duration > 0.0, line.duration, 1.0)
+    if len(inside := np.flatnonzero((motion.axis < 0) & (parts > _SLACK) & (parts < 1.0 - _SLACK))):
+        line, source = line.divided(inside, parts[inside])
+        line = eqx.tree_at(lambda x: x.read, line, (source == inside[-1]) | line.read)
+    line = line.between(-np.inf, until_s)
+    source = source[: line.piece_count]
+    return trajectory.table_motion(
+        line, motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles, harmonics
+    )
 
 
 def posterior_of_unit(built: AssembledUnit) -> Posterior:

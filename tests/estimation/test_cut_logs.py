@@ -47,15 +47,15 @@ def test_a_unit_s_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predi
     spec = scene("two axes", 0.1)
     logs = record(spec, draw_truth(spec, rng), rng)
     assert lacks_of(spec, logs) is None
-    part = cut(logs[0], 0.6)
+    part = cut(logs[0], 0.85)
     (report,) = estimate_units(spec, [part])
     lacks = report.calibration.lacks
     assert lacks is not None
-    assert "(60%): the executed part alone predicts" in lacks
+    assert "(85%): the executed part alone predicts" in lacks
     assert report.messages[0] == lacks
     assert lacks in unit_report_data(Sources(unit_calibration=report.calibration)).notes
     for before, after in zip(requirement_rows(spec, float(part.time_s[-1])), report.requirements, strict=True):
-        assert after.decisive == pytest.approx(before.decisive, rel=0.05)
+        assert after.decisive == pytest.approx(before.decisive, rel=0.1)
 
 
 def test_points_that_lack_are_named_by_themselves():

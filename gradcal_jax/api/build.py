@@ -24,7 +24,8 @@ class Assembled(NamedTuple):
     """A spec in the core's terms: the model of a channel, and the schedule of each.
 
     `moves`: the first moves of every schedule, with their shapes. `sources`: the indices of the model's noise processes
-    by the name of their error source. `past`: the motion before the plan begins.
+    by the name of their error source. `past`: the motion before the plan begins. `until_s`: where the plan is broken
+    off, on its clock.
     """
 
     spec: Spec
@@ -34,6 +35,7 @@ class Assembled(NamedTuple):
     thermal_lag: float | None
     sources: dict[str, tuple[int, ...]]
     past: dict[Axis, Past]
+    until_s: float = np.inf
 
     @property
     def channels(self) -> tuple[Axis, ...]:
@@ -44,11 +46,13 @@ class Assembled(NamedTuple):
         """The motion before the plan and of the plan, as the sensor of a channel (default: the first) sees it."""
         channel = channel or self.channels[0]
         line = self.schedules[channel].trajectory(self.thermal_lag)
+        if self.until_s < np.inf:
+            line = line.between(-np.inf, self.until_s)
         return self.past[channel].then(line) if channel in self.past else line
 
 
-def assemble(spec: Spec) -> Assembled:
-    """Sensor model and schedules of a spec.
+def assemble(spec: Spec, until_s: float = np.inf) -> Assembled:
+    """Sensor model and schedules of a spec, whose plan is broken off at `until_s` of its clock.
 
     Errors: `TypeError` for anything but a spec, `MemoryError` for a plan with more readings than this machine can hold.
     """
@@ -58,7 +62,7 @@ def assemble(spec: Spec) -> Assembled:
     processes, sources = _processes(spec)
     lag = spec.sensor.lag
     plans = _schedules(spec.schedule, spec.sensor)
-    return Assembled(spec, _model(spec, processes), *plans, lag, sources, _past(spec, lag))
+    return Assembled(spec, _model(spec, processes), *plans, lag, sources, _past(spec, lag), until_s)
 
 
 def _past(spec: Spec, lag: float | None) -> dict[Axis, Past]:

@@ -17,6 +17,7 @@ from gradcal_jax.api.contradictions import (
 )
 from gradcal_jax.api.estimate import common_axes, estimate_channels
 from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.log_rows import with_options
 from gradcal_jax.api.posterior_of_plan import (
     DEG_PER_S,
@@ -145,6 +146,7 @@ def estimate_calibration(
     `sources`: names of the files, for the provenance. **Raises:** `LogError` and `ValueError` with a sentence where the
     log does not hold what the estimate needs.
     """
+    lacks = lacks_of(spec, [log])
     spec, options, said = with_options(spec, [log], options or Options())
     estimated = axes or common_axes(assemble(spec), log)
     (log,), faults = without_bad_rows(spec, [log], [f"gyro {axis}" for axis in estimated])
@@ -152,7 +154,9 @@ def estimate_calibration(
         for name in units or log.units:
             refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
     channels = estimate_channels(spec, log, axes=axes, units=units, options=options)
-    return _report(spec, log, channels, options, sources, said, faults)
+    report = _report(spec, log, channels, options, sources, [*([lacks] if lacks else []), *said], faults)
+    whole = (c.model_copy(update={"lacks": lacks} if lacks else {}) for c in report.calibrations)
+    return report._replace(calibrations=tuple(whole))
 
 
 def estimate_points(

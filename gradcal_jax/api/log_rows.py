@@ -22,6 +22,7 @@ AnySpec = TypeVar("AnySpec", Spec, UnitSpec)
 _POOR_CLOCK = 2e-5
 # A clock without a stated error, a ratio, and the number of standard deviations by which two clocks contradict.
 _QUARTZ, _APART = 2e-5, 2.0
+_CLOCK_MEND = '[sensor] clock = "sensor" predicts what such a log gives'
 
 
 class Rows(NamedTuple):
@@ -218,24 +219,32 @@ def with_options(spec: AnySpec, logs: Sequence[Log], options: Options) -> tuple[
     Where rates are integrated over the computer's time, the clock's error is that of the comparison and of the
     computer's own clock. A rate of the Earth that an option gives is no omitted term of the spec.
     """
-    clock = options.clock or spec.sensor.clock
+    clock, error, said = options.clock or spec.sensor.clock, spec.sensor.sample_clock_error, list[str]()
+    both = clock is None and all(default_clock(log) == "host" for log in logs)
+    compared = both or clock == "host"
+    fits = [clock_fit(log) for log in logs if compared or (log.host_time_s is not None and len(log.time_s) > 1)]
+    apart = [fit for fit in fits if abs(fit.slope - 1.0) > _APART * _clocks_differ_by(fit, error)]
     if clock is None:
-        clock = "host" if all(default_clock(log) == "host" for log in logs) else "sensor"
-    fits = [clock_fit(log) for log in logs if clock == "host" or (log.host_time_s is not None and len(log.time_s) > 1)]
-    error, said = spec.sensor.sample_clock_error, list[str]()
+        # The better of the two, unless the sensor's is contradicted.
+        better = error is None or spec.sensor.takes_host_clock or apart
+        clock = "host" if both and better else "sensor"
+        if clock == "sensor" and spec.sensor.takes_host_clock:
+            said.append(
+                f"the log has no computer's time to compare the sensor's clock with: its {error} count, where a "
+                f"prediction of the spec counts {HOST_CLOCK * 1e6:g} ppm; {_CLOCK_MEND}"
+            )
+    sensor = spec.sensor.model_copy(update={"clock": "sensor"})
     if clock == "host":
         # Every log has a slope of its own to the host's clock; the error that they share is at most the largest.
         std = max(float(np.hypot(fit.std or 0.0, HOST_CLOCK)) for fit in fits)
-        sensor = spec.sensor.model_copy(update={"sample_clock_error": Quantity.of(std, "ppm"), "clock": "sensor"})
-        spec = spec.model_copy(update={"sensor": sensor})
-    for fit in fits:
-        known = float(np.hypot(np.hypot(fit.std or 0.0, HOST_CLOCK), float(error or _QUARTZ)))
-        if abs(fit.slope - 1.0) > _APART * known:
-            used = "the computer's is used" if clock == "host" else "the sensor's is used: --clock host takes the other"
-            said.append(
-                f"the log's two clocks contradict each other by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more than "
-                f"{_APART:g} times what the sensor's clock is good to: {used}"
-            )
+        sensor = sensor.model_copy(update={"sample_clock_error": Quantity.of(std, "ppm")})
+    spec = spec.model_copy(update={"sensor": sensor})
+    for fit in apart:
+        used = "the computer's is used" if clock == "host" else "the sensor's is used: --clock host takes the other"
+        said.append(
+            f"the log's two clocks contradict each other by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more than "
+            f"{_APART:g} times what the sensor's clock is good to: {used}"
+        )
     if isinstance(spec, Spec):
         given = spec.rig.earth_rate
         if options.earth_rate is not None:
@@ -245,6 +254,11 @@ def with_options(spec: AnySpec, logs: Sequence[Log], options: Options) -> tuple[
         known = 0.0 if given is None or not np.isfinite(given) else float(given)
         options = replace(options, earth_rate=known)
     return spec, replace(options, clock=clock), said
+
+
+def _clocks_differ_by(fit: ClockFit, error: Quantity | None) -> float:
+    """Standard deviation of the difference of two clocks, a ratio, by what is stated of them."""
+    return float(np.hypot(np.hypot(fit.std or 0.0, HOST_CLOCK), float(error or _QUARTZ)))
 
 
 def _clock_fits(log: Log) -> tuple[np.ndarray, np.ndarray | None]:

@@ -87,12 +87,13 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     )
 
 
-def requirement_rows(spec: Spec | UnitSpec) -> list[RequirementRow]:
-    """The residual of every requirement after a spec's plan on every axis, and nothing else of its prediction."""
+def requirement_rows(spec: Spec | UnitSpec, until_s: float = np.inf) -> list[RequirementRow]:
+    """The residual of every requirement after a spec's plan on every axis, and nothing else of its prediction.
+    `until_s`: where the plan is broken off, on its clock."""
     if isinstance(spec, UnitSpec):
-        unit = assemble_unit(spec)
+        unit = assemble_unit(spec, until_s)
         return _unit_rows(unit, posterior_of_unit(unit))
-    built = assemble(spec)
+    built = assemble(spec, until_s)
     return [
         _requirement_row(built, budget, r, c) for r, c, budget in counted_posteriors(built, posteriors_of_plan(built))
     ]
@@ -103,7 +104,7 @@ def counted_posteriors(
 ) -> Iterator[tuple[Requirement, Axis, CountedPosteriors]]:
     """Every requirement on every axis, with the posteriors that decide."""
     full = with_typical(built.spec)
-    complete = built if full is built.spec else assemble(full)
+    complete = built if full is built.spec else assemble(full, built.until_s)
     budgets = {channel: budget_of_plan(built, of, channel, complete) for channel, of in known.items()}
     for requirement, channel in product(built.spec.requirement, built.channels):
         yield requirement, channel, budgets[channel]
@@ -111,7 +112,7 @@ def counted_posteriors(
 
 def _unit_rows(unit: AssembledUnit, known: Posterior) -> list[RequirementRow]:
     full = with_typical(unit.spec)
-    budget = budget_of_unit(unit, known, unit if full is unit.spec else assemble_unit(full))
+    budget = budget_of_unit(unit, known, unit if full is unit.spec else assemble_unit(full, unit.until_s))
     return [unit_requirement_row(unit, budget, requirement) for requirement in unit.spec.requirement]
 
 

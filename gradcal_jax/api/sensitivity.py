@@ -241,6 +241,8 @@ def sensitive_figures(spec: UnitSpec) -> dict[str, dict[str, int]]:
     time = {f"rig.table.axis[{k}].angle.read_every": 1 for k in range(len(spec.rig.table.axis))}
     rates: dict[str, int] = {}
     for key, text in _texts(tables_of(spec), ""):
+        if key == "sensor.sample_clock_error" and spec.sensor.takes_host_clock:
+            continue
         for pattern, name in _FIGURES:
             if (match := re.fullmatch(pattern, key)) is not None and _number(text) != 0.0:
                 words = (group.replace("_", " ") for group in match.groups())

@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from gradcal_jax import model, trajectory
@@ -43,7 +44,8 @@ _SLACK = 1e-9
 
 class AssembledUnit(NamedTuple):
     """A unit's spec in the core's terms. `points`: quadrature points along a piece for functions of temperature, which
-    are smooth there (`rough`: not along the pieces of a log). `past`: the motions before the plan begins, in order."""
+    are smooth there (`rough`: not along the pieces of a log). `past`: the motions before the plan begins, in order.
+    `until_s`: where the plan is broken off, on its clock."""
 
     spec: UnitSpec
     model: UnitModel
@@ -51,14 +53,15 @@ class AssembledUnit(NamedTuple):
     points: int
     rough: bool
     past: tuple[TableMotion, ...] = ()
+    until_s: float = np.inf
 
     def body_nodes(self) -> BodyNodes:
         """The nodes on which the terms are integrated."""
         return trajectory.body_nodes(self.motion, self.points)
 
 
-def assemble_unit(spec: UnitSpec) -> AssembledUnit:
-    """Model and motion of a unit's spec."""
+def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
+    """Model and motion of a unit's spec, whose plan is broken off at `until_s` of its clock."""
     model_ = unit_model(spec)
     bases = [t.temperature for c in model_.channels for t in c.model.terms if isinstance(t, Map | SignalMap)]
     degree = max(b.degree if isinstance(b, Polynomial | BSpline) else 0 for b in bases)
@@ -66,7 +69,24 @@ def assemble_unit(spec: UnitSpec) -> AssembledUnit:
     points = max(degree + 1, _LAGGED if spec.sensor.lag is not None else 1)
     past = tuple(motion_of(part, spec, model_) for part in spec.past)
     rough = any(b.breaks for b in bases)
-    return AssembledUnit(spec, model_, motion_of(spec.schedule, spec, model_), points, rough, past)
+    motion = motion_of(spec.schedule, spec, model_)
+    if until_s < np.inf:
+        motion = _broken_off(motion, until_s, _highest_order(spec))
+    return AssembledUnit(spec, model_, motion, points, rough, past, until_s)
+
+
+def _broken_off(motion: TableMotion, until_s: float, harmonics: int) -> TableMotion:
+    """The motion up to a time: of a move nothing, of a rest what lies before it, with a reading at its end."""
+    line, source = motion.line, np.arange(len(motion.axis))
+    parts = (until_s - line.start) / np.where(line.duration > 0.0, line.duration, 1.0)
+    if len(inside := np.flatnonzero((motion.axis < 0) & (parts > _SLACK) & (parts < 1.0 - _SLACK))):
+        line, source = line.divided(inside, parts[inside])
+        line = eqx.tree_at(lambda x: x.read, line, (source == inside[-1]) | line.read)
+    line = line.between(-np.inf, until_s)
+    source = source[: line.piece_count]
+    return trajectory.table_motion(
+        line, motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles, harmonics
+    )
 
 
 def posterior_of_unit(built: AssembledUnit) -> Posterior:
@@ -233,10 +253,14 @@ def motion_of(plan: UnitSchedule, spec: UnitSpec, of: UnitModel) -> TableMotion:
     # Between two stretches the table stands where the cycle began, up to whole turns, and the mounting changes.
     stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
     mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
-    orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
-    harmonics = max(orders, default=0)
+    harmonics = _highest_order(spec)
     whole = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), np.array(plan.start), harmonics)
     return trajectory.divided_motion(whole, *_breaks(of), harmonics)
+
+
+def _highest_order(spec: UnitSpec) -> int:
+    """Of an encoder's error over the angle."""
+    return max((h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics), default=0)
 
 
 def _breaks(of: UnitModel) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:

@@ -23,6 +23,7 @@ from gradcal_jax.api.contradictions import (
     refuse_other_units,
 )
 from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.log_rows import bridged_temperature, time_of, usable_rows, with_options
 from gradcal_jax.api.prediction import unit_requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
@@ -133,6 +134,7 @@ def estimate_units(
     names = list(units) or [name for name in logs[0].units if all(name in log.units for log in logs)]
     if not names:
         raise LogError("no unit is in all of the logs")
+    lacks = lacks_of(spec, logs)
     spec, options, said = with_options(spec, logs, options)
     for log, name in itertools.product(logs, names):
         if log.temperature_c is not None:
@@ -146,7 +148,10 @@ def estimate_units(
             report = _report(built, logs, name, options, sources or {}, noise, faults[name])
         except LogError as error:
             raise LogError(f"{error}{faults[name].also}") from None
-        reports.append(report._replace(messages=(*said, *faults[name].sentences, *report.messages)))
+        if lacks is not None:
+            report = report._replace(calibration=report.calibration.model_copy(update={"lacks": lacks}))
+        messages = *([lacks] if lacks else []), *said, *faults[name].sentences, *report.messages
+        reports.append(report._replace(messages=messages))
     return reports
 
 

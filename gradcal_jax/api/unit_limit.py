@@ -141,7 +141,7 @@ def _of_scale_factor(
     white = float(channel.model.angle_random_walk)
     if alone := _has_the_table_alone(built, channel):
         # As a spec of one axis. Other channels would show the encoder's errors and the clock's, which are left out.
-        encoder, clock = built.model.encoder, float(built.spec.sensor.sample_clock_error or 0.0)
+        encoder, clock = built.model.encoder, built.spec.sensor.clock_error
         reference = model.angle_reference(float(encoder.reading[0]), float(encoder.offset[0]))
         if clock:
             processes = processes + model.constant(clock, rate_gain=1.0)

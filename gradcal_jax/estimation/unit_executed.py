@@ -85,7 +85,8 @@ def executed_unit(
     integral over a move is not a sequence of turns of single axes.
     """
     stands = [(int(a), int(b) - 1) for a, b in runs(log.standing) if b - a > 1]
-    spans = [_inner(log.time_s, *stand) for stand in stands]
+    # Standstills of a run, whose readings are events, have margins already.
+    spans = stands if log.at_a_stop.any() else [_inner(log.time_s, *stand) for stand in stands]
     if len(spans) < 2:
         raise ValueError("the table stands still less than twice in the log, so there is no pose to compare")
     if read_every < _PIECE_S and log.at_a_stop.any():
@@ -93,7 +94,7 @@ def executed_unit(
         read = [np.flatnonzero(log.at_a_stop[a : b + 1]) + a for a, b in stands]
         spans = [(int(rows[0]), int(rows[-1])) for rows in read if len(rows)]
     # A reading has the row at which its axis stands; of an angle at every row those at the ends do not count.
-    means = mean_angles(log, stands if log.at_a_stop.any() else spans)
+    means = mean_angles(log, spans)
     slow = np.median(np.diff(log.time_s)) > SLOW_S
     legs = _legs(log, geometry, spans, means, planned if slow else ())
     angles = _own_angles(log, spans, legs)
@@ -251,7 +252,10 @@ def _valleys(speed: np.ndarray) -> list[int]:
     from scipy.signal import find_peaks
 
     prominence = np.log(_DIP)
-    return find_peaks(-np.log(np.maximum(smooth, _SLOWEST * top)), prominence=prominence)[0].tolist()
+    stops = find_peaks(-np.log(np.maximum(smooth, _SLOWEST * top)), prominence=prominence)[0]
+    # The mean over several rows is least beside the stop, towards the slower move.
+    around = [np.arange(max(stop - width, 0), min(stop + width + 1, len(speed))) for stop in stops]
+    return [int(rows[np.argmin(speed[rows])]) for rows in around]
 
 
 def _which(
@@ -384,17 +388,24 @@ def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: fl
 def across_stops(done: ExecutedUnit, log: UnitRows) -> np.ndarray:
     """Corrections of the gyros' integrals over every piece `(P, 3)`, rad, where the table stopped for an instant.
 
-    The row of the stop contains the end of one axis's turn and the begin of another's, some tens of µrad at 100 rows/s.
-    Their different directions separate them.
+    The row of the stop contains the end of one turn and the begin of the next, some tens or hundreds of µrad at 100
+    rows/s. Of two axes their different directions separate them, of one axis the slopes of the rate on both sides.
     """
     result, axis, rows = np.zeros((len(done.motion.axis), 3)), done.motion.axis, done.rows
     step, seen = np.diff(log.time_s, prepend=log.time_s[0]), np.isfinite(log.rates).any(axis=0)
     before, _ = done.motion.angles()
     rests = np.flatnonzero(axis < 0)
-    for k in np.flatnonzero((axis[:-1] >= 0) & (axis[1:] >= 0) & (axis[:-1] != axis[1:])):
+    for k in np.flatnonzero((axis[:-1] >= 0) & (axis[1:] >= 0)):
         stop = int(rows[k + 1])
         # Where the plan tells the stop, it may lie within a row, which is then the only one that both moves share.
         late_s = float(done.motion.line.start[k + 1] - log.time_s[stop])
+        if axis[k] == axis[k + 1]:
+            near = slice(stop - 3, stop + 4)
+            if late_s == 0.0 and rows[k] + 3 < stop < rows[k + 2] - 3:
+                late = _too_much(log.time_s[near], log.rates[near])
+                result[k] -= late
+                result[k + 1] += late
+            continue
         near = np.arange(max(rows[k] + 1, stop - 1), min(rows[k + 2], stop + 1) + 1)
         near = near if late_s == 0.0 else near[near == (stop if late_s < 0.0 else stop + 1)]
         around = [j for j in (np.searchsorted(rests, k) - 1, np.searchsorted(rests, k)) if 0 <= j < len(rests)]
@@ -420,6 +431,27 @@ def across_stops(done: ExecutedUnit, log: UnitRows) -> np.ndarray:
         late -= np.nan_to_num(np.mean(still, axis=0)) * late_s
         result[k] -= late
         result[k + 1] += late
+    return result
+
+
+def _too_much(time_s: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Of two moves of one axis, what the rows up to a stop hold of the second, less what the rows after it hold of the
+    first, rad `(3,)`. `time_s` `(7,)`, `rates` `(7, 3)`: of the row of the stop, in the middle, and those beside it.
+
+    Controllers brake and start at constant accelerations: straight lines of the rate.
+    """
+    step = np.diff(time_s, prepend=2.0 * time_s[0] - time_s[1])
+    result, end, middle = np.zeros(3), time_s[3], time_s - 0.5 * step
+    main = int(np.nanargmax(np.nansum(np.abs(rates), axis=0))) if np.isfinite(rates).any() else 0
+    for one, other, sign in ((0, 1, -1.0), (5, 6, 1.0)):
+        slope = (rates[other] - rates[one]) / (middle[other] - middle[one])
+        if not abs(slope[main]) > 0.0:
+            continue
+        # From the row's end to where the line is zero: past it on the side of the other move.
+        beyond = (end - (middle[one] - rates[one, main] / slope[main])) * sign
+        if 0.0 < beyond < 1.5 * step[3]:
+            # Either way a part of one move is among the rows of the other.
+            result += 0.5 * np.nan_to_num(slope) * beyond**2
     return result
 
 

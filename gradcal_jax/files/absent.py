@@ -15,7 +15,7 @@ from gradcal_jax import units
 from gradcal_jax.files.changes import AnySpec, changed
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.sensor import Sensor, UnitSensor
+from gradcal_jax.files.sensor import HOST_CLOCK, Sensor, UnitSensor
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
@@ -68,7 +68,7 @@ def _of_axis(spec: Spec) -> Iterator[AbsentTerm]:
     sensor, table, angle = spec.sensor, spec.rig.table, spec.rig.table.angle
     of_sensor, of_table = terms_of("sensor", sensor_grade(sensor).name), terms_of("table", table_grade(spec).name)
     matters = _matters_of_sensor(spec)
-    own = [term._replace(value=_of_the_maps(term, sensor)) for term in of_sensor if term.key in matters]
+    own = [_of_clock(_of_the_maps(term, sensor), sensor) for term in of_sensor if term.key in matters]
     yield from _unnamed(sensor, "sensor", own)
     matters = _matters_of_table(spec)
     yield from _unnamed(table, "rig.table", [t for t in of_table if t.key in matters and "." not in t.key])
@@ -86,7 +86,7 @@ def _of_unit(spec: UnitSpec) -> Iterator[AbsentTerm]:
     common = {"temperature_offset", "temperature_lag"}
     if (scaled or (force is not None and force.velocity_increments)) and sensor.clock != "host":
         common.add("sample_clock_error")
-    yield from _unnamed(sensor, "sensor", [t for t in terms if t.key in common])
+    yield from _unnamed(sensor, "sensor", [_of_clock(t, sensor) for t in terms if t.key in common])
     if gyro is not None:
         own = {"drift", "rate_random_walk", "turn_on_bias", "bias_temperature_gradient"}
         own |= {"scale_factor_instability"} if scaled else set[str]()
@@ -222,13 +222,20 @@ def _matters_of_table(spec: Spec) -> set[str]:
     return matters | ({"angle.timing_error"} if on_the_move else set())
 
 
-def _of_the_maps(term: AbsentTerm, sensor: Sensor) -> Any:
+def _of_the_maps(term: AbsentTerm, sensor: Sensor) -> AbsentTerm:
     """A temperature error acts through the slopes of the estimated maps."""
     if term.key != "temperature_error":
-        return term.value
+        return term
     maps = {"bias_slope": sensor.bias, "scale_factor_slope": sensor.scale_factor}
     without = {name for name, section in maps.items() if section is None}
-    return {name: value for name, value in term.value.items() if name not in without}
+    return term._replace(value={name: value for name, value in term.value.items() if name not in without})
+
+
+def _of_clock(term: AbsentTerm, sensor: Sensor | UnitSensor) -> AbsentTerm:
+    """The computer's clock counts, with which a run compares the sensor's, unless the spec takes the sensor's."""
+    if term.key != "sample_clock_error" or sensor.clock == "sensor":
+        return term
+    return term._replace(value=f"{HOST_CLOCK * 1e6:g} ppm", source="the computer's clock, with which a run compares it")
 
 
 def _words(value: Any) -> str:

@@ -224,6 +224,8 @@ class Calibration(TitledFile):
     """Calibrations by axis."""
     noise: Noise | None = None
     """The assumed noise."""
+    lacks: Text | None = None
+    """What part of the plan the log lacks, and what the executed part alone predicts."""
     result: Annotated[tuple[Result, ...], Field(max_length=1000)] = ()
     """The results for the requirements."""
     provenance: dict[str, Text] = Field(default_factory=dict)

@@ -179,7 +179,7 @@ class _Instrument(Section):
     """Time constant, first order, between the chamber's air and the sensor's dies."""
     clock: Literal["sensor", "host"] | None = None
     """Clock over which rates are integrated. "host": the computer's, which counts 1 ppm in the place of
-    `sample_clock_error`; absent: the sensor's in a prediction, the computer's in an estimate whose log has both."""
+    `sample_clock_error`; absent: the better of the two, since a run's log has both."""
     sample_clock_error: SizeOfScaleFactor | None = None
     """Standard deviation of the clock that stamps all samples, a ratio; it acts as a scale factor."""
     temperature_offset: SizeOfTemperatureDifference | None = None
@@ -193,9 +193,23 @@ class _Instrument(Section):
         return float(self.thermal_lag or 0.0) or None
 
     @property
+    def takes_host_clock(self) -> bool:
+        """Whether rates are integrated over the computer's time: by the key, or else where that is the better clock."""
+        if self.clock is not None:
+            return self.clock == "host"
+        return self.sample_clock_error is not None and float(self.sample_clock_error) > HOST_CLOCK
+
+    @property
     def clock_error(self) -> float:
         """Standard deviation of the clock in use, a ratio."""
-        return HOST_CLOCK if self.clock == "host" else float(self.sample_clock_error or 0.0)
+        return HOST_CLOCK if self.takes_host_clock else float(self.sample_clock_error or 0.0)
+
+    @property
+    def clock_text(self) -> str | None:
+        """The same for people; None where the file names none."""
+        if self.takes_host_clock:
+            return f"{HOST_CLOCK * 1e6:g} ppm, the computer's"
+        return None if self.sample_clock_error is None else str(self.sample_clock_error)
 
 
 class Sensor(UncertainSection, _Instrument):

@@ -191,6 +191,8 @@ class UnitCalibration(TitledFile):
     """Coefficients that the data hardly determine."""
     noise: UnitNoise | None = None
     """The noise that the estimate assumed."""
+    lacks: Text | None = None
+    """What part of the plan the log lacks, and what the executed part alone predicts."""
     result: Annotated[tuple[UnitResult, ...], Field(max_length=1000)] = ()
     """The results for the spec's requirements."""
     provenance: dict[str, Text] = Field(default_factory=dict)

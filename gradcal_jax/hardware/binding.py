@@ -11,11 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from ..files.recipe import Recipe
+from ..files.sensor import Sensor, UnitSensor
 from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove
+from ..files.unit_spec import UnitSpec
 from ..formulas import reading_times, shape_pieces
 from ..units import to_unit
 from .errors import HardwareError
-from .track import AxisCommand, Course, Stable, Track, TrackStep
+from .track import AxisCommand, Course, GyroErrors, Stable, Track, TrackStep
 
 _LONGEST_STAND_S = 600.0
 _SPLINE_PIECE_S = 0.5
@@ -38,13 +40,29 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
             stretches[-1][1].append(segment)
         else:
             stretches.append((block, [segment]))
+    # A unit's table that is read while it stands is read at the end of its rests, too, as in the plan.
+    ends = isinstance(recipe.spec, UnitSpec) and recipe.spec.rig.table.standing == "read"
     steps: list[TrackStep] = []
     for block, segments in stretches:
         if block is None:
             steps.append(_unused(segments[0], recipe.stability, first=not steps))
         else:
-            steps += _stretch(block, segments, recipe.stability, names, first=not steps)
-    return Track(tuple(steps))
+            steps += _stretch(block, segments, recipe.stability, names, first=not steps, ends=ends)
+    return Track(tuple(steps), _gyro_errors(recipe.spec.sensor))
+
+
+def _gyro_errors(sensor: Sensor | UnitSensor) -> GyroErrors | None:
+    """Three standard deviations of what the spec says before the calibration, where that is more than usual."""
+    gyro = sensor if isinstance(sensor, Sensor) else sensor.gyro
+    if gyro is None:
+        return None
+    usual, bias, scale = GyroErrors(), 0.0, 0.0
+    if gyro.bias is not None and gyro.bias.prior is not None:
+        # Of three gyros.
+        bias = 3.0 * 3.0**0.5 * to_unit(float(gyro.bias.prior), "deg/s")
+    if (section := gyro.scale_factor) is not None and section.prior is not None:
+        scale = 3.0 * float(section.prior) * (section.temperature.size * section.rate.size) ** 0.5
+    return GyroErrors(max(usual.share, scale), max(usual.bias_dps, bias))
 
 
 def _names(recipe: Recipe, axes: Sequence[str]) -> dict[str, str]:
@@ -101,11 +119,17 @@ class _Piece:
 
 
 def _stretch(
-    block: MotionBlock, segments: Sequence[ChamberSegment], stability: Stability, names: dict[str, str], *, first: bool
+    block: MotionBlock,
+    segments: Sequence[ChamberSegment],
+    stability: Stability,
+    names: dict[str, str],
+    *,
+    first: bool,
+    ends: bool,
 ) -> list[TrackStep]:
     waits = segments[0].begins == "when stable"
     total = math.fsum(float(segment.duration) for segment in segments)
-    pieces = _pieces(block, total, names)
+    pieces = _pieces(block, total, names, ends=ends)
     knees: list[Course] = []
     clock = 0.0
     for segment in segments:
@@ -137,6 +161,7 @@ def _stretch(
                 goes_there=bool(block.start) and number == 0,
                 hang=block.hang or "",
                 mounting=block.mounting or 0,
+                used=True,
             )
         )
         for move in piece.moves:
@@ -156,7 +181,7 @@ def _temperature(segments: Sequence[ChamberSegment], at_s: float) -> float:
     return float(segments[-1].temperature_end)
 
 
-def _pieces(block: MotionBlock, total: float, names: dict[str, str]) -> list[_Piece]:
+def _pieces(block: MotionBlock, total: float, names: dict[str, str], *, ends: bool) -> list[_Piece]:
     if block.repeat == 1 and len(block.moves) == 1 and block.moves[0].do in ("rest", "wait"):
         return _standing(block, total)
     if any(move.do == "spin" for move in block.moves):
@@ -177,7 +202,7 @@ def _pieces(block: MotionBlock, total: float, names: dict[str, str]) -> list[_Pi
         if number == 0:
             piece.read_at_s.append(0.0)
         for move in own if last else block.moves:
-            _add(piece, move, names)
+            _add(piece, move, names, ends=ends)
         if last and block.standing_after > 0.0 and block.read_every_after is not None:
             begin = piece.duration_s - float(block.standing_after)
             times = reading_times(float(block.standing_after), float(block.read_every_after))
@@ -220,7 +245,7 @@ def _points(block: MotionBlock, names: dict[str, str]) -> list[_Piece]:
     return pieces
 
 
-def _add(piece: _Piece, move: TrackMove, names: dict[str, str]) -> None:
+def _add(piece: _Piece, move: TrackMove, names: dict[str, str], *, ends: bool) -> None:
     """The commands and the readings of one line of the recipe."""
     duration = float(move.duration)
     for repetition in range(move.repeat):
@@ -229,6 +254,8 @@ def _add(piece: _Piece, move: TrackMove, names: dict[str, str]) -> None:
             piece.moves += _commands(move, start, names[move.axis])
         if move.read_every is not None:
             piece.read_at_s += [start + time for time in reading_times(duration, float(move.read_every))]
+            if ends and move.do == "rest" and piece.read_at_s[-1:] != [start + duration]:
+                piece.read_at_s.append(start + duration)
         elif move.read == "end":
             piece.read_at_s.append(start + duration)
 

@@ -15,7 +15,7 @@ import numpy as np
 from .clock import Clock, holding
 from .errors import Disconnected
 from .journal import event_fields
-from .roles import ChamberReading, TemperatureChamber
+from .roles import ChamberLimits, ChamberReading, TemperatureChamber
 from .track import Course, Stable
 
 _SOFT_STEP_S = 5.0
@@ -23,9 +23,27 @@ _REMEMBERED = 1 << 14
 _KNOTS = 64
 # How far a chamber may overshoot at the end of an approach, as a share of its way.
 _OVERSHOOT = 0.1
+# Share of a slope by which a controller may round it.
+_ROUNDED = 0.005
 
 Tell = Callable[..., None]
 """Writes an event: its name and what belongs to it."""
+
+
+def rate_as_made(limits: ChamberLimits, way_k: float, rate_k_per_min: float) -> float:
+    """The rate of a ramp after rounding to the controller's steps, of rates or of whole times."""
+    if limits.ramp_step_s and way_k > 0.0:
+        minutes = limits.ramp_step_s / 60.0
+        return way_k / (minutes * max(1, round(way_k / rate_k_per_min / minutes)))
+    if step := limits.ramp_step_k_per_min:
+        return step * max(1, round(rate_k_per_min / step))
+    return rate_k_per_min
+
+
+def ramps_alone(limits: ChamberLimits, way_k: float, rate_k_per_min: float) -> bool:
+    """Whether the controller makes a ramp as planned. A minute too much for a ramp of six is 7 % of all slopes."""
+    made = rate_as_made(limits, way_k, rate_k_per_min)
+    return limits.hardware_ramp and abs(made - rate_k_per_min) <= _ROUNDED * rate_k_per_min
 
 
 class AirCourse:
@@ -82,7 +100,7 @@ class ChamberControl:
         self._telling = threading.RLock()
         self._ended = False
         self._history: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
-        # A ramp by set points of the runner, for a controller without ramps, and its end.
+        # A ramp by set points of the runner, for a controller without ramps or with coarse ones, and its end.
         self._soft: tuple[AirCourse, float] | None = None
         self._next_soft_s = 0.0
         self._held_c: float | None = None
@@ -146,7 +164,7 @@ class ChamberControl:
         self._conditions_since_s = min(self._conditions_since_s, self._clock.now())
 
     def follow(self, course: Course) -> None:
-        """Follow a course: by the controller's own ramp where it has one, else by `step_soft_ramp`."""
+        """Follow a course: by the controller's own ramp where it has the planned one, else by `step_soft_ramp`."""
         with self._alone() as may:
             if not may:
                 return
@@ -155,13 +173,14 @@ class ChamberControl:
                 return
             self._held_c = None
             command = {"ramp_to_c": course.temperature_c, "asked_k_per_min": course.ramp_k_per_min}
-            if self.chamber.limits().hardware_ramp:
+            limits, start_c = self.chamber.limits(), self.chamber.read().setpoint_c
+            if ramps_alone(limits, abs(course.temperature_c - start_c), course.ramp_k_per_min):
                 self._soft = None
                 rate = self.chamber.ramp(course.temperature_c, course.ramp_k_per_min)
                 self._conditioned()
                 self._event("chamber told", **command, k_per_min=rate)
                 return
-            soft, start_c = AirCourse(), self.chamber.read().setpoint_c
+            soft = AirCourse()
             self._next_soft_s = self._clock.now()
             soft.stands(self._next_soft_s, start_c)
             soft.ramps(self._next_soft_s, course.temperature_c, course.ramp_k_per_min)
@@ -180,7 +199,8 @@ class ChamberControl:
         if self._soft is None or now < self._next_soft_s:
             return
         ramp, target_c = self._soft
-        reached_c = ramp.at(now)
+        # A set point that is held until the next one is late by half of that time.
+        reached_c = ramp.at(now + 0.5 * max(_SOFT_STEP_S, now - self._next_soft_s + _SOFT_STEP_S))
         self.chamber.hold(reached_c)
         self._conditioned()
         if reached_c == target_c:

@@ -5,7 +5,10 @@ Drivers and simulated devices share this module only, so that both cannot have t
 
 import binascii
 import zlib
-from functools import reduce
+from functools import cache, reduce
+
+import numpy as np
+from numpy.typing import NDArray
 
 BIT_REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 
@@ -35,6 +38,27 @@ def crc32_mpeg2(data: bytes) -> int:
     """
     ordinary = zlib.crc32(data.translate(BIT_REVERSED)) ^ 0xFFFFFFFF
     return int.from_bytes(ordinary.to_bytes(4, "little").translate(BIT_REVERSED), "big")
+
+
+def crc32_mpeg2_of_rows(rows: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """`crc32_mpeg2` of every row, `(n, k) -> (n,)`.
+
+    A CRC is affine over exclusive or: that of a message is that of as many zeros, changed by what each byte in its
+    place changes alone. A block of datagrams is one look into a table of places and bytes.
+    """
+    table, of_zeros = _crc32_by_place(rows.shape[1])
+    return np.bitwise_xor.reduce(table[np.arange(rows.shape[1]), rows], axis=1) ^ of_zeros
+
+
+@cache
+def _crc32_by_place(length: int) -> tuple[NDArray[np.uint32], np.uint32]:
+    """`(length, 256)`: what a byte in a place changes of the CRC of zeros; and that CRC."""
+    of_zeros = crc32_mpeg2(bytes(length))
+    changes = [
+        [crc32_mpeg2(bytes(place) + bytes([byte]) + bytes(length - place - 1)) ^ of_zeros for byte in range(256)]
+        for place in range(length)
+    ]
+    return np.array(changes, np.uint32).reshape(length, 256), np.uint32(of_zeros)
 
 
 def crc8_stim300(data: bytes) -> int:

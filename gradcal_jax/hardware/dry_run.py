@@ -8,6 +8,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from .chamber_control import ramps_alone, rate_as_made
 from .clock import Clock
 from .errors import HardwareError
 from .roles import AxisLimits, ChamberLimits, ImuSettings
@@ -18,7 +19,6 @@ _STREAM_S, _LONGEST_S = 3.0, 12.0
 _RATE_OFF = 0.05
 _OFF_GOAL_DEG = 1.0
 _LATE_S = 2.0
-_ROUNDED = 0.005
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,8 @@ class PlannedStep:
 
 @dataclass(frozen=True)
 class DryRun:
-    """The dry run of a recipe. `problems`: why it would not start; `rounded`: slopes that the chamber rounds."""
+    """The dry run of a recipe. `problems`: why it would not start; `rounded`: slopes that the chamber would
+    round."""
 
     steps: tuple[PlannedStep, ...]
     duration_s: float
@@ -71,7 +72,7 @@ def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, A
 
 
 def _chamber_command(course: Course, here_c: float, limits: ChamberLimits | None) -> tuple[str, str]:
-    """The command to the chamber, and a sentence where the chamber rounds its rate."""
+    """The command to the chamber, and a sentence where the chamber would round its rate."""
     rate = course.ramp_k_per_min
     if rate is None:
         return f"hold {course.temperature_c:g} degC", ""
@@ -79,21 +80,10 @@ def _chamber_command(course: Course, here_c: float, limits: ChamberLimits | None
     command = f"ramp to {course.temperature_c:g} degC at {rate:.3g} K/min"
     if limits is None or not limits.hardware_ramp:
         return command + " (by steps of its set point, every 5 s)", ""
-    executed = rate_as_made(limits, way_k, rate)
-    if abs(executed - rate) <= _ROUNDED * rate:
+    if ramps_alone(limits, way_k, rate):
         return command, ""
-    rounded = f"{rate:.3g} K/min become {executed:.3g} K/min in the chamber"
-    return f"{command}, of which it makes {executed:.3g}", rounded
-
-
-def rate_as_made(limits: ChamberLimits, way_k: float, rate_k_per_min: float) -> float:
-    """The rate of a ramp after rounding to the controller's steps, of rates or of whole times."""
-    if limits.ramp_step_s and way_k > 0.0:
-        minutes = limits.ramp_step_s / 60.0
-        return way_k / (minutes * max(1, round(way_k / rate_k_per_min / minutes)))
-    if step := limits.ramp_step_k_per_min:
-        return step * max(1, round(rate_k_per_min / step))
-    return rate_k_per_min
+    rounded = f"{rate:.3g} K/min would become {rate_as_made(limits, way_k, rate):.3g} K/min in the chamber"
+    return command + " (by steps of its set point, every 5 s)", f"{rounded}: the run steps its set point"
 
 
 def _moves(name: str, moves: list[AxisCommand], at: dict[str, float]) -> str:

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from .roles import ImuDecoder
+from .track import GyroErrors
 
 # The window in which the rate of samples is measured is at least so long; what a unit's own clock may be off.
 _WINDOW_S = 60.0
 _RATE_OFF = 0.05
-# How far a gyro's angle may be off the table's, and its bias, deg/s.
-_ANGLE_OFF, _BIAS_DPS = 0.1, 1.0
 _LEAST_TURN_DEG = 90.0
+_USUAL = GyroErrors()
 _TOGETHER_S = 0.25
 
 
@@ -49,8 +49,8 @@ class _Arrival:
 class SampleLosses:
     """The samples of a unit: the stream is decoded once on arrival, and only their numbers are kept."""
 
-    def __init__(self, decoder: ImuDecoder, sample_rate_hz: float) -> None:
-        self._decoder, self._sample_rate_hz = decoder, sample_rate_hz
+    def __init__(self, decoder: ImuDecoder, sample_rate_hz: float, gyros: GyroErrors | None = _USUAL) -> None:
+        self._decoder, self._sample_rate_hz, self._gyros = decoder, sample_rate_hz, gyros
         self._arrivals: deque[_Arrival] = deque(maxlen=1 << 16)
         self.received = self.missing = 0
 
@@ -94,12 +94,13 @@ class SampleLosses:
             count = sum(arrival.received + arrival.missing for arrival in window[1:])
             if abs(count / self._sample_rate_hz - span_s) > _RATE_OFF * span_s + latest_s:
                 return f"it sends {count / span_s:.1f} samples/s and was set to {self._sample_rate_hz:g}"
-        if turned_deg is None or turned_deg < _LEAST_TURN_DEG or not inside:
+        gyros = self._gyros
+        if gyros is None or turned_deg is None or turned_deg < _LEAST_TURN_DEG or not inside:
             return ""
         times_s = [executed.began_s, *(arrival.time_s for arrival in inside), executed.ended_s]
         late_s = max(after - before for before, after in itertools.pairwise(times_s))
         shown_deg = sum(arrival.turned_deg for arrival in inside)
-        allowed_deg = (_ANGLE_OFF + late_s / lasted_s) * turned_deg + _BIAS_DPS * lasted_s
+        allowed_deg = (gyros.share + late_s / lasted_s) * turned_deg + gyros.bias_dps * lasted_s
         if math.isfinite(shown_deg) and abs(shown_deg - turned_deg) > allowed_deg:
             return f"its gyros show {shown_deg:.0f} deg in all and the table turned {turned_deg:.0f}"
         return ""

@@ -176,7 +176,7 @@ class Runner:
                 unit = self.bench.imus[name]
                 settings = self._settings[name] = unit.configure()
                 self._event("configuration", device=name, **event_fields(settings))
-                self._losses[name] = SampleLosses(unit.decoder(), settings.sample_rate_hz)
+                self._losses[name] = SampleLosses(unit.decoder(), settings.sample_rate_hz, self.track.gyros)
         if problems := self.dry_run():
             raise LimitExceeded("The run was not started. " + " ".join(problems))
 
@@ -317,7 +317,7 @@ class Runner:
             executed = self._unconfirmed.pop(0)
             step = self.track.steps[executed.number]
             limits = self.interlocks.limits
-            for name, losses in self._losses.items() if step.read_at_s else ():
+            for name, losses in self._losses.items() if step.data else ():
                 if lost := losses.between(executed, limits.lost_share, limits.latest_s, step.turned_deg):
                     self._shortfall = StepNotDone(executed.number, f"{name}: {lost}", name)
                     return
@@ -343,7 +343,7 @@ class Runner:
         begin = self._step_ends_s if flows else self._begin(step, again)
         axes.late_s = axes.late_s if flows else 0.0
         self._step_ends_s = begin + step.duration_s
-        self._event("step begins", step=step.name, number=self._steps_done, begins_s=begin, data=bool(step.read_at_s))
+        self._event("step begins", step=step.name, number=self._steps_done, begins_s=begin, data=step.data)
         courses = [course for course in step.courses if flows or course.start_s > 0.0]
         moves, reads = list(step.moves), sorted(step.read_at_s)
         every_s = None if reads else begin

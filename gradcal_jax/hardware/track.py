@@ -99,6 +99,13 @@ class TrackStep:
     goes_there: bool = False
     hang: str = ""
     mounting: int = 0
+    used: bool = False
+
+    @property
+    def data(self) -> bool:
+        """Whether its samples are data: also where no angle is read, as in a part of a long rest that is read at its
+        end."""
+        return self.used or bool(self.read_at_s)
 
     @property
     def begins_c(self) -> float | None:
@@ -119,10 +126,19 @@ class TrackStep:
 
 
 @dataclass(frozen=True)
+class GyroErrors:
+    """By how much a unit's gyros may differ from the table: a share of the angle, and a bias, deg/s."""
+
+    share: float = 0.1
+    bias_dps: float = 1.0
+
+
+@dataclass(frozen=True)
 class Track:
-    """The whole run. Errors: `ValueError` for inconsistent times."""
+    """The whole run. `gyros`: None where the unit has none. Errors: `ValueError` for inconsistent times."""
 
     steps: tuple[TrackStep, ...]
+    gyros: GyroErrors | None = GyroErrors()
 
     def __post_init__(self) -> None:
         if not self.steps:

@@ -22,7 +22,7 @@ def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> lis
         figures = (
             ("rate random walk", sensor.rate_random_walk),
             ("turn-on bias", sensor.turn_on_bias),
-            ("sample clock error", sensor.sample_clock_error if sensor.clock != "host" else "1 ppm, the computer's"),
+            ("sample clock error", sensor.clock_text),
             ("offset of the temperature", sensor.temperature_offset),
             ("lag of the temperature", sensor.temperature_lag),
             ("input axis beside the table's axis", recipe.axis_spec.rig.table.mounting_accuracy),

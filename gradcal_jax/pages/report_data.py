@@ -64,6 +64,8 @@ def report_data_of(sources: Sources) -> ReportData:
     before_is, requirements, maps = requirements_of(sources)
     axes = () if calibration is None else tuple(_axis(axis, sources.hidden_truth) for axis in calibration.axis)
     notes = [*sources.notes]
+    if calibration is not None and calibration.lacks is not None:
+        notes.append(calibration.lacks)
     if recipe is not None:
         notes += [*recipe.notes, *(row.sentence for row in recipe.prediction.notices), *recipe.prediction.warnings]
     notes += [

@@ -40,6 +40,8 @@ def unit_report_data(sources: Sources) -> ReportData:
         values = {row["name"]: row["value"] for row in coefficient_rows(calibration)}
         agreed = agreement(values, calibration.covariance, hidden)
         axes = (axis_fact(calibration, calibration.serial_number, (), agreed),)
+        if calibration.lacks is not None:
+            notes.append(calibration.lacks)
         if calibration.unobservable:
             notes.append(f"the data say nothing of {', '.join(calibration.unobservable)}")
     simulated = any(source is not None and source.simulated for source in (history, calibration))
@@ -148,7 +150,7 @@ def _assumed(spec: UnitSpec) -> list[tuple[str, str]]:
     table, site = spec.rig.table, spec.rig.site
     installation: list[tuple[str, Any]] = [
         ("thermal lag", spec.sensor.thermal_lag),
-        ("sample clock error", spec.sensor.sample_clock_error),
+        ("sample clock error", spec.sensor.clock_text),
         ("accuracy of gravity", site.gravity_accuracy or None),
         ("tilt of the base", table.tilt or None),
         ("azimuth of the base", table.azimuth or None),

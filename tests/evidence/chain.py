@@ -3,6 +3,7 @@ run's hidden truth says of it."""
 
 import contextlib
 import io
+import itertools
 import json
 import shutil
 import tomllib
@@ -14,11 +15,13 @@ import numpy as np
 import tomlkit
 from scipy.stats import chi2
 
-from gradcal_jax import units
 from gradcal_jax.cli import main
+from gradcal_jax.files import spec_of
+from gradcal_jax.files.unit_spec import unit_spec_of
 
-# Of the simulated chamber's air behind its set point.
+# Of the simulated chamber's air behind its set point; and the ends of the pieces in which it approaches, in lags.
 AIR_LAG_S = 40.0
+_PIECES = np.array([0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0])
 
 
 @dataclass(frozen=True)
@@ -66,16 +69,45 @@ def recipe_of(path: Path, folder: Path) -> Path:
 
 def predicted_of(recipe: Path, air_lag_s: float = 0.0) -> dict[str, Any]:
     """`gradcal predict --json` of what the recipe makes of the plan; `air_lag_s`: in a chamber whose air is later than
-    its set point by so much. (At the end of a short or steep ramp that is some per cent of its temperatures.)"""
+    its set point by so much."""
     if air_lag_s:
         spec = tomllib.loads(recipe.read_text(encoding="utf-8"))["spec"]
-        own = units.parse(spec["sensor"].get("thermal_lag", "0 s"), "time")
-        spec["sensor"]["thermal_lag"] = f"{own + air_lag_s:.6g} s"
         recipe = recipe.with_name("lagging.toml")
-        recipe.write_text(tomlkit.dumps(spec), encoding="utf-8")
+        recipe.write_text(tomlkit.dumps(_lagging(spec, air_lag_s)), encoding="utf-8")
     status, printed = say("predict", recipe, "--json")
     assert status in (0, 1), printed
     return json.loads(printed)
+
+
+def _lagging(spec: dict[str, Any], air_lag_s: float) -> dict[str, Any]:
+    """A spec whose programme is the course of the air: pieces of ramps, in the place of the set point's.
+
+    At the end of a short or steep ramp that is some per cent of its temperatures; and two lags in series bend the
+    beginning of a ramp otherwise than one does, which is all that tells dB/dT from a bias.
+    """
+    schedule = (spec_of if "quantity" in spec["sensor"] else unit_spec_of)(spec).schedule
+    segments = getattr(schedule, "segments", ())
+    if not segments:  # the standard method waits until it is stable
+        return spec
+    air, here = segments[0].temperature_start, round(segments[0].temperature_start, 6)
+    programme: list[dict[str, Any]] = [{"soak": "1 s", "at": f"{here:.6f} degC", "used": False}]
+    for segment in segments:
+        slope = (segment.temperature_end - segment.temperature_start) / segment.duration
+        # Of the air behind the set point: it goes to slope · lag, by the air's time constant.
+        begins, ends = segment.temperature_start - air, slope * air_lag_s
+        times = [t for t in _PIECES * air_lag_s if t < 0.999 * segment.duration]
+        for since, until in itertools.pairwise([0.0, *times, segment.duration]):
+            behind = ends + (begins - ends) * np.exp(-until / air_lag_s)
+            air = segment.temperature_start + slope * until - behind
+            goal, lasts = round(float(air), 6), float(until - since)
+            if abs(goal - here) < 1e-4:
+                programme.append({"soak": f"{lasts!r} s", "used": segment.used})
+                continue
+            rate = f"{abs(goal - here) / lasts * 60.0!r} K/min"
+            programme.append({"ramp_to": f"{goal:.6f} degC", "rate": rate, "used": segment.used})
+            here = goal
+    plan = {key: value for key, value in spec["plan"].items() if key not in ("temperature", "gradient", "soak")}
+    return spec | {"plan": plan | {"programme": programme}}
 
 
 def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> Chain:

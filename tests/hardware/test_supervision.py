@@ -73,7 +73,7 @@ def test_slopes_are_said_as_the_chamber_makes_them() -> None:
     assert rate_as_made(whole, 40.0, 1.5) == pytest.approx(40.0 / 27.0)
     assert rate_as_made(tenths, 40.0, 0.26) == pytest.approx(0.3)
     track = track_of(short_recipe(ramp_k=1.0, changes=SLOWER), ["x"])
-    assert "2 K/min become 1 K/min" in dry_run_of(track, whole, {}).rounded[0]
+    assert "2 K/min would become 1 K/min" in dry_run_of(track, whole, {}).rounded[0]
     assert dry_run_of(track, tenths, {}).rounded == ()
 
 

@@ -5,6 +5,7 @@ ends in a CRC-32 that includes zero bytes which are never sent, up to a multiple
 CRC is right, stays locked while CRCs are right, and advances by one byte after a failure.
 """
 
+import itertools
 import zlib
 from collections import deque
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checksums import BIT_REVERSED
+from ..checksums import BIT_REVERSED, crc32_mpeg2_of_rows
 from ..roles import STANDARD_GRAVITY, ImuBatch, join
 
 INTERNAL_RATE_HZ = 2000
@@ -208,14 +209,14 @@ class Stim300Decoder:
         self._disturbed = self._disturbed or count > 0
 
     def _sound_frames(self, whole: int, stride: int, layout: DatagramLayout) -> int:
-        reversed_buffer = self._buffer[: whole * stride].translate(BIT_REVERSED)
-        for index in range(whole):
-            start = index * stride
-            if self._buffer[start] != self._locked or not _sound(reversed_buffer[start : start + stride], layout):
-                return index
-            if self._line_end and self._buffer[start + layout.length : start + stride] != b"\r\n":
-                return index
-        return whole
+        """The number of datagrams at the buffer's beginning that are sound, at most `whole`."""
+        rows = np.frombuffer(self._buffer, np.uint8, whole * stride).reshape(whole, stride)
+        end, zeros = layout.length - 4, np.zeros((whole, layout.unsent_zeros), np.uint8)
+        sent = np.ascontiguousarray(rows[:, end : layout.length]).view(">u4")[:, 0]
+        sound = (rows[:, 0] == self._locked) & (crc32_mpeg2_of_rows(np.hstack([rows[:, :end], zeros])) == sent)
+        if self._line_end:
+            sound &= (rows[:, layout.length :] == np.frombuffer(b"\r\n", np.uint8)).all(axis=1)
+        return whole if sound.all() else int(np.argmin(sound))
 
     def _skip_special(self, stride: int) -> bool:
         """Skip a special datagram that is followed by a sound normal one."""
@@ -235,9 +236,16 @@ class Stim300Decoder:
     def _first_comers(self, block: NDArray[np.uint8], layout: DatagramLayout) -> NDArray[np.uint8]:
         """Remove repeated datagrams. A late repetition may have the count that is due, and later ones may follow it, so
         that each is compared."""
+        data, stride = block.tobytes(), block.shape[1]
+        datagrams = [data[start : start + stride] for start in range(0, len(data), stride)]
+        if len(set(datagrams)) == len(datagrams) and self._recent.keys().isdisjoint(datagrams):
+            self._recent.update(dict.fromkeys(datagrams))
+            for datagram in list(itertools.islice(self._recent, max(0, len(self._recent) - self.round_samples + 1))):
+                del self._recent[datagram]
+            self._before = datagrams[-1]
+            return block
         fresh: list[int] = []
-        for row in range(len(block)):
-            datagram = block[row].tobytes()
+        for row, datagram in enumerate(datagrams):
             if not self._came_before(datagram, layout):
                 self._recent.pop(datagram, None)
                 self._recent[datagram] = None

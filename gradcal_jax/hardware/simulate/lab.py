@@ -247,7 +247,7 @@ class SimulatedLab(SimulatedDevices):
         *,
         seed: int = 0,
         sample_rate_hz: float = 125.0,
-        burst_s: float = 0.5,
+        burst_s: float = 1.0,
         room_c: float = 23.0,
     ) -> None:
         super().__init__(spec.rig.chamber, spec.sensor.thermal_lag, room_c, clock)

@@ -22,7 +22,7 @@ from .plants import AxisPlant, ChamberPlant
 
 EARTH_RATE_DPS = 15.041067 / 3600.0
 
-_BLOCK = 32
+_BLOCK = 64
 
 Vectors = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -65,22 +65,32 @@ class Drifts:
         self._taus_s = np.array([process.tau_s for process in processes])
         self._gains = np.array([(process.bias_gain, process.rate_gain) for process in processes]).reshape(-1, 2)
         self._states = self._sigmas * random.standard_normal((3, len(processes)))
+        self._period_s, self._weights = 0.0, np.zeros((0, 0, 0))
 
     def take(self, draws: Vectors, period_s: float) -> tuple[Vectors, Vectors]:
         """`(n, 3, k)` standard normals -> what the `k` processes add to the output and to the scale factor at the next
         samples, `(n, 3)` each."""
-        decays = np.exp(-period_s / self._taus_s)
-        # x_k = φ^k x_0 + Σ_j φ^(k−j) w_j, in blocks short enough for the little triangular matrices.
-        blocks = [np.zeros((0, *self._states.shape))]
+        if not self._sigmas.size:
+            return np.zeros(draws.shape[:2]), np.zeros(draws.shape[:2])
+        if period_s != self._period_s:
+            self._period_s = period_s
+            # `(p, block, block + 1)`: x_k = φ^(k + 1) x_0 + Σ_j φ^(k−j) w_j.
+            decays, steps = np.exp(-period_s / self._taus_s), np.arange(_BLOCK, dtype=np.int64)
+            lag = steps[:, None] - np.append(steps, -1)
+            grown = decays[:, None, None] ** np.maximum(lag, 0)
+            size = np.append(np.ones(_BLOCK), 0.0) * (self._sigmas * np.sqrt(1.0 - decays**2))[:, None]
+            size[:, -1] = 1.0
+            self._weights = np.where(lag >= 0, grown, 0.0) * size[:, None, :]
+        # In blocks short enough for the little triangular matrices.
+        values = np.empty_like(draws)
         for start in range(0, draws.shape[0], _BLOCK):
-            kicks = self._sigmas * np.sqrt(1.0 - decays**2) * draws[start : start + _BLOCK]
-            steps: NDArray[np.int64] = np.arange(kicks.shape[0], dtype=np.int64)
-            lag = steps[:, None] - steps
-            weights = np.where((lag >= 0)[..., None], decays ** np.maximum(lag, 0)[..., None], 0.0)
-            grown = decays ** (steps + 1)[:, None, None] * self._states
-            blocks.append(grown + np.einsum("kjp,jap->kap", weights, kicks))
-            self._states = blocks[-1][-1]
-        values = np.concatenate(blocks)
+            kicks = draws[start : start + _BLOCK]
+            count = len(kicks)
+            known = np.concatenate([kicks, self._states[None]]).transpose(2, 0, 1)
+            columns = [*range(count), -1]
+            weights = self._weights[:, :count] if count == _BLOCK else self._weights[:, :count, columns]
+            values[start : start + count] = (weights @ known).transpose(1, 2, 0)
+            self._states = values[start + count - 1]
         return values @ self._gains[:, 0], values @ self._gains[:, 1]
 
 

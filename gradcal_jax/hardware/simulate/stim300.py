@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checksums import crc8_stim300, crc32_mpeg2
+from ..checksums import crc8_stim300, crc32_mpeg2, crc32_mpeg2_of_rows
 from ..clock import Clock
 from .sensor import SampledSensor, SensorSamples
 
@@ -127,29 +127,30 @@ class SimulatedStim300:
             raw = np.clip(np.rint(samples.temperature_c * 256.0), -32768, 32767).astype(">i2")
             sensors = np.ascontiguousarray(np.repeat(raw[:, None], 3, axis=1)).view(np.uint8).reshape(count, 6)
             parts += [part for _ in contents for part in (sensors, status)]
-        counter = np.array([(first + 1 + i) * step % 256 for i in range(count)], np.uint8)[:, None]
+        number: NDArray[np.int64] = first + np.arange(count, dtype=np.int64)
+        counter = ((number + 1) * step % 256).astype(np.uint8)[:, None]
         latency = np.frombuffer(self.options.latency_us.to_bytes(2, "big"), np.uint8)
         parts += [counter, np.tile(latency, (count, 1))]
-        bodies = np.ascontiguousarray(np.concatenate(parts, axis=1))
-        tail, end = bytes(unsent), b"\r\n" if self.options.line_end else b""
+        bodies = np.concatenate(parts, axis=1)
+        crc = crc32_mpeg2_of_rows(np.hstack([bodies, np.zeros((count, unsent), np.uint8)]))
+        end = np.frombuffer(b"\r\n" if self.options.line_end else b"", np.uint8)
+        rows = np.hstack([bodies, crc.astype(">u4")[:, None].view(np.uint8), np.tile(end, (count, 1))])
+        data, length = rows.tobytes(), rows.shape[1]
         messages: list[bytes] = []
-        for index in range(count):
-            body = bodies[index].tobytes()
-            message = body + crc32_mpeg2(body + tail).to_bytes(4, "big") + end
+        for index in np.flatnonzero(self._fit_line(number, length)).tolist():
             if self._waiting:
                 self.counters["special"] += 1
                 messages.append(self._waiting.pop(0))
-            elif self._fits_line(first + index, len(message)):
-                self.counters["normal"] += 1
-                messages.append(message)
             else:
-                self.counters["overrun"] += 1
+                self.counters["normal"] += 1
+                messages.append(data[index * length : (index + 1) * length])
+        self.counters["overrun"] += count - len(messages)
         return messages
 
-    def _fits_line(self, index: int, length: int) -> bool:
+    def _fit_line(self, index: NDArray[np.int64], length: int) -> NDArray[np.bool_]:
         """Datagrams beyond the line's capacity are lost, evenly spaced."""
         share = self.options.baudrate / (10.0 * length * self._rate_hz())
-        return share >= 1.0 or int((index + 1) * share) > int(index * share)
+        return (np.floor((index + 1) * share) > np.floor(index * share)) | (share >= 1.0)
 
     def _special(self, identifier: int, length: int) -> bytes:
         body = bytes([identifier]) + bytes((7 * i + identifier) % 251 for i in range(length - 5))

@@ -37,10 +37,6 @@ def use_float64() -> None:
     if folder is not None and already is None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    # At first use the machine-code kernels are compiled, in parallel with the imports that follow.
-    from gradcal_jax.machine import begin_sums
-
-    begin_sums()
 
 
 def _keep_memory() -> None:

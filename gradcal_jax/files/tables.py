@@ -6,6 +6,7 @@ which consist of these sections, refuse columns without units.
 
 import array
 import csv
+import importlib
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -18,7 +19,6 @@ from pydantic import Field, field_validator
 
 from gradcal_jax import units
 from gradcal_jax.files.log import Floats, LogError, naming, quietly
-from gradcal_jax.files.matlab_file import read_matlab
 from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.problems import Problem, instead
 from gradcal_jax.files.quantity import Flag, Number, Text, Whole
@@ -380,7 +380,9 @@ def _read_matlab(path: Path, layout: TextTable, sources: Sequence[Source]) -> Nu
     if start.startswith(b"MATLAB 7.3") or start[:8] == b"\x89HDF\r\n\x1a\n":
         raise LogError("is a MATLAB 7.3 file: save it again with save(…, '-v7')")
     with quietly("MATLAB v5"):
-        return _of_arrays(read_matlab(path))
+        arrays: dict[str, Array] = importlib.import_module("scipy.io").loadmat(path, appendmat=False)
+        numbers = {k: a for k, a in arrays.items() if not k.startswith("__") and a.dtype.kind in "fiu"}
+        return _of_arrays({k: a.ravel() if 1 in a.shape else a for k, a in numbers.items()})
 
 
 def _read_netcdf(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:

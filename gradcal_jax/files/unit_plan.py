@@ -85,7 +85,8 @@ class AxisMove(Section):
         """The table of the file: the move's own keys beside "axis", without defaults."""
         tables: dict[str, Any] = handler(self)
         move: dict[str, Any] = tables.pop("move")
-        if move.get("shape") == "cosine ramps":
+        if move.get("shape") == "cosine ramps" and {"turn", "turns"} & set(move):
+            # Without an angle it is the shape that makes the table a move.
             del move["shape"]
         return move | tables
 

@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from gradcal_jax.information.by_platform import by_platform, like, linear_with_transpose
 from gradcal_jax.information.native import Kept, native
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.whitening import (
@@ -46,7 +47,6 @@ from gradcal_jax.information.whitening import (
     whiten,
 )
 from gradcal_jax.linalg import dead_of, factor_tangent, scaled_factor, solve_transposed
-from gradcal_jax.machine import by_platform, like, linear_with_transpose
 
 
 @jax.custom_jvp

@@ -1,7 +1,7 @@
 """The filter and its derivative in machine code, for NumPy, and for JAX on a CPU.
 
 In XLA every pass over N × p numbers costs as much as a whole product; `filter.cc` passes the readings once. It is
-compiled for each number of noise states (`machine.compiled`) in about a second; `whitening.filter_columns` and
+compiled for each number of noise states (`compiled.py`) in about a second; `whitening.filter_columns` and
 `adjoint` are the equivalent for XLA.
 """
 
@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from gradcal_jax.arrays import AnyArray
+from gradcal_jax.information.compiled import CompiledSource, NotCompiled, call, compiled, double_or_single, is_at_hand
 from gradcal_jax.information.noise_steps import NoiseSteps
-from gradcal_jax.machine import CompiledSource, NotCompiled, call, compiled, double_or_single, is_at_hand
 
 _SOURCE = Path(__file__).with_name("filter.cc")
 # Number of readings that NumPy filters in about half the compiler's time.

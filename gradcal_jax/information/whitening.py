@@ -30,10 +30,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from gradcal_jax.arrays import AnyArray, namespace
+from gradcal_jax.information.by_platform import by_platform, like
 from gradcal_jax.information.by_reading import filter_readings
 from gradcal_jax.information.native import native, plain
 from gradcal_jax.information.noise_steps import NoiseSteps
-from gradcal_jax.machine import by_platform, like
 
 SINGLE_PRECISION = (
     "a covariance in single precision is not reported: call jax.config.update('jax_enable_x64', True) before the first "

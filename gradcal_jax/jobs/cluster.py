@@ -1,15 +1,14 @@
 """Tasks on a Dask cluster, by its scheduler's address (extra `cluster`).
 
-Each Dask worker passes its tasks to a worker process (`gradcal_jax.jobs.worker`), so that a cluster computes the same
-bits as one machine of its kind. Dask repeats the chunk of a killed worker on another one.
+A Dask worker does its tasks in its own process, whatever that may use; Dask repeats the chunk of a killed worker on
+another one.
 """
 
-import threading
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from gradcal_jax.jobs.pool import Task, TaskRunner, tried
-from gradcal_jax.jobs.worker import Worker
+from gradcal_jax.jobs.pool import Task, TaskRunner
+from gradcal_jax.jobs.worker import do
 
 
 class Cluster(TaskRunner):
@@ -34,7 +33,7 @@ class Cluster(TaskRunner):
     def run(self, tasks: Iterable[Task]) -> Iterator[tuple[int, Any]]:
         from distributed import as_completed
 
-        futures = {self._client.submit(do, task, pure=False, retries=2): task.key for task in tasks}
+        futures = {self._client.submit(do_on_cluster, task, pure=False, retries=2): task.key for task in tasks}
         with self._client.as_current():
             completed = as_completed(futures)
         for future in completed:
@@ -46,11 +45,9 @@ class Cluster(TaskRunner):
         self._client.close()
 
 
-_HERE = threading.local()
+def do_on_cluster(task: Task) -> Any:
+    """Do a task in a Dask worker."""
+    import jax
 
-
-def do(task: Task) -> Any:
-    """Do a task in the process of this thread; runs in a thread of a Dask worker."""
-    if not hasattr(_HERE, "worker"):
-        _HERE.worker = Worker()
-    return tried(_HERE.worker, task)
+    jax.config.update("jax_enable_x64", True)
+    return do(task.name, task.arguments)

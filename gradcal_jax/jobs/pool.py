@@ -1,16 +1,20 @@
 """Runners of tasks: worker processes on this machine, and the interface shared with a Dask cluster."""
 
 import os
-import queue
-import threading
 from abc import ABC, abstractmethod
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import BrokenExecutor
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Final, NamedTuple, Self
 
-from gradcal_jax.jobs.worker import TaskFailed, Worker, WorkerEnded
+from gradcal_jax.jobs.worker import ONE_THREAD, TaskFailed, begin, do
 
 _TRIES: Final = 3
+
+
+class WorkerEnded(RuntimeError):
+    """A worker's process ended before it answered: killed, or out of memory."""
 
 
 class Task(NamedTuple):
@@ -65,32 +69,44 @@ def borrowed(runner: TaskRunner | None) -> AbstractContextManager[TaskRunner]:
 
 
 class LocalPool(TaskRunner):
-    """Worker processes on this machine, by default one for each core."""
+    """Worker processes on this machine (loky), by default one for each core. `compiled`: a folder that keeps compiled
+    programs."""
 
     def __init__(self, workers: int | None = None, compiled: str | None = None):
         self.workers = workers or cores()
-        self._all = [Worker(compiled) for _ in range(self.workers)]
+        self._environment = dict(ONE_THREAD)
+        if compiled is not None:
+            self._environment |= {
+                "JAX_COMPILATION_CACHE_DIR": compiled,
+                "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
+            }
+        self._executor: Any = None
 
     def run(self, tasks: Iterable[Task]) -> Iterator[tuple[int, Any]]:
-        waiting: queue.SimpleQueue[Task] = queue.SimpleQueue()
-        done: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
-        count = 0
-        for task in tasks:
-            waiting.put(task)
-            count += 1
+        from loky import wait
 
-        def work(worker: Worker) -> None:
-            while True:
-                try:
-                    task = waiting.get_nowait()
-                except queue.Empty:
-                    return
-                done.put((task.key, tried(worker, task)))
-
-        for worker in self._all[:count]:
-            threading.Thread(target=work, args=(worker,), daemon=True).start()
-        for _ in range(count):
-            yield done.get()
+        waiting = deque(tasks)
+        flying: dict[Any, Task] = {}
+        tries: Counter[int] = Counter()
+        while waiting or flying:
+            # No more than there are workers: where one of them is killed, all that fly are lost.
+            while waiting and len(flying) < self.workers:
+                task = waiting.popleft()
+                flying[self._started().submit(do, task.name, task.arguments)] = task
+            done = wait(flying, return_when="FIRST_COMPLETED").done
+            ended = False
+            for future in done:
+                task, error = flying.pop(future), future.exception()
+                if not isinstance(error, BrokenExecutor):
+                    yield task.key, future.result() if error is None else TaskFailed(str(error))
+                    continue
+                ended, tries[task.key] = True, tries[task.key] + 1
+                if tries[task.key] < _TRIES:
+                    waiting.appendleft(task)
+                else:
+                    yield task.key, WorkerEnded("a worker's process ended before its work was done")
+            if ended:
+                self.close()
 
     def answers(self, name: str, arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
         """The results of one kind of task in order; raises the exception of a failed task."""
@@ -99,26 +115,25 @@ class LocalPool(TaskRunner):
             raise error
         return [results[k] for k in range(len(results))]
 
+    def _started(self) -> Any:
+        """The executor; a new one after the first that a killed worker broke."""
+        if self._executor is None:
+            from loky import ProcessPoolExecutor
+
+            self._executor = ProcessPoolExecutor(
+                self.workers, env=self._environment, initializer=begin, initargs=(os.getpid(),)
+            )
+        return self._executor
+
     def close(self) -> None:
-        for worker in self._all:
-            worker.close()
-
-
-def tried(worker: Worker, task: Task) -> Any:
-    """The task's result, or its exception; a killed worker is restarted a few times."""
-    error: Exception = WorkerEnded("never tried")
-    for _ in range(_TRIES):
-        try:
-            return worker.ask(task.name, task.arguments)
-        except WorkerEnded as ended:
-            error = ended
-        except TaskFailed as failed:
-            return failed
-    return error
+        """Kill the workers."""
+        if self._executor is not None:
+            self._executor.shutdown(wait=True, kill_workers=True)
+            self._executor = None
 
 
 def cores() -> int:
     """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return max(1, len(os.sched_getaffinity(0)))
-    return os.cpu_count() or 1
+    from loky import cpu_count
+
+    return cpu_count()

@@ -1,19 +1,12 @@
-"""A worker: a process with one thread that does tasks from its standard input until that closes.
+"""What a worker's process does: one task after the other, with one thread, until its parent ends."""
 
-    python -m gradcal_jax.jobs.worker
-
-Every sweep is computed in such processes, on one machine and on a cluster, so that the same task gives the same bits.
-Messages are pickles: (name, arguments) in, ("done", result) or ("failed", sentence) out.
-"""
-
-import contextlib
 import os
-import pickle
-import subprocess
+import signal
 import sys
 import threading
+import time
 from collections.abc import Mapping
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
 ONE_THREAD: Final[Mapping[str, str]] = {
     "JAX_PLATFORMS": "cpu",
@@ -22,108 +15,37 @@ ONE_THREAD: Final[Mapping[str, str]] = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
+    # Compiled programs and plans of other sizes are no leak for which a worker would begin anew.
+    "LOKY_MAX_MEMORY_LEAK_SIZE": "4e9",
 }
-
-
-class WorkerEnded(RuntimeError):
-    """A worker's process ended before it answered: killed, or out of memory."""
+"""Environment of every worker, so that the same task gives the same bits."""
 
 
 class TaskFailed(RuntimeError):
-    """A task raised an exception."""
+    """A task raised an exception; its sentence."""
 
 
-class Worker:
-    """A worker's process, started on first use. `compiled`: a folder that keeps compiled programs."""
-
-    def __init__(self, compiled: str | None = None):
-        self._environment = {**os.environ, **ONE_THREAD}
-        if compiled is not None:
-            self._environment |= {
-                "JAX_COMPILATION_CACHE_DIR": compiled,
-                "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
-            }
-        self._process: subprocess.Popen[bytes] | None = None
-        self._closed = False
-        self._lock = threading.Lock()
-
-    def ask(self, name: str, arguments: tuple[Any, ...]) -> Any:
-        """Do one task and return its result. Raises `WorkerEnded`, and `TaskFailed` with what the task raised."""
-        process = self._started()
-        assert process.stdin is not None
-        assert process.stdout is not None
-        try:
-            _send(process.stdin, (name, arguments))
-            what, answer = pickle.load(process.stdout)
-        except (OSError, EOFError, ValueError, pickle.UnpicklingError) as error:
-            self._process = None
-            _end(process)
-            raise WorkerEnded("a worker's process ended before its work was done") from error
-        if what == "failed":
-            raise TaskFailed(answer)
-        return answer
-
-    def _started(self) -> "subprocess.Popen[bytes]":
-        with self._lock:
-            if self._closed:
-                raise WorkerEnded("the worker has been closed")
-            if self._process is None:
-                self._process = subprocess.Popen(
-                    [sys.executable, "-m", "gradcal_jax.jobs.worker"],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    env=self._environment,
-                    start_new_session=True,  # an interrupt at the keyboard is for the caller, not for its workers
-                )
-            return self._process
-
-    def close(self) -> None:
-        """Kill the process."""
-        with self._lock:
-            self._closed = True
-            process, self._process = self._process, None
-        if process is not None:
-            _end(process)
-
-
-def _end(process: "subprocess.Popen[bytes]") -> None:
-    process.kill()
-    process.wait()
-    for stream in (process.stdin, process.stdout):
-        if stream is not None:
-            with contextlib.suppress(OSError):
-                stream.close()
-
-
-def _send(stream: BinaryIO | Any, message: Any) -> None:
-    # Pickled first, so that an object that cannot be pickled leaves no part of a message in the stream.
-    stream.write(pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL))
-    stream.flush()
-
-
-def main() -> None:
-    """Do tasks until standard input closes."""
-    # Output of packages must not get between the replies.
-    answers = os.fdopen(os.dup(1), "wb")
+def begin(parent: int) -> None:
+    """The first thing in a worker: `parent` is the process that it works for."""
+    # An interrupt at the keyboard is for the parent, and what packages print must not get into its JSON.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.dup2(2, 1)
-    questions = sys.stdin.buffer
+
+    def end_with_parent() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    if sys.platform != "win32":
+        threading.Thread(target=end_with_parent, daemon=True).start()
+
+
+def do(name: str, arguments: tuple[Any, ...]) -> Any:
+    """A task of `evaluate.TASKS`: its result, or `TaskFailed`, which always passes to another process."""
     from gradcal_jax.jobs.evaluate import TASKS
     from gradcal_jax.jobs.results import one_line
 
-    while True:
-        try:
-            name, arguments = pickle.load(questions)
-        except (EOFError, pickle.UnpicklingError):
-            return
-        try:
-            answer = ("done", TASKS[name](*arguments))
-        except Exception as error:
-            answer = ("failed", one_line(error))
-        try:
-            _send(answers, answer)
-        except OSError:
-            return
-
-
-if __name__ == "__main__":
-    main()
+    try:
+        return TASKS[name](*arguments)
+    except Exception as error:
+        return TaskFailed(one_line(error))

@@ -15,9 +15,8 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 from gradcal_jax.formulas import legendre
-from gradcal_jax.machine import legendre_sums
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
-from gradcal_jax.model.nodes import GaussNodes, NodeGroup, Nodes, SampleNodes, SharedNodes
+from gradcal_jax.model.nodes import NodeGroup, Nodes, SampleNodes, SharedNodes
 
 BIAS: Final = "bias"
 SCALE_FACTOR: Final = "scale_factor"
@@ -284,10 +283,8 @@ def _all_products(g: NodeGroup, temperature, most: int, rate, of_rate: int) -> A
     rate, times the rate itself; without `rate`, of those in temperature. The bases define centre and scale.
     """
     x = (g.temperature - temperature.centre) / temperature.scale
-    y, weight = (x, g.weight) if rate is None else ((g.rate - rate.centre) / rate.scale, g.weight * g.rate)
-    xp = namespace(x, y, weight)
-    if isinstance(g, GaussNodes) and xp is not np:
-        return legendre_sums(x, y, xp.asarray(weight), most, of_rate)
+    y = x if rate is None else (g.rate - rate.centre) / rate.scale
+    xp = namespace(x, y, g.weight)
     second = xp.ones((*g.rate.shape, 1)) if rate is None else g.rate[..., None] * legendre(y, of_rate - 1)
     return xp.reshape(g.sums(legendre(x, most - 1), second), (-1, most, of_rate))
 

@@ -4,6 +4,7 @@ import tomllib
 
 import jsonschema
 import pytest
+import tomlkit
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
@@ -116,3 +117,11 @@ def test_new_writes_a_preset_of_a_unit_that_check_accepts(tmp_path, capsys):
     assert "the spec is sound" in capsys.readouterr().out
     with pytest.raises(ValueError, match='nearest: "ferraris"'):
         presets.text("feraris")
+
+
+def test_a_move_whose_angle_follows_from_rate_and_duration_is_written_with_its_shape():
+    document = tomllib.loads(presets.text("one-axis-table"))
+    moves = document["plan"]["cycle"]["moves"]
+    moves += [{"shape": "cosine ramps", "peak_rate": rate, "duration": "3 s"} for rate in ("100 deg/s", "-100 deg/s")]
+    spec = gj.parse_unit_spec(to_toml(gj.parse_unit_spec(tomlkit.dumps(document))))
+    assert gj.tables_of(spec)["plan"]["cycle"]["moves"][-2:] == moves[-2:]

@@ -9,9 +9,9 @@ import jax
 import numpy as np
 import pytest
 
-from gradcal_jax import machine
 from gradcal_jax.information import NoiseSteps, adjoint, whiten_from
 from gradcal_jax.information.by_reading import filter_readings, noise_cotangents
+from gradcal_jax.information.compiled import compiler as find_compiler
 from gradcal_jax.information.whitening import FilterState, block_length
 
 
@@ -78,10 +78,10 @@ for _ in range({times}):
 """
 
 
-@pytest.mark.skipif(machine.compiler() is None, reason="this machine has no C++ compiler")
+@pytest.mark.skipif(find_compiler() is None, reason="this machine has no C++ compiler")
 def test_the_compiler_is_asked_once_its_work_is_worth_while_and_never_when_it_is_at_hand(tmp_path):
     calls, command = tmp_path / "calls", tmp_path / "compiler"
-    command.write_text(f'#!/bin/sh\necho "$*" >> {calls}\nexec {" ".join(machine.compiler() or [])} "$@"\n')
+    command.write_text(f'#!/bin/sh\necho "$*" >> {calls}\nexec {" ".join(find_compiler() or [])} "$@"\n')
     command.chmod(0o755)
 
     def run(times: int) -> tuple[list[float], int]:

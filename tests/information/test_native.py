@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gradcal_jax import machine
 from gradcal_jax.information import (
     FilterState,
     NoiseSteps,
@@ -24,10 +23,10 @@ from gradcal_jax.information import (
     whitened_factor,
     whitening,
 )
+from gradcal_jax.information.compiled import compiler as find_compiler
 from gradcal_jax.information.whitening import block_length
-from gradcal_jax.machine import compiler
 
-pytestmark = pytest.mark.skipif(compiler() is None, reason="this machine has no C++ compiler")
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="this machine has no C++ compiler")
 
 # States, columns, readings: one of each; panels that are not full, full, and more than one; more states than columns.
 SHAPES = [(1, 1, 1), (2, 16, 61), (3, 5, 40), (2, 19, 100), (5, 3, 57), (9, 11, 40)]
@@ -335,7 +334,7 @@ def told(cache: Path, **environment: str) -> tuple[bool, float, str]:
 def test_what_is_compiled_once_is_kept_and_a_damaged_file_made_again(tmp_path):
     calls = tmp_path / "calls"
     compiler = tmp_path / "compiler"
-    real = " ".join(machine.compiler() or [])
+    real = " ".join(find_compiler() or [])
     compiler.write_text(f'#!/bin/sh\necho "$*" >> {calls}\nexec {real} "$@"\n')
     compiler.chmod(0o755)
 
@@ -376,9 +375,9 @@ def test_without_a_compiler_jax_does_it_and_a_compiler_that_fails_is_named(tmp_p
 def test_no_number_outside_its_array_is_touched(states, real, tmp_path):
     """The code itself, under the compiler's address and undefined-behaviour sanitisers."""
     here, program = Path(__file__).parent, tmp_path / "every_size"
-    command = compiler()
+    command = find_compiler()
     assert command is not None
-    folders = [f"-I{jax.ffi.include_dir()}", *(f"-I{Path(room.__file__).parent}" for room in (native, machine))]
+    folders = [f"-I{jax.ffi.include_dir()}", f"-I{Path(native.__file__).parent}"]
     sanitise = ["-O1", "-w", "-march=native", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     command = [*command, "-std=gnu++17", *sanitise, f"-DSTATES={states}", f"-DREAL={real}", *folders]
     subprocess.run([*command, str(here / "every_size.cc"), "-o", str(program)], check=True)

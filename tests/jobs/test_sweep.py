@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -139,12 +140,22 @@ def test_the_file_does_not_depend_on_workers_nor_on_a_killed_one(done, in_pairs,
         def shoot(progress):
             # One of the two is killed as soon as the first chunk is done; its chunk goes to its successor.
             if progress.stage == "predict" and progress.done > progress.kept and not shot:
-                shot.append(two._all[0]._process.pid)
+                shot.append(next(iter(two._executor._processes)))
                 os.kill(shot[0], signal.SIGKILL)
 
         sweep(job, folder / "two.nc", runner=two, progress=shoot)
     assert shot
     assert (folder / "two.nc").read_bytes() == in_pairs
+
+
+def _children(process: int) -> list[str]:
+    threads = Path(f"/proc/{process}/task")
+    return [c for t in threads.iterdir() for c in (t / "children").read_text().split()] if threads.exists() else []
+
+
+def _runs(process: str) -> bool:
+    stat = Path(f"/proc/{process}/stat")
+    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
 
 
 def test_a_killed_sweep_goes_on_and_ends_the_same(done, in_pairs, tmp_path):
@@ -162,8 +173,12 @@ def test_a_killed_sweep_goes_on_and_ends_the_same(done, in_pairs, tmp_path):
     deadline = time.monotonic() + 120.0
     while len(list(parts.glob("chunk-*.json"))) < 2 and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.002)
+    workers = _children(process.pid)
     process.kill()
     process.communicate()
+    while any(map(_runs, workers)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(map(_runs, workers))
     kept = sorted(parts.glob("chunk-*.json"))
     assert len(kept) >= 2
     assert not output.exists()

@@ -1,13 +1,22 @@
 """Records what the code at hand predicts, into the data files beside this script: numbers that must be kept.
 
+    python tests/numbers/record.py all             # everything below, one after the other
     python tests/numbers/record.py predictions     # statistics of every requirement, std of every parameter
     python tests/numbers/record.py elasticities    # of `sensitivity`: exact derivatives of the same numbers
+    python tests/numbers/record.py units           # as predictions, of every preset of a unit
+    python tests/numbers/record.py both            # as predictions, of one spec as an axis and as a unit
+    python tests/numbers/record.py calibrations    # every export, and `apply` to the same measurements
+    python tests/numbers/record.py estimates       # of the logs beside this file
+    python tests/numbers/record.py logs            # those logs themselves, simulated with fixed seeds: not in "all"
     python tests/numbers/record.py predictions "any 1"     # of these cases alone; the others stay as recorded
 
 Cases are random specs, every preset, and the specs of experiments/. A case whose number is known to be wrong says in
-`changes` why; it is recorded all the same, so that a later difference can be shown. Floats are written in full.
+`changes` why; it is recorded all the same, so that a later difference can be shown. Floats are written in full. What is
+recorded has its inputs with it: a case is drawn once, and recorded anew as it was drawn. Every number that a change
+moves is printed with its largest relative difference.
 """
 
+import contextlib
 import json
 import multiprocessing
 import os
@@ -18,15 +27,18 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from gradcal_jax.api import assemble, predict
-from gradcal_jax.api.sensitivity import sensitivity
-from gradcal_jax.files import Spec, presets, spec_of
+from gradcal_jax.api import assemble
+from gradcal_jax.files import Spec, SpecError, presets, spec_of
 from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.unit_spec import unit_spec_of
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-sys.path.insert(0, str(HERE.parent))
+sys.path[:0] = [str(HERE), str(HERE.parent), *(str(HERE.parent / room) for room in ("files", "unit", "estimation"))]
 
+import draw  # noqa: E402
+import recorded  # noqa: E402
+from as_unit import as_unit, common  # noqa: E402
 from random_specs import random_spec  # noqa: E402
 
 # Every case compiles a program of its own that runs once: what XLA does not optimise costs nothing here.
@@ -90,51 +102,107 @@ def changing(spec: Spec) -> list[str]:
 def prediction(name_and_tables: tuple[str, dict]) -> tuple[str, dict]:
     """A case's record."""
     name, tables = name_and_tables
-    spec = spec_of(tables)
-    answer = predict(spec, limits=False)
-    return name, {
-        "tables": tables,
-        "changes": changing(spec),
-        "requirements": {
-            f"{r.name} / {r.axis}": {"mean of max": r.mean_of_max, "max": r.max, "mean": r.mean, "rms": r.rms}
-            for r in answer.requirements
-        },
-        "parameters": {f"{p.name} / {p.axis}": p.std for p in answer.parameters},
-    }
+    return name, {"tables": tables, "changes": changing(spec_of(tables)), **recorded.prediction(tables)}
 
 
 def elasticities(name_and_tables: tuple[str, dict]) -> tuple[str, dict | None]:
-    """Per cent of each requirement's residual for one per cent of each figure; None where `sensitivity` refuses."""
+    """None where `sensitivity` refuses."""
     name, tables = name_and_tables
+    with contextlib.suppress(ValueError):
+        return name, recorded.elasticities(tables)
+    return name, None
+
+
+def unit(name_and_tables: tuple[str, dict]) -> tuple[str, dict]:
+    name, tables = name_and_tables
+    return name, {"tables": tables, **recorded.prediction(tables)}
+
+
+def both(name_and_tables: tuple[str, dict]) -> tuple[str, dict]:
+    name, tables = name_and_tables
+    return name, {"tables": tables, **recorded.both(tables)}
+
+
+def calibration(name_and_tables: tuple[str, dict]) -> tuple[str, dict]:
+    name, tables = name_and_tables
+    return name, {"tables": tables, **recorded.calibration(tables)}
+
+
+def estimate(name_and_tables: tuple[str, dict]) -> tuple[str, dict]:
+    name, tables = name_and_tables
+    return name, {"tables": tables, **recorded.estimate(name, tables)}
+
+
+def drawn(kind: str) -> dict[str, dict]:
+    """Inputs by case: of what is recorded already, as they were drawn then."""
+    if kind == "elasticities":
+        # Of every third random spec: their program is the larger by far.
+        every = {name: of["tables"] for name, of in recorded.read("predictions").items()}
+        return {name: t for k, (name, t) in enumerate(every.items()) if k >= 60 or k % 3 == 0}
+    if (HERE / f"{kind}.json").exists():
+        return {name: of["tables"] for name, of in recorded.read(kind).items()}
+    if kind == "units":
+        return {name: tomllib.loads(presets.text(name)) for name in presets.unit_names()}
+    if kind == "both":
+        reduced = {name: common(of["tables"]) for name, of in recorded.read("predictions").items()}
+        return {name: tables for name, tables in reduced.items() if tables is not None and sayable(tables)}
+    if kind == "calibrations":
+        return draw.calibrations()
+    if kind == "estimates":
+        return json.loads((HERE / "logs" / "specs.json").read_text(encoding="utf-8"))
+    return cases()
+
+
+def sayable(tables: dict) -> bool:
+    """Whether the unit's reader accepts it: it refuses cycles that do not close."""
     try:
-        rows = sensitivity(spec_of(tables)).rows
-    except ValueError:
-        return name, None
-    found: dict[str, dict[str, float]] = {}
-    for row in rows:
-        found.setdefault(row.requirement, {})[row.figure] = row.percent
-    return name, found
+        unit_spec_of(as_unit(tables))
+    except SpecError:
+        return False
+    return True
+
+
+def difference(new: object, old: object) -> float:
+    """The largest relative difference of the numbers of two records."""
+    if isinstance(new, dict) and isinstance(old, dict):
+        return max((difference(new[k], old.get(k)) for k in new if k != "tables"), default=0.0)
+    if isinstance(new, list) and isinstance(old, list) and len(new) == len(old):
+        return max((difference(a, b) for a, b in zip(new, old, strict=True)), default=0.0)
+    if isinstance(new, float) and isinstance(old, float | int):
+        return abs(new - old) / max(abs(old), 1e-300)
+    return 0.0 if new == old else float("inf")
+
+
+KINDS = {
+    "predictions": prediction,
+    "elasticities": elasticities,
+    "units": unit,
+    "both": both,
+    "calibrations": calibration,
+    "estimates": estimate,
+}
 
 
 def main(kind: str, *only: str) -> None:
-    record = {"predictions": prediction, "elasticities": elasticities}[kind]
-    every, path = cases(), HERE / f"{kind}.json"
-    if only or kind == "elasticities":
-        # As they were drawn then, whatever the generator draws today.
-        recorded = json.loads((HERE / "predictions.json").read_text(encoding="utf-8"))
-        every = {name: made["tables"] for name, made in recorded.items()}
-    if kind == "elasticities":
-        # Of every third random spec: their program is the larger by far.
-        every = {name: t for k, (name, t) in enumerate(every.items()) if k >= 60 or k % 3 == 0}
-    records = json.loads(path.read_text(encoding="utf-8")) if only else {}
+    if kind == "logs":
+        return draw.logs()
+    if kind == "all":
+        for each in KINDS:
+            main(each)
+        return None
+    path, every = HERE / f"{kind}.json", drawn(kind)
+    before = recorded.read(kind) if path.exists() else {}
+    records = dict(before) if only else {}
     wanted = {name: tables for name, tables in every.items() if not only or name in only}
     with multiprocessing.get_context("spawn").Pool(2, maxtasksperchild=8) as pool:
-        for name, made in pool.imap(record, wanted.items()):
+        for number, (name, made) in enumerate(pool.imap(KINDS[kind], wanted.items())):
             if made is not None:
                 records[name] = made
-            print(f"{len(records)}/{len(every)} {name}: {made.get('changes', '') if made else None}", flush=True)
+                moved = difference(made, before[name]) if name in before else None
+                print(f"{kind} {number + 1}/{len(wanted)} {name}: {made.get('changes', '')} {moved}", flush=True)
     lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(made, ensure_ascii=False)}" for name, made in records.items())
     path.write_text("{\n" + lines + "\n}\n", encoding="utf-8")
+    return None
 
 
 if __name__ == "__main__":

@@ -1,73 +1,104 @@
-"""Numbers that stay as they are: today's predictions and elasticities against those recorded beside this file.
+"""Numbers that stay as they are: what the code at hand computes, against what is recorded beside this file.
 
 `record.py` wrote them, and says which cases are known to be wrong: those are skipped with their reason until the
 mistake is mended and they are recorded anew. A few cases are part of every run; `-m evidence` takes them all.
 """
 
-import json
-from pathlib import Path
-
+import numpy as np
 import pytest
+import recorded
 
-from gradcal_jax.api.prediction import predict
-from gradcal_jax.api.sensitivity import sensitivity
-from gradcal_jax.files import spec_of
-
-HERE = Path(__file__).parent
-PREDICTIONS = json.loads((HERE / "predictions.json").read_text(encoding="utf-8"))
-ELASTICITIES = json.loads((HERE / "elasticities.json").read_text(encoding="utf-8"))
+KEPT = {
+    kind: recorded.read(kind) for kind in ("predictions", "elasticities", "units", "both", "calibrations", "estimates")
+}
 
 # One of each method, basis and reference, quick ones; and two whose bias hardly anything is known of: where sums let
 # rounding grow, the first of them fails.
-ALWAYS = {"static gradient 0", "static standard 1", "dynamic standard 1", "tactical 3", "hand 1"}
-ALWAYS |= {"tactical 10", "consumer 6"}
-ALWAYS_DERIVED = {"static gradient 0", "dynamic gradient 8"}
+PREDICTED = {"static gradient 0", "static standard 1", "dynamic standard 1", "tactical 3", "hand 1"}
+PREDICTED |= {"tactical 10", "consumer 6"}
+DERIVED = {"static gradient 0", "dynamic gradient 8"}
+UNITS = {"one-axis-table", "accelerometer-six-positions", "gimbal-by-hand"}
+ESTIMATED = {"axis readings", "axis standard", "unit two axes"}
+BOTH = {"static gradient 5", "dynamic gradient 9", "one axis", "leftover", "moves without rest"}
 
 
-def _cases(record: dict, always: set[str]) -> list:
-    assert always <= set(record)
-    found = []
-    for name in record:
+def _cases(kind: str, always: set[str]) -> list:
+    assert always <= set(KEPT[kind])
+    found, predictions = [], KEPT["predictions"]
+    for name, of in KEPT[kind].items():
         marks = [] if name in always else [pytest.mark.evidence]
-        if reasons := PREDICTIONS[name]["changes"]:
+        if kind == "elasticities":
+            of = {"tables": predictions[name]["tables"], "rows": of}
+        if kind in ("predictions", "elasticities") and (reasons := predictions[name]["changes"]):
             marks.append(pytest.mark.skip(reason="; ".join(reasons)))
-        found.append(pytest.param(name, marks=marks))
+        found.append(pytest.param(of, id=name, marks=marks))
     return found
 
 
-def _close(values: dict, recorded: dict, tolerance: float) -> None:
-    assert values.keys() == recorded.keys()
-    for key, expected in recorded.items():
-        if isinstance(expected, dict):
-            _close(values[key], expected, tolerance)
-        elif expected is None:
-            assert values[key] is None, key
-        else:
-            assert values[key] == pytest.approx(expected, rel=tolerance, abs=0.0), key
+def _close(values: object, kept: object, tolerance: float, where: str = "") -> None:
+    if isinstance(kept, dict):
+        assert isinstance(values, dict)
+        assert values.keys() == kept.keys(), where
+        for key in kept:
+            _close(values[key], kept[key], tolerance, f"{where} {key}")
+    elif isinstance(kept, list):
+        assert isinstance(values, list | tuple)
+        assert len(values) == len(kept), where
+        for k, (value, one) in enumerate(zip(values, kept, strict=True)):
+            _close(value, one, tolerance, f"{where} [{k}]")
+    elif isinstance(kept, float) and isinstance(values, float):
+        assert values == pytest.approx(kept, rel=tolerance, abs=0.0), where
+    else:
+        assert values == kept, where
 
 
-@pytest.mark.parametrize("name", _cases(PREDICTIONS, ALWAYS))
-def test_predictions_are_as_recorded(name):
-    recorded = PREDICTIONS[name]
-    answer = predict(spec_of(recorded["tables"]), limits=False)
-    rows = {
-        f"{r.name} / {r.axis}": {"mean of max": r.mean_of_max, "max": r.max, "mean": r.mean, "rms": r.rms}
-        for r in answer.requirements
-    }
-    _close(rows, recorded["requirements"], 1e-12)
+@pytest.mark.parametrize("kept", [*_cases("predictions", PREDICTED), *_cases("units", UNITS)])
+def test_predictions_are_as_recorded(kept):
+    found = recorded.prediction(kept["tables"])
+    _close(found["requirements"], kept["requirements"], 1e-12)
     # Coefficients of functions that are almost dependent carry rounding that what they predict together does not.
-    _close({f"{p.name} / {p.axis}": p.std for p in answer.parameters}, recorded["parameters"], 1e-11)
+    _close(found["parameters"], kept["parameters"], 1e-11)
 
 
-@pytest.mark.parametrize("name", _cases(ELASTICITIES, ALWAYS_DERIVED))
-def test_elasticities_are_as_recorded(name):
-    rows: dict[str, dict[str, float]] = {}
-    for row in sensitivity(spec_of(PREDICTIONS[name]["tables"])).rows:
-        rows.setdefault(row.requirement, {})[row.figure] = row.percent
-    recorded = ELASTICITIES[name]
-    assert {k: set(v) for k, v in rows.items()} == {k: set(v) for k, v in recorded.items()}
-    for requirement, figures in recorded.items():
+@pytest.mark.parametrize("kept", _cases("both", BOTH))
+def test_one_spec_as_an_axis_and_as_a_unit_predicts_what_is_recorded(kept):
+    found = recorded.both(kept["tables"])
+    _close(found["axis"], kept["axis"], 1e-11)
+    _close(found["unit"], kept["unit"], 1e-11)
+    assert found["apart"] <= 1.001 * kept["apart"] + 1e-10
+
+
+@pytest.mark.parametrize("kept", _cases("elasticities", DERIVED))
+def test_elasticities_are_as_recorded(kept):
+    rows = recorded.elasticities(kept["tables"])
+    assert {k: set(v) for k, v in rows.items()} == {k: set(v) for k, v in kept["rows"].items()}
+    for requirement, figures in kept["rows"].items():
         # Per cent for one per cent: a figure that hardly matters is compared with those that do.
         largest = max(abs(v) for v in figures.values())
         for figure, expected in figures.items():
             assert abs(rows[requirement][figure] - expected) <= 1e-9 * max(abs(expected), largest), figure
+
+
+@pytest.mark.parametrize("kept", [pytest.param(of, id=name) for name, of in KEPT["calibrations"].items()])
+def test_exports_and_corrections_are_as_recorded(kept):
+    found = recorded.calibration(kept["tables"])
+    for target, export in kept["exports"].items():
+        # The text to the byte; how much a target loses, by rounding.
+        _close(found["exports"][target], export, 1e-9, target)
+    for what, values in kept["corrected"].items():
+        largest = np.max(np.abs(values))
+        assert np.max(np.abs(np.array(found["corrected"][what]) - values)) <= 1e-14 * largest, what
+
+
+@pytest.mark.parametrize("kept", _cases("estimates", ESTIMATED))
+def test_estimates_are_as_recorded(kept, request):
+    found = recorded.estimate(request.node.callspec.id, kept["tables"])
+    for sensor in kept.keys() - {"tables"}:
+        mine, was = found[sensor], kept[sensor]
+        assert mine["std"].keys() == was["std"].keys()
+        _close(mine["std"], was["std"], 1e-9, sensor)
+        for key, value in was["values"].items():
+            # A parameter to a millionth of its uncertainty.
+            scale = was["std"].get(key) or abs(value)
+            assert abs(mine["values"][key] - value) <= max(1e-9 * abs(value), 1e-6 * scale), key
+        _close(mine["tests"], was["tests"], 1e-7, sensor)

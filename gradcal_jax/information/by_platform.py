@@ -11,7 +11,7 @@ from jax.dtypes import canonicalize_dtype
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from gradcal_jax.machine.compiled import NotCompiled
+from gradcal_jax.information.compiled import NotCompiled
 
 
 def like(x) -> jax.ShapeDtypeStruct:

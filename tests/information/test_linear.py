@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gradcal_jax.machine import like, linear_with_transpose
+from gradcal_jax.information.by_platform import like, linear_with_transpose
 
 RNG = np.random.default_rng(6)
 MATRIX, TOLD = jnp.asarray(RNG.standard_normal((4, 3))), jnp.asarray(RNG.standard_normal((3, 4)))

@@ -14,6 +14,7 @@ from gradcal_jax.estimation.hand import LOWER, ByHand, HandRows, find_positions,
 from gradcal_jax.files.calibration import FORMAT, Covariance
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.signal_faults import quiet_windows, refuse_repeated
 from gradcal_jax.files.unit_calibration import (
     UNIT_ORDER,
     CalibratedChannel,
@@ -84,6 +85,10 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
             f"the log has no {', '.join(missing)}: gravity calibrates three gyros by three accelerometers, along axes "
             "named x, y, z (in a column map: [rate] and [force])"
         )
+    for kind, values in (("gyro", rates), ("accelerometer", force)):
+        for k, axis in enumerate("xyz"):
+            if said := refuse_repeated(f"{kind} {axis} of {name}", quiet_windows(values[:, k]).ravel()):
+                messages.append(said)
     usable = usable_rows(log, number) & np.isfinite(rates).all(axis=1) & np.isfinite(force).all(axis=1)
     temperature = bridged_temperature(log, number, options.temperature_c)
     try:

@@ -11,6 +11,7 @@ from gradcal_jax import identify
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H
 from gradcal_jax.files.log import EvenSeries, Log, LogError
+from gradcal_jax.files.signal_faults import FAR, far_from_neighbours, refuse_repeated
 from gradcal_jax.units import ARCSEC, DEG_PER_SQRT_H
 
 # A fitted lag is used where it reduces the rms residual to less than this share.
@@ -116,7 +117,16 @@ def at_rest(
         messages.append(f"{np.count_nonzero(out)} rows from {first:g} s to {last:g} s are left out as asked")
     if not valid.any():
         raise LogError("no usable row of the record is marked as standing still: an instability is seen at rest only")
-    rate = even.rate_rad_per_s.copy()
+    rate, named = even.rate_rad_per_s.copy(), (log.axes[log.axis_index(axis)], log.units[log.unit_index(unit)])
+    if repeated := refuse_repeated(f"axis {named[0]} of {named[1]}", rate[valid]):
+        messages.append(repeated)
+    apart = far_from_neighbours(np.where(valid, rate, np.nan))
+    if apart.any():
+        valid &= ~apart
+        messages.append(
+            f"{np.count_nonzero(apart)} rows ({np.mean(apart[even.valid]):.2g} of all) are more than {FAR:g} standard "
+            "deviations from their neighbours, and left out"
+        )
     temperature = even.temperature_c
     known = temperature is not None and bool(np.isfinite(temperature[valid]).all())
     span = float(np.ptp(temperature[valid])) if known and temperature is not None else 0.0
@@ -143,7 +153,6 @@ def at_rest(
                 "it may be drift"
             )
     rate[~valid] = 0.0
-    named = log.axes[log.axis_index(axis)], log.units[log.unit_index(unit)]
     return RestRecord(*named, rate, valid, even.sample_interval_s, time, temperature, thermal, tuple(messages))
 
 

@@ -1,5 +1,6 @@
 """A column map for a recording without one: an example, and a guess from the header."""
 
+import contextlib
 import re
 from itertools import islice
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from gradcal_jax import units
 from gradcal_jax.files import presets
 from gradcal_jax.files.log import LogError
 
@@ -29,9 +31,13 @@ _KINDS: Final = {"rate": _RATE, "force": _FORCE, "time": _TIME, "temperature": _
 _ORDER: Final = ("time", "temperature", "rate", "force")
 _UNITS: Final = {
     "m/s2": "m/s^2", "m/s²": "m/s^2", "ms2": "m/s^2", "m_s2": "m/s^2",
+    "mdps": "mdeg/s", "deg/sec": "deg/s", "rad/sec": "rad/s", "°/sec": "deg/s",
     "sec": "s", "seconds": "s", "µs": "us", "dps": "deg/s", "°/s": "deg/s", "deg_s": "deg/s", "rps": "rad/s",
     "rad_s": "rad/s", "c": "degC", "f": "degF",
 }  # fmt: skip
+# A unit in brackets at the end of a name, and powers behind a stroke.
+_BRACKET: Final = re.compile(r"[(\[]([^()\[\]]+)[)\]]\s*$")
+_POWER: Final = {"1": "", "2": "^2", "3": "^3"}
 
 
 def without_a_map(path: Path) -> LogError:
@@ -70,12 +76,38 @@ def guess(path: Path) -> str | None:
 
 
 def contradiction(column: str, unit: str) -> str | None:
-    """A question where the name of a column of rates or stamps says another unit than its map; None elsewhere."""
+    """A question where the name of a column says another unit than its map, as in "Gyroscope x (rad/s)" or
+    "w_x [rad s^-1]"; None where it says none."""
     match = _RATE.fullmatch(column) or _TIME.fullmatch(column)
-    named = "???" if match is None else _unit(match[2])
-    if named in ("???", unit):
+    text = match[2] if match is not None and match[2] else None
+    if text is None and (bracket := _BRACKET.search(column)):
+        text = bracket[1]
+    named = _in_words_of_maps(text) if text else None
+    if named is None or named == unit:
         return None
-    return f"the name of column '{column}' says {named}, and the map says {unit}: which of them is right?"
+    with contextlib.suppress(units.UnitError):
+        if abs(units.convert(1.0, named, unit) - 1.0) < 1e-9:
+            return None
+    return f"the name of column '{column}' says {text}, and the map says {unit}: which of them is right?"
+
+
+def _in_words_of_maps(text: str) -> str | None:
+    """A unit as people write it in a header, as this program writes it; None where it is none."""
+    plain = text.strip().replace("²", "^2").replace("⁻", "^-").replace("¹", "1").replace("·", " ").replace("*", " ")
+    plain = re.sub(r"\bsec(onds?)?\b", "s", plain.replace("µ", "u").replace("μ", "u"))
+    plain = _UNITS.get(plain.lower(), plain.removeprefix("°") if plain in ("°C", "°F") else plain)
+    plain = {"C": "degC", "F": "degF", "G": "g"}.get(plain, plain).replace("°", "deg").replace("m/s/s", "m/s^2")
+    # Factors with negative powers stand behind the stroke.
+    above, below = list[str](), list[str]()
+    for factor in plain.split():
+        power = re.fullmatch(r"([A-Za-z]+)\^?-(\d)", factor)
+        (above if power is None else below).append(factor if power is None else power[1] + _POWER[power[2]])
+    known = "/".join(["·".join(above), *below]) if above else ""
+    try:
+        units.dimension_of(known)
+    except units.UnitError:
+        return None
+    return known if re.search("[A-Za-z]", known) else None
 
 
 def _unit(text: str | None) -> str:

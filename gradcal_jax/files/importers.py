@@ -196,7 +196,7 @@ def _refuse_contradictions(columns: ColumnMap) -> None:
         return
     for source in columns.sources():
         if (
-            isinstance(source, RateColumn | TimeColumn)
+            isinstance(source, Measured)
             and isinstance(source.column, str)
             and source.scale == 1.0
             and (question := contradiction(source.column, source.unit))

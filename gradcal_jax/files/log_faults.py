@@ -12,6 +12,7 @@
     missing temperature         a temperature that is no finite number                                mask, keep, refuse
     frozen temperature          unchanged for long, in a record where it changes                      mask, keep, refuse
     wrong unit                  sizes that no sensor has; a factor against the table or stated rate   keep, refuse
+    uneven stamps               apart by unlike times, and yet never far from an even clock               keep
     clock drift                 sample rate against the stated one, against the host, or wandering    keep, refuse
 
 *mask* takes the rows out of use and counts them, *split* makes two stretches, *keep* only reports, *refuse* raises.
@@ -23,6 +24,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from gradcal_jax import formulas
 from gradcal_jax.files.log import Bools, Finding, Floats, Log, LogError, Reason, intervals_within, mean_interval
@@ -37,6 +39,12 @@ _GAP: Final = 1.6
 """Intervals: less is jitter."""
 _WINDOW: Final = 5
 """Rows on either side over which stamps make up for jitter."""
+_MANY: Final = 0.005
+_MANY_ROWS: Final = 20
+_BURSTS: Final = 40
+_WITHIN: Final = 1.5
+"""Least share and number of seeming gaps of uneven stamps, bursts over which their mean is taken, and the longest
+intervals by which they leave an even clock."""
 _COARSE: Final = 0.1
 """Fraction of rows with the stamp of another, above which stamps do not distinguish rows."""
 _RESTART: Final = 10
@@ -174,7 +182,7 @@ class _Examination:
         time, rows_kept = self.ordered(rows)
         kept = self.raw.of_rows(rows_kept)
         rate, force = kept.rate_rad_per_s, kept.specific_force_m_per_s2
-        starts = self.stretches(time)
+        time, starts = self.stretches(time)
         self.status = np.zeros(rate.shape[:2], np.uint16)
         if kept.left_out is not None:
             self.status[:, kept.left_out] |= Reason.LEFT_OUT.value
@@ -270,7 +278,8 @@ class _Examination:
                     + f'Read the parts one by one, --rows "0..{row}" and --rows "{row}..", or mend the stamps'
                 )
 
-    def stretches(self, time: Floats) -> NDArray[np.int64]:
+    def stretches(self, time: Floats) -> tuple[Floats, NDArray[np.int64]]:
+        """The times, and the rows at which stretches begin; even times where stamps are uneven but no row is lost."""
         interval = np.diff(time)
         usual = float(np.median(interval))
         suspect = np.flatnonzero(interval > _GAP * usual)
@@ -279,6 +288,15 @@ class _Examination:
         last = np.minimum(suspect + 1 + _WINDOW, len(time) - 1)
         lost = (time[last] - time[first]) / usual - (last - first)
         gaps = suspect[lost > _GAP - 1.0]
+        if (even := _even_clock(time, len(gaps))) is not None:
+            rate = (len(even) - 1) / float(even[-1] - even[0])
+            text = (
+                f"the stamps are uneven, {1e3 * np.quantile(interval, 0.01):.3g} … {1e3 * interval.max():.3g} ms "
+                f"apart, and no row is lost: they are taken as even, {rate:.6g} Hz in the mean (sample_rate states it, "
+                "in the place of time)"
+            )
+            self.note_fault("uneven stamps", "keep", 0, text)
+            return even, np.zeros(1, np.int64)
         if len(gaps):
             seconds = float(np.sum(interval[gaps])) - usual * len(gaps)
             dropped = round(seconds / usual)
@@ -288,7 +306,7 @@ class _Examination:
                 f"{longest:.3g} s, the first after row {int(gaps[0])} of those kept"
             )
             self.note_fault("gap", self.policy.gaps, len(gaps), text)
-        return np.concatenate([[0], gaps + 1]).astype(np.int64)
+        return time, np.concatenate([[0], gaps + 1]).astype(np.int64)
 
     def rates(self, rate: Floats) -> None:
         missing = np.any(~(np.abs(rate) < _ABSURD), axis=2)
@@ -422,6 +440,27 @@ def _least_walk(values: Floats, interval: float) -> float:
             spread = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
             walks.append(spread * float(np.sqrt(size * interval / 2)))
     return min(walks, default=0.0)
+
+
+def _even_clock(time: Floats, suspects: int) -> Floats | None:
+    """Even times, where stamps that seem to have many gaps stay within a burst of them; None elsewhere.
+
+    Rows that are read from a queue are stamped in bursts, and stamps of whole milliseconds are rounded: both come back
+    to an even clock again and again, where lost rows leave it for ever.
+    """
+    rows = np.arange(len(time), dtype=np.float64)
+    if suspects < max(_MANY_ROWS, _MANY * len(time)):
+        return None
+    slope, first = np.polyfit(rows, time, 1)
+    line = first + slope * rows
+    burst = _WITHIN * float(np.max(np.diff(time)))
+    apart = time - line
+    # The clock may wander slowly: over many bursts.
+    wander = ndimage.uniform_filter1d(apart, 2 * (_BURSTS * len(time) // suspects // 2) + 1, mode="nearest")
+    for even in (line, line + wander):
+        if np.ptp(time - even) <= burst and np.all(np.diff(even) > 0.0):
+            return even
+    return None
 
 
 def _wander(interval: Floats) -> float:

@@ -12,9 +12,10 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from gradcal_jax import formulas
-from gradcal_jax.files.log import Bools, Floats, Log, Reason, Whole
+from gradcal_jax.files.log import Bools, Floats, Log, LogError, Reason, Whole
 
 # Values alike on end: of a sample that stands still, of one at a limit; and the least number of the latter in all.
 _FROZEN, _STUCK, _AT_A_LIMIT = 60, 3, 10
@@ -27,6 +28,12 @@ _OFF: Final = 0.02
 # Rows of which the least step is found, and of a window in which the noise is.
 _LOOKED_AT, _WINDOW = 1 << 17, 64
 _FROZEN_S: Final = 30.0
+FAR: Final = 10.0
+"""Standard deviations from its neighbours beyond which a row is wrong."""
+# Rows around one with which it is compared, and the largest share of wrong ones.
+_AROUND, _RARE = 51, 0.01
+# Steps of more than this share of the noise add 2 % to its variance.
+_ADDS: Final = 0.5
 _ROUNDING: Final = 1e-9
 # A gap lasts longer than this, and than so many intervals: over less, a rate is interpolated.
 _GAP_S, _GAP_ROWS = 0.25, 4.0
@@ -53,6 +60,14 @@ class SignalFaults(NamedTuple):
     coarse: dict[str, str]
 
 
+def quiet_windows(values: Floats) -> Floats:
+    """The rows of a channel at rest `(windows, rows)`: the quieter half of all windows of its finite rows."""
+    known = values[np.isfinite(values)]
+    windows = known[: len(known) // _WINDOW * _WINDOW].reshape(-1, _WINDOW)
+    variance = windows.var(axis=1)
+    return windows[variance <= np.median(variance)] if len(windows) else windows
+
+
 def coarse_steps(values: Floats) -> Steps:
     """The steps of a channel `(n,)`, in its unit."""
     some = values[np.isfinite(values)][:_LOOKED_AT]
@@ -62,18 +77,43 @@ def coarse_steps(values: Floats) -> Steps:
     steps = np.diff(distinct)
     # (Differences that are rounding are no steps.)
     step = float(np.min(steps[steps > _ROUNDING * float(np.ptp(some))]))
-    # At rest, which is the quieter half of all windows.
-    windows = some[: len(some) // _WINDOW * _WINDOW].reshape(-1, _WINDOW)
-    variance = windows.var(axis=1)
-    quiet = windows[variance <= np.median(variance)]
+    quiet = quiet_windows(some)
     changes = np.abs(np.diff(quiet, axis=1))
     moved = changes[changes > 0.5 * step]
     # (A sample that is read several times repeats too, and then changes by many steps.)
     if len(moved) > _REPEATED * changes.size or (len(moved) and float(np.median(moved)) > _FEW_STEPS * step):
         return Steps(step, 0.0)
-    noise = max(float(np.median(quiet.var(axis=1))) - step**2 / 12.0, 0.0)
+    # (Two values alone are of a channel without noise, between two steps.)
+    two = len(np.unique(quiet)) <= 2
+    noise = 0.0 if two else max(float(np.median(quiet.var(axis=1))) - step**2 / 12.0, 0.0)
     off = min(0.5, float(np.exp(-2.0 * np.pi**2 * noise / step**2)) / np.pi) if noise > 0.0 else 0.5
     return Steps(step, off * step if off > _OFF else 0.0)
+
+
+def refuse_repeated(where: str, values: Floats) -> str | None:
+    """Raise `LogError` where a channel at rest repeats values for the coarseness of its steps, or within a dead band;
+    or a sentence where the steps add to its noise."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return None
+    distinct, counts = np.unique(known, return_counts=True)
+    most = int(np.argmax(counts))
+    if len(known) > _WINDOW and counts[most] > 0.5 * len(known):
+        raise LogError(
+            f"{where}: {counts[most] / len(known):.3g} of its rows at rest have one value ({distinct[most]:.4g}, SI): "
+            "a dead band, or steps that are coarse for its noise, and what lies within them no record can tell; log "
+            "more digits, without a dead band"
+        )
+    steps = coarse_steps(known)
+    if steps.off > 0.0:
+        raise LogError(
+            f"{where}: its steps ({steps.step:.4g}, SI) are coarse for its noise, which no record of it can tell; log "
+            "more digits, or take a smaller full scale"
+        )
+    spread = 1.4826 * float(np.median(np.abs(known - np.median(known))))
+    if steps.step > _ADDS * spread > 0.0 and len(distinct) < len(known) // 4:
+        return f"{where}: its steps are {steps.step / spread:.2g} of its noise, and add to it"
+    return None
 
 
 def at_a_limit(values: Floats) -> Bools:
@@ -91,6 +131,21 @@ def at_a_limit(values: Floats) -> Bools:
         # (One long run alone is a channel that stands still.)
         if held and (far or (len(held) > 1 and np.count_nonzero(there) >= _AT_A_LIMIT)):
             result |= there
+    return result
+
+
+def far_from_neighbours(values: Floats) -> Bools:
+    """`(n,)`: rare rows of a channel at rest that are more than `FAR` standard deviations from the median of the rows
+    around them; none where they are not rare."""
+    result = np.zeros(len(values), bool)
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < 2 * _WINDOW:
+        return result
+    own = values[known]
+    apart = np.abs(own - ndimage.median_filter(own, _AROUND, mode="reflect"))
+    far = apart > FAR * 1.4826 * float(np.median(apart))
+    if np.median(apart) > 0.0 and np.mean(far) < _RARE:
+        result[known[far]] = True
     return result
 
 
@@ -128,9 +183,11 @@ def frozen_temperature(time_s: Floats, values: Floats, starts: Whole) -> Bools:
     usual = float(np.median(lasting[finite]))
     jump = np.abs(np.diff(values[begin]))
     step = float(np.median(jump[np.isfinite(jump)])) if np.isfinite(jump).any() else 0.0
-    # (Of the last stretch nothing is after it: it must be longer than all others.)
-    alone = lasting[-1] > 3.0 * float(np.max(lasting[:-1], initial=0.0))
-    after = np.append(jump, np.inf if alone else 0.0)
+    # (Over a pause temperature changes by itself. After the last stretch nothing is: a plateau within the resolution of
+    # a coarse sensor, which most of the time shows one value, is no fault.)
+    short = lasting[:-1][lasting[:-1] <= 10.0 * usual]
+    fine = usual < 5.0 * float(np.median(np.diff(time_s))) and np.sum(short) > 0.5 * np.sum(lasting[:-1])
+    after = np.append(np.where(np.isin(begin[1:], starts), 0.0, jump), np.inf if fine else 0.0)
     long = finite & (lasting > max(_FROZEN_S, 10.0 * usual)) & (after > 4.0 * step)
     for index in np.flatnonzero(long):
         result[begin[index] : end[index]] = True

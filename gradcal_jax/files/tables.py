@@ -32,10 +32,16 @@ _DELIMITERS: Final = {"tab": "\t", "whitespace": None}
 _APART: Final = {";": ";", "\t": "tab", ",": ",", "|": "|", " ": "whitespace"}
 _COMMA: Final = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 _HEXADECIMAL: Final = re.compile(r"0[xX][0-9a-fA-F]+")
-_CERTAIN: Final = (_COMMA, _HEXADECIMAL)
+_LEADER: Final = "\u2024"
+"""What stands for a point where the decimal sign is a comma: no number has one."""
+_COMMAS: Final = str.maketrans({",": ".", ".": _LEADER})
+_POINT: Final = re.compile(rf"[+-]?[\d.{_LEADER}]+{_LEADER}\d[\d.{_LEADER}]*([eE][+-]?\d+)?")
+_CERTAIN: Final = (_COMMA, _HEXADECIMAL, _POINT)
 """Patterns of values that are not damaged numbers."""
 _WAYS: Final = {
     _COMMA: 'a decimal comma; write decimal = "," under [csv]',
+    _POINT: 'a point, where decimal = "," says that the decimal sign is a comma: is it a mark of thousands? Write the '
+    "numbers without it",
     _HEXADECIMAL: "hexadecimal counts; write them as decimal numbers",
     re.compile(r"(?=.*[A-Fa-f])[0-9A-Fa-f]{2,16}"): "hexadecimal counts, it seems; write them as decimal numbers",
     re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}.*|\d{1,2}:\d\d(:\d\d.*)?"): (
@@ -246,7 +252,8 @@ def _read_text_table(path: Path, layout: TextTable, sources: Sequence[Source]) -
 
 
 def _pointed(lines: TextIO, layout: TextTable) -> Iterable[str]:
-    return lines if layout.decimal == "." else (line.replace(",", ".") for line in lines)
+    # (A point among decimal commas is a mark of thousands, or the map is wrong: it must not become a decimal sign.)
+    return lines if layout.decimal == "." else (line.translate(_COMMAS) for line in lines)
 
 
 def _header(lines: TextIO, layout: TextTable, delimiter: str | None) -> list[str]:
@@ -335,9 +342,9 @@ def _patient(lines: Iterable[str], delimiter: str | None, comment: str, names: M
     for place, text in odd.items():
         for way, words in _WAYS.items():
             if way.fullmatch(text) and (place not in readable or way in _CERTAIN):
-                raise LogError(f"column {names[place]} holds {words}: '{text[:40]}'")
+                raise LogError(f"column {names[place]} holds {words}: '{text[:40].replace(_LEADER, '.')}'")
         if place not in readable:
-            raise LogError(f"column {names[place]} holds no numbers, but such as '{text[:40]}'")
+            raise LogError(f"column {names[place]} holds no numbers, but such as '{text[:40].replace(_LEADER, '.')}'")
     return np.frombuffer(numbers, np.float64).reshape(-1, len(names))
 
 

@@ -90,6 +90,11 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
             if said := refuse_repeated(f"{kind} {axis} of {name}", quiet_windows(values[:, k]).ravel()):
                 messages.append(said)
     usable = usable_rows(log, number) & np.isfinite(rates).all(axis=1) & np.isfinite(force).all(axis=1)
+    if not usable.any():
+        raise LogError(
+            f"{name}: no row has both the rates and the specific forces: are gyros and accelerometers in rows of their "
+            "own? Join the two streams first, the slower one interpolated to the stamps of the faster one"
+        )
     temperature = bridged_temperature(log, number, options.temperature_c)
     try:
         standing = log.standstill

@@ -34,7 +34,7 @@ FAR: Final = 10.0
 _AROUND, _RARE = 51, 0.01
 # Steps of more than this share of the noise add 2 % to its variance.
 _ADDS: Final = 0.5
-_ROUNDING: Final = 1e-9
+_ROUNDING, _OFF_THE_GRID = 1e-9, 0.05
 # A gap lasts longer than this, and than so many intervals: over less, a rate is interpolated.
 _GAP_S, _GAP_ROWS = 0.25, 4.0
 _NAMES: Final = {"gyro": ("deg/s", np.pi / 180.0), "accelerometer": ("g", 9.80665)}
@@ -77,6 +77,10 @@ def coarse_steps(values: Floats) -> Steps:
     steps = np.diff(distinct)
     # (Differences that are rounding are no steps.)
     step = float(np.min(steps[steps > _ROUNDING * float(np.ptp(some))]))
+    # (Values of any size, as of a simulation without noise, lie on no grid.)
+    place = (distinct - distinct[0]) / step
+    if float(np.max(np.abs(place - np.rint(place)))) > _OFF_THE_GRID:
+        return Steps(0.0, 0.0)
     quiet = quiet_windows(some)
     changes = np.abs(np.diff(quiet, axis=1))
     moved = changes[changes > 0.5 * step]

@@ -500,4 +500,4 @@ def _turn(shape: str, parts: int) -> PieceTable:
     smooth = len(formulas.shape_pieces(shape))
     edges, unread = even_division(parts, False)
     last = (*unread[:-1], True)
-    return turning(shape, ((edges, unread),) * (smooth - 1) + ((edges, last),), 1, (), 0.0)
+    return turning(shape, ((edges, unread),) * (smooth - 1) + ((edges, last),), 0.0)

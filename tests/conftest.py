@@ -47,8 +47,8 @@ _ESTIMATES = ("estimate", "recording", "logs", "read_tables")
 
 @pytest.fixture(autouse=True, scope="module")
 def _annotations(request):
-    room, *_, name = request.path.relative_to(Path(__file__).parent).parts
-    sure = room in _SURE or (room == "unit" and any(part in name for part in _ESTIMATES))
+    parts = request.path.relative_to(Path(__file__).parent).parts
+    sure = parts[0] in _SURE or (parts[0] == "unit" and any(word in parts[-1] for word in _ESTIMATES))
     jaxtyping.config.update("jaxtyping_disable", sure)
 
 

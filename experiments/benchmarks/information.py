@@ -4,8 +4,9 @@
 
 Cases: `small` (6000 readings × 16 parameters, Φ given: G and the gradient of log det G in Φ and in every duration),
 `unit` (30 000 rows of a whole unit's six channels × 128, Φ given: processor time on one core), `hand2` (that plan of a
-whole unit, compiled as a whole, on one core) and `predict` (the paper's dynamic gradient plan as a whole). Rounds go through all methods in turn, so that a disturbance of the machine falls on
-all of them. Peers: `pip install "gradcal_jax[peers]"`; what is not installed is left out, with the reason.
+whole unit, compiled as a whole, on one core) and `predict` (the paper's dynamic gradient plan as a whole). Rounds go
+through all methods in turn, so that a disturbance of the machine falls on all of them. Peers:
+`pip install "gradcal_jax[peers]"`; what is not installed is left out, with the reason.
 """
 
 import argparse

@@ -129,10 +129,8 @@ def _terms(**terms: float) -> tuple[float, ...]:
 CONSTANT = _terms(one=1.0)
 _COSINE_UP, _COSINE_DOWN = _terms(one=0.5, cos1=-0.5), _terms(one=0.5, cos1=0.5)
 _LINEAR_UP, _LINEAR_DOWN = _terms(u=1.0), _terms(one=1.0, u=-1.0)
-_HALF_SINE, _HALF_SINE_BACK = _terms(sin1=1.0), _terms(sin1=-1.0)
-_RAISED_COSINE = _terms(one=0.5, cos2=-0.5)
 
-SHAPES = ("cosine ramps", "linear ramps", "half sine", "raised cosine", "sinusoid", "spline", "hand")
+SHAPES = ("cosine ramps", "linear ramps", "hand")
 RAMPED_SHAPES = ("cosine ramps", "linear ramps")
 
 
@@ -142,77 +140,28 @@ def _uneven(unevenness: float) -> tuple[float, ...]:
     return _terms(one=0.5, cos2=-0.5, sin4=-e / 4, sin6=e / 2, sin8=-e / 4)
 
 
-def _spline_spans(controls: tuple[float, ...]) -> list[tuple[float, ...]]:
-    """Cubic pieces of a clamped uniform B-spline whose first and last control values are an implied zero.
-
-    Each span's cubic follows exactly from the basis at four points of the span.
-    """
-    values = (0.0, *controls, 0.0)
-    count = len(values) - 3
-    knots = [0.0] * 3 + [float(i) for i in range(count + 1)] + [float(count)] * 3
-
-    def basis(x: float, span: int) -> list[float]:
-        b = [1.0 if i == span + 3 else 0.0 for i in range(len(knots) - 1)]
-        for d in range(1, 4):
-            for i in range(len(knots) - 1 - d):
-                left, right = knots[i + d] - knots[i], knots[i + d + 1] - knots[i + 1]
-                b[i] = ((x - knots[i]) / left * b[i] if left > 0 else 0.0) + (
-                    (knots[i + d + 1] - x) / right * b[i + 1] if right > 0 else 0.0
-                )
-        return b[: len(values)]
-
-    spans: list[tuple[float, ...]] = []
-    for span in range(count):
-        f0, f1, f2, f3 = (sum(w * v for w, v in zip(basis(span + k / 3, span), values, strict=True)) for k in range(4))
-        spans.append(
-            _terms(
-                one=f0,
-                u=(-11 * f0 + 18 * f1 - 9 * f2 + 2 * f3) / 2,
-                u2=(18 * f0 - 45 * f1 + 36 * f2 - 9 * f3) / 2,
-                u3=(-9 * f0 + 27 * f1 - 27 * f2 + 9 * f3) / 2,
-            )
-        )
-    return spans
-
-
-def shape_pieces(
-    shape: str, *, cycles: int = 1, controls: tuple[float, ...] = (), unevenness: float = 0.0
-) -> list[tuple[str, float, tuple[float, ...]]]:
+def shape_pieces(shape: str, *, unevenness: float = 0.0) -> list[tuple[str, float, tuple[float, ...]]]:
     """The smooth pieces of a shape for unit peak rate, as `(what, share, coefficients)`.
 
     `what` is "ramp" (lasts the ramp time), "flat" (what the two ramps leave) or "share" (that share of the whole
-    duration). For "spline" the control values are rates relative to the peak rate. Errors: `ValueError` for an
-    unknown shape.
+    duration). Errors: `ValueError` for an unknown shape.
     """
     if shape == "cosine ramps":
         return [("ramp", 1.0, _COSINE_UP), ("flat", 1.0, CONSTANT), ("ramp", 1.0, _COSINE_DOWN)]
     if shape == "linear ramps":
         return [("ramp", 1.0, _LINEAR_UP), ("flat", 1.0, CONSTANT), ("ramp", 1.0, _LINEAR_DOWN)]
-    if shape == "half sine":
-        return [("share", 1.0, _HALF_SINE)]
-    if shape == "raised cosine":
-        return [("share", 1.0, _RAISED_COSINE)]
-    if shape == "sinusoid":
-        return [("share", 0.5 / cycles, c) for _ in range(cycles) for c in (_HALF_SINE, _HALF_SINE_BACK)]
-    if shape == "spline":
-        spans = _spline_spans(controls)
-        return [("share", 1.0 / len(spans), c) for c in spans]
     if shape == "hand":
         return [("share", 1.0, _uneven(unevenness))]
     raise ValueError(f"unknown motion shape {shape!r}; known: {', '.join(SHAPES)}")
 
 
 def turned_angle(shape: str, peak_rate: Array, duration: Array, ramp: Array = 0.0) -> Array:
-    """Net angle of a whole move, in peak_rate's angle unit; not for a spline, whose angle depends on its controls."""
+    """Net angle of a whole move, in peak_rate's angle unit. Errors: `ValueError` for an unknown shape."""
     if shape in RAMPED_SHAPES:
         return peak_rate * (duration - ramp)
-    if shape == "half sine":
-        return 2.0 * peak_rate * duration / pi
-    if shape in ("raised cosine", "hand"):
+    if shape == "hand":
         return peak_rate * duration / 2.0
-    if shape == "sinusoid":
-        return 0.0 * peak_rate
-    raise ValueError(f"the angle of shape {shape!r} has no formula in peak rate and duration alone")
+    raise ValueError(f"unknown motion shape {shape!r}; known: {', '.join(SHAPES)}")
 
 
 def repetitions(duration: float, own: float, period: float) -> tuple[int, float]:

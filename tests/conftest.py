@@ -1,6 +1,7 @@
 """Strict JAX for every test; shape and dtype annotations are checked here and nowhere else, where there are any.
 
-That takes as long again as what it checks: GRADCAL_UNCHECKED=1 leaves it out, for proofs of thousands of estimates.
+That takes as long again as what it checks, so the core's own tests check and those of the rooms around it do not
+(`_SURE`); GRADCAL_UNCHECKED=1 leaves it out everywhere, for proofs of thousands of estimates.
 What JAX compiles is kept for all workers, processes and later runs: half of the time of a run is compiling.
 """
 
@@ -14,6 +15,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 import jax
 import jaxtyping
 import matplotlib
+import pytest
 
 matplotlib.use("Agg")
 jax.config.update("jax_enable_x64", True)
@@ -23,6 +25,31 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 if not os.environ.get("GRADCAL_UNCHECKED"):
     core = [f"gradcal_jax.{room}" for room in ("design", "identify", "information", "linalg", "model", "trajectory")]
     jaxtyping.install_import_hook(core, "beartype.beartype")
+
+
+_SURE = (
+    "api",
+    "cli",
+    "decoding",
+    "estimation",
+    "experiments",
+    "files",
+    "hardware",
+    "jobs",
+    "notebooks",
+    "pages",
+    "plots",
+)
+"""Rooms whose tests use the core by ways that its own tests, and the recorded numbers, have checked."""
+_ESTIMATES = ("estimate", "recording", "logs", "read_tables")
+"""The same of files in `unit`."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _annotations(request):
+    parts = request.path.relative_to(Path(__file__).parent).parts
+    sure = parts[0] in _SURE or (parts[0] == "unit" and any(word in parts[-1] for word in _ESTIMATES))
+    jaxtyping.config.update("jaxtyping_disable", sure)
 
 
 def pytest_addoption(parser):

@@ -44,8 +44,6 @@ class Act:
     duration: float
     peak: float = 0.0
     ramp: float = 0.0
-    cycles: int = 1
-    controls: tuple[float, ...] = ()
     unevenness: float = 0.0
     axis: str = "x"
     every: float | None = None
@@ -120,8 +118,6 @@ def core_move(act: Act, longest: float = np.inf) -> trajectory.Move:
         act.duration,
         ramp=act.ramp,
         axis=act.axis,
-        cycles=act.cycles,
-        controls=act.controls,
         unevenness=act.unevenness,
         read_at_end=act.read_at_end,
         read_every=act.every,
@@ -161,17 +157,8 @@ def textbook_rate(act: Act, t: np.ndarray) -> np.ndarray:
     if act.shape in ("cosine ramps", "linear ramps"):
         rising = np.clip(np.minimum(t, act.duration - t) / act.ramp, 0.0, 1.0)
         return act.peak * (rising if act.shape == "linear ramps" else 0.5 - 0.5 * np.cos(np.pi * rising))
-    if act.shape == "half sine":
-        return act.peak * np.sin(np.pi * u)
-    if act.shape == "raised cosine":
-        return act.peak * np.sin(np.pi * u) ** 2
-    if act.shape == "sinusoid":
-        return act.peak * np.sin(2.0 * np.pi * act.cycles * u)
-    if act.shape == "hand":
-        return act.peak * np.sin(np.pi * u) ** 2 * (1.0 + act.unevenness * np.sin(6.0 * np.pi * u))
-    values = np.array([0.0, *act.controls, 0.0])
-    inner = np.linspace(0.0, 1.0, len(values) - 2)
-    return act.peak * ScipyBSpline(np.r_[[0.0] * 3, inner, [1.0] * 3], values, 3)(np.clip(u, 0.0, 1.0))
+    assert act.shape == "hand"
+    return act.peak * np.sin(np.pi * u) ** 2 * (1.0 + act.unevenness * np.sin(6.0 * np.pi * u))
 
 
 def _smooth_breaks(act: Act) -> np.ndarray:
@@ -179,9 +166,7 @@ def _smooth_breaks(act: Act) -> np.ndarray:
     if act.shape in ("cosine ramps", "linear ramps"):
         r = act.ramp / act.duration
         return np.unique([r / 2, r, 1 - r, 1 - r / 2])
-    if act.shape == "spline":
-        return np.linspace(0.0, 1.0, len(act.controls))[1:-1]
-    return np.linspace(0.0, 1.0, {"sinusoid": 4 * act.cycles, "hand": 16, "rest": 1}.get(act.shape, 4) + 1)[1:-1]
+    return np.linspace(0.0, 1.0, {"hand": 16, "rest": 1}[act.shape] + 1)[1:-1]
 
 
 class Reading(NamedTuple):
@@ -537,14 +522,14 @@ _TURNS = (
     Act("rest", 6.0, every=2.0),
     Act("cosine ramps", 5.0, 150 * DEG, ramp=0.8),
     Act("linear ramps", 4.0, -290 * DEG, ramp=1.5),
-    Act("half sine", 6.0, 120 * DEG, every=1.5),
-    Act("raised cosine", 7.0, -60 * DEG),
+    Act("cosine ramps", 6.0, 120 * DEG, ramp=3.0, every=1.5),
+    Act("hand", 7.0, -60 * DEG),
     Act("rest", 4.0, every=2.0),
 )
 _CURVES = (
-    Act("sinusoid", 12.0, 80 * DEG, cycles=2, every=2.5),
+    Act("linear ramps", 12.0, 80 * DEG, ramp=5.0, every=2.5),
     Act("rest", 5.0, every=1.0),
-    Act("spline", 9.0, 200 * DEG, controls=(0.2, 0.9, 1.0, 0.4, 0.1)),
+    Act("cosine ramps", 9.0, 200 * DEG, ramp=2.0),
     Act("hand", 20.0, -30 * DEG, unevenness=0.3),
     Act("rest", 3.0, every=3.0),
 )
@@ -620,7 +605,7 @@ SCENES: dict[str, Scene] = {
         (
             *_TURNS[:2],
             Act("cosine ramps", 8.0, 100 * DEG, ramp=1.0, axis="y", others_every=2.0),
-            Act("half sine", 5.0, -80 * DEG, axis="y"),
+            Act("cosine ramps", 5.0, -80 * DEG, ramp=1.0, axis="y"),
             *_TURNS[2:4],
         ),
         (Act("rest", 9.0, every=3.0),),

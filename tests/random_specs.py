@@ -20,7 +20,7 @@ FAMILIES = (
 )
 """The kinds of preset: the paper's four, typical sensors of two grades on a motor table, a gimbal moved by hand."""
 
-SHAPES = ("cosine ramps", "linear ramps", "half sine", "raised cosine", "sinusoid", "spline")
+SHAPES = ("cosine ramps", "linear ramps")
 BASES = ("polynomial", "b-spline", "bins")
 MOST_READINGS = 1500
 
@@ -302,44 +302,24 @@ def _turn(rng: np.random.Generator) -> tuple[Table, float]:
     shape = _one(rng, SHAPES)
     move: Table = {"shape": shape}
     sign, peak = _one(rng, (-1.0, 1.0)), _between(rng, 15, 280, 3)
-    if shape == "sinusoid":
-        period = float(f"{max(2.0 * np.pi * peak / 600.0 * 1.1, rng.uniform(4, 12)):.3g}")
-        cycles = int(rng.integers(1, 4))
-        move |= {"peak_rate": _text(sign * peak, "deg/s"), "period": _text(period, "s")}
-        if cycles > 1 or _chance(rng, 0.3):
-            move["cycles"] = cycles
-        duration = period * cycles
-    elif shape == "spline":
-        controls = rng.uniform(-0.5, 1.0, int(rng.integers(2, 6))) * peak * sign
-        duration = float(f"{rng.uniform(8, 20):.3g}")
-        move |= {"duration": _text(duration, "s"), "rates": [_text(c, "deg/s", 3) for c in controls]}
+    # Peak acceleration over peak rate is steepness/ramp.
+    least = {"cosine ramps": np.pi / 2.0, "linear ramps": 1.0}[shape] * peak / 600.0
+    duration = float(f"{2.0 * least * 1.1 + rng.uniform(3, 12):.3g}")
+    ramp = least * 1.1 + 0.05
+    kind = _one(rng, ("rate and duration", "with ramp", "angle and rate", "whole turns"))
+    if kind == "angle and rate":
+        angle = float(f"{peak * (duration - ramp):.4g}")
+        move |= {"turn": _text(sign * angle, "deg"), "peak_rate": _text(peak, "deg/s")}
+        duration = angle / peak + least
+    elif kind == "whole turns":
+        turns = max(1, round(peak * (duration - ramp) / 360.0))
+        # At the rate that this angle needs the largest acceleration must still suffice.
+        duration = float(f"{max(duration, 360.0 * turns / 280.0 + 2.2):.3g}")
+        move |= {"turns": float(sign * turns), "duration": _text(duration, "s")}
     else:
-        # Peak acceleration over peak rate is steepness/ramp, or π/D for the two without a flat part.
-        least = {"cosine ramps": np.pi / 2.0, "linear ramps": 1.0}.get(shape, np.pi / 2.0) * peak / 600.0
-        duration = float(f"{2.0 * least * 1.1 + rng.uniform(3, 12):.3g}")
-        if shape in ("half sine", "raised cosine"):
-            fullness = 2.0 / np.pi if shape == "half sine" else 0.5
-            if _chance(rng, 0.5):
-                move |= {"turn": _text(sign * fullness * peak * duration, "deg"), "duration": _text(duration, "s")}
-            else:
-                move |= {"peak_rate": _text(sign * peak, "deg/s"), "duration": _text(duration, "s")}
-        else:
-            ramp = least * 1.1 + 0.05
-            kind = _one(rng, ("rate and duration", "with ramp", "angle and rate", "whole turns"))
-            if kind == "angle and rate":
-                angle = float(f"{peak * (duration - ramp):.4g}")
-                move |= {"turn": _text(sign * angle, "deg"), "peak_rate": _text(peak, "deg/s")}
-                duration = angle / peak + least
-            elif kind == "whole turns":
-                turns = max(1, round(peak * (duration - ramp) / 360.0))
-                move |= {"turns": float(sign * turns), "duration": _text(duration, "s")}
-                # At the rate that this angle needs the largest acceleration must still suffice.
-                duration = float(f"{max(duration, 360.0 * turns / 280.0 + 2.2):.3g}")
-                move["duration"] = _text(duration, "s")
-            else:
-                move |= {"peak_rate": _text(sign * peak, "deg/s"), "duration": _text(duration, "s")}
-                if kind == "with ramp":
-                    move["ramp"] = _text(float(rng.uniform(least * 1.1 + 0.02, 0.48 * duration)), "s", 3)
+        move |= {"peak_rate": _text(sign * peak, "deg/s"), "duration": _text(duration, "s")}
+        if kind == "with ramp":
+            move["ramp"] = _text(float(rng.uniform(least * 1.1 + 0.02, 0.48 * duration)), "s", 3)
     _reads(rng, move, duration)
     return move, duration
 

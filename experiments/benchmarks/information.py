@@ -4,9 +4,9 @@
 
 Cases: `small` (6000 readings × 16 parameters, Φ given: G and the gradient of log det G in Φ and in every duration),
 `unit` (30 000 rows of a whole unit's six channels × 128, Φ given: processor time on one core), `hand2` (that plan of a
-whole unit, compiled as a whole, on one core), `large` (600 000 × 64, Φ generated in tiles) and `predict` (the paper's
-dynamic gradient plan as a whole). Rounds go through all methods in turn, so that a disturbance of the machine falls on
-all of them. Peers: `pip install "gradcal_jax[peers]"`; what is not installed is left out, with the reason.
+whole unit, compiled as a whole, on one core) and `predict` (the paper's dynamic gradient plan as a whole). Rounds go
+through all methods in turn, so that a disturbance of the machine falls on all of them. Peers:
+`pip install "gradcal_jax[peers]"`; what is not installed is left out, with the reason.
 """
 
 import argparse
@@ -206,8 +206,8 @@ def main() -> None:
     parser.add_argument(
         "--only",
         nargs="+",
-        choices=("small", "unit", "hand2", "large", "predict"),
-        default=("small", "unit", "hand2", "large", "predict"),
+        choices=("small", "unit", "hand2", "predict"),
+        default=("small", "unit", "hand2", "predict"),
     )
     parser.add_argument("--write", metavar="FILE", help="the table in Markdown, besides the screen")
     asked = parser.parse_args()
@@ -234,8 +234,6 @@ def main() -> None:
         lines += [*whole_unit(record, asked.quick), ""]
     if "hand2" in asked.only:
         lines += [*hand2(record, asked.quick), ""]
-    if "large" in asked.only:
-        lines += [*large(record, asked.quick), ""]
     if "predict" in asked.only:
         lines += [*prediction(record), ""]
     text = "\n".join(lines)
@@ -337,33 +335,6 @@ def hand2(record: dict, quick: bool) -> list[str]:
         "* From all numbers of motion, geometry, noise and priors to the logarithms of the 132 standard deviations; "
         "the gradient is in all those numbers.",
     ]
-
-
-def large(record: dict, quick: bool) -> list[str]:
-    """600 000 × 64 in tiles: time and working memory, ours and the floor's, each in a fresh process."""
-    count, parameters = (20_000, 16) if quick else (600_000, 64)
-    lines = [
-        f"### {count} readings × {parameters} parameters, Φ generated in tiles, forward",
-        "",
-        "| method | s: each run | working memory, MB: the process's peak, compiling included, "
-        "less what it held after imports and a tiny run |",
-        "|---|---|---|",
-    ]
-    record["large"] = {}
-    for method in ("ours", "floor"):
-        worker = Worker(2)
-        answer = worker.ask(do="stream", method="large", what=method, count=count, parameters=parameters)
-        worker.close()
-        record["large"][method] = answer
-        lines.append(
-            f"| {METHODS[method]} | {', '.join(f'{s:.3g}' for s in answer['seconds'])} | {answer['megabytes']:.0f} |"
-        )
-    ratio = min(record["large"]["ours"]["seconds"]) / min(record["large"]["floor"]["seconds"])
-    lines += [
-        "",
-        f"Ours takes {ratio:.2g} times the floor, which generates the same tiles and multiplies them as they are.",
-    ]
-    return lines
 
 
 def prediction(record: dict) -> list[str]:

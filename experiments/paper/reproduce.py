@@ -93,7 +93,9 @@ def variants() -> dict[str, dict]:
     raised = []
     for move in moves:
         if "turn" in move:
-            raised.append({"turn": move["turn"], "peak_rate": move["peak_rate"], "shape": "raised cosine"})
+            # A turn by hand without unevenness: a raised cosine, whose angle is half of peak rate times duration.
+            lasting = 2.0 * abs(float(move["turn"].split()[0])) / float(move["peak_rate"].split()[0])
+            raised.append({"turn": move["turn"], "duration": f"{lasting:.12g} s", "shape": "hand", "unevenness": 0.0})
         else:
             raised.append(move)
     seen = "plan.cycle.other_axes"
@@ -104,9 +106,10 @@ def variants() -> dict[str, dict]:
         "not read while others turn": {seen: {"duration": "4 min", "read": False}},
         "raised-cosine turns (158 s do not fit): cycle kept": {
             "plan.cycle.moves": raised,
+            "rig.table.drive": "hand",
             f"{seen}.duration": "181.6 s",
         },
-        "raised-cosine turns: cycle lengthened to 418 s": {"plan.cycle.moves": raised},
+        "raised-cosine turns: cycle lengthened to 418 s": {"plan.cycle.moves": raised, "rig.table.drive": "hand"},
         "0.05° per standstill, not per reading": {
             "rig.table.angle.reading_noise": "0 deg",
             "rig.table.angle.standstill_offset": "0.05 deg",

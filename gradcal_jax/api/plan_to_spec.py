@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax import formulas
 from gradcal_jax.api.structures import axes_of
 from gradcal_jax.design import (
     STEEPNESS,
@@ -20,7 +19,6 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.rounding import ControllerSteps, steps_of
-from gradcal_jax.formulas import RAMPED_SHAPES
 
 DEG = math.pi / 180.0
 # A stretch of fewer steps of slope becomes a soak: rounding would change its duration too much.
@@ -175,10 +173,6 @@ class _Move(NamedTuple):
         the table's acceleration allows those between the roots of `steep ω² − D ω + θ`.
         """
         size, steep = abs(self.angle), STEEPNESS[self.element.shape] / float(limits.max_acceleration)
-        if self.element.shape not in RAMPED_SHAPES:
-            peak = size / formulas.turned_angle(self.element.shape, 1.0, duration)
-            fits = peak <= float(limits.max_rate) * _ROUNDING and steep * peak <= duration * _ROUNDING
-            return self._replace(duration=duration) if fits else None
         if (square := duration**2 - 4.0 * steep * size) < 0.0:
             return None
         root = math.sqrt(square)
@@ -189,9 +183,8 @@ class _Move(NamedTuple):
 
     def lesser(self, duration: float, limits: Limits, step: float, fine: float) -> "_Move | None":
         """The same turn shortened to `duration` at its rate, its angle a multiple of `fine` (rad)."""
-        peak = self.peak or abs(self.angle) / formulas.turned_angle(self.element.shape, 1.0, self.duration)
         short = self._replace(duration=duration, angle=0.0, peak=0.0)
-        count = _most(short, math.copysign(peak, self.angle), limits, fine) if duration > 0.0 else 0
+        count = _most(short, math.copysign(self.peak, self.angle), limits, fine) if duration > 0.0 else 0
         return short._replace(angle=count * fine).lasting(duration, limits, step) if count else None
 
 
@@ -231,14 +224,9 @@ def _moves(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> list[_M
 
 def _most(rest: _Move, peak: float, limits: Limits, fine: float) -> int:
     """The angle, in multiples of `fine` (rad), of a turn with about that peak rate in its time and acceleration."""
-    steep, duration, shape = STEEPNESS[rest.element.shape], rest.duration, rest.element.shape
-    if shape in RAMPED_SHAPES:
-        steepest = float(limits.max_acceleration) / steep
-        size = abs(peak) * (duration - min(max(rest.ramp, abs(peak) / steepest), 0.5 * duration))
-        size = min(size, 0.25 * duration**2 * steepest)
-    else:
-        fastest = min(abs(peak), float(limits.max_acceleration) * duration / steep)
-        size = float(formulas.turned_angle(shape, fastest, duration))
+    duration, steepest = rest.duration, float(limits.max_acceleration) / STEEPNESS[rest.element.shape]
+    size = abs(peak) * (duration - min(max(rest.ramp, abs(peak) / steepest), 0.5 * duration))
+    size = min(size, 0.25 * duration**2 * steepest)
     # Angles in thousandths of a degree are rounded towards zero, whole turns to the nearest.
     count = math.floor(size / fine + (0.5 if fine > 1.0 else 1e-6))
     while count and rest._replace(angle=count * fine).lasting(duration, limits, 1e-9) is None:

@@ -317,7 +317,7 @@ def _among(coordinates: Coordinates, moves: Sequence[ResolvedMove]) -> np.ndarra
 
 def _unsuited(moves: Sequence[ResolvedMove]) -> str:
     """Why a search cannot begin with these moves; empty where it can."""
-    shapes = {m.shape for m in moves} - {"rest", *RAMPED_SHAPES, "half sine", "raised cosine"}
+    shapes = {m.shape for m in moves} - {"rest", *RAMPED_SHAPES}
     if shapes:
         return f"optimise cannot change a move of shape {sorted(shapes)[0]!r}: add duration to design.free"
     spacings = sorted(

@@ -354,10 +354,6 @@ def _shape_row(move: Move | ResolvedMove, angle: float) -> dict[str, Any]:
     row: dict[str, Any] = {"shape": move.shape, "peak_rate": float(move.peak_rate), "angle": angle}
     if move.shape in ("cosine ramps", "linear ramps"):
         row["ramp"] = float(move.ramp)
-    elif move.shape == "sinusoid":
-        row["cycles"] = move.cycles
-    elif move.shape == "spline":
-        row["controls"] = tuple(float(c) for c in move.controls)
     elif move.shape == "hand":
         row["unevenness"] = float(move.unevenness)
     return row

@@ -34,7 +34,7 @@ from gradcal_jax.trajectory.schedule import make_schedule
 Scalar = Any
 
 # Peak acceleration over (peak rate / time), the time being the ramp's, or the whole move's for shapes without ramps.
-STEEPNESS = {"cosine ramps": np.pi / 2.0, "linear ramps": 1.0, "half sine": np.pi, "raised cosine": np.pi}
+STEEPNESS = {"cosine ramps": np.pi / 2.0, "linear ramps": 1.0}
 
 # Pieces of a rest and of the standing while other axes turn; the reading of each stands for all readings within it.
 _PIECES_A_REST = 2
@@ -399,12 +399,8 @@ EASED = 5
 
 _STEEP = np.array([0.0, *STEEPNESS.values()])
 _HAS_RAMPS = np.array([shape in RAMPED_SHAPES for shape in SHAPES])
-# For unit peak rate: angle = first·duration + second·ramp, since `formulas.turned_angle` is linear in both.
-_TURNED = formulas.turned_angle
-_ANGLE = np.array(
-    [(0.0, 0.0)]
-    + [(_TURNED(s, 1.0, 1.0, 0.0), _TURNED(s, 1.0, 0.0, 1.0) if s in RAMPED_SHAPES else 0.0) for s in STEEPNESS]
-).T
+# For unit peak rate: angle = first·duration + second·ramp, as `formulas.turned_angle`.
+_ANGLE = np.array([(0.0, 0.0), *((1.0, -1.0) for _ in STEEPNESS)]).T
 
 
 def _sigmoid(x):
@@ -504,4 +500,4 @@ def _turn(shape: str, parts: int) -> PieceTable:
     smooth = len(formulas.shape_pieces(shape))
     edges, unread = even_division(parts, False)
     last = (*unread[:-1], True)
-    return turning(shape, ((edges, unread),) * (smooth - 1) + ((edges, last),), 1, (), 0.0)
+    return turning(shape, ((edges, unread),) * (smooth - 1) + ((edges, last),), 0.0)

@@ -184,10 +184,6 @@ class SegmentRow(Section):
     """Angle turned, signed (rad)."""
     ramp: Size | None = None
     """Time from rest to the peak rate (s)."""
-    cycles: int | None = None
-    """Oscillations."""
-    controls: tuple[Finite, ...] | None = None
-    """Control values of a spline, relative to `peak_rate`."""
     unevenness: Size | None = None
     """Of a turn by hand, as a share of the rate."""
     temperature_start: Finite

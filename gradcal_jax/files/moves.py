@@ -5,10 +5,6 @@ Kinematics (D duration, A peak rate, r ramp time, θ angle):
     shape           angle        peak acceleration     keys
     cosine ramps    A(D − r)     πA/(2r)               turn|turns, peak_rate, duration, ramp
     linear ramps    A(D − r)     A/r                   turn|turns, peak_rate, duration, ramp
-    half sine       2AD/π        πA/D                  turn|turns, peak_rate, duration
-    raised cosine   AD/2         πA/D                  turn|turns, peak_rate, duration
-    sinusoid        0            2πA/period            peak_rate, period, cycles
-    spline          integral     largest slope         duration, rates (inner control values)
     hand            AD/2         largest slope         turn|turns, duration, unevenness
 
 The keys must determine the motion; with two keys for a ramped shape the ramps are as short as the table's largest
@@ -41,7 +37,7 @@ class ResolvedMove:
     """One move in SI, complete. Shape "rest" stands still for `duration`.
 
     `peak_rate` (rad/s, signed like `angle`) and the shape's parameters are those of
-    `gradcal_jax.formulas.shape_pieces`: `controls` are rates relative to `peak_rate`.
+    `gradcal_jax.formulas.shape_pieces`.
     `fastest` and `peak_acceleration` are true maxima of the magnitude.
     `low` and `high` bound the angle during the move, from its start. The move is made `repeat` times.
     A reading is taken at the end (`read_end`), or every `read_every` seconds from the start. `other_axes`: a rest
@@ -58,8 +54,6 @@ class ResolvedMove:
     fastest: float = 0.0
     low: float = 0.0
     high: float = 0.0
-    cycles: int = 1
-    controls: tuple[float, ...] = ()
     unevenness: float = 0.0
     repeat: int = 1
     read_end: bool = True
@@ -278,121 +272,6 @@ class LinearRamps(_RampedTurn):
     """Course of the rate."""
 
 
-class _WholeTurn(_PeakedTurn):
-    FULLNESS: ClassVar[float]
-
-    def resolve(self, max_acceleration: float) -> ResolvedMove:
-        """Complete (θ, A, D) by θ = fullness·A·D; both shapes peak at πA/D."""
-        _, angle, peak, duration = self.sizes()
-        if sum(value is not None for value in (angle, peak, duration)) < 2:
-            message = "the motion is not determined; give two of turn, peak_rate and duration"
-            raise SpecError([Problem((), message)])
-        if angle is not None and duration is not None:
-            fitting = angle / (self.FULLNESS * duration)
-            if peak is not None and abs(fitting - peak) > AGREEMENT * peak:
-                message = f"contradicts {self.angle_key} and duration, which mean {_round_rate(fitting)}; leave one out"
-                raise SpecError([Problem(("peak_rate",), message, str(self.peak_rate))])
-            peak = fitting
-        elif peak is not None and duration is not None:
-            angle = self.FULLNESS * peak * duration
-        else:
-            assert angle is not None
-            assert peak is not None
-            duration = angle / (self.FULLNESS * peak)
-        acceleration = math.pi * peak / duration
-        return self.motion(angle=angle, peak=peak, duration=duration, acceleration=acceleration, ramp=0.0)
-
-
-class HalfSine(_WholeTurn):
-    """Half a period of a sine."""
-
-    SHAPE, FULLNESS = "half sine", 2.0 / math.pi
-
-    shape: Literal["half sine"]
-    """Course of the rate."""
-
-
-class RaisedCosine(_WholeTurn):
-    """One period of 1 − cos."""
-
-    SHAPE, FULLNESS = "raised cosine", 0.5
-
-    shape: Literal["raised cosine"]
-    """Course of the rate."""
-
-
-class Sinusoid(_Move):
-    """Whole periods of A·sin(2πt/period): an oscillation that ends where it began."""
-
-    shape: Literal["sinusoid"]
-    """Course of the rate."""
-    peak_rate: Rate
-    """Largest rate."""
-    period: Time
-    """Length of one oscillation."""
-    cycles: Annotated[Count, Field(le=10_000)] = 1
-    """Number of oscillations."""
-
-    @model_validator(mode="after")
-    def _moving(self) -> "Sinusoid":
-        if self.peak_rate == 0.0:
-            refuse(Problem(("peak_rate",), "must not be zero", self.peak_rate.text))
-        return self
-
-    def resolve(self, max_acceleration: float) -> ResolvedMove:
-        peak, period = float(self.peak_rate), float(self.period)
-        swing, fastest = peak * period / math.pi, abs(peak)
-        sizes = {"peak_rate": peak, "fastest": fastest, "peak_acceleration": 2.0 * math.pi * fastest / period}
-        return self.resolved("sinusoid", period * self.cycles, reach=swing, cycles=self.cycles, **sizes)
-
-
-class Spline(_Move):
-    """Free-form: a clamped uniform cubic B-spline of the rate whose first and last control values are zero."""
-
-    shape: Literal["spline"]
-    """Course of the rate."""
-    duration: Time
-    """How long."""
-    rates: Annotated[tuple[Rate, ...], Field(min_length=2, max_length=60)]
-    """Control values of the rate between the two zeros at the ends."""
-
-    @model_validator(mode="after")
-    def _moving(self) -> "Spline":
-        if all(rate == 0.0 for rate in self.rates):
-            refuse(Problem(("rates",), "must not all be zero"))
-        return self
-
-    def resolve(self, max_acceleration: float) -> ResolvedMove:
-        """Maxima are exact, from the cubic pieces."""
-        peak = max(abs(rate) for rate in self.rates)
-        controls = tuple(rate / peak for rate in self.rates)
-        pieces = [c[:4] for _, _, c in formulas.shape_pieces("spline", controls=controls)]
-        span = float(self.duration) / len(pieces)
-        fastest = steepest = 0.0
-        angle = low = high = 0.0
-        for c0, c1, c2, c3 in pieces:
-            turning = [u for u in _roots(3.0 * c3, 2.0 * c2, c1) if 0.0 <= u <= 1.0]
-            fastest = max(fastest, *(abs(c0 + u * (c1 + u * (c2 + u * c3))) for u in (0.0, 1.0, *turning)))
-            bending = [u for u in _roots(0.0, 6.0 * c3, 2.0 * c2) if 0.0 <= u <= 1.0]
-            steepest = max(steepest, *(abs(c1 + u * (2.0 * c2 + u * 3.0 * c3)) for u in (0.0, 1.0, *bending)))
-            for i in range(1, 65):
-                u = i / 64.0
-                here = angle + u * (c0 + u * (c1 / 2.0 + u * (c2 / 3.0 + u * c3 / 4.0)))
-                low, high = min(low, here), max(high, here)
-            angle += c0 + c1 / 2.0 + c2 / 3.0 + c3 / 4.0
-        return self.resolved(
-            "spline",
-            float(self.duration),
-            angle=angle * peak * span,
-            peak_rate=peak,
-            peak_acceleration=steepest * peak / span,
-            fastest=fastest * peak,
-            low=low * peak * span,
-            high=high * peak * span,
-            controls=controls,
-        )
-
-
 class Hand(_Turn):
     """A turn by hand, slow and uneven: A·½(1 − cos 2πu)·(1 + unevenness·sin 6πu). Only its ends are known."""
 
@@ -428,14 +307,12 @@ class Hand(_Turn):
 
 
 Move = Annotated[
-    Rest | CosineRamps | LinearRamps | HalfSine | RaisedCosine | Sinusoid | Spline | Hand,
+    Rest | CosineRamps | LinearRamps | Hand,
     read_by(lambda table: _choose_move(table)),
 ]
 
 SHAPES: Final[dict[str, type[Section]]] = {
-    **{kind.SHAPE: kind for kind in (CosineRamps, LinearRamps, HalfSine, RaisedCosine)},
-    "sinusoid": Sinusoid,
-    "spline": Spline,
+    **{kind.SHAPE: kind for kind in (CosineRamps, LinearRamps)},
     "hand": Hand,
 }
 
@@ -452,17 +329,6 @@ def _choose_move(table: Mapping[str, object]) -> object:
 
 def _number(value: float | None) -> float | None:
     return None if value is None else float(value)
-
-
-def _roots(a: float, b: float, c: float) -> list[float]:
-    """Real roots of a·u² + b·u + c, the stable way round."""
-    if a == 0.0:
-        return [] if b == 0.0 else [-c / b]
-    discriminant = b * b - 4.0 * a * c
-    if discriminant < 0.0:
-        return []
-    half = -0.5 * (b + math.copysign(math.sqrt(discriminant), b))
-    return [half / a] + ([c / half] if half != 0.0 else [])
 
 
 def _uneven_maxima(unevenness: float) -> tuple[float, float]:

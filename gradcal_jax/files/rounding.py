@@ -95,7 +95,7 @@ def rounded(spec: AnySpec, steps: ControllerSteps | None = None, *, keep_shapes:
     """The spec with a plan that the controllers can execute.
 
     `keep_shapes`: the table can follow any shape; without it turns become trapezoids ("linear ramps") of the same
-    angle, peak rate and duration, and oscillations become turns to and fro.
+    angle, peak rate and duration.
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """
@@ -248,10 +248,7 @@ def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder) -> None:
         kept = {"axis": axes[k].name} | ({"repeat": move.repeat} if move.repeat > 1 else {})
         fastest = min(float(axes[k].max_rate), usable)
         steepest = float(axes[k].max_acceleration)
-        if move.shape == "spline":
-            message = "the controllers of a whole unit's table turn by ramps; expected another shape"
-            raise SpecError([Problem(("plan", "cycle", "moves", step.source, "shape"), message, move.shape)])
-        if move.shape in ("hand", "sinusoid"):
+        if move.shape == "hand":
             turns = _moves(dict(moves_of_file[step.source]), move, steepest, fastest, rounder)
             moves += [{name: value for name, value in table.items() if name != "read"} for table in turns]
             at[k] += move.repeat * move.angle
@@ -308,20 +305,7 @@ def _moves(table: Table, move: ResolvedMove, steepest: float, fastest: float, ro
     if move.is_rest or move.shape == "hand":
         rounder.entries(table, rest="time", duration="time")
         return [table]
-    if move.shape == "spline":
-        rounder.entries(table, duration="longer time")
-        table["rates"] = [rounder.to("rate", units.parse(r, "angular rate")) for r in table["rates"]]
-        rounder.notes.append("a free-form motion is made of short stretches of constant acceleration")
-        return [table]
     kept = {key: table[key] for key in ("axis", "read", "read_every") if key in table}
-    if move.shape == "sinusoid":
-        return _oscillation(table, move, kept, steepest, fastest, rounder)
-    if rounder.keep_shapes and move.shape not in ("cosine ramps", "linear ramps"):
-        duration = table.get("duration") or units.format_quantity(move.duration, "s")
-        table = {**table, "duration": rounder.text("longer time", duration)}
-        if "turn" in table or "turns" in table:
-            table.pop("peak_rate", None)
-        return [table]
     if "repeat" in table:
         kept["repeat"] = table["repeat"]
     return [_turn(move.angle, move, rounder.shape(move), steepest, fastest, rounder) | kept]
@@ -366,23 +350,6 @@ def _turn(angle: float, move: ResolvedMove, shape: str, steepest: float, fastest
         else:
             text = units.format_quantity(2.0 * size / duration, "deg/s")
     return written | {"peak_rate": text, "duration": duration_text, "shape": shape}
-
-
-def _oscillation(
-    table: Table, move: ResolvedMove, kept: Table, steepest: float, fastest: float, rounder: _Rounder
-) -> list[Table]:
-    if rounder.keep_shapes:
-        rounder.entries(table, peak_rate="rate", period="longer time")
-        return [table]
-    rounder.notes.append("an oscillation is made as turns to and fro of the same angle, peak rate and duration")
-    swing = 0.5 * move.duration / move.cycles
-    angle = 2.0 * move.peak_rate * swing / math.pi
-    halves = [_turn(way * angle, move, "linear ramps", steepest, fastest, rounder) | kept for way in (1.0, -1.0)]
-    turns = [dict(half) for _ in range(move.cycles * move.repeat) for half in halves]
-    if move.read_every is None:
-        for place, half in enumerate(turns):
-            half["read"] = "end" if move.read_end and (place + 1) % (2 * move.cycles) == 0 else "none"
-    return turns
 
 
 def _shown(value: Any) -> str:

@@ -44,11 +44,9 @@ from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.units import dimension_of
 
 Begins = Literal["at its time", "when stable"]
-Doing = Literal["rest", "turn", "spin", "oscillate", "spline", "turn by hand", "wait"]
+Doing = Literal["rest", "turn", "spin", "turn by hand", "wait"]
 
 _HAIR: Final = 1e-6  # of a step
-# The trapezoid's ramp as a share of the duration, for motions with duration and angle only.
-_RAMP_SHARE: Final = {"half sine": 1.0 - 2.0 / math.pi, "raised cosine": 0.5, "hand": 0.5}
 
 
 class Stability(Section):
@@ -103,13 +101,9 @@ class TrackMove(Section):
     rate: Rate | None = None
     """Largest rate."""
     acceleration: PositiveAcceleration | None = None
-    """Acceleration of the trapezoid with the same angle, peak rate and duration, or a spline's largest."""
+    """Acceleration of the trapezoid with the same angle, peak rate and duration."""
     shape: Text | None = None
     """Course of the rate as planned."""
-    cycles: Count | None = None
-    """Oscillations."""
-    rates: tuple[Rate, ...] | None = None
-    """Control values of a spline."""
     repeat: Count = 1
     """How often."""
     read: Literal["end", "none"] | None = None
@@ -314,17 +308,12 @@ def _move(move: ResolvedMove, start: float) -> TrackMove:
 
 
 def _motion(move: ResolvedMove) -> dict[str, Any]:
-    peak = math.degrees(move.peak_rate)
     motion: dict[str, Any] = {
         "angle": _in("deg", math.degrees(move.angle)),
-        "rate": _in("deg/s", peak),
+        "rate": _in("deg/s", math.degrees(move.peak_rate)),
         "acceleration": _in("deg/s^2", trapezoid_acceleration(move) * 180.0 / math.pi),
         "shape": move.shape,
     }
-    if move.shape == "sinusoid":
-        return motion | {"do": "oscillate", "cycles": move.cycles}
-    if move.shape == "spline":
-        return motion | {"do": "spline", "rates": tuple(_in("deg/s", peak * c) for c in move.controls)}
     return motion | {"do": "turn by hand" if move.shape == "hand" else "turn"}
 
 
@@ -338,14 +327,8 @@ def makeable_acceleration(acceleration: float, step: float | None, steepest: flo
 
 
 def trapezoid_acceleration(move: ResolvedMove) -> float:
-    """Acceleration of the trapezoid with a move's angle, peak rate and duration (rad/s²), or a spline's largest."""
-    if move.shape == "spline":
-        return move.peak_acceleration
-    if move.shape == "sinusoid":
-        swing = 0.5 * move.duration / move.cycles
-        return abs(move.peak_rate) / (_RAMP_SHARE["half sine"] * swing)
-    ramp = move.ramp if move.shape not in _RAMP_SHARE else _RAMP_SHARE[move.shape] * move.duration
-    return abs(move.peak_rate) / ramp
+    """Acceleration of the trapezoid with a move's angle, peak rate and duration (rad/s²)."""
+    return abs(move.peak_rate) / (0.5 * move.duration if move.shape == "hand" else move.ramp)
 
 
 def _reading(every: float | None) -> dict[str, Any]:

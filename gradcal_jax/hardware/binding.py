@@ -14,13 +14,12 @@ from ..files.recipe import Recipe
 from ..files.sensor import Sensor, UnitSensor
 from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove
 from ..files.unit_spec import UnitSpec
-from ..formulas import reading_times, shape_pieces
+from ..formulas import reading_times
 from ..units import to_unit
 from .errors import HardwareError
 from .track import AxisCommand, Course, GyroErrors, Stable, Track, TrackStep
 
 _LONGEST_STAND_S = 600.0
-_SPLINE_PIECE_S = 0.5
 _BETWEEN_READINGS_S = 10.0
 _SPIN_ACCELERATION_DPS2 = 100.0
 
@@ -266,48 +265,8 @@ def _commands(move: TrackMove, start: float, axis: str) -> list[AxisCommand]:
     assert move.acceleration is not None
     angle, rate = to_unit(float(move.angle), "deg"), to_unit(float(move.rate), "deg/s")
     acceleration = to_unit(float(move.acceleration), "deg/s^2")
-    duration = float(move.duration)
-    if move.do in ("turn", "turn by hand"):
-        return [_turn(start, axis, angle, rate, acceleration)]
-    if move.do == "oscillate":
-        cycles = move.cycles or 1
-        swing = 0.5 * duration / cycles
-        each = 2.0 * rate * swing / math.pi
-        return [
-            _turn(start + k * swing, axis, each if k % 2 == 0 else -each, rate, acceleration) for k in range(2 * cycles)
-        ]
-    return _spline(move, start, axis, angle, rate, acceleration)
+    return [_turn(start, axis, angle, rate, acceleration)]
 
 
 def _turn(start: float, axis: str, angle: float, rate: float, acceleration: float) -> AxisCommand:
     return AxisCommand(start, axis, "turn", rate_dps=abs(rate), acceleration_dps2=acceleration, angle_deg=angle)
-
-
-def _spline(
-    move: TrackMove, start: float, axis: str, angle: float, peak: float, acceleration: float
-) -> list[AxisCommand]:
-    """Pieces of constant acceleration through the spline's rates; a last small turn makes the angle exact."""
-    controls = tuple(math.degrees(float(rate)) / peak for rate in move.rates or ())
-    spans = [c for _, _, c in shape_pieces("spline", controls=controls)]
-    duration = float(move.duration)
-    count = max(2, min(200, round(duration / _SPLINE_PIECE_S)))
-    width = duration / count
-
-    def rate_at(share: float) -> float:
-        span = min(int(share * len(spans)), len(spans) - 1)
-        u = share * len(spans) - span
-        c = spans[span]
-        return peak * (c[0] + u * (c[1] + u * (c[2] + u * c[3])))
-
-    moves: list[AxisCommand] = []
-    before = 0.0
-    for number in range(1, count):
-        rate = rate_at(number / count)
-        slope = abs(rate - before) / width
-        if slope > 1e-6 and abs(rate) > 1e-6:
-            at = start + (number - 1) * width
-            moves.append(AxisCommand(at, axis, "spin", rate_dps=rate, acceleration_dps2=min(slope, acceleration)))
-            before = rate
-    moves.append(AxisCommand(start + (count - 1) * width, axis, "stop"))
-    moves.append(_turn(start + duration, axis, angle, max(1.0, 0.1 * abs(peak)), acceleration))
-    return moves

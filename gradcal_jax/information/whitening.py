@@ -62,7 +62,7 @@ def whiten(steps: NoiseSteps, columns: Float[AnyArray, "N p"], *, block: int | N
 def whiten_from(
     state: FilterState, steps: NoiseSteps, columns: Float[AnyArray, "N p"], *, block: int | None = None
 ) -> tuple[Float[AnyArray, "N p"], FilterState]:
-    """As `whiten`, from a state and with the next state as second result, for long logs in tiles."""
+    """As `whiten`, from a state and with the next state as second result, for rows in parts."""
     if block is None and namespace(state, steps, columns) is np:
         return _by_value(state, steps, columns)
     if block is None and native(steps, columns, *state) is not None:

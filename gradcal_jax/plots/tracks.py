@@ -11,8 +11,6 @@ from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.tracks import TrackMove
 from gradcal_jax.plots.style import new_axes, style_of
 
-_WAVE = 24
-
 
 def draw_temperature(
     timeline: Timeline, *, label: str = "", index: int = 0, ax: Axes | None = None
@@ -80,13 +78,6 @@ def _shape(move: TrackMove) -> list[tuple[float, float]]:
     """Times within a move and rates (rad/s)."""
     assert move.rate is not None
     lasting, peak = float(move.duration), float(move.rate)
-    if move.rates is not None:
-        inner = np.linspace(0.0, lasting, len(move.rates) + 2)
-        return list(zip(inner.tolist(), [0.0, *(float(r) for r in move.rates), 0.0], strict=True))
-    if move.cycles is not None:
-        time = np.linspace(0.0, lasting, _WAVE * move.cycles + 1)
-        rate = peak * np.sin(2.0 * np.pi * move.cycles * time / lasting)
-        return list(zip(time.tolist(), rate.tolist(), strict=True))
     ramp = 0.0 if move.acceleration is None else min(abs(peak) / float(move.acceleration), lasting / 2.0)
     # A controller whose accelerations have steps ends a turn a little earlier, and stands for the rest of its time.
     ends = lasting if move.angle is None else min(lasting, abs(float(move.angle) / peak) + ramp)

@@ -40,8 +40,8 @@ class PieceTable(NamedTuple):
 class Move:
     """A turn (any of `formulas.SHAPES`), or a rest (`shape="rest"`), of the table axis `axis`.
 
-    `peak_rate` rad/s, signed; `duration` s, the whole move's; `ramp` s, each ramp's; `controls` a spline's rates over
-    the peak rate; `unevenness` of a turn by hand. `divisions`: of each smooth part; `division_at_rest`: for
+    `peak_rate` rad/s, signed; `duration` s, the whole move's; `ramp` s, each ramp's; `unevenness` of a
+    turn by hand. `divisions`: of each smooth part; `division_at_rest`: for
     an axis that stands during the move.
     """
 
@@ -52,8 +52,6 @@ class Move:
     division_at_rest: Division
     peak_rate: float = 0.0
     ramp: float = 0.0
-    cycles: int = 1
-    controls: tuple[float, ...] = ()
     unevenness: float = 0.0
 
     @property
@@ -68,7 +66,7 @@ class Move:
         """The move on a channel: its own motion, or standing while another axis moves."""
         if self.shape == "rest" or channel != self.axis:
             return standing(self.division_at_rest)
-        return turning(self.shape, self.divisions, self.cycles, self.controls, self.unevenness)
+        return turning(self.shape, self.divisions, self.unevenness)
 
 
 @lru_cache(maxsize=4096)
@@ -82,11 +80,9 @@ def standing(division: Division) -> PieceTable:
 
 
 @lru_cache(maxsize=4096)
-def turning(
-    shape: str, divisions: tuple[Division, ...], cycles: int, controls: tuple[float, ...], unevenness: float
-) -> PieceTable:
+def turning(shape: str, divisions: tuple[Division, ...], unevenness: float) -> PieceTable:
     """A turn of unit peak rate with the division of each of its smooth parts."""
-    parts = formulas.shape_pieces(shape, cycles=cycles, controls=controls, unevenness=unevenness)
+    parts = formulas.shape_pieces(shape, unevenness=unevenness)
     blocks = []
     for i, ((what, share, coefficients), (edges, read)) in enumerate(zip(parts, divisions, strict=True)):
         count, at = len(read), np.asarray(edges)
@@ -145,8 +141,6 @@ def turn(
     *,
     ramp: float = 0.0,
     axis: str = "x",
-    cycles: int = 1,
-    controls: tuple[float, ...] = (),
     unevenness: float = 0.0,
     read_at_end: bool = True,
     read_every: float | None = None,
@@ -155,10 +149,10 @@ def turn(
 ) -> Move:
     """A turn of `axis` from plain numbers: `peak_rate` rad/s, signed; `duration` and each `ramp` in s.
 
-    `shape`: one of `formulas.SHAPES`; `cycles` of a sinusoid, `controls` of a spline (over the peak rate), `unevenness`
-    of a turn by hand. `read_at_end`: the angle is read where the turn ends; `others_read_every` s: of axes that stand
-    during the move. `read_every` reads also on the move; `read_at_end` then has no effect. `longest_piece` (a few of
-    the shortest correlation time of the noise) divides the parts on which the rate varies.
+    `shape`: one of `formulas.SHAPES`; `unevenness` of a turn by hand. `read_at_end`: the angle is read where the turn
+    ends; `others_read_every` s: of axes that stand during the move. `read_every` reads also on the move; `read_at_end`
+    then has no effect. `longest_piece` (a few of the shortest correlation time of the noise) divides the parts on which
+    the rate varies.
 
     Errors: `ValueError` for an unknown shape or ramps longer than the move.
     """
@@ -170,7 +164,7 @@ def turn(
         longest_piece = min(longest_piece, duration / 8)
     readings = formulas.reading_times(duration, read_every) or ([duration] if read_at_end else [])
     divisions, begin = [], 0.0
-    parts = formulas.shape_pieces(shape, cycles=cycles, controls=controls, unevenness=unevenness)
+    parts = formulas.shape_pieces(shape, unevenness=unevenness)
     for i, (what, share, _) in enumerate(parts):
         part = lasting.get(what, share * duration)
         last = i == len(parts) - 1
@@ -180,4 +174,4 @@ def turn(
         begin += part
     others = divide(float(duration), tuple(formulas.reading_times(duration, others_read_every)))
     numbers = float(duration), tuple(divisions), others, float(peak_rate), float(ramp)
-    return Move(shape, axis, *numbers, cycles, tuple(controls), unevenness)
+    return Move(shape, axis, *numbers, unevenness)

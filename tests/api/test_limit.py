@@ -27,7 +27,7 @@ def other_plan(document: dict, rng: np.random.Generator) -> dict:
     """The same timetable, each turn with another angle, direction and shape, at most as fast."""
     changed = copy.deepcopy(document)
     for move in changed["plan"]["cycle"]["moves"]:
-        if "turn" not in move or move.get("shape") == "spline":
+        if "turn" not in move:
             continue
         share = float(rng.uniform(0.15, 1.0)) * float(rng.choice([-1.0, 1.0]))
         for key in ("turn", "peak_rate"):

@@ -61,7 +61,7 @@ def axis_plan(rng: np.random.Generator) -> Tables:
         return {"rest": f"{int(rng.integers(4, 15))} s"} | (read if rng.random() < 0.85 else {"read": "none"})
 
     def turn(sign: int) -> Tables:
-        shape = _one(rng, ["cosine ramps", "linear ramps", "half sine", "raised cosine"])
+        shape = _one(rng, ["cosine ramps", "linear ramps"])
         return {
             "turn": f"{sign * 180 * int(rng.integers(1, 8))} deg",
             "peak_rate": _of(rng, 30, 250, "deg/s"),

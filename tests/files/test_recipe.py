@@ -156,7 +156,7 @@ MOVES = st.fixed_dictionaries(
     {
         "turn": st.floats(2.0, 4000.0).map(lambda v: f"{v!r} deg"),
         "peak_rate": st.floats(5.0, 300.0).map(lambda v: f"{v!r} deg/s"),
-        "shape": st.sampled_from(["cosine ramps", "linear ramps", "half sine", "raised cosine"]),
+        "shape": st.sampled_from(["cosine ramps", "linear ramps"]),
         "repeat": st.integers(1, 3),
     }
 )
@@ -184,18 +184,6 @@ def test_rounded_plans_stay_within_the_rig_and_on_the_grid(moves, gradient, rest
         assert new.angle == pytest.approx(old.angle, abs=float(steps.angle) * 0.51)
         if not new.is_rest:
             assert new.peak_acceleration <= float(spec.rig.table.max_acceleration) * (1 + 1e-6)
-
-
-def test_an_oscillation_becomes_turns_to_and_fro():
-    move = {"shape": "sinusoid", "peak_rate": "100 deg/s", "period": "8 s", "cycles": 3}
-    spec = files.changed(MEMS, {"plan.cycle.moves": [{"rest": "10 s", "read_every": "1 s"}, move]})
-    result = rounded(spec)
-    turns = [m for m in result.spec.schedule.cycle.moves if not m.is_rest]
-    assert len(turns) == 6
-    assert math.fsum(m.angle for m in turns) == pytest.approx(0.0, abs=1e-12)
-    assert abs(turns[0].angle) == pytest.approx(2 * math.radians(100.0) * 4.0 / math.pi, rel=1e-4)
-    assert [m.readings for m in turns] == [0, 0, 0, 0, 0, 1]
-    assert len(rounded(spec, keep_shapes=True).spec.schedule.cycle.moves) == 2
 
 
 def test_what_was_changed_by_hand_is_refused_with_the_key():

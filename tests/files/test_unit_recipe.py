@@ -119,14 +119,3 @@ def test_tracks_changed_by_hand_are_refused() -> None:
     axis = text.index('axis = "spin"', text.index("[[motion"))
     with pytest.raises(SpecError, match=r"motion\[0\]\.moves\[\d+\]\.axis.*does not follow from the spec inside"):
         parse_recipe(text[:axis] + 'axis = "tilt"' + text[axis + len('axis = "spin"') :])
-
-
-def test_a_spline_is_refused_in_a_sentence() -> None:
-    moves = [
-        {"rest": "5 s"},
-        {"shape": "spline", "axis": "spin", "duration": "20 s", "rates": ["50 deg/s", "-50 deg/s"]},
-        {"rest": "5 s"},
-    ]
-    spec = changed(preset("two-axis-table"), {"plan.cycle.moves": moves})
-    with pytest.raises(SpecError, match="turn by ramps; expected another shape"):
-        rounded(spec)

@@ -124,20 +124,6 @@ def test_axes_that_the_rig_does_not_have_are_named() -> None:
         track_of(made, ["table"])
 
 
-def test_a_spline_ends_at_its_angle_and_an_oscillation_where_it_began() -> None:
-    moves = [
-        {"rest": "5 s", "read_every": "1 s"},
-        {"shape": "spline", "duration": "20 s", "rates": ["50 deg/s", "120 deg/s", "-30 deg/s"]},
-    ]
-    made = short_recipe(20.0, changes={"plan.cycle.moves": moves})
-    step = next(step for step in track_of(made, ["x"]).steps if step.moves)
-    spins = [move for move in step.moves if move.kind == "spin"]
-    assert len(spins) > 20
-    angle = made.spec.schedule.cycle.moves[1].angle
-    assert step.moves[-1].kind == "turn"
-    assert step.moves[-1].angle_deg == pytest.approx(np.degrees(angle))
-
-
 # --------------------------------------------------------------------------------------------- ended, and gone on with
 
 

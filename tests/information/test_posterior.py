@@ -141,12 +141,17 @@ def test_unweighted_least_squares_is_for_rates():
 def test_the_residual_with_a_discrepancy_is_the_errors_own_variance():
     """Against the estimator's gain written out: `error = ψᵀ(β − β̂) + χᵀγ` with γ estimated and then thrown away."""
     scene = Scene(
-        -30.0, ((200.0, 0.4),), (Act("half sine", 8.0, 4.0), Act("half sine", 6.0, -3.0), Act("rest", 4.0)),
+        -30.0, ((200.0, 0.4),),
+        (Act("cosine ramps", 8.0, 4.0, ramp=3.0), Act("cosine ramps", 6.0, -3.0, ramp=2.0), Act("rest", 4.0)),
         noises=(DRIFT,), read_every=5.0,
     )  # fmt: skip
     plan = trajectory.gradient_plan(
         trajectory.programme(-30.0, [(200.0, 0.4)]),
-        (trajectory.turn("half sine", 4.0, 8.0), trajectory.turn("half sine", -3.0, 6.0), trajectory.rest(4.0, 2.0)),
+        (
+            trajectory.turn("cosine ramps", 4.0, 8.0, ramp=3.0),
+            trajectory.turn("cosine ramps", -3.0, 6.0, ramp=2.0),
+            trajectory.rest(4.0, 2.0),
+        ),
     )
     scale = make_map(LINEAR, Polynomial(1, 0.0, 5.0), prior_std=1e-2, discrepancy=(1e-4, 2, 3))
     reference = models.angle_reference(scene.reading_noise)

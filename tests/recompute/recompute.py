@@ -79,14 +79,6 @@ def _shape(s: Json) -> list[tuple[float, float, Callable, Callable, int]]:
             (d - r, d, lambda t: up(d - t), lambda t: -up_slope(d - t), 1),
         ]
         return [p for p in parts if p[1] - p[0] > 1e-12 * d]
-    if shape == "half sine":
-        return [(0.0, d, lambda t: peak * np.sin(pi * t / d), lambda t: peak * pi / d * np.cos(pi * t / d), 2)]
-    if shape == "raised cosine":
-        wave, w = (lambda t: peak * np.sin(pi * t / d) ** 2), 2.0 * pi / d
-        return [(0.0, d, wave, lambda t: peak * w / 2.0 * np.sin(w * t), 4)]
-    if shape == "sinusoid":
-        w = 2.0 * pi * s.get("cycles", 1) / d
-        return [(0.0, d, lambda t: peak * np.sin(w * t), lambda t: peak * w * np.cos(w * t), 4 * s.get("cycles", 1))]
     if shape == "hand":
         e, w = s.get("unevenness", 0.0), 2.0 * pi / d
         rate = lambda t: peak * np.sin(w * t / 2.0) ** 2 * (1.0 + e * np.sin(3.0 * w * t))  # noqa: E731
@@ -95,12 +87,6 @@ def _shape(s: Json) -> list[tuple[float, float, Callable, Callable, int]]:
             + peak * w * np.sin(w * t / 2.0) ** 2 * 3.0 * e * np.cos(3.0 * w * t)
         )
         return [(0.0, d, rate, slope, 24)]
-    if shape == "spline":
-        values = np.array([0.0, *s["controls"], 0.0]) * peak
-        spans = len(values) - 3
-        curve = BSpline(np.r_[[0.0] * 3, np.linspace(0.0, d, spans + 1), [d] * 3], values, 3)
-        bends = np.linspace(0.0, d, spans + 1)
-        return [(a, b, curve, curve.derivative(), 1) for a, b in pairwise(bends)]
     raise ValueError(f"a shape that this recomputation does not know: {shape}")
 
 

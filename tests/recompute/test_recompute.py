@@ -122,7 +122,7 @@ EVERYTHING = {
         "cycle": {
             "moves": [
                 {"rest": "4 s", "read_every": "2 s"},
-                {"peak_rate": "150 deg/s", "duration": "7 s", "shape": "half sine", "read_every": "3 s"},
+                {"peak_rate": "150 deg/s", "duration": "7 s", "shape": "linear ramps", "read_every": "3 s"},
                 {"rest": "3 s"},
                 {"turn": "-700 deg", "duration": "9 s", "shape": "cosine ramps"},
             ]
@@ -163,7 +163,7 @@ FAULTS = {
     "prior of dB/dT'": lambda t: t["sensor"]["bias_temperature_gradient"].pop("prior"),
     "discrepancy": lambda t: t["sensor"]["bias"].pop("discrepancy"),
     "harmonics": lambda t: t.update(harmonics=[]),
-    "shape": lambda t: next(s for s in t["segments"] if s["shape"] == "half sine").update(shape="raised cosine"),
+    "shape": lambda t: next(s for s in t["segments"] if s["shape"] == "linear ramps").update(shape="cosine ramps"),
     "ramp": lambda t: next(s for s in t["segments"] if s["shape"] == "cosine ramps").update(ramp=0.5),
     "chamber": lambda t: t["segments"][2].update(temperature_end=t["segments"][2]["temperature_end"] + 0.01),
 }
@@ -210,12 +210,13 @@ def test_it_runs_as_a_program_of_its_own(everything, tmp_path):
 
 
 def turning_point_by_a_break():
-    """A spline's rate that peaks at 94.136 deg/s, and a bin that begins just below."""
+    """A rate that peaks at 94.136 deg/s, and a bin that begins just below."""
     tables = copy.deepcopy(EVERYTHING)
     tables["plan"]["cycle"]["moves"][1] = {
-        "shape": "spline",
+        "shape": "cosine ramps",
         "duration": "9 s",
-        "rates": ["60 deg/s", "180 deg/s", "-90 deg/s"],
+        "ramp": "4.5 s",
+        "peak_rate": "94.136 deg/s",
     }
     tables["sensor"]["scale_factor"]["rate"] = {
         "basis": "bins",

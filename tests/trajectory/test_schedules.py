@@ -14,8 +14,7 @@ RATE, TIME, RAMP = -2.5, 7.0, 1.5
 
 
 def a_turn(shape, **more):
-    controls = (0.3, 1.0, 0.6) if shape == "spline" else ()
-    return trajectory.turn(shape, RATE, TIME, ramp=RAMP, controls=controls, cycles=2, unevenness=0.3, **more)
+    return trajectory.turn(shape, RATE, TIME, ramp=RAMP, unevenness=0.3, **more)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -24,8 +23,7 @@ def test_a_move_takes_its_time_turns_its_angle_and_never_jumps(shape):
     pieces = move.pieces("x")
     duration = (pieces.u_end - pieces.u_start) * (pieces.by_duration * TIME + pieces.by_ramp * move.ramp)
     assert duration.sum() == pytest.approx(TIME, rel=1e-14)
-    if shape != "spline":
-        assert float(move.angle) == pytest.approx(float(turned_angle(shape, RATE, TIME, RAMP)), abs=1e-12)
+    assert float(move.angle) == pytest.approx(float(turned_angle(shape, RATE, TIME, RAMP)), abs=1e-12)
     line = trajectory.gradient_plan(trajectory.programme(0.0, [(TIME, 0.1)]), (move,)).trajectory()
     assert float(np.sum(np.asarray(line.turned()))) == pytest.approx(float(move.angle), abs=1e-12)
     every = np.arange(line.piece_count)
@@ -37,7 +35,7 @@ def test_a_move_takes_its_time_turns_its_angle_and_never_jumps(shape):
 
 
 def test_another_axis_sees_a_rest_of_the_same_length():
-    move = a_turn("half sine", axis="y", others_read_every=2.0)
+    move = a_turn("hand", axis="y", others_read_every=2.0)
     pieces = move.pieces("x")
     assert not pieces.moving.any()
     assert pieces.at_rest.all()
@@ -66,7 +64,7 @@ def test_divisions(readings, longest, edges, read):
 
 def test_a_cycle_repeats_and_the_chambers_knee_divides_a_piece():
     """Two cycles of 10 s with 5 s after each; what is left is standing; the slope turns at 21 s, inside a move."""
-    moves = (trajectory.rest(4.0, 2.0), trajectory.turn("half sine", 1.0, 6.0))
+    moves = (trajectory.rest(4.0, 2.0), trajectory.turn("cosine ramps", 1.0, 6.0, ramp=3.0))
     programme = trajectory.programme(-10.0, [(21.0, 0.5), (14.0, -0.25)])
     plan = trajectory.gradient_plan(programme, moves, (trajectory.rest(5.0),), read_every=3.0)
     assert np.count_nonzero(np.diff(plan.pieces.move == 1)) // 2 == 2

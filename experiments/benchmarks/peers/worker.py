@@ -35,7 +35,7 @@ def main() -> None:
             elif asked["do"] == "check":
                 reply = _checked(problem, tasks)
             else:
-                # Cases with a life of their own: the large one and the whole prediction.
+                # A case with a life of its own: the whole prediction.
                 reply = getattr(importlib.import_module(f"peers.{asked['method']}"), asked["do"])(asked)
         except ImportError as error:
             reply = {"absent": str(error)}

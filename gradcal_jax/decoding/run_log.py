@@ -488,34 +488,48 @@ def _joined(
         since = own.time_s - part.host_s[own.row]
         readings.append(replace(own, time_s=times[-1][own.row] + since, row=own.row + row))
         row += len(host)
+    findings, provenance = _findings(parts), dict(provenance)
     samples = join([part.samples for part in parts]) if len(parts) > 1 else parts[0].samples
-    marked = np.where(samples.status != 0, np.uint16(Reason.MARKED.value), np.uint16(0)).astype(np.uint16)
+    for part in parts:
+        # A log of a day is as large as they are.
+        part.samples = join([])
+    marked = np.where(samples.status != 0, np.uint16(Reason.MARKED.value), np.uint16(0))
     read = aside + sum(part.read for part in parts)
-    force = samples.acceleration_g.astype(np.float64) * STANDARD_GRAVITY
-    mounting = np.concatenate([part.mounting for part in parts])
+    temperature = samples.temperature_c.mean(axis=1)
+    rate, force = samples.gyro_dps.astype(np.float64), samples.acceleration_g.astype(np.float64)
+    del samples
+    np.radians(rate, out=rate)
+    force *= STANDARD_GRAVITY
+    forced = bool(np.isfinite(force).any())
+    mounting = _one([part.mounting for part in parts])
     return Log(
-        time_s=np.concatenate(times),
-        rate_rad_per_s=np.radians(samples.gyro_dps.astype(np.float64))[None],
+        time_s=_one(times),
+        rate_rad_per_s=rate[None],
         units=(unit,),
         axes=axes,
-        specific_force_m_per_s2=force[None] if np.isfinite(force).any() else None,
-        force_axes=("x", "y", "z") if np.isfinite(force).any() else (),
-        temperature_c=samples.temperature_c.mean(axis=1)[None],
+        specific_force_m_per_s2=force[None] if forced else None,
+        force_axes=("x", "y", "z") if forced else (),
+        temperature_c=temperature[None],
         table_axes=labels,
-        table_course_rad=np.radians(np.concatenate([part.table.course_deg for part in parts])) if labels else None,
+        table_course_rad=np.radians(_one([part.table.course_deg for part in parts])) if labels else None,
         table_rate_rad_per_s=np.radians(np.concatenate(rates)) if (rates := _rates(parts)) else None,
         readings=AngleReadings.in_order(readings) if labels else None,
-        standstill=np.concatenate(standstills),
+        standstill=_one(standstills),
         mounting=mounting - 1 if mounting.all() else None,
-        host_time_s=np.concatenate(hosts),
+        host_time_s=_one(hosts),
         status=marked[None],
         stretch_starts=np.array(starts, np.int64),
         rows_read=read,
         rows_removed={"not in a stretch of data": read - row} if read > row else {},
-        findings=_findings(parts),
+        findings=findings,
         simulated=any(part.session.simulated for part in parts),
         provenance=provenance,
     )
+
+
+def _one(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """The arrays one after the other; a single one is not copied."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
 def _rates(parts: Sequence[_Part]) -> list[Floats]:

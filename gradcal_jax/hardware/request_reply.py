@@ -26,7 +26,7 @@ Reply = TypeVar("Reply")
 _SETTLE_S = 0.05
 _TRIES = 3
 # How long a reply is awaited that did not come in all tries, in their time-outs: only to say that it is late.
-_LATER = 2.0
+_LATER = 1.0
 _FORGOTTEN_S = 30.0
 _BETWEEN_LOOKS_S = 0.2
 

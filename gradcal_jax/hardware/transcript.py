@@ -42,7 +42,7 @@ _MOVE_DEG, _MOVE_DPS, _MOVE_DPS2 = 10.0, 10.0, 20.0
 
 
 @dataclass(frozen=True)
-class Entry:
+class TranscriptEntry:
     """One chunk of a transcript."""
 
     time_s: float
@@ -110,12 +110,12 @@ class Transcript:
         self.close()
 
 
-def parse(lines: Iterable[str]) -> list[Entry]:
+def parse(lines: Iterable[str]) -> list[TranscriptEntry]:
     """The chunks of a transcript; a last line that was torn by a crash is left out.
 
     Raises ValueError for a line that no version of this format can have, with its number.
     """
-    entries: list[Entry] = []
+    entries: list[TranscriptEntry] = []
     numbered = [(number, line) for number, line in enumerate(lines, 1) if line.strip()]
     if not numbered or numbered[0][1].rstrip("\n") != HEADER:
         raise ValueError(f"This is no transcript: its first line must be {HEADER!r}.")
@@ -128,7 +128,7 @@ def parse(lines: Iterable[str]) -> list[Entry]:
             if match is None:
                 raise ValueError("a line is `seconds line > bytes` or `seconds line < bytes`")
             direction: Direction = ">" if match["direction"] == ">" else "<" if match["direction"] == "<" else "#"
-            entries.append(Entry(float(match["time"]), direction, decode(match["text"]), match["line"]))
+            entries.append(TranscriptEntry(float(match["time"]), direction, decode(match["text"]), match["line"]))
         except ValueError as problem:
             if not whole and number == numbered[-1][0]:
                 break
@@ -136,7 +136,7 @@ def parse(lines: Iterable[str]) -> list[Entry]:
     return entries
 
 
-def read(path: Path) -> list[Entry]:
+def read(path: Path) -> list[TranscriptEntry]:
     with path.open(encoding="ascii") as file:
         return parse(file)
 

@@ -30,15 +30,20 @@ else:
 Parity = Literal["N", "E", "O"]
 _MOST = 65536  # bytes read at once
 _WRITE_TIMEOUT_S = 2.0
-# The number of a pseudo-terminal is given to another while the process that had it still ends, with its lock.
-_PSEUDO_S = 3.0
 owner = ""
 """What holds the ports of this process, for whoever finds one taken; empty: its number is said."""
 
 
 def same_port(url: str) -> str:
-    """One text for all names of a port: an adapter has several."""
-    return os.path.realpath(url) if url.startswith("/") else url
+    """One text for all names of a port: an adapter has several. The number of a pseudo-terminal is given to another
+    while a process that ends still holds the lock: it goes with the time at which it was made."""
+    if not url.startswith("/"):
+        return url
+    path = os.path.realpath(url)
+    if path.startswith("/dev/pts/"):
+        with contextlib.suppress(OSError):
+            return f"{path} {os.stat(path).st_ctime_ns}"
+    return path
 
 
 class PortLock:
@@ -57,7 +62,7 @@ class PortLock:
                 f"account that uses the rig write in {folder}, or remove it while nothing runs."
             ) from None
         try:
-            self._take(time.monotonic() + (_PSEUDO_S if identity.startswith("/dev/pts/") else 0.0))
+            self._take()
         except OSError:
             holds = os.pread(self._handle, 200, 1).decode("utf-8", "replace").strip() if os.name == "posix" else ""
             os.close(self._handle)
@@ -90,18 +95,12 @@ class PortLock:
         finally:
             os.close(inside)
 
-    def _take(self, until: float) -> None:
+    def _take(self) -> None:
         if sys.platform == "win32":
             os.lseek(self._handle, 0, os.SEEK_SET)
             msvcrt.locking(self._handle, msvcrt.LK_NBLCK, 1)
-            return
-        while True:
-            try:
-                return fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                if time.monotonic() > until:
-                    raise
-                time.sleep(0.05)
+        else:
+            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def release(self) -> None:
         # The file stays: unlinking it would let two processes hold locks on two files of one name.

@@ -16,7 +16,9 @@ from gradcal_jax.hardware.simulate.port import SimulatedPort
 
 def rig_with(driver: str, options: dict[str, Any], port: str = "COM1") -> Any:
     # Lines are as a protocol has them: of a bath, here.
-    own = {"protocol": "julabo"} if driver == "lines" else {}
+    text = {"format": "gradcal-text/1", "line": "{gyro_x}", "rate": "100 Hz"}
+    protocols = {"lines": "julabo", "registers": "watlow-f4", "text_unit": text}
+    own: dict[str, Any] = {"protocol": protocols[driver]} if driver in protocols else {}
     entry: dict[str, Any] = {"driver": driver, "port": port, "options": own | options}
     role = DRIVERS[driver].role or "chamber"
     if role == "chamber":

@@ -234,7 +234,9 @@ def test_recorded_conversation_becomes_a_device(tmp_path: Path) -> None:
 
 
 def test_replay_names_what_the_driver_says_differently(tmp_path: Path) -> None:
-    replayed = ReplayedDevice([transcript.Entry(0.0, ">", b"TEMP?\r\n"), transcript.Entry(0.1, "<", b"20.0\r\n")])
+    replayed = ReplayedDevice(
+        [transcript.TranscriptEntry(0.0, ">", b"TEMP?\r\n"), transcript.TranscriptEntry(0.1, "<", b"20.0\r\n")]
+    )
     assert replayed.receive(b"ROM?\r\n") == []
     assert replayed.unexpected == [b"ROM?\r\n"]
     assert not replayed.finished

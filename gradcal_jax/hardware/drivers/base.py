@@ -2,11 +2,11 @@
 
 from abc import ABC, abstractmethod
 from collections import deque
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
-from ..errors import LimitExceeded
+from ..errors import DeviceFault, LimitExceeded, NotVerified
 from ..request_reply import Exchange
-from ..roles import ChamberLimits, ChamberReading, ChamberSafe, SafeReport
+from ..roles import AxisReading, ChamberLimits, ChamberReading, ChamberSafe, SafeReport
 
 Config = TypeVar("Config")
 _OVER_S = 0.4
@@ -74,6 +74,58 @@ class ChamberDriver(ExchangeDriver[Config], ABC):
         reading = self.read()
         verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
         return SafeReport(policy.value, verified, self._evidence(reading))
+
+
+class Placed(Protocol):
+    """The options of every axis: the rig's angle at the device's 0, and +1 or -1."""
+
+    @property
+    def zero_deg(self) -> float: ...
+    @property
+    def direction(self) -> int: ...
+
+
+Place = TypeVar("Place", bound=Placed)
+
+
+class AxisDriver(ExchangeDriver[Place], ABC):
+    """An axis with a scale of its own: its angles, what it may be commanded, and the wait until it stands."""
+
+    _POLL_S = 0.05
+
+    @abstractmethod
+    def read(self) -> AxisReading: ...
+
+    def _own_deg(self, position_deg: float) -> float:
+        """The device's angle at an angle of the rig."""
+        return (position_deg - self._config.zero_deg) * self._config.direction
+
+    def _rig_deg(self, own_deg: float) -> float:
+        """The rig's angle at an angle of the device."""
+        return self._config.zero_deg + self._config.direction * own_deg
+
+    def _require_travel(self, position_deg: float, travel_deg: tuple[float, float]) -> None:
+        lowest, highest = travel_deg
+        if not lowest - 1e-9 <= position_deg <= highest + 1e-9:
+            raise LimitExceeded(f"{position_deg:g} deg lies outside the travel {lowest:g} to {highest:g} deg.")
+
+    def _require_motion(self, rate_dps: float, fastest_dps: float, acceleration_dps2: float, most_dps2: float) -> None:
+        for value, most, unit in (
+            (rate_dps, fastest_dps, "deg/s"),
+            (acceleration_dps2, most_dps2, "deg/s²"),
+        ):
+            if not 0.0 < value <= most * (1.0 + 1e-9):
+                raise LimitExceeded(f"{value:g} {unit} lies outside 0 to {most:g} {unit}.")
+
+    def _until_still(self, longest_s: float, doing: str, *, raise_faults: bool = True) -> AxisReading:
+        end = self._clock.now() + longest_s
+        while (reading := self.read()).moving:
+            if self._clock.now() > end:
+                raise NotVerified(f"The axis still turns after {longest_s:g} s of {doing}. Look at it.")
+            self._clock.sleep(self._POLL_S)
+        if raise_faults and reading.faults:
+            raise DeviceFault(f"The axis reports {', '.join(reading.faults)} after {doing}.")
+        return reading
 
 
 class Unwatched:

@@ -28,7 +28,6 @@ from ..errors import (
     ChecksumError,
     DeviceFault,
     FramingError,
-    LimitExceeded,
     NotVerified,
     Rejected,
     ReplyTimeout,
@@ -39,10 +38,9 @@ from ..request_reply import Exchange, NotThisReply, command_and_verify
 from ..roles import AxisLimits, AxisReading, AxisSafe, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
-from .base import MeanRate, Unwatched
+from .base import AxisDriver, MeanRate, Unwatched
 from .described import DescribedChamber, DescribedDevice, Texts
 
-_POLL_S = 0.05
 _STOPS_AGAIN_S = 1.0
 _pattern = cache(reply_pattern)
 
@@ -252,7 +250,7 @@ class LinesChamber(_Spoken, DescribedChamber[LinesConfig]):
         return units.convert(10.0**-decimals, self._protocol.units.ramp, "K/min")
 
 
-class LinesAxis(_Spoken, Unwatched):
+class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
     """Role `MotionAxis`. An axis is referenced after this driver has homed it, until it shows a fault."""
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
@@ -299,21 +297,18 @@ class LinesAxis(_Spoken, Unwatched):
         self._power_on()
         self._stop_if_moving()
         self._tell("home")
-        reading = self._until_still(self._config.home_timeout_s)
+        reading = self._until_still(self._config.home_timeout_s, "homing", raise_faults=False)
         if reading.faults:
             raise DeviceFault(f"The axis did not find its reference: {reading.faults[0]}.")
         self._referenced = True
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         limits = self._check(rate_dps, acceleration_dps2)
-        lowest, highest = limits.travel_deg
-        if not lowest - 1e-9 <= position_deg <= highest + 1e-9:
-            raise LimitExceeded(f"{position_deg:g} deg lies outside the travel {lowest:g} to {highest:g} deg.")
+        self._require_travel(position_deg, limits.travel_deg)
         self._require_ready(referenced=True)
         self._stop_if_moving()
         self._prepare(rate_dps, acceleration_dps2)
-        unit, config = self._protocol.units, self._config
-        goal = units.convert((position_deg - config.zero_deg) * config.direction, "deg", unit.angle)
+        goal = units.convert(self._own_deg(position_deg), "deg", self._protocol.units.angle)
         values = {"position": goal, **self._motion(rate_dps, acceleration_dps2)}
         near = limits.resolution_deg
         command_and_verify(
@@ -363,7 +358,7 @@ class LinesAxis(_Spoken, Unwatched):
             while self._clock.now() < again:
                 if not self.read().moving:
                     return
-                self._clock.sleep(_POLL_S)
+                self._clock.sleep(self._POLL_S)
             if self._clock.now() > end:
                 raise NotVerified(f"The axis still moves {self._config.stop_timeout_s:g} s after it was told to stop.")
 
@@ -378,8 +373,7 @@ class LinesAxis(_Spoken, Unwatched):
         return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
 
     def _degrees(self, text: str) -> float:
-        angle = units.convert(float(text), self._protocol.units.angle, "deg")
-        return angle * self._config.direction + self._config.zero_deg
+        return self._rig_deg(units.convert(float(text), self._protocol.units.angle, "deg"))
 
     def _motion(self, rate_dps: float, acceleration_dps2: float) -> dict[str, float]:
         unit = self._protocol.units
@@ -388,12 +382,7 @@ class LinesAxis(_Spoken, Unwatched):
 
     def _check(self, rate_dps: float, acceleration_dps2: float) -> AxisLimits:
         limits = self.limits()
-        for value, most, unit in (
-            (rate_dps, limits.max_rate_dps, "deg/s"),
-            (acceleration_dps2, limits.max_acceleration_dps2, "deg/s²"),
-        ):
-            if not 0.0 < value <= most * (1.0 + 1e-9):
-                raise LimitExceeded(f"{value:g} {unit} lies outside 0 to {most:g} {unit}.")
+        self._require_motion(rate_dps, limits.max_rate_dps, acceleration_dps2, limits.max_acceleration_dps2)
         return limits
 
     def _require_ready(self, *, referenced: bool) -> None:
@@ -425,11 +414,3 @@ class LinesAxis(_Spoken, Unwatched):
     def _stop_if_moving(self) -> None:
         if self.read().moving:
             self.stop()
-
-    def _until_still(self, longest_s: float) -> AxisReading:
-        end = self._clock.now() + longest_s
-        while (reading := self.read()).moving:
-            if self._clock.now() > end:
-                raise NotVerified(f"The axis still moves {longest_s:g} s after homing began. Look at it.")
-            self._clock.sleep(_POLL_S)
-        return reading

@@ -26,6 +26,7 @@ generation 0.6 synchronises in the same way (the read-back decides). The positio
 its index or was switched on: there is no homing by default (`home_state` 11 asks the controller to).
 """
 
+import math
 import re
 from dataclasses import dataclass
 
@@ -33,13 +34,13 @@ import numpy as np
 
 from ..checksums import xor8
 from ..clock import Clock
-from ..errors import ChecksumError, DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, printable
+from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, printable
 from ..framing import LineFramer
 from ..request_reply import Exchange, command_and_verify
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
-from .base import ExchangeDriver
+from .base import AxisDriver
 
 IDLE, CLOSED_LOOP = 1, 8
 VELOCITY_RAMP, TRAPEZOID = 2, 5
@@ -87,7 +88,6 @@ class ODriveConfig:
     generation: str = "0.5"
     baudrate: int = 115200
     reply_timeout_s: float = 0.3
-    poll_s: float = 0.05
     watchdog_s: float = 1.0
     turns_per_table_turn: float = 1.0
     direction: int = 1
@@ -166,7 +166,7 @@ def open_exchange(transport: Transport, clock: Clock, config: ODriveConfig) -> E
     return Exchange(transport, LineFramer(), clock, "The ODrive controller", config.reply_timeout_s)
 
 
-class ODriveAxis(ExchangeDriver[ODriveConfig]):
+class ODriveAxis(AxisDriver[ODriveConfig]):
     """Role `MotionAxis`. Both motors of one board share an exchange."""
 
     def __init__(self, exchange: Exchange, config: ODriveConfig) -> None:
@@ -230,10 +230,8 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         config = self._config
-        if (config.lowest_deg is not None and position_deg < config.lowest_deg - 1e-9) or (
-            config.highest_deg is not None and position_deg > config.highest_deg + 1e-9
-        ):
-            raise LimitExceeded(f"{position_deg:g} deg lies outside the travel of the rig file.")
+        lowest = -math.inf if config.lowest_deg is None else config.lowest_deg
+        self._require_travel(position_deg, (lowest, math.inf if config.highest_deg is None else config.highest_deg))
         rate, acceleration = self._checked(rate_dps, acceleration_dps2)
         self._close_loop()
         if self.read().moving:
@@ -370,7 +368,7 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
         while (seen := self._state()) != state:
             if self._clock.now() > end:
                 raise NotVerified(f"The controller is in state {seen} after {timeout_s:g} s of {doing}, not {state}.")
-            self._clock.sleep(self._config.poll_s)
+            self._clock.sleep(self._POLL_S)
 
     def _velocity(self, turns_per_s: float, acceleration_turns: float) -> None:
         self.settings.change("controller.config.vel_ramp_rate", decimal(acceleration_turns))
@@ -406,33 +404,24 @@ class ODriveAxis(ExchangeDriver[ODriveConfig]):
         if closed:
             self._velocity(0.0, self._turns(self._config.max_acceleration_dps2))
         self._spinning, self._target_turns = False, None
-        end = self._clock.now() + self._config.stop_timeout_s
-        while (reading := self.read()).moving:
-            if self._clock.now() > end:
-                raise NotVerified(f"The axis still turns at {reading.rate_dps:.2f} deg/s. Look at the table.")
-            self._clock.sleep(self._config.poll_s)
+        reading = self._until_still(self._config.stop_timeout_s, "stopping", raise_faults=False)
         if closed and not reading.faults:
             self._hold_here()
         return reading
 
     def _checked(self, rate_dps: float, acceleration_dps2: float) -> tuple[float, float]:
         config = self._config
-        if not (0.0 < rate_dps <= config.max_rate_dps and 0.0 < acceleration_dps2 <= config.max_acceleration_dps2):
-            raise LimitExceeded(
-                f"{rate_dps:g} deg/s with {acceleration_dps2:g} deg/s² lies outside the rig file's "
-                f"{config.max_rate_dps:g} deg/s and {config.max_acceleration_dps2:g} deg/s²."
-            )
+        self._require_motion(rate_dps, config.max_rate_dps, acceleration_dps2, config.max_acceleration_dps2)
         return self._turns(rate_dps), self._turns(acceleration_dps2)
 
     def _turns(self, degrees: float) -> float:
         return degrees / 360.0 * self._config.turns_per_table_turn
 
     def _target(self, position_deg: float) -> float:
-        return self._turns((position_deg - self._config.zero_deg) * self._config.direction)
+        return self._turns(self._own_deg(position_deg))
 
     def _degrees(self, turns: float) -> float:
-        config = self._config
-        return config.zero_deg + config.direction * turns * 360.0 / config.turns_per_table_turn
+        return self._rig_deg(turns * 360.0 / self._config.turns_per_table_turn)
 
 
 def _spacing(value: float) -> float:

@@ -22,13 +22,13 @@ from dataclasses import dataclass
 
 from ..checksums import lrc_zaber
 from ..clock import Clock
-from ..errors import ChecksumError, DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, printable
+from ..errors import ChecksumError, DeviceFault, FramingError, Rejected, printable
 from ..framing import LineFramer
 from ..request_reply import Exchange, NotThisReply, command_and_verify
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
-from .base import ExchangeDriver, MeanRate, Unwatched
+from .base import AxisDriver, MeanRate, Unwatched
 
 WARNINGS = {
     "FF": "critical system error",
@@ -70,7 +70,6 @@ class ZaberConfig:
     axis: int = 1
     baudrate: int = 115200
     reply_timeout_s: float = 0.5
-    poll_s: float = 0.05
     microsteps_per_turn: int = 0
     velocity_factor: float = 1.6384
     acceleration_factor: float = 1.6384e-4
@@ -138,7 +137,7 @@ def open_exchange(transport: Transport, clock: Clock, config: ZaberConfig) -> Ex
     return Exchange(transport, LineFramer(), clock, "The Zaber stage", config.reply_timeout_s)
 
 
-class ZaberAxis(ExchangeDriver[ZaberConfig], Unwatched):
+class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
     """Role `MotionAxis`. Several axes of one chain share an exchange."""
 
     def __init__(self, exchange: Exchange, config: ZaberConfig) -> None:
@@ -192,38 +191,34 @@ class ZaberAxis(ExchangeDriver[ZaberConfig], Unwatched):
 
     def home(self) -> None:
         self._ask("home")
-        reading = self._until_idle(self._config.home_timeout_s, "homing")
+        reading = self._until_still(self._config.home_timeout_s, "homing")
         if not reading.referenced:
             raise DeviceFault("The axis stopped without finding its reference. Look at the stage.")
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        lowest, highest = self.limits().travel_deg
-        if not lowest - 1e-9 <= position_deg <= highest + 1e-9:
-            raise LimitExceeded(f"{position_deg:g} deg lies outside the travel {lowest:g} to {highest:g} deg.")
+        self._require_travel(position_deg, self.limits().travel_deg)
         reading = self.read()
         if reading.faults or not reading.referenced:
             raise DeviceFault(
                 f"The axis cannot go to an angle: {', '.join(reading.faults) or 'it has no reference'}. Home it first.",
             )
-        self._check_rate(rate_dps)
+        self._prepare(rate_dps, acceleration_dps2)
         self.settings.change("maxspeed", str(round(rate_dps * self._velocity_data())))
-        self._set_acceleration(acceleration_dps2)
-        steps = round((position_deg - self._config.zero_deg) * self._config.direction / 360.0 * self._turn())
+        steps = round(self._own_deg(position_deg) / 360.0 * self._turn())
         self._start(f"move abs {steps}")
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
-        self._check_rate(abs(rate_dps))
-        self._set_acceleration(acceleration_dps2)
+        self._prepare(abs(rate_dps), acceleration_dps2)
         self._start(f"move vel {round(rate_dps * self._config.direction * self._velocity_data())}")
 
     def stop(self) -> None:
         # A stop is harmless when repeated: no read-back is needed before it.
         self._ask("stop")
-        self._until_idle(self._config.stop_timeout_s, "stopping")
+        self._until_still(self._config.stop_timeout_s, "stopping")
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self._ask("stop")
-        reading = self._until_idle(self._config.stop_timeout_s, "stopping", raise_faults=False)
+        reading = self._until_still(self._config.stop_timeout_s, "stopping", raise_faults=False)
         if policy is AxisSafe.UNPOWER:
             if lack := self._config.lacks_for(policy.value):
                 raise Rejected(f"This stage cannot be unpowered: {lack}.")
@@ -271,17 +266,11 @@ class ZaberAxis(ExchangeDriver[ZaberConfig], Unwatched):
             clock=self._clock,
         )
 
-    def _set_acceleration(self, acceleration_dps2: float) -> None:
-        if not 0.0 < acceleration_dps2 <= self._config.max_acceleration_dps2:
-            raise LimitExceeded(
-                f"{acceleration_dps2:g} deg/s² lies outside 0 to {self._config.max_acceleration_dps2:g} deg/s²."
-            )
+    def _prepare(self, rate_dps: float, acceleration_dps2: float) -> None:
+        config = self._config
+        self._require_motion(rate_dps, config.max_rate_dps, acceleration_dps2, config.max_acceleration_dps2)
         data = round(acceleration_dps2 / 360.0 * self._turn() * self._config.acceleration_factor)
         self.settings.change("accel", str(max(1, data)))
-
-    def _check_rate(self, rate_dps: float) -> None:
-        if not 0.0 < rate_dps <= self._config.max_rate_dps:
-            raise LimitExceeded(f"{rate_dps:g} deg/s lies outside 0 to {self._config.max_rate_dps:g} deg/s.")
 
     def _turn(self) -> float:
         if not self._steps_per_turn:
@@ -299,17 +288,7 @@ class ZaberAxis(ExchangeDriver[ZaberConfig], Unwatched):
         return self._turn() / 360.0 * self._config.velocity_factor
 
     def _degrees(self, steps: float) -> float:
-        return self._config.zero_deg + self._config.direction * steps * 360.0 / self._turn()
-
-    def _until_idle(self, timeout_s: float, doing: str, *, raise_faults: bool = True) -> AxisReading:
-        end = self._clock.now() + timeout_s
-        while (reading := self.read()).moving:
-            if self._clock.now() > end:
-                raise NotVerified(f"The axis is still moving after {timeout_s:g} s of {doing}. Look at the stage.")
-            self._clock.sleep(self._config.poll_s)
-        if raise_faults and reading.faults:
-            raise DeviceFault(f"The axis reports {', '.join(reading.faults)} after {doing}.")
-        return reading
+        return self._rig_deg(steps * 360.0 / self._turn())
 
 
 def _axis_of(setting: str) -> int | None:

@@ -5,13 +5,13 @@ What the host says must come in the recorded order; bytes may be cut differently
 
 from collections.abc import Sequence
 
-from gradcal_jax.hardware.transcript import Entry
+from gradcal_jax.hardware.transcript import TranscriptEntry
 
 
 class ReplayedDevice:
     """Give the entries of one line (`transcript.read`). `unexpected` collects what the host says otherwise."""
 
-    def __init__(self, entries: Sequence[Entry]) -> None:
+    def __init__(self, entries: Sequence[TranscriptEntry]) -> None:
         # Consecutive chunks of one direction are one turn of the conversation.
         self._turns: list[tuple[str, bytes]] = []
         for entry in entries:

@@ -1,0 +1,136 @@
+"""Descriptions of chambers with registers: what is shipped, what is refused, numbers of two registers."""
+
+import re
+import struct
+from typing import Any
+
+import pytest
+from hardware_bench import served
+
+from gradcal_jax.files.line_protocol import shipped
+from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.register_protocol import FORMAT, register_protocol_of
+from gradcal_jax.hardware.checksums import crc16_modbus
+from gradcal_jax.hardware.drivers.registers import RegistersChamber, RegistersConfig, open_exchange
+from gradcal_jax.hardware.errors import LimitExceeded, NotVerified, Rejected
+from gradcal_jax.hardware.roles import ChamberSafe
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
+
+OVEN: dict[str, Any] = {
+    "format": FORMAT,
+    "role": "chamber",
+    "title": "oven",
+    "limits": {"lowest": "-40 degC", "highest": "150 degC"},
+    "registers": {
+        "air": {"address": 1, "decimals": 1, "input": True},
+        "setpoint": {"address": 2, "decimals": 1},
+        "run": {"address": 23, "codes": {"0": "OFF", "1": "RUN"}},
+    },
+    "tell": {"setpoint": {"setpoint": "{setpoint}"}, "on": {"run": 1}, "off": {"run": 0}},
+    "state": {"conditioning": {"field": "run", "equals": "RUN"}},
+}
+
+
+class Slave:
+    """Holding registers and input registers by function and address; what is written into `stuck` stays as it was."""
+
+    def __init__(self) -> None:
+        self.words = {(4, 1): 235, (3, 2): 230, (3, 23): 0}
+        self.stuck: set[int] = set()
+        self.heard: list[bytes] = []
+
+    def receive(self, data: bytes) -> list[bytes]:
+        assert crc16_modbus(data[:-2]) == data[-2:]
+        self.heard.append(data)
+        function, register, value = struct.unpack(">BHH", data[1:6])
+        if function in (3, 4):
+            words = [self.words.get((function, register + k)) for k in range(value)]
+            if None in words:
+                body = bytes([function | 0x80, 2])
+            else:
+                body = bytes([function, 2 * value]) + b"".join(struct.pack(">H", word & 0xFFFF) for word in words)
+        elif function == 6:
+            if register not in self.stuck:
+                self.words[3, register] = value
+            body = data[1:6]
+        else:
+            values = struct.unpack(f">{value}H", data[7 : 7 + 2 * value])
+            self.words |= {(3, register + k): word for k, word in enumerate(values)}
+            body = data[1:6]
+        reply = data[:1] + body
+        return [reply + crc16_modbus(reply)]
+
+
+def changed(**tables: Any) -> dict[str, Any]:
+    return OVEN | {name: {**OVEN.get(name, {}), **table} for name, table in tables.items()}
+
+
+@pytest.mark.parametrize("name", shipped(FORMAT))
+def test_what_is_shipped_is_whole(name: str) -> None:
+    protocol = register_protocol_of(name)
+    assert {"air", "setpoint"} <= set(protocol.registers)
+    assert RegistersConfig(name).baudrate == 9600
+
+
+def test_an_eurotherm_cannot_be_put_into_standby() -> None:
+    assert "no [tell] on and off" in RegistersConfig("eurotherm-3500").lacks_for("standby")
+    assert RegistersConfig("eurotherm-3500").lacks_for("hold") == ""
+
+
+def test_a_chamber_from_its_description_alone() -> None:
+    clock, device, config = VirtualClock(), Slave(), RegistersConfig(OVEN, reply_timeout_s=0.2)
+    with served(device, clock, 9600) as (_, transport):
+        chamber = RegistersChamber(open_exchange(transport, clock, config), config)
+        assert (chamber.read().air_c, chamber.read().mode, chamber.read().conditioning) == (23.5, "OFF", False)
+        chamber.hold(-12.5)
+        assert (device.words[3, 2], device.words[3, 23]) == (65536 - 125, 1)
+        assert (chamber.read().setpoint_c, chamber.read().mode) == (-12.5, "RUN")
+        with pytest.raises(LimitExceeded, match="outside -40 to 150 degC"):
+            chamber.hold(151.0)
+        with pytest.raises(Rejected, match="ramped by steps"):
+            chamber.ramp(30.0, 1.0)
+        assert chamber.safe(ChamberSafe.STANDBY).verified
+        assert device.words[3, 23] == 0
+        # A register that takes no value: local mode.
+        device.stuck.add(2)
+        with pytest.raises(NotVerified, match=r"oven: setpoint \(setpoint = 40\) was sent 3 times"):
+            chamber.hold(40.0)
+
+
+@pytest.mark.parametrize("low_first", [False, True])
+@pytest.mark.parametrize("kind", ["float32", "int32"])
+def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) -> None:
+    entry = {"address": 40, "type": kind, "decimals": 0 if kind == "float32" else 2}
+    tables = changed(registers={"setpoint": entry}) | {"line": {"low_word_first": low_first}}
+    clock, device, config = VirtualClock(), Slave(), RegistersConfig(tables, reply_timeout_s=0.2)
+    device.words |= {(3, 40): 0, (3, 41): 0}
+    with served(device, clock, 9600) as (_, transport):
+        chamber = RegistersChamber(open_exchange(transport, clock, config), config)
+        chamber.hold(-12.25)
+        words = struct.unpack(">HH", struct.pack(">f", -12.25) if kind == "float32" else struct.pack(">i", -1225))
+        assert (device.words[3, 40], device.words[3, 41]) == (words[::-1] if low_first else words)
+        assert chamber.read().setpoint_c == -12.25
+
+
+@pytest.mark.parametrize(
+    ("tables", "words"),
+    [
+        (changed(registers={"air": {"address": 1, "input": True, "decimal": 1}}), 'nearest: "decimals"'),
+        (changed(registers={"air": {"address": 70000}}), "address"),
+        (changed(registers={"air": {"address": 1, "decimals": "places"}}), "there is no such register"),
+        (changed(registers={"setpoint": {"address": 2, "shown_in": "wroking"}}), "there is no such register"),
+        (changed(tell={"setpoint": {"air": "{setpoint}"}}), "this register is only read"),
+        (changed(tell={"setpoint": {"setpoint": "{ramp}"}}), "expected a number or {setpoint}"),
+        (changed(tell={"setpoint": {"setpoint": 4}}), "no register gets {setpoint}"),
+        (changed(tell={"setpoints": {"setpoint": 4}}), "a chamber is told"),
+        (changed(tell={"ramp": {"setpoint": "{ramp}"}}), "a ramp must be taken off again"),
+        (changed(state={"conditioning": {"field": "rum", "equals": "1"}}), "there is no such register"),
+        (OVEN | {"state": {}}, "nothing else shows what tell.on did"),
+        (OVEN | {"limits": {}}, "give it, or a register lowest"),
+        (OVEN | {"tell": {"on": {"run": 1}, "off": {"run": 0}}}, "a chamber needs it"),
+        (OVEN | {"tell": {"setpoint": {"setpoint": "{setpoint}"}, "on": {"run": 1}}}, "both on and off, or neither"),
+    ],
+)
+def test_a_description_that_cannot_be_right_is_refused(tables: dict[str, Any], words: str) -> None:
+    with pytest.raises(SpecError, match=re.escape(words)):
+        register_protocol_of(tables)

@@ -22,6 +22,8 @@ AnySpec = TypeVar("AnySpec", Spec, UnitSpec)
 _POOR_CLOCK = 2e-5
 # A clock without a stated error, a ratio, and the number of standard deviations by which two clocks contradict.
 _QUARTZ, _APART = 2e-5, 2.0
+# A comparison this near to the computer's own error adds nothing to it.
+_AS_COUNTED = 1.1
 _CLOCK_MEND = '[sensor] clock = "sensor" predicts what such a log gives'
 
 
@@ -230,15 +232,18 @@ def with_options(spec: AnySpec, logs: Sequence[Log], options: Options) -> tuple[
         clock = "host" if both and better else "sensor"
         if clock == "sensor" and spec.sensor.takes_host_clock:
             said.append(
-                f"the log has no computer's time to compare the sensor's clock with: its {error} count, where a "
+                f"the log does not compare the sensor's clock with the computer's: its {error} count, where a "
                 f"prediction of the spec counts {HOST_CLOCK * 1e6:g} ppm; {_CLOCK_MEND}"
             )
-    sensor = spec.sensor.model_copy(update={"clock": "sensor"})
-    if clock == "host":
-        # Every log has a slope of its own to the host's clock; the error that they share is at most the largest.
-        std = max(float(np.hypot(fit.std or 0.0, HOST_CLOCK)) for fit in fits)
-        sensor = sensor.model_copy(update={"sample_clock_error": Quantity.of(std, "ppm")})
-    spec = spec.model_copy(update={"sensor": sensor})
+    # Every log has a slope of its own to the host's clock; the error that they share is at most the largest.
+    std = max((float(np.hypot(fit.std or 0.0, HOST_CLOCK)) for fit in fits), default=np.inf)
+    omitted = spec.sensor.clock is None and error is None
+    if not (omitted and clock == "host" and std < _AS_COUNTED * HOST_CLOCK):
+        # Otherwise the computer's clock counts as in a prediction: as a term that the spec omits.
+        counted: dict[str, object] = {"clock": "sensor"}
+        if clock == "host":
+            counted["sample_clock_error"] = Quantity.of(std, "ppm")
+        spec = spec.model_copy(update={"sensor": spec.sensor.model_copy(update=counted)})
     for fit in apart:
         used = "the computer's is used" if clock == "host" else "the sensor's is used: --clock host takes the other"
         said.append(

@@ -15,6 +15,7 @@ MORE = {
     "sensor.rate_random_walk": "2 deg/h/sqrt(h)",
     "sensor.thermal_lag": "90 s",
     "sensor.sample_clock_error": "20 ppm",
+    "sensor.clock": "sensor",
     "rig.table.angle.standstill_offset": "20 arcsec",
     "rig.table.angle.timing_error": "1 ms",
 }

@@ -126,7 +126,6 @@ def test_explicit_zeros_are_the_same_model_and_nothing_is_omitted():
     [
         ("rig.table.mounting_accuracy", "M", 2**0.5 * np.radians(0.5) ** 2 * 1e6),
         ("rig.table.angle.scale_error", "M", 50.0),
-        ("sensor.sample_clock_error", "M", 30.0),
         ("sensor.temperature_offset", "M", 2.0 * slopes_of(BARE.sensor)[1] * 1e6),
         ("sensor.temperature_lag", "M", 4.0 * slopes_of(BARE.sensor)[1] * 1e6),
         ("sensor.temperature_lag", "B", 4.0 * slopes_of(BARE.sensor)[0] / DEG_PER_H),
@@ -180,12 +179,25 @@ def test_the_command_shows_both_and_asks_for_the_earth(tmp_path, capsys):
 
 
 def test_the_computers_clock_counts_one_ppm():
-    slow = gj.changed(EXACT, {"sensor.sample_clock_error": "200 ppm"})
+    slow = gj.changed(EXACT, {"sensor.sample_clock_error": "200 ppm", "sensor.clock": "sensor"})
     by_host = gj.changed(slow, {"sensor.clock": "host"})
     assert left(slow, "M").decisive > 199.0
     one = gj.changed(EXACT, {"sensor.sample_clock_error": "1 ppm"})
     assert left(by_host, "M").decisive == pytest.approx(left(one, "M").decisive, rel=1e-12)
     assert "sensor.sample_clock_error" not in {t.key for t in absent_terms(gj.changed(BARE, {"sensor.clock": "host"}))}
+
+
+def test_without_a_key_the_better_clock_counts():
+    """A run compares both. What a log without the computer's time gives is predicted by clock = "sensor"."""
+    slow, good = (gj.changed(EXACT, {"sensor.sample_clock_error": size}) for size in ("200 ppm", "0.3 ppm"))
+    for spec, same in ((slow, {"sensor.clock": "host"}), (good, {"sensor.clock": "sensor"})):
+        assert left(spec, "M").decisive == pytest.approx(left(gj.changed(spec, same), "M").decisive, rel=1e-12)
+    omitted = without("sensor.sample_clock_error")
+    assert {t.key: t.value for t in absent_terms(omitted)} == {"sensor.sample_clock_error": "1 ppm"}
+    by_sensor = gj.changed(omitted, {"sensor.clock": "sensor"})
+    assert {t.key: t.value for t in absent_terms(by_sensor)} == {"sensor.sample_clock_error": "30 ppm"}
+    row = left(by_sensor, "M")
+    assert row.with_typical == pytest.approx(np.hypot(row.decisive, 30.0), rel=0.08)
 
 
 def test_a_limit_a_derivative_and_a_sensitivity_count_what_no_residual_shows():
@@ -237,7 +249,7 @@ def test_a_unit_counts_what_it_omits_too_and_judges_by_coverage_and_risk():
 def test_a_clock_does_not_scale_a_force_unless_it_is_a_velocity_increment():
     """199 ppm of the accelerometers' scale factor were the clock's."""
     bare = of_unit(parse_unit_spec(UNIT), "accelerometer scale factor")
-    spec = gj.changed(parse_unit_spec(UNIT), {"sensor.sample_clock_error": "200 ppm"})
+    spec = gj.changed(parse_unit_spec(UNIT), {"sensor.sample_clock_error": "200 ppm", "sensor.clock": "sensor"})
     assert of_unit(spec, bare.name).decisive == pytest.approx(bare.decisive, rel=1e-9)
     spec = gj.changed(spec, {"sensor.accelerometer.velocity_increments": True})
     assert of_unit(spec, "accelerometer scale factor").decisive > 190.0

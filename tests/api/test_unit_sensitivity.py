@@ -68,7 +68,10 @@ def test_a_figure_s_row_is_what_the_prediction_says_of_it():
 
 
 def test_figures_are_those_that_the_spec_has_and_keys_of_one_kind_go_together():
-    figures = sensitive_figures(gj.parse_unit_spec(presets.text("heat-and-cool")))
+    spec = gj.parse_unit_spec(presets.text("heat-and-cool"))
+    # The computer's clock, which counts without a key, is no figure of the file.
+    assert "sample clock error" not in sensitive_figures(spec)
+    figures = sensitive_figures(gj.changed(spec, {"sensor.clock": "sensor"}))
     assert {"gyro: angle random walk", "thermal lag", "sample clock error", "accuracy of gravity", UNIT_TIME} <= set(
         figures
     )

@@ -29,6 +29,7 @@ from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import WeissOptions
 
+from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.espec import EspecConfig
 from gradcal_jax.hardware.drivers.registers import RegistersChamber, RegistersConfig, open_exchange
@@ -50,6 +51,7 @@ from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
+from gradcal_jax.hardware.track import Course
 from gradcal_jax.hardware.transport import Transport
 
 BENCHES = {
@@ -117,6 +119,29 @@ def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(make) -> None:
         assert chamber.read().setpoint_c < second.setpoint_c
         chamber.hold(-40.0)
         assert chamber.read().setpoint_c == -40.0
+
+
+@pytest.mark.parametrize("make", [espec_bench, weiss_bench])
+def test_a_ramp_that_the_controller_would_round_is_made_by_set_points(make) -> None:
+    """The ESPEC's six minutes for 5.6 would be 7 % of the slope; the Weiss's 2.2 K/min for 2.16, 2 %."""
+    clock = VirtualClock()
+    with make(clock) as (chamber, device, _):
+        chamber.hold(14.8)
+        clock.sleep(5400.0)
+        told: list[dict] = []
+        control = ChamberControl(chamber, clock, lambda name, **data: told.append(data))
+        began_s = clock.now()
+        control.follow(Course(0.0, 26.9, 2.16))
+        assert told[-1]["by"] == "steps of the runner"
+        while clock.now() < began_s + 240.0:
+            control.step_soft_ramp()
+            clock.sleep(5.0)
+        assert device.plant.set_point_c(clock.now()) == pytest.approx(14.8 + 2.16 * 4.0, abs=0.15)
+        # One that it makes as planned is its own.
+        control.hold(20.0)
+        clock.sleep(3600.0)
+        control.follow(Course(0.0, 30.0, 1.0))
+        assert "by" not in told[-1]
 
 
 def test_every_chamber_refuses_what_lies_outside_its_own_limits(bench) -> None:

@@ -37,6 +37,13 @@ def test_crc32_equals_its_definition_bit_by_bit(data: bytes) -> None:
     assert checksums.crc32_mpeg2(data) == register
 
 
+@settings(deadline=None)  # a table of each length is made once
+@given(st.integers(0, 9), st.sampled_from([1, 11, 38, 60]), st.randoms())
+def test_crc32_of_rows_is_that_of_each(count: int, length: int, random) -> None:
+    rows = np.frombuffer(random.randbytes(count * length), np.uint8).reshape(count, length)
+    assert checksums.crc32_mpeg2_of_rows(rows).tolist() == [checksums.crc32_mpeg2(row.tobytes()) for row in rows]
+
+
 # --- ESPEC ------------------------------------------------------------------------------------------------------------
 
 

@@ -15,6 +15,7 @@ from simulated_devices.faults import Faults
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.recipe import read_recipe
+from gradcal_jax.files.unit_spec import parse_unit_spec
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.errors import HardwareError
@@ -116,6 +117,27 @@ def test_steps_carry_where_they_begin_by_themselves() -> None:
         assert step.start_deg == {"table": pytest.approx(number * net)}
         # The ramp is 1 K/min.
         assert step.start_c == pytest.approx(-30.0 + number * cycles[0].duration_s / 60.0)
+
+
+def test_every_part_of_a_long_rest_is_data_also_where_it_is_read_at_its_end() -> None:
+    track = track_of(unpredicted(parse_spec(presets.text("paper-static-standard"))), ["table"])
+    parts = [step for step in track.steps if step.data]
+    assert sum(step.duration_s for step in parts) == pytest.approx(6 * 1800.0)
+    assert len(parts) > 6
+    assert sum(bool(step.read_at_s) for step in parts) < len(parts)
+
+
+def test_gyros_may_differ_from_the_table_by_what_the_spec_says_of_them() -> None:
+    usual = track_of(unpredicted(parse_spec(presets.text("paper-dynamic-gradient"))), ["table"]).gyros
+    poor = track_of(unpredicted(parse_spec(presets.text("consumer-mems"))), ["table"]).gyros
+    assert usual is not None
+    assert poor is not None
+    assert (usual.share, usual.bias_dps) == (0.1, 1.0)
+    # 3 % a coefficient of nine, and 2 deg/s a gyro.
+    assert poor.share == pytest.approx(3.0 * 0.03 * 3.0)
+    assert poor.bias_dps == pytest.approx(3.0 * 2.0 * 3.0**0.5)
+    forces = parse_unit_spec(presets.text("accelerometer-six-positions"))
+    assert track_of(unpredicted(forces), [axis.name for axis in forces.rig.table.axis]).gyros is None
 
 
 def test_axes_that_the_rig_does_not_have_are_named() -> None:

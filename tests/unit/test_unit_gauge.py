@@ -234,7 +234,7 @@ def test_a_vertical_axis_alone_is_told_which_axes_it_does_not_turn():
     ("changes", "said", "limits"),
     [
         (
-            {"sensor__sample_clock_error": "200 ppm"},
+            {"sensor__sample_clock_error": "200 ppm", "sensor__clock": "sensor"},
             "the sample clock stays as uncertain as it was (200 ppm)",
             "gyros' scale factor",
         ),

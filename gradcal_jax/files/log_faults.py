@@ -18,13 +18,13 @@
 *mask* takes the rows out of use and counts them, *split* makes two stretches, *keep* only reports, *refuse* raises.
 """
 
+import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gradcal_jax import formulas
 from gradcal_jax.files.log import Bools, Finding, Floats, Log, LogError, Reason, intervals_within, mean_interval
@@ -456,7 +456,8 @@ def _even_clock(time: Floats, suspects: int) -> Floats | None:
     burst = _WITHIN * float(np.max(np.diff(time)))
     apart = time - line
     # The clock may wander slowly: over many bursts.
-    wander = ndimage.uniform_filter1d(apart, 2 * (_BURSTS * len(time) // suspects // 2) + 1, mode="nearest")
+    ndimage: Any = importlib.import_module("scipy.ndimage")
+    wander: Floats = ndimage.uniform_filter1d(apart, 2 * (_BURSTS * len(time) // suspects // 2) + 1, mode="nearest")
     for even in (line, line + wander):
         if np.ptp(time - even) <= burst and np.all(np.diff(even) > 0.0):
             return even

@@ -7,12 +7,12 @@ with noise σ, is rounded to a mean that is off by up to q/π·exp(−2π²σ²/
 averaged (Widrow and Kollár, Quantization Noise, 2008, section 4).
 """
 
+import importlib
 from collections.abc import Container
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from gradcal_jax import formulas
 from gradcal_jax.files.log import Bools, Floats, Log, LogError, Reason, Whole
@@ -146,7 +146,9 @@ def far_from_neighbours(values: Floats) -> Bools:
     if len(known) < 2 * _WINDOW:
         return result
     own = values[known]
-    apart = np.abs(own - ndimage.median_filter(own, _AROUND, mode="reflect"))
+    ndimage: Any = importlib.import_module("scipy.ndimage")
+    around: Floats = ndimage.median_filter(own, _AROUND, mode="reflect")
+    apart = np.abs(own - around)
     far = apart > FAR * 1.4826 * float(np.median(apart))
     if np.median(apart) > 0.0 and np.mean(far) < _RARE:
         result[known[far]] = True

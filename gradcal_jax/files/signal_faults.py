@@ -32,7 +32,7 @@ FAR: Final = 10.0
 """Standard deviations from its neighbours beyond which a row is wrong."""
 # Rows around one with which it is compared, and the largest share of wrong ones.
 _AROUND, _RARE = 51, 0.01
-# Steps of more than this share of the noise add 2 % to its variance.
+# StepSizes of more than this share of the noise add 2 % to its variance.
 _ADDS: Final = 0.5
 _ROUNDING, _OFF_THE_GRID = 1e-9, 0.05
 # A gap lasts longer than this, and than so many intervals: over less, a rate is interpolated.
@@ -40,8 +40,8 @@ _GAP_S, _GAP_ROWS = 0.25, 4.0
 _NAMES: Final = {"gyro": ("deg/s", np.pi / 180.0), "accelerometer": ("g", 9.80665)}
 
 
-class Steps(NamedTuple):
-    """Steps of a channel: the least one, and by how much rounding to it may be off; zero where it is fine."""
+class StepSizes(NamedTuple):
+    """StepSizes of a channel: the least one, and by how much rounding to it may be off; zero where it is fine."""
 
     step: float
     off: float
@@ -68,30 +68,30 @@ def quiet_windows(values: Floats) -> Floats:
     return windows[variance <= np.median(variance)] if len(windows) else windows
 
 
-def coarse_steps(values: Floats) -> Steps:
+def coarse_steps(values: Floats) -> StepSizes:
     """The steps of a channel `(n,)`, in its unit."""
     some = values[np.isfinite(values)][:_LOOKED_AT]
     distinct = np.unique(some)
     if len(distinct) < 2 or len(some) < 2 * _WINDOW:
-        return Steps(0.0, 0.0)
+        return StepSizes(0.0, 0.0)
     steps = np.diff(distinct)
     # (Differences that are rounding are no steps.)
     step = float(np.min(steps[steps > _ROUNDING * float(np.ptp(some))]))
     # (Values of any size, as of a simulation without noise, lie on no grid.)
     place = (distinct - distinct[0]) / step
     if float(np.max(np.abs(place - np.rint(place)))) > _OFF_THE_GRID:
-        return Steps(0.0, 0.0)
+        return StepSizes(0.0, 0.0)
     quiet = quiet_windows(some)
     changes = np.abs(np.diff(quiet, axis=1))
     moved = changes[changes > 0.5 * step]
     # (A sample that is read several times repeats too, and then changes by many steps.)
     if len(moved) > _REPEATED * changes.size or (len(moved) and float(np.median(moved)) > _FEW_STEPS * step):
-        return Steps(step, 0.0)
+        return StepSizes(step, 0.0)
     # (Two values alone are of a channel without noise, between two steps.)
     two = len(np.unique(quiet)) <= 2
     noise = 0.0 if two else max(float(np.median(quiet.var(axis=1))) - step**2 / 12.0, 0.0)
     off = min(0.5, float(np.exp(-2.0 * np.pi**2 * noise / step**2)) / np.pi) if noise > 0.0 else 0.5
-    return Steps(step, off * step if off > _OFF else 0.0)
+    return StepSizes(step, off * step if off > _OFF else 0.0)
 
 
 def refuse_repeated(where: str, values: Floats) -> str | None:

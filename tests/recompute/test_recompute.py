@@ -186,7 +186,7 @@ def test_a_fault_in_one_field_is_noticed(everything, fault):
 def test_the_points_of_one_run_share_the_clock():
     """A clock error of 1000 ppm common to the run stays: the paper's dynamic standard plan leaves 1005.4 ppm."""
     tables = tomllib.loads(presets.text("paper-dynamic-standard"))
-    tables["sensor"]["sample_clock_error"] = "1000 ppm"
+    tables["sensor"] |= {"sample_clock_error": "1000 ppm", "clock": "sensor"}
     tables["plan"]["estimator"] = "best linear"
     written = json.loads(timeline_text(spec_of(tables)))
     assert written["points"] == "independent"

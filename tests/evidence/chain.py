@@ -6,6 +6,7 @@ import io
 import itertools
 import json
 import shutil
+import tempfile
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -72,9 +73,12 @@ def predicted_of(recipe: Path, air_lag_s: float = 0.0) -> dict[str, Any]:
     its set point by so much."""
     if air_lag_s:
         spec = tomllib.loads(recipe.read_text(encoding="utf-8"))["spec"]
-        recipe = recipe.with_name("lagging.toml")
-        recipe.write_text(tomlkit.dumps(_lagging(spec, air_lag_s)), encoding="utf-8")
-    status, printed = say("predict", recipe, "--json")
+        with tempfile.TemporaryDirectory() as folder:
+            recipe = Path(folder) / "lagging.toml"
+            recipe.write_text(tomlkit.dumps(_lagging(spec, air_lag_s)), encoding="utf-8")
+            status, printed = say("predict", recipe, "--json")
+    else:
+        status, printed = say("predict", recipe, "--json")
     assert status in (0, 1), printed
     return json.loads(printed)
 

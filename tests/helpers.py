@@ -522,7 +522,7 @@ _TURNS = (
     Act("rest", 6.0, every=2.0),
     Act("cosine ramps", 5.0, 150 * DEG, ramp=0.8),
     Act("linear ramps", 4.0, -290 * DEG, ramp=1.5),
-    Act("cosine ramps", 6.0, 120 * DEG, ramp=3.0, every=1.5),
+    Act("cosine ramps", 6.0, 120 * DEG, ramp=2.0, every=1.5),
     Act("hand", 7.0, -60 * DEG),
     Act("rest", 4.0, every=2.0),
 )

@@ -32,7 +32,7 @@ FAR: Final = 10.0
 """Standard deviations from its neighbours beyond which a row is wrong."""
 # Rows around one with which it is compared, and the largest share of wrong ones.
 _AROUND, _RARE = 51, 0.01
-# StepSizes of more than this share of the noise add 2 % to its variance.
+# Steps of more than this share of the noise add 2 % to its variance.
 _ADDS: Final = 0.5
 _ROUNDING, _OFF_THE_GRID = 1e-9, 0.05
 # A gap lasts longer than this, and than so many intervals: over less, a rate is interpolated.
@@ -41,7 +41,7 @@ _NAMES: Final = {"gyro": ("deg/s", np.pi / 180.0), "accelerometer": ("g", 9.8066
 
 
 class StepSizes(NamedTuple):
-    """StepSizes of a channel: the least one, and by how much rounding to it may be off; zero where it is fine."""
+    """Steps of a channel: the least one, and by how much rounding to it may be off; zero where it is fine."""
 
     step: float
     off: float

@@ -160,7 +160,7 @@ def test_a_fault_is_covered_or_named(fault: Fault, tmp_path: Path) -> None:
 @pytest.mark.evidence
 @pytest.mark.parametrize("scene", [AXIS, AXIS_FULL, UNIT, UNIT_FULL])
 def test_without_a_fault_nothing_is_said(scene: str, tmp_path: Path) -> None:
-    """Eight seeds: two may be beyond U, as two standard deviations allow, and one alarm, as tests at 1 % do; of a spec
+    """Eight seeds: one may be beyond U, as two standard deviations allow, or alarm, as tests at 1 % do; of a spec
     that gives every term all verdicts are "met"."""
     fault, outside, accused = Fault("no fault", scene, ACCUSES.pattern, none), [], []
     for seed in range(1, 9):
@@ -175,5 +175,5 @@ def test_without_a_fault_nothing_is_said(scene: str, tmp_path: Path) -> None:
             report(fault, found, bool(found.judged) and not found.beyond and not alarms)
             assert not found.beyond
             assert not alarms
-    assert len(outside) <= 2, outside
+    assert len(outside) <= 1, outside
     assert len(accused) <= 1, accused

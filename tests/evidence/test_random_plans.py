@@ -195,7 +195,7 @@ def check(kind: str, number: int, folder: Path) -> None:
     assert not apart, f"{len(apart)} of {len(found)}: {apart}"
 
 
-@pytest.mark.parametrize(("kind", "number"), [("axis", 2), ("axis", 8), ("unit", 8)])
+@pytest.mark.parametrize(("kind", "number"), [("axis", 1), ("axis", 2), ("axis", 8), ("unit", 1), ("unit", 8)])
 def test_what_is_predicted_is_what_is_estimated(kind: str, number: int, tmp_path: Path) -> None:
     check(kind, number, tmp_path)
 

@@ -71,7 +71,7 @@ def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
     rough = any(b.breaks for b in bases)
     motion = motion_of(spec.schedule, spec, model_)
     if until_s < np.inf:
-        motion = _broken_off(motion, until_s, _highest_order(spec))
+        motion = _broken_off(motion, until_s, highest_order(spec))
     return AssembledUnit(spec, model_, motion, points, rough, past, until_s)
 
 
@@ -253,12 +253,12 @@ def motion_of(plan: UnitSchedule, spec: UnitSpec, of: UnitModel) -> TableMotion:
     # Between two stretches the table stands where the cycle began, up to whole turns, and the mounting changes.
     stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
     mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
-    harmonics = _highest_order(spec)
+    harmonics = highest_order(spec)
     whole = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), np.array(plan.start), harmonics)
     return trajectory.divided_motion(whole, *_breaks(of), harmonics)
 
 
-def _highest_order(spec: UnitSpec) -> int:
+def highest_order(spec: UnitSpec) -> int:
     """Of an encoder's error over the angle."""
     return max((h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics), default=0)
 

@@ -1,44 +1,95 @@
-"""`optimise` for a whole unit: the cycle of poses, moves and rests that minimises the residuals of its requirements."""
+"""`optimise` for a whole unit: the cycle of poses, moves and rests that minimises the residuals of its requirements.
 
-import functools
+Every cycle descends along the exact gradient of `design.pose_cycle`: first the file's own, then cycles of a changed
+structure near the best one. What counts in the end is the plan with rounded numbers, evaluated as `predict` does it.
+"""
+
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from statistics import fmean
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.api.optimise import BY_HAND, MARGIN
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.scenarios import scenario_specs
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, motion_of
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, geometry, highest_order
 from gradcal_jax.api.unit_residual import RequiredQuantity, quantity_of
-from gradcal_jax.design.pose_search import CycleItem, PoseCycle, PoseLimits, PoseState, anneal
+from gradcal_jax.design.cycle_moves import Cycle, Neighbourhood
+from gradcal_jax.design.descent import Descent
+from gradcal_jax.design.pose_cycle import (
+    WINDOW,
+    CycleCoordinates,
+    CycleObjective,
+    Element,
+    Ramp,
+    Statistics,
+    Structure,
+    TableLimits,
+    Turn,
+    further,
+    largest_turn,
+    structure_of,
+)
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
-from gradcal_jax.files.requirement import UnitRequirement
-from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, quickest_turn, rest_step
+from gradcal_jax.files.unit_plan import UnitSchedule, quickest_turn
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
-from gradcal_jax.formulas import repetitions
-from gradcal_jax.information import Posterior, repeated_gram, segments_of, unit_system, whiten
+from gradcal_jax.information import Posterior, unit_system, whiten
 from gradcal_jax.model import UnitModel
 
-EVALUATIONS, QUICK_EVALUATIONS = 4000, 400
-# Initial temperature of the annealing, in the logarithm of the objective; low, since it begins at a good plan.
-WARMEST = 0.01
-# Neighbours of a plan that are evaluated in parallel, by as many processes.
+EVALUATIONS, QUICK_EVALUATIONS = 6000, 600
+# Cycles that descend side by side.
 TOGETHER = 2
 _SEARCH_GRID = 21
-# Rounding, as a share of an angle step.
+# Evaluations of a descent between two looks; sharpness of the maxima and evaluations of the first descents, of those
+# from a changed cycle, and of the last one.
+_LOOK, _FIRST, _HOP, _LAST = 20, ((8.0, 60), (30.0, 120)), (30.0, 120), (100.0, 300)
+# A changed cycle that after n looks is worse than the present one by an n-th of this is left; so much worse (natural
+# logarithm) a cycle may be and be gone on from, at the begin of the search.
+_HOPELESS, _WARM = 0.04, 0.004
+# Probability of another number of cycles, and by how much (natural logarithm) it may differ.
+_RECOUNTED, _RECOUNT = 0.12, 0.3
+# Slots for turns that a search inserts, as a share, and multiples of slots, each of which is compiled once.
+_SPARE, _SLOTS = 0.5, 4
+# Turns up to this (rad) are tried, or up to the largest one of the file's plan.
+_LARGEST = 6.0 * math.pi
+# Temperatures at which cycles stand for all others of a slope, where bases are no polynomials.
+_SAMPLES = 5
+# Cycles whose noise is filtered together, from the longest correlation time over the period: the objective then agrees
+# with that of all cycles to a per cent at most.
+_BEFORE, _MEMORY, _LONGEST_WINDOW = 0.5, 1.2, 4
+# What is left of the time for rounding, s.
+_LEFT = 1e-3
 _SLACK = 1e-9
-# From this number of cycles, the information of all cycles is computed from three.
-_MANY = 6
+# Resolution of turns (deg), rates (deg/s) and rests (s) in a plan.
+_ANGLE, _RATE, _REST = 0.01, 0.1, 0.1
+
+
+class RepeatedCycle(NamedTuple):
+    """A cycle, and how often the first stretch of the plan repeats it."""
+
+    turns: Cycle
+    count: int
+
+
+class CycleSearch(NamedTuple):
+    """Progress of a search: the logarithm of the objective at its beginning and now, the completed share, and the best
+    cycle."""
+
+    first: float
+    value: float
+    share: float
+    best: RepeatedCycle
 
 
 class UnitOptimum(NamedTuple):
     """An optimised unit spec, with its requirements before and after: `rows` of (name, unit, before, now); None: not
-    observable. `gain`: geometric mean of before over now. `kept`: nothing better was found than the spec's own plan,
-    which it is."""
+    observable. `gain`: geometric mean of before over now. `evaluations`: of the objective and its gradient. `kept`:
+    nothing better was found than the spec's own plan, which it is."""
 
     spec: UnitSpec
     rows: tuple[tuple[str, str, float | None, float | None], ...]
@@ -52,199 +103,391 @@ def optimise_unit(
     *,
     evaluations: int = EVALUATIONS,
     seed: int | None = None,
-    warmest: float = WARMEST,
     until_met: bool = False,
     stop: Callable[[], bool] = lambda: False,
-    values: Callable[[Sequence[PoseCycle]], Iterable[float]] | None = None,
-) -> Iterator[PoseState | UnitOptimum]:
-    """Yield the state of the search after every `TOGETHER` evaluations, and the optimum at the end.
+) -> Iterator[CycleSearch | UnitOptimum]:
+    """Yield the state of the search after every descent, and the optimum at the end, which is never worse than the
+    spec's own plan.
 
-    `evaluations`: plans that are tried; `warmest`: see `design.pose_search.anneal`. `until_met`: no further than to a
-    plan that meets every target with `MARGIN`. `values`: evaluates `CycleValue` for several cycles, for example in
-    several processes; the optimum does not depend on it.
+    `evaluations`: of the objective and its gradient. `until_met`: no further than to a plan that meets every target
+    with `MARGIN`.
 
-    Errors: `ValueError` where there is no requirement (or, with `until_met`, no target), the table is turned by hand,
-    or the plan's turns are no whole numbers of the angle step.
+    Errors: `ValueError` where there is no requirement (or, with `until_met`, no target), or the table is turned by
+    hand.
     """
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]] to minimise: add one")
     if spec.rig.table.drive == "hand":
         raise ValueError(BY_HAND)
-    value = CycleValue(spec)
-    design, limits = value.design, _limits(spec, value.design)
     if until_met and all(r.target is None for r in spec.requirement):
         raise ValueError("to stop when every target is met, give a requirement a target")
-    state, judged, seed = None, None, design.seed if seed is None else seed
-    # The first plan of the search is slowed down to the gyros' full scale.
-    start = tuple(item._replace(rate=min(item.rate, limits.rates[item.axis])) for item in _items(spec, design))
-    for state in anneal(
-        start,
-        values or functools.partial(map, value),
-        limits,
-        evaluations=evaluations,
-        seed=seed,
-        warmest=warmest,
-        together=TOGETHER,
-    ):
-        yield state
-        if stop():
-            break
-        if until_met and state.best != judged:
-            judged = state.best
-            if value.largest_ratio(judged) <= math.log(1.0 - MARGIN):
+    plan = CyclePlan(spec)
+    before = plan.statistics(spec)
+    best, after, used = spec, before, 0
+    if not (until_met and plan.met(before)):
+        search = _Search(plan, evaluations, plan.design.seed if seed is None else seed, stop)
+        for state in search.run():
+            yield state
+            if until_met and plan.met(plan.statistics(plan.spec_of(state.best))):
                 break
-    assert state is not None
-    tables = spec.model_dump(mode="json", exclude_unset=True)
-    tables["plan"]["cycle"]["moves"] = value.moves_in_words(state.best)
-    optimised = unit_spec_of(tables)
-    fine = tuple(quantity_of(value.built, r) for r in spec.requirement)
-    before, after = (_statistics(value.known[0] + _gram_of(assemble_unit(s)), fine) for s in (spec, optimised))
-    # The search began at the spec's poses with the quickest turns, not at its plan itself, which may be better.
-    kept = value.of_statistics(spec.requirement, after) > value.of_statistics(spec.requirement, before)
-    optimised, after = (spec, before) if kept else (optimised, after)
+        found = plan.spec_of(search.best)
+        reached, used = plan.statistics(found), search.used
+        if plan.value_of(reached) < plan.value_of(before):
+            best, after = found, reached
     rows = tuple(
         (r.name, UNIT_OF[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before, after, strict=True)
     )
     ratios = [math.log(b / a) for b, a in zip(before, after, strict=True) if a and b]
-    yield UnitOptimum(
-        optimised, rows, math.exp(float(np.mean(ratios))) if ratios else 1.0, round(state.share * evaluations),
-        kept,
-    )  # fmt: skip
+    yield UnitOptimum(best, rows, math.exp(fmean(ratios)) if ratios else 1.0, used, best is spec)
 
 
-class CycleValue:
-    """The objective of a cycle: the logarithm of residual over target, on a coarse grid; with `uncertain` noise its
-    mean over the scenarios, or the worst."""
+class _Search:
+    """A search over structures, each of which descends along the gradient."""
 
-    def __init__(self, spec: UnitSpec):
-        design = spec.design or UnitDesign()
-        coarse = tuple(
-            r.model_copy(update={"grid": tuple(min(g, _SEARCH_GRID) for g in r.grid)}) for r in spec.requirement
-        )
-        self.built, self.schedule, self.design = assemble_unit(spec), spec.schedule, design
+    def __init__(self, plan: "CyclePlan", evaluations: int, seed: int, stop: Callable[[], bool]) -> None:
+        self._plan, self._budget, self._stop = plan, evaluations, stop
+        self._rng = np.random.default_rng(seed)
+        self._around = Neighbourhood(plan.limits, plan.slots)
+        self.used, self.best, self._value = 0, plan.start, math.inf
+
+    def run(self) -> Iterator[CycleSearch]:
+        """Yields after every round of descents."""
+        plan, rng = self._plan, self._rng
+        first, here = math.nan, plan.start
+        for sharpness, count in _FIRST:
+            for value, cycle, begun in self._descents([here], sharpness, count):
+                first = begun if math.isnan(first) else first
+                here, now = cycle, value
+            self.best, self._value = here, now
+            yield self._state(first)
+        last = min(_LAST[1], self._budget // 4)
+        while self.used < self._budget - last and not self._stop():
+            warm = _WARM * (1.0 - self.used / self._budget)
+            changed = [self._neighbour(here, rng) for _ in range(TOGETHER)]
+            for value, cycle, _ in self._descents(changed, *_HOP, least=now):
+                if value < now or rng.random() < math.exp(-(value - now) / max(warm, 1e-9)):
+                    here, now = cycle, value
+                if value < self._value:
+                    self.best, self._value = cycle, value
+            if now > self._value + 3.0 * warm:
+                here, now = self.best, self._value
+            yield self._state(first)
+        for _, cycle, _ in self._descents([self.best], _LAST[0], last):
+            self.best = cycle
+        if plan.design.angle_step is not None:
+            snapped = self.best._replace(turns=plan.on_steps(self.best.turns))
+            for _, cycle, _ in self._descents([snapped], _LAST[0], last, turnable=False):
+                self.best = cycle
+        yield self._state(first)
+
+    def _neighbour(self, of: RepeatedCycle, rng: np.random.Generator) -> RepeatedCycle:
+        """A cycle of another structure, or more or fewer of the same one."""
+        if of.count > 1 and rng.random() < _RECOUNTED:
+            count = round(of.count * math.exp(rng.uniform(-_RECOUNT, _RECOUNT)))
+            return of._replace(count=max(2, count if count != of.count else count + int(rng.choice((-1, 1)))))
+        return of._replace(turns=self._around.neighbour(of.turns, rng))
+
+    def _state(self, first: float) -> CycleSearch:
+        return CycleSearch(first, self._value, min(1.0, self.used / self._budget), self.best)
+
+    def _descents(
+        self,
+        cycles: Sequence[RepeatedCycle],
+        sharpness: float,
+        evaluations: int,
+        *,
+        least: float = math.inf,
+        turnable: bool = True,
+    ) -> list[tuple[float, RepeatedCycle, float]]:
+        """Value and cycle that a descent from each cycle reaches, and the value after its first look; one thread for
+        each. A descent that is far above `least` after its first look ends there."""
+        plan = self._plan
+
+        def descend(cycle: RepeatedCycle) -> tuple[float, RepeatedCycle, float, int]:
+            of = plan.structure(cycle, turnable=turnable)
+            point, begun, reached = plan.coordinates.encode(cycle.turns, of), math.nan, None
+            args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.count).ramps, sharpness)
+            for reached in plan.descent(point.ravel(), args, evaluations=evaluations, together=_LOOK):
+                begun = reached.value if math.isnan(begun) else begun
+                if self._stop() or reached.value > least + _HOPELESS * _LOOK / reached.evaluations:
+                    break
+            assert reached is not None
+            end = plan.coordinates.cycle(reached.point.reshape(point.shape), of)
+            return reached.value, cycle._replace(turns=end), begun, reached.evaluations
+
+        with ThreadPoolExecutor(len(cycles)) as pool:
+            results = list(pool.map(descend, cycles))
+        self.used += sum(r[3] for r in results)
+        return [r[:3] for r in results]
+
+
+class CyclePlan:
+    """A spec's plan as the search sees it: the objective of a cycle, its start, and what a cycle's plan leaves."""
+
+    def __init__(self, spec: UnitSpec) -> None:
+        self.spec, self.design = spec, spec.design or UnitDesign()
+        self.built = assemble_unit(spec)
+        coarse = [r.model_copy(update={"grid": tuple(min(g, _SEARCH_GRID) for g in r.grid)}) for r in spec.requirement]
+        self._fine = tuple(quantity_of(self.built, r) for r in spec.requirement)
         scenarios = scenario_specs(spec)
-        self.models = tuple(assemble_unit(one).model if one is not spec else self.built.model for one, _ in scenarios)
-        self.over_scenarios = max if design.robust == "worst" else fmean
-        self.quantities, self.worst = tuple(quantity_of(self.built, r) for r in coarse), design.minimise == WORST
-        own = tuple(q for q in self.quantities if q.requirement.name == design.minimise)
-        self.minimised = self.quantities if design.minimise in (ALL, WORST) else own
-        rows = self.built.model.prior_rows()
-        # The information in each scenario before the plan begins: from priors and motions before it.
-        self.known = [rows.T @ rows + self._past(model) for model in self.models]
-        # Whether cycles differ only in temperature, which is linear in time; see `information.repeated`.
-        self.repeats = (
-            len(spec.schedule.stretches) == 1
-            and sum(segment.used for segment in spec.schedule.segments) == 1
-            and spec.rig.table.standing == "held"
-            and spec.sensor.thermal_lag is None
-            and not any(np.any(c.model.processes.rate_gain) for c in self.built.model.channels)
-            and self.built.model.shifts(np.zeros(1)) is not None
+        models = [assemble_unit(one).model if one is not spec else self.built.model for one, _ in scenarios]
+        prior = self.built.model.prior_rows()
+        self._known = [prior.T @ prior + _past(self.built, model) for model in models]
+        self.worst = self.design.minimise == WORST
+        counts = [self.worst or self.design.minimise in (ALL, r.name) for r in spec.requirement]
+        minimised = [quantity_of(self.built, r) for r, own in zip(coarse, counts, strict=True) if own]
+        self._counted = tuple(counts)
+        turns, stretches = _cycle_of(spec), spec.schedule.stretches
+        self.start = RepeatedCycle(turns, max(1, stretches[0].cycles))
+        self.closed = max(s.cycles for s in stretches) > 1 or len(stretches) > 1
+        self.limits = _limits(spec, self.design, turns)
+        spare = math.ceil(len(turns) * (1.0 + _SPARE) / _SLOTS) * _SLOTS
+        self.slots = max(min(spare, self.design.moves), len(turns))
+        self.coordinates = CycleCoordinates(self.limits, self.slots)
+        self._courses: dict[int, Course] = {}
+        self._window = self._cycles_together(models)
+        self.objective = CycleObjective(
+            self.coordinates,
+            geometry(spec.rig),
+            models,
+            self._known,
+            [_statistics_of(q) for q in minimised],
+            window=self._window,
+            points=self.built.points,
+            harmonics=highest_order(spec),
+            worst=self.worst,
+            worst_model=self.design.robust == "worst",
         )
+        self.descent = Descent(self._value)
 
-    def _past(self, model: UnitModel) -> np.ndarray:
-        built = self.built._replace(model=model)
-        nothing = np.zeros((model.size, model.size))
-        return sum((_gram_of(built._replace(motion=motion)) for motion in built.past), nothing)
+    def _value(self, z: Any, args: tuple[Structure, Ramp, Any]) -> Any:
+        return self.objective.value(jnp.reshape(z, (3, self.slots)), *args)
 
-    def __call__(self, cycle: PoseCycle) -> float:
-        together = max if self.worst else fmean
-        return self.over_scenarios([together(logs) for logs in self._logs(cycle, self.minimised)])
+    def _cycles_together(self, models: Sequence[UnitModel]) -> int:
+        """How many cycles are filtered together."""
+        stretches = self.spec.schedule.stretches
+        if not self.closed and len(_parts(self.spec.schedule, (1,) * len(stretches), 0.0)) == 1:
+            return 1
+        decays = [d for m in models for c in m.channels for d in np.asarray(c.model.processes.decay) if d > 0.0]
+        longest = max((1.0 / d for d in decays), default=0.0)
+        fit = math.ceil(_BEFORE + _MEMORY * longest * self.start.count / stretches[0].duration)
+        return min(max(fit, WINDOW), _LONGEST_WINDOW)
 
-    def largest_ratio(self, cycle: PoseCycle) -> float:
-        """The logarithm of the largest residual over its target, over all scenarios."""
-        limited = tuple(q for q in self.quantities if q.requirement.target is not None)
-        return max(max(logs) for logs in self._logs(cycle, limited))
+    def course(self, count: int) -> "Course":
+        """The course of the plan where its first stretch has `count` cycles."""
+        if count not in self._courses:
+            stretches = self.spec.schedule.stretches
+            period = min(stretches[0].duration / count, *(s.duration for s in stretches)) - _LEFT / count
+            counts = tuple(max(1, int(s.duration / period)) for s in stretches)
+            self._courses[count] = Course(period, self._ramps(counts, period))
+        return self._courses[count]
 
-    def of_statistics(self, requirements: Sequence[UnitRequirement], values: Sequence[float | None]) -> float:
-        """The objective of a plan with these statistics of all `requirements`, in the units of `UNIT_OF`, by the first
-        scenario."""
-        names = {q.requirement.name for q in self.minimised}
-        logs = [_log(v, r) for r, v in zip(requirements, values, strict=True) if r.name in names]
+    def structure(self, cycle: RepeatedCycle, *, turnable: bool = True) -> Structure:
+        """The structure of a cycle."""
+        period = self.course(cycle.count).period
+        return structure_of(cycle.turns, self.slots, self.limits, period, closed=self.closed, turnable=turnable)
+
+    def _ramps(self, counts: Sequence[int], period: float) -> Ramp:
+        """All parts of the plan with one slope: see `Ramp`."""
+        model, lag = self.built.model, self.spec.sensor.lag or 0.0
+        mountings = len(self.spec.rig.table.mounting)
+        polynomials, ramps = model.shifts(np.zeros(1)) is not None, []
+        for part in _parts(self.spec.schedule, counts, period):
+            mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0] - part.slope * lag
+            step, number = part.slope * period, len(part.temperatures)
+            if not polynomials:
+                at = np.linspace(0, number - 1, _SAMPLES).round().astype(int)
+                every = math.sqrt(number / len(at)) * np.eye(model.size)[None]
+                before = self._window - 1
+                ramps += [Ramp(begins + step * (k - before), part.slope, mounting, 0.0, every) for k in at]
+                continue
+            # A stretch begins with cycles that nothing precedes; elsewhere a window's first cycles are those before.
+            begun = self._window - 1
+            first = part.first and number >= begun
+            later = part.temperatures[begun if first else 0 :] - part.temperatures[0] - (begun * step if first else 0.0)
+            shifts = model.shifts(later) if len(later) else None
+            matrices = np.zeros((1, model.size, model.size)) if shifts is None else further(shifts)
+            ramps.append(Ramp(begins - (0.0 if first else begun * step), part.slope, mounting, float(first), matrices))
+        most = self.built.points if polynomials else 1
+        ramps = [r._replace(further=np.pad(r.further, ((0, most - len(r.further)), (0, 0), (0, 0)))) for r in ramps]
+        return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
+
+    def statistics(self, spec: UnitSpec) -> list[float | None]:
+        """What a spec's plan leaves, in the order of its requirements and the units of `UNIT_OF`."""
+        return _statistics(self._known[0] + _gram_of(assemble_unit(spec)), self._fine)
+
+    def value_of(self, statistics: Sequence[float | None]) -> float:
+        """The objective of a plan that leaves these statistics, by the first model."""
+        logs = [_log(v, q) for v, q, own in zip(statistics, self._fine, self._counted, strict=True) if own]
         return (max if self.worst else fmean)(logs)
 
-    def _logs(self, cycle: PoseCycle, quantities: tuple[RequiredQuantity, ...]) -> list[list[float]]:
-        """The logarithm of the residual, over the target where there is one, in each scenario for each quantity."""
-        plan = self.plan(cycle)
-        if plan is None:
-            return [[math.inf] * len(quantities)]
-        of = [q.requirement for q in quantities]
-        return [
-            [_log(v, r) for v, r in zip(_statistics(known + gram, quantities), of, strict=True)]
-            for known, gram in zip(self.known, self._grams(plan), strict=True)
-        ]
+    def met(self, statistics: Sequence[float | None]) -> bool:
+        """Whether every target is met with `MARGIN`."""
+        limited = [(v, q) for v, q in zip(statistics, self._fine, strict=True) if q.requirement.target is not None]
+        return max(_log(v, q) for v, q in limited) <= math.log(1.0 - MARGIN)
 
-    def _grams(self, plan: UnitSchedule) -> list[np.ndarray]:
-        """The information of a plan's rows in each scenario; of a repeating cycle, from three of its cycles."""
-        (stretch, *_), turns = plan.stretches, np.zeros(len(plan.start))
-        for step in plan.steps:
-            if step.axis >= 0:
-                turns[step.axis] += step.move.angle / (2.0 * math.pi)
-        returns = np.all(abs(turns - np.round(turns)) < _SLACK)
-        few = self._of_three(plan) if self.repeats and returns and stretch.cycles >= _MANY else None
-        if few is not None:
-            return few
-        built = self.built._replace(motion=motion_of(plan, self.built.spec, self.built.model))
-        return [_gram_of(built._replace(model=model)) for model in self.models]
+    def on_steps(self, cycle: Cycle) -> Cycle:
+        """The cycle with its turns rounded to whole angle steps, without turns of none."""
+        step, turned, result = float(self.design.angle_step or 1.0), {}, []
+        for t in cycle:
+            if t.axis >= 0:
+                goal = turned.get(t.axis, (0.0, 0.0))[0] + t.angle
+                count = round((goal - turned.get(t.axis, (0.0, 0.0))[1]) / step)
+                turned[t.axis] = goal, turned.get(t.axis, (0.0, 0.0))[1] + count * step
+                t = t._replace(angle=count * step)
+            if t.angle or t.rest or t.axis < 0:
+                result.append(t)
+        return tuple(result)
 
-    def _of_three(self, plan: UnitSchedule) -> list[np.ndarray] | None:
-        """The same from three of its cycles; None where three do not determine all."""
-        (stretch,) = plan.stretches
-        (segment,) = (s for s in plan.segments if s.used)
-        shorter = 3.0 * plan.period + stretch.leftover
-        stretch = replace(stretch, start=0.0, duration=shorter, cycles=3)
-        warm = segment.temperature_start + segment.slope * shorter
-        segment = replace(segment, start=0.0, duration=shorter, temperature_end=warm)
-        few = replace(plan, segments=(segment,), stretches=(stretch,))
-        built = self.built._replace(motion=motion_of(few, self.built.spec, self.built.model))
-        nodes = built.body_nodes()
-        rows = int(np.searchsorted(segments_of(built.motion, built.model).row_segment, len(plan.steps)))
-        shifts = built.model.shifts(segment.slope * plan.period * np.arange(plan.stretches[0].cycles - 2))
-        assert shifts is not None
-        grams = []
-        for model in self.models:
-            steps, columns = unit_system(built.motion, model, nodes)
-            grams.append(repeated_gram(steps, columns, rows, shifts, built.points + 1))
-            if grams[-1] is None:
-                return None
-        return grams
+    def spec_of(self, cycle: RepeatedCycle) -> UnitSpec:
+        """The spec with a cycle's moves, in numbers that a controller takes."""
+        tables = self.spec.model_dump(mode="json", exclude_unset=True)
+        tables["plan"]["cycle"]["moves"] = self._moves(self._rounded(cycle))
+        return unit_spec_of(tables)
 
-    def plan(self, cycle: PoseCycle) -> UnitSchedule | None:
-        """The whole plan of a cycle; None where it does not fit."""
-        axes, steps = self.built.spec.rig.table.axis, []
-        for k, item in enumerate(cycle):
-            if item.steps:
-                angle = item.steps * float(self.design.angle_step)
-                steps.append(UnitStep(item.axis, quickest_turn(angle, axes[item.axis], math.radians(item.rate)), k))
-            if item.rest:
-                steps.append(rest_step(item.rest, k))
-        period = math.fsum(s.move.duration for s in steps)
-        stretches = []
-        for stretch in self.schedule.stretches:
-            cycles, left = repetitions(stretch.duration, period, period)
-            if not cycles:
-                return None
-            stretches.append(replace(stretch, cycles=cycles, leftover=left))
-        return replace(self.schedule, stretches=tuple(stretches), steps=tuple(steps))
+    def _rounded(self, cycle: RepeatedCycle) -> Cycle:
+        """Rounded turns, rates and rests that fit into the period and close as the cycle does."""
+        period, whole = self.course(cycle.count).period, self.structure(cycle).whole
+        axes, step = self.spec.rig.table.axis, _ANGLE if self.design.angle_step is None else 0.0
+        items, net = [], {}
+        for t in cycle.turns:
+            degrees, rate = math.degrees(t.angle), math.degrees(t.rate)
+            degrees = round(degrees / step) * step if step else degrees
+            if t.axis >= 0:
+                most = math.floor(math.degrees(float(self.limits.rates[t.axis])) / _RATE + _SLACK) * _RATE
+                rate = min(math.ceil(rate / _RATE - _SLACK) * _RATE, most)
+                net[t.axis] = net.get(t.axis, 0.0) + degrees
+            rest = max(round(t.rest / _REST) * _REST, self.limits.shortest) if t.rest > 0.0 else 0.0
+            items.append([t.axis, round(degrees, 6), round(rate, 6), round(rest, 6)])
+        for axis, total in net.items() if self.closed else ():
+            last = max(k for k, item in enumerate(items) if item[0] == axis)
+            items[last][1] = round(items[last][1] - total + math.degrees(float(whole[axis])), 6)
+        items = [item for item in items if item[1] or item[3]]
 
-    def moves_in_words(self, cycle: PoseCycle) -> list[dict[str, str]]:
-        """The cycle as a list of moves for a spec."""
-        axes, moves = self.built.spec.rig.table.axis, []
-        for item in cycle:
-            if item.steps:
-                angle = item.steps * math.degrees(float(self.design.angle_step))
-                moves.append(
-                    {"turn": f"{angle:g} deg", "axis": axes[item.axis].name, "peak_rate": f"{item.rate:g} deg/s"}
-                )
-            if item.rest:
-                moves.append({"rest": f"{item.rest:g} s"})
+        def left() -> float:
+            turns = (quickest_turn(math.radians(a), axes[l], math.radians(w)) for l, a, w, _ in items if l >= 0 and a)
+            return period - math.fsum([*(t.duration for t in turns), *(item[3] for item in items)])
+
+        # The longest rests give way to rounding, or take what it leaves.
+        rests = sorted((item for item in items if item[3]), key=lambda item: -item[3])
+        change = math.floor(left() / _REST)
+        for k in range(abs(change)) if rests else ():
+            item = rests[k % len(rests)]
+            item[3] = max(round(item[3] + math.copysign(_REST, change), 6), self.limits.shortest)
+        return tuple(Turn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
+
+    def _moves(self, cycle: Cycle) -> list[dict[str, str]]:
+        """A cycle as a list of moves for a spec."""
+        axes, moves = self.spec.rig.table.axis, []
+        for t in cycle:
+            if t.axis >= 0 and t.angle:
+                turn = {"turn": f"{math.degrees(t.angle):.10g} deg", "axis": axes[t.axis].name}
+                moves.append(turn | {"peak_rate": f"{math.degrees(t.rate):.6g} deg/s"})
+            if t.rest:
+                moves.append({"rest": f"{t.rest:.6g} s"})
         return moves
 
 
-def _log(value: float | None, requirement: UnitRequirement) -> float:
-    """The logarithm of a statistic in the unit of `UNIT_OF`, over the target where there is one."""
+class Course(NamedTuple):
+    """The `period` (s) of a number of cycles, and their ramps."""
+
+    period: float
+    ramps: Ramp
+
+
+class _Part(NamedTuple):
+    """Cycles on one slope (K/s): the `temperatures` (°C) at which they begin; whether the stretch begins with them."""
+
+    stretch: int
+    first: bool
+    slope: float
+    temperatures: np.ndarray
+
+
+def _parts(schedule: UnitSchedule, counts: Sequence[int], period: float) -> list[_Part]:
+    """The parts of a plan whose cycles differ in temperature alone; a cycle counts where it begins."""
+    parts = []
+    for number, stretch in enumerate(schedule.stretches):
+        times = stretch.start + period * np.arange(counts[number])
+        segments = [
+            s
+            for s in schedule.segments
+            if s.end > stretch.start + _SLACK and s.start < stretch.start + stretch.duration - _SLACK
+        ]
+        ends = np.array([s.end for s in segments])
+        where = np.minimum(np.searchsorted(ends, times + _SLACK, side="right"), len(segments) - 1)
+        for k in np.unique(where):
+            s, own = segments[k], times[where == k]
+            temperatures = s.temperature_start + s.slope * (own - s.start)
+            parts.append(_Part(number, bool(where[0] == k), float(s.slope), temperatures))
+    return parts
+
+
+def _cycle_of(spec: UnitSpec) -> Cycle:
+    """The spec's own cycle: a rest belongs to the turn before it, the first one to the last turn."""
+    turns: list[Turn] = []
+    begins = 0.0
+    for s in spec.schedule.steps:
+        for _ in range(s.move.repeat):
+            if s.axis >= 0:
+                turns.append(Turn(s.axis, s.move.angle, s.move.fastest, 0.0))
+            elif turns:
+                turns[-1] = turns[-1]._replace(rest=turns[-1].rest + s.move.duration)
+            else:
+                begins += s.move.duration
+    if begins and turns and max(x.cycles for x in spec.schedule.stretches) > 1:
+        turns[-1] = turns[-1]._replace(rest=turns[-1].rest + begins)
+    elif begins:
+        turns.insert(0, Turn(-1, 0.0, 0.0, begins))
+    return tuple(turns)
+
+
+def _limits(spec: UnitSpec, design: UnitDesign, start: Cycle) -> TableLimits:
+    axes, gyro, forces = spec.rig.table.axis, spec.sensor.gyro, spec.sensor.accelerometer
+    usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
+    slow = 0.0 if forces is None else float(forces.read_on_moves_below or 0.0) * (1.0 + _SLACK)
+    return TableLimits(
+        np.array([min(float(a.max_rate), usable) for a in axes]),
+        np.array([float(a.max_acceleration) for a in axes]),
+        np.array([a.reach for a in axes], dtype=float),
+        np.array(spec.schedule.start, dtype=float),
+        largest_turn(max(_LARGEST, *(abs(t.angle) for t in start)), highest_order(spec)),
+        float(design.shortest_rest),
+        max(float(design.longest_rest), *(t.rest for t in start)),
+        slow,
+    )
+
+
+def _statistics_of(quantity: RequiredQuantity) -> Statistics:
+    """A requirement's statistic over its target, for the objective."""
+    requirement = quantity.requirement
+    elements = tuple(
+        Element(
+            e.where,
+            np.asarray(e.rows),
+            e.alone,
+            np.asarray(0.0 if e.variance is None else e.variance) + quantity.beside**2,
+        )
+        for e in quantity.elements
+    )
+    shape = len(quantity.temperatures), len(quantity.rates)
     target = requirement.target
-    limit = 1.0 if target is None else float(target) * UNIT_OF[requirement.quantity][1]
+    factor = UNIT_OF[requirement.quantity][1] if target is None else 1.0 / float(target)
+    return Statistics(elements, shape, requirement.statistic, requirement.axis == "all", factor)
+
+
+def _log(value: float | None, quantity: RequiredQuantity) -> float:
+    """The logarithm of a statistic in the unit of `UNIT_OF`, over the target where there is one."""
+    target = quantity.requirement.target
+    limit = 1.0 if target is None else float(target) * UNIT_OF[quantity.requirement.quantity][1]
     return math.log(value / limit) if value else math.inf
+
+
+def _past(built: AssembledUnit, model: UnitModel) -> np.ndarray:
+    """The information of the motions before the plan."""
+    of = built._replace(model=model)
+    nothing = np.zeros((model.size, model.size))
+    return sum((_gram_of(of._replace(motion=motion)) for motion in built.past), nothing)
 
 
 def _gram_of(built: AssembledUnit) -> np.ndarray:
@@ -261,44 +504,3 @@ def _statistics(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> l
     seen = values > 1e-13 * values[-1]
     known = Posterior(vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None], vectors[:, ~seen] / scale[:, None])
     return [q.residual(known).statistic() for q in quantities]
-
-
-def _limits(spec: UnitSpec, design: UnitDesign) -> PoseLimits:
-    step, axes = float(design.angle_step), spec.rig.table.axis
-    per_turn = 2.0 * math.pi / step
-    if abs(per_turn - round(per_turn)) > 1e-6:
-        raise ValueError(
-            f"design.angle_step = {design.angle_step}: a turn must be a whole number of steps, such as 45 deg"
-        )
-    gyro = spec.sensor.gyro
-    usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
-    return PoseLimits(
-        round(per_turn),
-        tuple(math.floor(math.degrees(min(float(a.max_rate), usable)) * 10.0) / 10.0 for a in axes),
-        tuple((a.reach[0] / step - _SLACK, a.reach[1] / step + _SLACK) for a in axes),
-        float(design.shortest_rest),
-        float(design.longest_rest),
-        design.moves,
-    )
-
-
-def _items(spec: UnitSpec, design: UnitDesign) -> PoseCycle:
-    """The spec's own cycle, as the start of the search."""
-    step, items = float(design.angle_step), []
-    for s in spec.schedule.steps:
-        for _ in range(s.move.repeat):
-            if s.axis < 0:
-                rest = round(s.move.duration, 1)
-                if items and not items[-1].rest:
-                    items[-1] = items[-1]._replace(rest=rest)
-                else:
-                    items.append(CycleItem(0, 0, math.degrees(float(spec.rig.table.axis[0].max_rate)), rest))
-                continue
-            count = s.move.angle / step
-            if abs(count - round(count)) > 1e-6:
-                raise ValueError(
-                    f"the plan turns by {math.degrees(s.move.angle):.6g} deg, which is no whole number of "
-                    f"design.angle_step, {design.angle_step}: change one of them"
-                )
-            items.append(CycleItem(s.axis, round(count), round(math.degrees(s.move.fastest), 1), 0.0))
-    return tuple(items)

@@ -35,9 +35,9 @@ def optimise(
 ) -> int:
     """Minimise a plan's residual by gradient descent, within the limits of sensor, rig and time; write it as a recipe.
 
-    The spec's [design] says what to minimise and what is free. For a whole unit, poses, moves and rests are changed one
-    at a time, and the best cycle is written as a spec. Ctrl-C once finishes with the best plan so far; twice stops at
-    once. The exit status is 1 where the search did not converge.
+    The spec's [design] says what to minimise and what is free. For a whole unit, the poses, rates and rests of many
+    cycles descend, and the best cycle is written as a spec. Ctrl-C once finishes with the best plan so far; twice stops
+    at once. The exit status is 1 where the search did not converge.
 
     Parameters
     ----------
@@ -50,10 +50,10 @@ def optimise(
     plot
         Draw the residual before and after into this file (.png, .svg, .pdf).
     steps
-        Iterations of each start, by default 240; for a whole unit, plans that are tried in all, by default 4000: some
-        minutes.
+        Iterations of each start, by default 240; for a whole unit, evaluations of the gradient in all, by default EVALS:
+        some minutes.
     quick
-        Few starts, or plans: within some per cent of the best, in seconds.
+        Few starts, or evaluations: within some per cent of the best, in seconds.
     until_met
         Stop at the first plan that meets every target with a margin of 10 %; no search where the spec's own plan does.
     resume
@@ -72,7 +72,9 @@ def optimise(
     if isinstance(specification, UnitSpec):
         if resume:
             raise ValueError("a search of a whole unit is not kept: start anew, without --resume")
-        return _of_unit(specification, output, json=json, plot=plot, plans=steps, quick=quick, until_met=until_met)
+        return _of_unit(
+            specification, output, json=json, plot=plot, evaluations=steps, quick=quick, until_met=until_met
+        )
     from gradcal_jax import api
     from gradcal_jax.api import checkpoints
     from gradcal_jax.api import optimise as room
@@ -180,12 +182,19 @@ class _Interrupt:
 
 
 def _of_unit(
-    spec: "UnitSpec", output: Path, *, json: bool, plot: Path | None, plans: int | None, quick: bool, until_met: bool
+    spec: "UnitSpec",
+    output: Path,
+    *,
+    json: bool,
+    plot: Path | None,
+    evaluations: int | None,
+    quick: bool,
+    until_met: bool,
 ) -> int:
     """Search a unit's cycle and write the spec with the best one."""
     from gradcal_jax.files import write_toml
 
-    best, interrupted = search_unit(spec, plans=plans, quick=quick, until_met=until_met)
+    best, interrupted = search_unit(spec, evaluations=evaluations, quick=quick, until_met=until_met)
     write_toml(best.spec, output, header="Made by gradcal optimise, from the poses and moves of a unit's plan.")
     if json:
         print(as_json(record_of_unit(best) | {"spec": str(output)}))
@@ -213,36 +222,35 @@ def text_of_unit(best: "UnitOptimum") -> str:
 def gain_of_unit(best: "UnitOptimum") -> str:
     """The gain of a search of a whole unit, in a sentence."""
     if best.kept:
-        return f"nothing better than the plan as it was after {best.evaluations} plans: it is kept"
-    return f"{best.gain:.2f} times better in the geometric mean, after {best.evaluations} plans"
+        return f"nothing better than the plan as it was after {best.evaluations} evaluations: it is kept"
+    return f"{best.gain:.2f} times better in the geometric mean, after {best.evaluations} evaluations of the gradient"
 
 
 def search_unit(
-    spec: "UnitSpec", *, plans: int | None = None, quick: bool = False, until_met: bool = False
+    spec: "UnitSpec", *, evaluations: int | None = None, quick: bool = False, until_met: bool = False
 ) -> tuple["UnitOptimum", bool]:
     """The best cycle of a whole unit, with a line of progress; and whether Ctrl-C ended the search."""
     import time
 
-    from gradcal_jax.api.unit_optimise import EVALUATIONS, QUICK_EVALUATIONS, TOGETHER, UnitOptimum, optimise_unit
-    from gradcal_jax.jobs.pool import LocalPool, cores
+    from gradcal_jax.api.unit_optimise import EVALUATIONS, QUICK_EVALUATIONS, UnitOptimum, optimise_unit
 
     best: UnitOptimum | None = None
-    begun, first = time.monotonic(), None
-    tables = spec.model_dump_json(exclude_unset=True)
-    with LocalPool(min(TOGETHER, cores())) as pool, _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
+    begun = time.monotonic()
+    with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
+        line.show("compiling the objective and its gradient: 10 to 30 s")
         for event in optimise_unit(
             spec,
-            evaluations=plans or (QUICK_EVALUATIONS if quick else EVALUATIONS),
+            evaluations=evaluations or (QUICK_EVALUATIONS if quick else EVALUATIONS),
             until_met=until_met,
             stop=lambda: interrupt.asked,
-            values=lambda cycles: pool.answers("cycle", ((tables, cycle) for cycle in cycles)),
         ):
             if isinstance(event, UnitOptimum):
                 best = event
                 continue
-            first = event.current if first is None else first
             left = (time.monotonic() - begun) * (1.0 / event.share - 1.0)
-            gain = math.exp(first - event.value)
-            line.show(f"{event.share:4.0%}  {gain:.2f} times better  ({len(event.best)} moves, {left:.0f} s left)")
+            gain = math.exp(event.first - event.value)
+            line.show(
+                f"{event.share:4.0%}  {gain:.2f} times better  ({len(event.best.turns)} turns, {left:.0f} s left)"
+            )
     assert best is not None
     return best, interrupt.asked

@@ -25,6 +25,8 @@ def use_float64() -> None:
     # JAX factors and solves by SciPy's OpenBLAS, which starts threads even for a few columns: with some tens of
     # columns they wait for one another ten times as long as one thread takes. OpenBLAS reads this when it is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Likewise XLA's threads, which share out kernels of microseconds: a search has a thread for each core of its own.
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
     _keep_memory()
     import jax
 

@@ -113,8 +113,8 @@ class UnitDesign(Section):
 
     minimise: Text = ALL
     """"all requirements" (geometric mean of residual over target), "worst ratio", or a requirement's name."""
-    angle_step: PositiveAngle = Quantity.read("45 deg", "angle")
-    """Turns are whole numbers of it."""
+    angle_step: PositiveAngle | None = None
+    """Turns are whole numbers of it; absent: any angle."""
     shortest_rest: Time = Quantity(2.0, "2 s", "time")
     """Shortest rest."""
     longest_rest: Time = Quantity(120.0, "2 min", "time")
@@ -124,4 +124,4 @@ class UnitDesign(Section):
     robust: Literal["mean", "worst"] = "mean"
     """Whether the mean or the worst over the ranges of `uncertain` noise figures counts."""
     seed: Whole = 0
-    """Seed of the annealing."""
+    """Seed of the search."""

@@ -22,6 +22,7 @@ an axis that stands, the attitude error is the mean of both.
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -91,9 +92,11 @@ def unit_information(motions: Sequence[tuple[TableMotion, BodyNodes]], model: Un
     return square_root(np.concatenate([*rows, model.prior_rows()]))
 
 
-def unit_system(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> tuple[NoiseSteps, Float[AnyArray, "R p"]]:
-    """Noise steps and regressors of all rows."""
-    at = segments_of(motion, model)
+def unit_system(
+    motion: TableMotion, model: UnitModel, nodes: BodyNodes, at: Segments | None = None
+) -> tuple[NoiseSteps, Float[AnyArray, "R p"]]:
+    """Noise steps and regressors of all rows. `at`: the segments, where the axes or the used rows are traced."""
+    at = segments_of(motion, model) if at is None else at
     steps, row = _joint_steps(motion, model, nodes, at)
     columns = _columns(model, nodes, at)
     xp = namespace(columns)
@@ -188,8 +191,8 @@ def _joint_steps(
     step_of_segment = at.first if by_pieces else np.arange(len(at.first))
     for k in range(axes):
         now, before = channels + m + k, channels + m + axes + k
-        moves, reads = np.zeros((2, count))
-        moves[step_of_segment] = at.axis == k
+        moves = put(xp.zeros(count), step_of_segment, xp.where(at.axis == k, 1.0, 0.0))
+        reads = np.zeros(count)
         reads[step_of_segment] = 1.0
         fresh = moves if held else reads
         transition += [
@@ -239,14 +242,20 @@ def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:
 
 def _standstills(encoder, k: int, moves: np.ndarray, start, duration):
     """Variance of the encoder error that each move of axis k draws, `(S,)`, and of the first one."""
-    xp = namespace(encoder, start, duration)
-    at = np.flatnonzero(moves)
+    xp = namespace(encoder, start, duration, moves)
     end = start[-1:] + duration[-1:]
-    begins = xp.concatenate([start[:1], start[at] + duration[at]])
-    stops = xp.concatenate([start[at], end])
+    # A standstill lasts until the axis moves again: of every segment, the begin of the next one that moves it.
+    marked = xp.concatenate([xp.where(moves, start, end), end])
+    later = xp.flip(_running_least(xp.flip(marked)))
+    begins, stops = xp.concatenate([start[:1], start + duration]), later
     readings = xp.floor((stops - begins) / encoder.every[k] * (1.0 + 1e-9) + 1e-9) + 1.0
     variance = encoder.offset[k] ** 2 + encoder.reading[k] ** 2 / readings
-    return put(xp.zeros(len(moves)), at, variance[1:]), variance[0]
+    return xp.where(moves, variance[1:], 0.0), variance[0]
+
+
+def _running_least(values: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
+    """The least value up to and including each one."""
+    return np.minimum.accumulate(values) if namespace(values) is np else jax.lax.cummin(values)
 
 
 def encoder_rows(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> Float[AnyArray, "R 2 L"]:
@@ -278,7 +287,9 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Un
 
     slow = at.sums(nodes.integrals(of_group, (2, axes, 6))[nodes.kind])
     if model.encoder.held:
-        along = xp.where((at.axis[:, None] == np.arange(axes))[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0)
+        along = xp.where(
+            (at.axis[:, None] == np.arange(axes)[None, :])[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0
+        )
     else:
         directed = at.sums(nodes.integrals(lambda g: g.integral(g.axes), (axes, 3))[nodes.kind])
         along = directed / at.sums(motion.line.duration)[:, None, None]

@@ -1,19 +1,16 @@
-"""The tasks of a worker: predictions and optimisations of a sweep's points, recipes, values of a unit's cycles.
+"""The tasks of a worker: predictions and optimisations of a sweep's points, and recipes.
 
 Predictions are those of `gradcal_jax.api.predict` without the parameters' covariance, warnings and error budget. NumPy
 computes each point by itself, without compilation.
 """
 
-import functools
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.design.pose_search import PoseCycle
 from gradcal_jax.files import Spec, changed, spec_of, to_toml
 from gradcal_jax.files.changes import any_spec_of
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.jobs.results import PointResult, Residual, one_line
 
 _HEADER = "Made by gradcal recipes; `gradcal show` prints it as a table."
@@ -102,17 +99,5 @@ def least_possible(spec: Spec) -> float | None:
         return None
 
 
-def cycle_value(spec: str, cycle: PoseCycle) -> float:
-    """The objective of the search over a unit's poses for one cycle; `spec` is the unit's spec as JSON."""
-    return _cycle_value(spec)(cycle)
-
-
-@functools.lru_cache(maxsize=1)
-def _cycle_value(spec: str) -> Callable[[PoseCycle], float]:
-    from gradcal_jax.api.unit_optimise import CycleValue
-
-    return CycleValue(unit_spec_of(json.loads(spec)))
-
-
-TASKS: Final = {"predict": predict_points, "optimise": optimise_points, "recommend": recommend, "cycle": cycle_value}
+TASKS: Final = {"predict": predict_points, "optimise": optimise_points, "recommend": recommend}
 """The tasks of a worker, by name."""

@@ -98,7 +98,7 @@ class AxisHarmonics(InstallationTerm):
 
         inserted = nodes.integrals(of_group, (6, self.size))
         change = waves(nodes.angle_after[:, k], self.orders) - waves(nodes.angle_before[:, k], self.orders)
-        along = np.where(nodes.axis == k, 1.0, 0.0)[:, None] * nodes.axes_before[:, k]
+        along = xp.where(nodes.axis == k, 1.0, 0.0)[:, None] * nodes.axes_before[:, k]
         return inserted + xp.concatenate([along, xp.zeros(along.shape)], axis=1)[:, :, None] * change[:, None, :]
 
 

@@ -53,7 +53,7 @@ class TableMotion(PytreeModule):
     @property
     def turns(self) -> np.ndarray:
         """`(P, L)`: which axis every piece turns."""
-        return self.axis[:, None] == np.arange(self.geometry.axis_count)
+        return self.axis[:, None] == np.arange(self.geometry.axis_count)[None, :]
 
 
 def table_motion(
@@ -180,7 +180,7 @@ def _posed(motion: TableMotion, kinds: np.ndarray, before, v):
     since, rate = motion.line.angle(v, example), motion.line.rate(v, example)
     angle = before[example][:, None, :] + xp.where(own, since[..., None], 0.0)
     joint = xp.where(own, rate[..., None], 0.0)
-    return angle, joint, np.broadcast_to(motion.mounting[example][:, None], v.shape)
+    return angle, joint, xp.broadcast_to(motion.mounting[example][:, None], v.shape)
 
 
 def body_nodes(motion: TableMotion, points: int) -> BodyNodes:

@@ -2,29 +2,47 @@
 
 import json
 import math
-import time
+from functools import lru_cache
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import gradcal_jax as gj
 from gradcal_jax import files
-from gradcal_jax.api.unit_optimise import TOGETHER, CycleValue, UnitOptimum, _items, _limits, optimise_unit
+from gradcal_jax.api.posterior_of_plan import UNIT_OF
+from gradcal_jax.api.unit_optimise import CyclePlan, CycleSearch, RepeatedCycle, UnitOptimum, optimise_unit
 from gradcal_jax.cli import main
-from gradcal_jax.design.pose_search import PoseState, closed, feasible, neighbour
-from gradcal_jax.files.design import UnitDesign
+from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.units import format_quantity, unit_of
+
+EXPERIMENTS = Path(__file__).parents[2] / "experiments" / "imu"
+# The objective's value alone is compiled in a third of the time without XLA's optimisations.
+QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 
 
 def small(**changes) -> gj.UnitSpec:
-    return gj.changed(gj.parse_unit_spec(gj.presets.text("accelerometer-six-positions")), changes)
+    return gj.changed(gj.parse_unit_spec(gj.presets.text("accelerometer-six-positions-toured")), changes)
+
+
+def left_by(plan: CyclePlan, cycle: RepeatedCycle) -> tuple[np.ndarray, RepeatedCycle]:
+    """What the minimised requirements leave by the search's objective, `(s, m)` in the units of reports for each model
+    of the noise, and the cycle as its coordinates hold it."""
+    of = plan.structure(cycle)
+    z = plan.coordinates.encode(cycle.turns, of)
+    args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.count).ramps, np.inf)
+    logs = jax.jit(plan.objective.logs, compiler_options=QUICKLY)(z, *args)
+    rows = [r for r in plan.spec.requirement if plan.worst or plan.design.minimise in ("all requirements", r.name)]
+    limits = [1.0 if r.target is None else float(r.target) * UNIT_OF[r.quantity][1] for r in rows]
+    return np.exp(np.asarray(logs)) * limits, cycle._replace(turns=plan.coordinates.cycle(z, of))
 
 
 @pytest.fixture(scope="module")
-def searched() -> tuple[gj.UnitSpec, list[PoseState], UnitOptimum]:
+def searched() -> tuple[gj.UnitSpec, list[CycleSearch], UnitOptimum]:
     spec = small()
-    *states, best = optimise_unit(spec, evaluations=60, seed=0)
+    *states, best = optimise_unit(spec, evaluations=300, seed=0)
     return spec, states, best
 
 
@@ -38,7 +56,118 @@ def test_the_optimum_is_what_its_plan_leaves(searched):
         assert row[3] == pytest.approx(new.decisive, rel=1e-8)
     gain = math.exp(sum(math.log(row[2] / row[3]) for row in best.rows) / len(best.rows))
     assert best.gain == pytest.approx(gain, rel=1e-9)
-    assert best.gain > 1.02
+    assert best.gain > 1.05
+
+
+@lru_cache
+def turning() -> str:
+    """A gyro and its accelerometers on a ramp, small enough to compile quickly."""
+    spec = gj.read_unit_spec(EXPERIMENTS / "hand2.toml")
+    line = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"}
+    turns = [("spin", 720), ("spin", -720), ("tilt", 50), ("spin", 40), ("tilt", 450), ("tilt", -380), ("spin", 55)]
+    turns += [("tilt", -135), ("spin", 130), ("tilt", 180), ("spin", 135), ("tilt", -165)]
+    moves = [
+        m for axis, t in turns for m in ({"turn": f"{t} deg", "axis": axis, "peak_rate": "200 deg/s"}, {"rest": "17 s"})
+    ]
+    return files.to_toml(
+        gj.changed(
+            spec,
+            {
+                "sensor.gyro.axes": ["x", "z"],
+                "sensor.gyro.bias.temperature": line,
+                "sensor.gyro.scale_factor.temperature": line,
+                "sensor.gyro.scale_factor.rate": {"basis": "polynomial", "degree": 1, "scale": "300 deg/s"},
+                "sensor.accelerometer.bias.temperature": line,
+                "sensor.accelerometer.scale_factor.temperature": line,
+                "plan.cycle.moves": moves,
+                "requirement": [
+                    r.model_dump(mode="json", exclude_unset=True)
+                    for r in spec.requirement
+                    if r.name in ("gyro scale factor", "gyro bias", "accelerometer scale factor")
+                ],
+            },
+        )
+    )
+
+
+PLANS = {
+    "one ramp": ({}, 4e-3),
+    "both ways": (
+        {
+            "plan.temperature": None,
+            "plan.gradient": None,
+            "plan.programme": [
+                {"soak": "30 min", "at": "-30 degC", "used": True},
+                {"ramp_to": "70 degC", "rate": "2 K/min"},
+                {"ramp_to": "-30 degC", "rate": "1 K/min"},
+            ],
+        },
+        0.03,
+    ),
+    "bins": (
+        {
+            "sensor.accelerometer.bias.temperature": {
+                "basis": "bins",
+                "edges": ["-30 degC", "0 degC", "30 degC", "70 degC"],
+            }
+        },
+        0.1,
+    ),
+    "a lag": ({"sensor.thermal_lag": "2 min"}, 0.01),
+    "slow moves": ({"sensor.accelerometer.read_on_moves_below": "250 deg/s"}, 3e-3),
+    "limited travel": ({"rig.table.axis[0].travel": "400 deg"}, 2e-3),
+}
+
+
+def test_the_objective_is_that_of_the_whole_plan():
+    """Though it filters two cycles of each slope; of the cycle of its coordinates, as `predict` says."""
+    check_objective("one ramp")
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", [name for name in PLANS if name != "one ramp"])
+def test_the_objective_is_that_of_the_whole_plan_whatever_its_course(name):
+    check_objective(name)
+
+
+def check_objective(name: str) -> None:
+    changes, within = PLANS[name]
+    spec = gj.changed(gj.parse_unit_spec(turning()), changes)
+    plan = CyclePlan(spec)
+    (left,), cycle = left_by(plan, plan.start)
+    found = plan.spec_of(cycle)
+    assert found.schedule.stretches[0].cycles == plan.start.count
+    assert left == pytest.approx([r.decisive for r in gj.predict(found).requirements], rel=within)
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("preset", [p for p in gj.presets.unit_names() if p != "gimbal-by-hand"])
+def test_the_objective_is_that_of_every_preset(preset):
+    plan = CyclePlan(gj.parse_unit_spec(gj.presets.text(preset)))
+    (left,), cycle = left_by(plan, plan.start)
+    assert left == pytest.approx([r.decisive for r in gj.predict(plan.spec_of(cycle)).requirements], rel=0.03)
+
+
+def test_its_derivative_is_that_of_differences_in_every_coordinate():
+    """Poses, rates and rests, near bounds too; central differences of two sizes, of which the smaller is nearer."""
+    plan = CyclePlan(gj.parse_unit_spec(turning()))
+    of = jax.tree.map(jnp.asarray, plan.structure(plan.start))
+    z = plan.coordinates.encode(plan.start.turns, plan.structure(plan.start))
+    z[1, 0] = 0.4
+    args = (of, plan.course(plan.start.count).ramps, 30.0)
+    of_z = lambda z: plan.objective.value(z, *args)  # noqa: E731
+    slope = np.asarray(jax.jit(jax.grad(of_z), compiler_options=QUICKLY)(z))
+    value = jax.jit(of_z, compiler_options=QUICKLY)
+    scale = np.max(np.abs(slope))
+    for k in range(z.size):
+        errors = []
+        for step in (1e-3, 1e-5):
+            there = np.zeros(z.size)
+            there[k] = step
+            there = there.reshape(z.shape)
+            errors.append(abs((float(value(z + there)) - float(value(z - there))) / (2.0 * step) - slope.flat[k]))
+        assert errors[1] < 1e-7 * scale + 1e-8, (np.unravel_index(k, z.shape), errors, slope.flat[k])
+    assert np.count_nonzero(slope) > 20
 
 
 UNCERTAIN = {
@@ -64,29 +193,22 @@ def test_uncertain_noise_of_a_unit_makes_a_range_that_holds_every_draw():
             assert low * (1 - 1e-9) <= row.judged <= high * (1 + 1e-9)
 
 
-def test_the_result_is_never_worse_than_the_plan_as_it_was():
-    """The search begins with rests of tenths of a second, of which no second cycle fits into the time."""
-    moves = gj.tables_of(small())["plan"]["cycle"]["moves"]
-    shorter = [move | ({"rest": "5.96 s"} if "rest" in move else {}) for move in moves]
-    once = small(**{"plan.cycle.moves": shorter})
-    spec = gj.changed(once, {"plan.programme[0].soak": f"{2.0 * once.schedule.period!r} s"})
-    assert spec.schedule.stretches[0].cycles == 2
-    *states, best = optimise_unit(spec, evaluations=2, seed=0)
-    assert states[0].value > CycleValue(spec).of_statistics(spec.requirement, [row[2] for row in best.rows])
-    assert best.kept
-    assert best.spec == spec
-    assert [row[2] for row in best.rows] == [row[3] for row in best.rows]
-
-
 @pytest.mark.parametrize("robust", ["mean", "worst"])
 def test_the_value_of_a_cycle_is_the_mean_or_the_worst_over_what_noise_may_be(robust):
-    spec = small(**UNCERTAIN, **{"design.robust": robust, "design.minimise": "worst ratio"})
-    value = CycleValue(spec)
-    cases = [CycleValue(small(**{"design.minimise": "worst ratio"} | texts)) for texts in cases_of(robust)]
-    cycle = _items(spec, value.design)
-    each = [case(cycle) for case in cases]
-    assert max(each) - min(each) > 0.1
-    assert value(cycle) == pytest.approx(max(each) if robust == "worst" else np.mean(each), rel=1e-12)
+    plan = CyclePlan(small(**UNCERTAIN, **{"design.robust": robust, "design.minimise": "worst ratio"}))
+    left, cycle = left_by(plan, plan.start)
+    found = gj.tables_of(plan.spec_of(cycle))["plan"]
+    for row, texts in zip(left, cases_of(robust), strict=True):
+        assert row == pytest.approx([r.decisive for r in gj.predict(small(plan=found, **texts)).requirements], rel=0.02)
+    of = jax.tree.map(jnp.asarray, plan.structure(plan.start))
+    z, ramps = (
+        plan.coordinates.encode(plan.start.turns, plan.structure(plan.start)),
+        plan.course(plan.start.count).ramps,
+    )
+    worst = np.max(np.log(left / [float(r.target) * UNIT_OF[r.quantity][1] for r in plan.spec.requirement]), axis=1)
+    assert np.ptp(worst) > 0.1
+    value = float(jax.jit(plan.objective.value, compiler_options=QUICKLY)(z, of, ramps, np.inf))
+    assert value == pytest.approx(max(worst) if robust == "worst" else np.mean(worst), rel=1e-9)
 
 
 def cases_of(robust: str) -> list[dict[str, str]]:
@@ -105,37 +227,25 @@ def cases_of(robust: str) -> list[dict[str, str]]:
     return [{}, *({walk: w} for w in walks), *({std: s} for s in stds), {time: "20 s"}, {time: "1 h"}]
 
 
-def test_a_cycle_that_repeats_is_valued_by_three_of_its_cycles():
-    """As by all of them, to far less than a step of the search; one that does not return has no such value."""
-    spec, rng = gj.read_unit_spec("experiments/imu/hand2.toml"), np.random.default_rng(5)
-    few, all_ = CycleValue(spec), CycleValue(spec)
-    assert few.repeats
-    all_.repeats = False
-    limits, cycle = _limits(spec, few.design), _items(spec, few.design)
-    assert few(cycle) == all_(cycle)
-    cycle = closed(cycle, limits)
-    for _ in range(4):
-        assert few(cycle) == pytest.approx(all_(cycle), abs=2e-5)
-        assert few(cycle) != all_(cycle)
-        for _ in range(3):
-            cycle = neighbour(cycle, limits, rng)
+def test_the_result_is_never_worse_than_the_plan_as_it_was(searched):
+    """A search from an optimum that may do nothing finds nothing, and says so."""
+    _, _, best = searched
+    *_, again = optimise_unit(best.spec, evaluations=20, seed=0, stop=lambda: True)
+    if again.kept:
+        assert again.spec == best.spec
+        assert [row[2] for row in again.rows] == [row[3] for row in again.rows]
+        assert again.gain == 1.0
+    else:
+        assert again.gain > 1.0
 
 
-@pytest.mark.parametrize(
-    ("changes", "repeats"),
-    [
-        ({"sensor.gyro.drift": [{"standard_deviation": "1 deg/h", "correlation_time": "1 h"}]}, True),
-        ({"sensor.gyro.scale_factor_instability": [{"standard_deviation": "9 ppm", "correlation_time": "1 h"}]}, False),
-        ({"sensor.thermal_lag": "2 min"}, False),
-    ],
-    ids=["drift longer than a cycle", "instability", "lag"],
-)
-def test_a_cycle_that_does_not_stand_for_all_is_valued_by_all(changes, repeats):
-    spec = gj.changed(gj.read_unit_spec("experiments/imu/optimised.toml"), changes)
-    few, all_ = CycleValue(spec), CycleValue(spec)
-    assert few.repeats == repeats
-    all_.repeats = False
-    assert few(_items(spec, few.design)) == all_(_items(spec, few.design))
+def test_a_plan_that_meets_its_targets_is_not_searched(searched):
+    _, _, best = searched
+    rows = [r.model_dump(mode="json", exclude_unset=True) for r in best.spec.requirement]
+    wide = [row | {"target": f"{3.0 * now} {unit}"} for row, (_, unit, _, now) in zip(rows, best.rows, strict=True)]
+    (only,) = optimise_unit(gj.changed(best.spec, {"requirement": wide}), until_met=True)
+    assert only.kept
+    assert only.evaluations == 0
 
 
 def test_a_table_turned_by_hand_is_refused_before_anything_is_computed():
@@ -145,71 +255,72 @@ def test_a_table_turned_by_hand_is_refused_before_anything_is_computed():
 
 
 def test_a_search_can_be_stopped_and_keeps_the_best(searched):
-    spec, states, _ = searched
-    *some, best = optimise_unit(spec, evaluations=60, seed=0, stop=iter([False] * 4 + [True] * 60).__next__)
-    assert len(some) == 5
-    assert some[-1] == states[4]._replace(share=some[-1].share)
-    assert best.evaluations == 5 * TOGETHER
+    spec, _, _ = searched
+    asked = iter([False] * 3 + [True] * 60)
+    *some, best = optimise_unit(spec, evaluations=300, seed=0, stop=asked.__next__)
+    assert best.evaluations < 200
+    assert best.gain >= 1.0
+    assert some[-1].value <= some[0].value
 
 
 def test_until_met_stops_where_every_target_is_met_with_margin(searched):
     spec, states, best = searched
-    reached = {name: now for name, _, _, now in best.rows}
     rows = [r.model_dump(mode="json", exclude_unset=True) for r in spec.requirement]
-    units = {name: unit for name, unit, _, _ in best.rows}
-    easy = [row | {"target": f"{1.6 * reached[row['name']]} {units[row['name']]}"} for row in rows]
-    *some, found = optimise_unit(gj.changed(spec, {"requirement": easy}), evaluations=60, seed=0, until_met=True)
-    assert len(some) < len(states)
-    for name, _, _, now in found.rows:
-        assert now <= 0.91 * 1.6 * reached[name]
-    hard = [row | {"target": f"{0.5 * reached[row['name']]} {units[row['name']]}"} for row in rows]
-    *some, _ = optimise_unit(gj.changed(spec, {"requirement": hard}), evaluations=4, seed=0, until_met=True)
-    assert len(some) == 4 // TOGETHER
+    # Halfway to the optimum, of which each target leaves its margin of 10 %.
+    easy = [
+        row | {"target": f"{math.sqrt(now * before) / 0.89} {unit}"}
+        for row, (_, unit, before, now) in zip(rows, best.rows, strict=True)
+    ]
+    *some, found = optimise_unit(gj.changed(spec, {"requirement": easy}), evaluations=300, seed=0, until_met=True)
+    assert 1 <= len(some) < len(states)
+    for (_, _, _, now), (_, _, before, least) in zip(found.rows, best.rows, strict=True):
+        assert now <= 0.91 * math.sqrt(least * before) / 0.89
     without = [{k: v for k, v in row.items() if k != "target"} for row in rows]
     with pytest.raises(ValueError, match="give a requirement a target"):
         next(optimise_unit(gj.changed(spec, {"requirement": without}), until_met=True))
 
 
-def test_the_command_writes_a_spec_that_is_read_again(tmp_path, capsys):
+def test_the_command_writes_a_spec_that_is_read_again(tmp_path, capsys, searched):
     source, goal = tmp_path / "unit.toml", tmp_path / "better.toml"
     gj.write_toml(small(), source)
-    assert main(["optimise", str(source), "-o", str(goal), "--steps", "20", "--json"]) == 0
+    assert main(["optimise", str(source), "-o", str(goal), "--steps", "300", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["evaluations"] == 20
     assert [row["name"] for row in told["requirements"]] == [r.name for r in small().requirement]
-    # Two processes find what one does.
-    *_, alone = optimise_unit(small(), evaluations=20)
-    assert alone.spec.plan == gj.read_unit_spec(goal).plan
+    # The same numbers for the same seed.
+    assert searched[2].spec.plan == gj.read_unit_spec(goal).plan
     now = gj.predict(gj.read_unit_spec(goal)).requirements
     assert [row["now"] for row in told["requirements"]] == pytest.approx([r.decisive for r in now], rel=1e-8)
     assert main(["check", str(goal)]) == 0
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"design.angle_step": "50 deg"}, "whole number of steps"),
-        ({"design.angle_step": "120 deg"}, "no whole number of design.angle_step"),
-        ({"requirement": []}, "to minimise: add one"),
-        ({"design.minimise": "the bias"}, "or a requirement's name"),
-    ],
-)
-def test_what_cannot_be_searched_is_said(changes, words):
-    with pytest.raises(ValueError, match=words):
-        next(optimise_unit(small(**changes)))
+def test_turns_of_whole_angle_steps(searched):
+    spec, _, _ = searched
+    stepped = gj.changed(spec, {"design.angle_step": "15 deg"})
+    *_, best = optimise_unit(stepped, evaluations=200, seed=0)
+    turned = [math.degrees(s.move.angle) / 15.0 for s in best.spec.schedule.steps if s.axis >= 0]
+    assert turned == pytest.approx(np.round(turned), abs=1e-9)
+    assert best.gain > 1.0
+
+
+def test_requirements_are_needed():
+    with pytest.raises(ValueError, match="to minimise: add one"):
+        next(optimise_unit(small(requirement=[])))
+    with pytest.raises(ValueError, match="or a requirement's name"):
+        small(**{"design.minimise": "the bias"})
 
 
 def test_a_gyro_beyond_its_full_scale_is_said_and_not_searched():
-    spec = gj.read_unit_spec("experiments/imu/hand.toml")
+    spec = gj.read_unit_spec(EXPERIMENTS / "hand.toml")
     narrow = gj.changed(spec, {"sensor.gyro.full_scale": "250 deg/s", "sensor.gyro.full_scale_margin": "10 %"})
     said = [s for s in gj.check(narrow) if "full scale" in s]
     assert [s.split()[1] for s in said] == ["x", "y", "z"]
     assert all("300 deg/s" in s and "225 deg/s" in s for s in said)
     assert not [s for s in gj.check(spec) if "full scale" in s]
-    first = next(optimise_unit(narrow, evaluations=1, seed=0))
-    limits = _limits(narrow, UnitDesign())
-    assert limits.rates == (225.0, 225.0)
-    assert max(item.rate for item in first.best) <= 225.0
+    plan = CyclePlan(narrow)
+    assert np.degrees(plan.limits.rates) == pytest.approx([225.0, 225.0])
+    of = plan.structure(plan.start)
+    begins = plan.coordinates.cycle(plan.coordinates.encode(plan.start.turns, of), of)
+    assert max(t.rate for t in begins) <= math.radians(225.0)
 
 
 def test_nor_are_turns_by_hand_of_a_single_axis_searched():
@@ -222,28 +333,21 @@ def test_nor_are_turns_by_hand_of_a_single_axis_searched():
 
 
 @pytest.mark.evidence
-def test_three_searches_from_random_cycles_end_alike(tmp_path, capsys):
-    """The two-axis headline by the command as it is, from cycles that are nothing but chance: within 5 % of one another
-    and of the plan that is kept, which is 1.45 times better than the one by hand."""
-    imu = Path(__file__).parents[2] / "experiments" / "imu"
-    by_hand, gains = gj.read_unit_spec(imu / "hand2.toml"), []
-    value = CycleValue(by_hand)
-    limits, before = _limits(by_hand, value.design), [row.decisive for row in gj.predict(by_hand).requirements]
+def test_searches_from_random_cycles_end_alike(tmp_path, capsys):
+    """The two-axis headline by the command as it is, from cycles that are nothing but chance: within 2 % of one another
+    and of the plan that is kept, which is 1.6 times better than the one by hand."""
+    by_hand, gains = gj.read_unit_spec(EXPERIMENTS / "hand2.toml"), []
+    plan, before = CyclePlan(by_hand), [row.decisive for row in gj.predict(by_hand).requirements]
     for seed in range(3):
-        rng, cycle = np.random.default_rng(seed), _items(by_hand, value.design)
-        for _ in range(200):
-            other = neighbour(cycle, limits, rng)
-            cycle = other if feasible(other, limits) and value.plan(other) is not None else cycle
+        drawn = Neighbourhood(plan.limits, 40).random(30, np.random.default_rng(seed))
         begins = tmp_path / f"random{seed}.toml"
-        files.write_toml(gj.changed(by_hand, {"plan.cycle.moves": value.moves_in_words(cycle)}), begins)
-        began = time.monotonic()
+        files.write_toml(plan.spec_of(plan.start._replace(turns=drawn)), begins)
         assert main(["optimise", str(begins), "-o", str(tmp_path / f"found{seed}.toml"), "--json"]) == 0
-        took_s = time.monotonic() - began
         now = [row["now"] for row in json.loads(capsys.readouterr().out)["requirements"]]
         gains.append(math.exp(np.mean(np.log(np.array(before) / np.array(now)))))
         with capsys.disabled():
-            print(f"from a random cycle: {gains[-1]:.3f} times better than by hand, {took_s:.0f} s")
-    kept = [row.decisive for row in gj.predict(gj.read_unit_spec(imu / "optimised.toml")).requirements]
+            print(f"from a random cycle: {gains[-1]:.3f} times better than by hand")
+    kept = [row.decisive for row in gj.predict(gj.read_unit_spec(EXPERIMENTS / "optimised.toml")).requirements]
     gains.append(math.exp(np.mean(np.log(np.array(before) / np.array(kept)))))
-    assert gains[-1] > 1.45
-    assert max(gains) / min(gains) < 1.05
+    assert gains[-1] > 1.6
+    assert max(gains) / min(gains) < 1.02

@@ -1,0 +1,86 @@
+"""Quasi-Newton descent (BFGS of optimistix) as one compiled program, advanced a few evaluations at a time so that it
+can be watched and interrupted."""
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+from jaxtyping import Float
+
+# XLA's optimisations take half of the compile time, its fusion emitters (an option that JAX 0.11 refuses) a third; a
+# search gains little from either.
+COMPILER = {"xla_backend_optimization_level": 1} | (
+    {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
+)
+# A line search that has come down to this share of a step ends the descent.
+_SMALLEST_STEP = 1e-6
+_TOLERANCE = 1e-6
+
+
+class Reached(NamedTuple):
+    """A point of a descent, its value, the evaluations made so far, and whether the descent has ended by itself."""
+
+    point: np.ndarray
+    value: float
+    evaluations: int
+    ended: bool
+
+
+class Descent:
+    """Descents of `function(y, args)`, `y` `(n,)`, compiled once for all points and arguments of equal shapes.
+
+    A value that is not finite counts as a step too far. `tolerance`: relative and absolute, of point and value.
+    """
+
+    def __init__(self, function: Callable[[Any, Any], Any], tolerance: float = _TOLERANCE) -> None:
+        self._solver: Any = optimistix.BFGS(rtol=tolerance, atol=tolerance)
+        self._function = lambda y, args: (function(y, args), None)
+        options = COMPILER if jax.default_backend() == "cpu" else {}
+        self._advance = jax.jit(self._advanced, static_argnums=0, compiler_options=options)
+        self._static: Any = None
+
+    def _advanced(self, static: "_Static", y, args, dynamic, count):
+        def going(carry):
+            k, _, dynamic = carry
+            state = eqx.combine(dynamic, static.state)
+            return (k < count) & ~state.terminate & (state.search_state.step_size > _SMALLEST_STEP)
+
+        def step(carry):
+            k, y, dynamic = carry
+            state = eqx.combine(dynamic, static.state)
+            y, state, _ = self._solver.step(self._function, y, args, {}, state, frozenset())
+            return k + 1, y, eqx.filter(state, eqx.is_array)
+
+        return jax.lax.while_loop(going, step, (0, y, dynamic))
+
+    def __call__(
+        self, point: Float[np.ndarray, " n"], args: Any, *, evaluations: int, together: int = 20
+    ) -> Iterator[Reached]:
+        """Descend from a point; yields after every `together` evaluations, at most until `evaluations` are made."""
+        y = jnp.asarray(point, dtype=float)
+        value = jax.ShapeDtypeStruct((), y.dtype)
+        state = self._solver.init(self._function, y, args, {}, value, None, frozenset())
+        dynamic, rest = eqx.partition(state, eqx.is_array)
+        if self._static is None:
+            self._static = _Static(rest)
+        done = 0
+        while done < evaluations:
+            count = min(together, evaluations - done)
+            made, y, dynamic = self._advance(self._static, y, args, dynamic, count)
+            done += int(made)
+            state = eqx.combine(dynamic, rest)
+            ended = int(made) < count or bool(state.terminate)
+            yield Reached(np.asarray(y), float(state.f_info.f), done, ended)
+            if ended:
+                return
+
+
+class _Static:
+    """The parts of a solver's state that are no arrays, as one hashable argument."""
+
+    def __init__(self, state: Any) -> None:
+        self.state = state

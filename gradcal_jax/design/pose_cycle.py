@@ -1,0 +1,408 @@
+"""A cycle of poses, turns and rests as continuous coordinates, and its objective, traced by JAX.
+
+A *cycle* is a ring of slots: a turn of one axis, then a rest of the table. It returns to its first pose up to whole
+turns, so that it repeats. Free are the pose that every turn reaches, its peak rate, and the rests, which share the time
+that the turns leave of a cycle's period. Which axis turns in which slot is an argument of the compiled program, as is
+whether a slot has a turn and a rest at all: one program serves every cycle of its number of slots.
+
+On a ramp of constant slope, cycles differ in temperature alone, and their columns are those of one cycle times a small
+matrix S (`information.repeated`). What a cycle adds when the W − 1 before it are known is
+
+    D = G_W − G_(W−1)                    G_k: information of the first k cycles,
+
+and with J cycles the information is `G_(W−1) + Σ_j S_jᵀ D S_j`, j = 0 … J − W: exact for noise that W cycles forget.
+As S is a polynomial of j, a Cholesky factor of the powers' moments leaves degree + 1 products in place of J.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from gradcal_jax.arrays import AnyArray
+from gradcal_jax.design.criteria import largest
+from gradcal_jax.information import segments_of, unit_system
+from gradcal_jax.information.adjoint import gram
+from gradcal_jax.information.noise_steps import NoiseSteps
+from gradcal_jax.information.unit_rows import Segments
+from gradcal_jax.model import UnitModel
+from gradcal_jax.trajectory import Geometry, Schedule, TableMotion, body_nodes, gradient_plan, programme
+from gradcal_jax.trajectory.motion import rest, turn
+
+# Cycles whose noise is filtered together: with two, standard deviations agree with those of all cycles to about 1e-3.
+WINDOW = 2
+# A turn below this (rad) has its rate's sign smoothed; a share of the fastest rate that a turn of its angle can reach.
+_TINY, _REACHED = 1e-3, 0.9999
+# Exponent of the smooth minimum of the two limits of a rate.
+_SMOOTH = 8
+# s: softness of the time that is left for rests; time left at the end of all cycles, against rounding.
+_SOFT, _SPARE = 0.5, 1e-3
+# Penalty on missing time, as the square of its share of a tenth of the period; on longer turns and rests alike.
+_PENALTY = 10.0
+# Quadrature nodes: see `trajectory.table_motion`.
+_LEAST_NODES, _NODES_PER_RAD, _WAVES = 12, 0.75, 3
+_NODES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
+# Sizes of a coordinate's unit, so that the objective's curvature is alike in all: of a pose (rad), of the logits of a
+# rate's share of its limit, and of a rest's share of the time.
+_UNITS = np.array([[4.0], [20.0], [15.0]])
+# The objective of a cycle that has none.
+_NOWHERE = 1e3
+# Shares of a limit at which coordinates begin at most.
+_LOW, _HIGH = 0.02, 0.98
+
+
+class Turn(NamedTuple):
+    """A turn of `axis` (−1: none) by `angle` rad at up to `rate` rad/s, then a rest of `rest` s (0: none)."""
+
+    axis: int
+    angle: float
+    rate: float
+    rest: float
+
+
+class TableLimits(NamedTuple):
+    """Limits of the table's `L` axes and of a cycle.
+
+    `rates` rad/s, `accelerations` rad/s², `reach` `(L, 2)` rad: lowest and highest angle. `start` rad: angles at which a
+    cycle begins. `largest` rad: of one turn. `shortest`, `longest` s: rests. `slow` rad/s: up to which accelerometers
+    are read on a move.
+    """
+
+    rates: Float[np.ndarray, " L"]
+    accelerations: Float[np.ndarray, " L"]
+    reach: Float[np.ndarray, "L 2"]
+    start: Float[np.ndarray, " L"]
+    largest: float
+    shortest: float
+    longest: float
+    slow: float
+
+
+class Ramp(NamedTuple):
+    """A part of the plan with one slope: `begins` °C, `slope` K/s, `mounting`. Its information is `first` times that of
+    the first W − 1 cycles, and `Σ_d F_dᵀ D F_d` with F the matrices `further`."""
+
+    begins: Float[AnyArray, ""]
+    slope: Float[AnyArray, ""]
+    mounting: Int[AnyArray, ""]
+    first: Float[AnyArray, ""]
+    further: Float[AnyArray, "d p p"]
+
+
+class Structure(NamedTuple):
+    """What is fixed in a cycle of `K` slots: the `axis` of each turn (−1: none), whether it `rests`, whether it is
+    `slow`; `before`: the slot of the axis's turn before it (−1: none); `closes`: the last turn of its axis; `whole` rad:
+    by which the cycle turns each axis; `period` s; `turnable`: whether poses are free."""
+
+    axis: Int[AnyArray, " K"]
+    rests: Bool[AnyArray, " K"]
+    slow: Bool[AnyArray, " K"]
+    before: Int[AnyArray, " K"]
+    closes: Bool[AnyArray, " K"]
+    whole: Float[AnyArray, " L"]
+    period: Float[AnyArray, ""]
+    turnable: Bool[AnyArray, ""]
+
+
+class Decoded(NamedTuple):
+    """Numbers of a cycle: `angle` rad, peak `rate` rad/s, `ramp` and `turning` s of each turn, `rest` s, and the time
+    (s) that rests beyond the shortest have (negative: the turns take too long)."""
+
+    angle: AnyArray
+    rate: AnyArray
+    ramp: AnyArray
+    turning: AnyArray
+    rest: AnyArray
+    left: AnyArray
+
+
+def structure_of(
+    cycle: Sequence[Turn], slots: int, limits: TableLimits, period: float, *, closed: bool = True, turnable: bool = True
+) -> Structure:
+    """The structure of a cycle of at most `slots` turns, which lasts `period` s. `closed`: it returns to its begin, up
+    to whole turns. `turnable`: its poses are free."""
+    count, axes = len(cycle), len(limits.rates)
+    axis, rests, slow = np.full(slots, -1), np.zeros(slots, bool), np.zeros(slots, bool)
+    axis[:count] = [t.axis for t in cycle]
+    rests[:count] = [t.rest > 0.0 for t in cycle]
+    slow[:count] = [0.0 < t.rate <= limits.slow for t in cycle]
+    before, last = np.full(slots, -1), np.full(axes, -1)
+    for k in range(count):
+        if axis[k] >= 0:
+            before[k], last[axis[k]] = last[axis[k]], k
+    closes = np.isin(np.arange(slots), last) & closed
+    net = np.array([sum(t.angle for t in cycle if t.axis == l) for l in range(axes)])
+    free = np.all(np.isinf(limits.reach), axis=1)
+    whole = np.where(free, np.round(net / (2.0 * np.pi)) * 2.0 * np.pi, 0.0)
+    return Structure(axis, rests, slow, before, closes, whole, np.asarray(period), np.asarray(turnable))
+
+
+def nodes_for(turned: float, harmonics: int) -> int:
+    """Quadrature nodes for a piece that turns so far (rad), with an encoder's error of so many cycles a turn."""
+    per_rad = _NODES_PER_RAD * max(_WAVES, harmonics + 1)
+    return next((n for n in _NODES if n >= _LEAST_NODES + per_rad * turned), _NODES[-1])
+
+
+def largest_turn(least: float, harmonics: int) -> float:
+    """The largest turn (rad) for which the nodes suffice that a turn of `least` needs."""
+    per_rad = _NODES_PER_RAD * max(_WAVES, harmonics + 1)
+    return (nodes_for(least, harmonics) - _LEAST_NODES) / per_rad
+
+
+class CycleCoordinates(NamedTuple):
+    """`(3, K)` numbers of any size to a cycle of `K` slots within the limits of the table."""
+
+    limits: TableLimits
+    slots: int
+
+    def encode(self, cycle: Sequence[Turn], of: Structure) -> Float[np.ndarray, "3 K"]:
+        """Coordinates of a cycle, moved off the bounds."""
+        z, limits = np.zeros((3, self.slots)), self.limits
+        here = limits.start.copy()
+        for k, t in enumerate(cycle):
+            if t.axis >= 0:
+                here[t.axis] += t.angle
+                low, high = limits.reach[t.axis]
+                if np.isfinite(high):
+                    z[0, k] = np.arcsin(np.clip((2.0 * here[t.axis] - low - high) / (high - low), -_HIGH, _HIGH))
+                else:
+                    z[0, k] = here[t.axis]
+                share = t.rate / float(self._fastest(np.abs(t.angle), np.array(t.axis), of.slow[k], np))
+                share = np.clip(share, _LOW, 1.0 - _LOW / 4.0)
+                z[1, k] = np.log(share / (1.0 - share))
+            if t.rest > 0.0:
+                z[2, k] = np.log(max(t.rest - limits.shortest, _SOFT / 10.0))
+        return z / _UNITS
+
+    def _fastest(self, size, axis, slow, xp):
+        """The largest peak rate of turns of a `size` (rad), rad/s."""
+        of_axis = xp.asarray(self.limits.rates)[axis]
+        of_axis = xp.where(slow, xp.minimum(of_axis, self.limits.slow), of_axis) if self.limits.slow else of_axis
+        by_ramps = xp.sqrt(2.0 * xp.asarray(self.limits.accelerations)[axis] * size / np.pi)
+        far = by_ramps / of_axis
+        return _REACHED * by_ramps * (1.0 + far**_SMOOTH) ** (-1.0 / _SMOOTH)
+
+    def decode(self, z: Float[AnyArray, "3 K"], of: Structure) -> Decoded:
+        """The cycle of coordinates."""
+        limits, turns, z = self.limits, of.axis >= 0, z * _UNITS
+        axis = jnp.maximum(of.axis, 0)
+        low, high = jnp.asarray(limits.reach)[axis].T
+        bounded = jnp.isfinite(high)
+        at = jnp.where(of.turnable, z[0], jax.lax.stop_gradient(z[0]))
+        middle, half = jnp.where(bounded, 0.5 * (low + high), 0.0), jnp.where(bounded, 0.5 * (high - low), 0.0)
+        pose = jnp.where(bounded, middle + half * jnp.sin(at), at)
+        begin = jnp.asarray(limits.start)[axis]
+        pose = jnp.where(of.closes, begin + jnp.asarray(of.whole)[axis], pose)
+        angle = jnp.where(turns, pose - jnp.where(of.before >= 0, pose[of.before], begin), 0.0)
+        size = jnp.sqrt(angle**2 + _TINY**2)
+        rate = jax.nn.sigmoid(z[1]) * self._fastest(size, axis, of.slow, jnp)
+        ramp = jnp.where(turns, np.pi * rate / (2.0 * jnp.asarray(limits.accelerations)[axis]), 0.0)
+        turning = jnp.where(turns, size / rate + ramp, 0.0)
+        left = of.period - jnp.sum(turning) - limits.shortest * jnp.sum(jnp.where(of.rests, 1.0, 0.0))
+        shares = jax.nn.softmax(jnp.where(of.rests, z[2], -jnp.inf))
+        shares = jnp.where(of.rests, shares, 0.0)
+        rests = jnp.where(of.rests, limits.shortest, 0.0) + _SOFT * jax.nn.softplus(left / _SOFT) * shares
+        return Decoded(angle, rate * angle / size, ramp, turning, rests, left)
+
+    def penalty(self, of: Decoded, period: AnyArray) -> AnyArray:
+        """What a cycle beyond its limits adds to the objective."""
+        long = jnp.maximum(jnp.abs(of.angle) - self.limits.largest, 0.0) / self.limits.largest
+        rests = jnp.maximum(of.rest - self.limits.longest, 0.0) / self.limits.longest
+        missing = jnp.minimum(of.left, 0.0) / (0.1 * period)
+        return _PENALTY * (missing**2 + jnp.sum(long**2) + jnp.sum(rests**2))
+
+    def cycle(self, z: Float[np.ndarray, "3 K"], of: Structure) -> tuple[Turn, ...]:
+        """The cycle of coordinates, without its empty slots."""
+        angle, rate, _, _, rests, _ = (np.asarray(x) for x in self.decode(jnp.asarray(z), of))
+        turns = (
+            Turn(int(l), float(a), float(abs(w)), float(r))
+            for l, a, w, r in zip(np.asarray(of.axis), angle, rate, rests, strict=True)
+        )
+        return tuple(t for t in turns if t.axis >= 0 or t.rest > 0.0)
+
+
+class Element(NamedTuple):
+    """A linear function of the parameters on a grid: `rows` `(g, k)` of the parameters `where`; the variance `added` to
+    its own, less that of `alone`."""
+
+    where: slice
+    rows: AnyArray
+    alone: AnyArray | None
+    added: AnyArray
+
+
+class Statistics(NamedTuple):
+    """How a requirement sums up its elements on a grid of `shape`; `together`: their root mean square counts, not the
+    worst. `factor`: to the logarithm's unit, that of the target where there is one."""
+
+    elements: tuple[Element, ...]
+    shape: tuple[int, int]
+    kind: str
+    together: bool
+    factor: float
+
+    def __call__(self, covariance: AnyArray, sharpness) -> AnyArray:
+        each = []
+        for e in self.elements:
+            c = covariance[e.where, e.where]
+            variance = jnp.sum((e.rows @ c) * e.rows, axis=1) + e.added
+            if e.alone is not None:
+                variance = variance - jnp.sum((e.alone @ c) * e.alone, axis=1)
+            values = jnp.reshape(jnp.sqrt(variance), self.shape)
+            if self.kind == "mean":
+                each.append(jnp.mean(values))
+            elif self.kind == "rms":
+                each.append(jnp.sqrt(jnp.mean(values**2)))
+            elif self.kind == "max":
+                each.append(_largest(jnp.ravel(values), sharpness))
+            else:
+                each.append(jnp.mean(largest(values, sharpness)))
+        together = jnp.stack(each)
+        return self.factor * (jnp.sqrt(jnp.mean(together**2)) if self.together else _largest(together, sharpness))
+
+
+class CycleObjective:
+    """The logarithm of a cycle's residuals over their targets: their mean or the worst, over `models` of the noise
+    likewise. `known`: for each model, the information before the plan begins."""
+
+    def __init__(
+        self,
+        coordinates: CycleCoordinates,
+        geometry: Geometry,
+        models: Sequence[UnitModel],
+        known: Sequence[Float[np.ndarray, "p p"]],
+        statistics: Sequence[Statistics],
+        *,
+        window: int,
+        points: int,
+        harmonics: int,
+        worst: bool,
+        worst_model: bool,
+    ) -> None:
+        self.coordinates, self.models, self.known = coordinates, models, known
+        self.geometry = jax.tree.map(jnp.asarray, geometry)
+        self.statistics, self.window, self.points = statistics, window, points
+        self.harmonics, self.worst, self.worst_model = harmonics, worst, worst_model
+
+    def value(self, z: Float[AnyArray, "3 K"], of: Structure, ramps: Ramp, sharpness) -> Float[AnyArray, ""]:
+        """The objective of a cycle on stacked `ramps`; where it has no value, a large one."""
+        logs = self.logs(z, of, ramps, sharpness)
+        each = largest_log(logs, sharpness, axis=1) if self.worst else jnp.mean(logs, axis=1)
+        total = largest_log(each, sharpness, axis=0) if self.worst_model else jnp.mean(each)
+        total = total + self.coordinates.penalty(self.coordinates.decode(z, of), of.period)
+        return jnp.where(jnp.isfinite(total), total, _NOWHERE)
+
+    def logs(self, z: Float[AnyArray, "3 K"], of: Structure, ramps: Ramp, sharpness) -> Float[AnyArray, "s m"]:
+        """The logarithm of every statistic in every model of the noise."""
+        decoded, all_logs = self.coordinates.decode(z, of), []
+        for model, known in zip(self.models, self.known, strict=True):
+            on_ramp = partial(self.information, model, decoded, of)
+            covariance = inverse(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
+            all_logs.append(jnp.log(jnp.stack([s(covariance, sharpness) for s in self.statistics])))
+        return jnp.stack(all_logs)
+
+    def information(self, model: UnitModel, decoded: Decoded, of: Structure, ramp: Ramp) -> Float[AnyArray, "p p"]:
+        """The information of all cycles on one ramp."""
+        motion, at = self._motion(ramp, decoded, of, model)
+        steps, columns = unit_system(motion, model, body_nodes(motion, self.points), at)
+        if self.window == 1:
+            return gram(steps, columns)
+        rows = columns.shape[0] // self.window * (self.window - 1)
+        fewer = NoiseSteps(*(x if x is None or x is steps.initial else x[:rows] for x in steps))
+        first = gram(fewer, columns[:rows])
+        added = gram(steps, columns) - first
+        return ramp.first * first + jnp.sum(jnp.swapaxes(ramp.further, 1, 2) @ (added @ ramp.further), axis=0)
+
+    def _motion(self, ramp: Ramp, decoded: Decoded, of: Structure, model: UnitModel) -> tuple[TableMotion, Segments]:
+        k, window = self.coordinates.slots, self.window
+        limits = self.coordinates.limits
+        moves = []
+        for _ in range(k):
+            moves += [turn("cosine ramps", 1.0, 4.0, ramp=1.0), rest(1.0)]
+        # Only what is discrete is taken from this schedule; all its numbers are replaced.
+        line = gradient_plan(programme(0.0, [(5.0 * k * window, 0.0)]), tuple(moves), read_every=None)
+        numbers = [
+            jnp.reshape(jnp.stack(pair, axis=1), (2 * k,))
+            for pair in (
+                (decoded.turning, decoded.rest),
+                (decoded.rate, jnp.zeros(k)),
+                (decoded.ramp, jnp.zeros(k)),
+            )
+        ]
+        course = replace(
+            line.programme,
+            start=ramp.begins,
+            durations=jnp.reshape(window * of.period, (1,)),
+            slopes=jnp.reshape(ramp.slope, (1,)),
+        )
+        of_line = replace(line, duration=numbers[0], peak_rate=numbers[1], ramp=numbers[2], programme=course)
+        track = of_line.trajectory(None)
+        move = np.asarray(line.pieces.move)
+        count = len(move) // window
+        slot, turns = move // 2, move % 2 == 0
+        axis = jnp.where(turns, of.axis[slot], -1)
+        example = np.arange(count)
+        kind = np.arange(len(move)) % count
+        nodes = self._nodes(turns[:count], np.asarray(line.pieces.varying)[:count])
+        mounting = jnp.full(len(move), ramp.mounting)
+        motion = TableMotion(track, axis, mounting, self.geometry, np.asarray(limits.start), kind, example, nodes)
+        return motion, self._segments(line, turns, of, model)
+
+    def _nodes(self, turns: np.ndarray, varying: np.ndarray) -> np.ndarray:
+        """Quadrature nodes of the pieces of a cycle."""
+        limits = self.coordinates.limits
+        in_ramp = float(np.max(np.pi * limits.rates**2 / (4.0 * limits.accelerations)))
+        ramps, flat = (nodes_for(turned, self.harmonics) for turned in (in_ramp, limits.largest))
+        return np.where(~turns, 1, np.where(varying, ramps, flat))
+
+    def _segments(self, line: Schedule, turns: np.ndarray, of: Structure, model: UnitModel) -> Segments:
+        """The segments and rows of the cycles; those of empty slots are not used."""
+        moving = replace(line, peak_rate=np.where(np.asarray(line.peak_rate) > 0.0, self.coordinates.limits.slow, 0.0))
+        still = moving.trajectory(None)
+        each = np.arange(len(turns))
+        plain = TableMotion(
+            still, np.where(turns, 0, -1), np.zeros(len(turns), int), self.geometry,
+            np.asarray(self.coordinates.limits.start), each, each, each,
+        )  # fmt: skip
+        at = segments_of(plain, model)
+        slot = np.asarray(line.pieces.move)[at.first] // 2
+        moves = at.axis >= 0
+        axis = jnp.where(moves, of.axis[slot], -1)
+        there = jnp.where(moves, of.axis[slot] >= 0, of.rests[slot])
+        used = jnp.asarray(at.used) & there[at.row_segment]
+        forces = np.array([c.kind != "gyro" for c in model.channels])[at.row_channel] & moves[at.row_segment]
+        used = used & (~forces | of.slow[slot[at.row_segment]])
+        return at._replace(axis=axis, used=used)
+
+
+def _largest(values: AnyArray, sharpness) -> AnyArray:
+    """The largest value of all, or a norm just above it."""
+    return largest(values[:, None], sharpness)[0]
+
+
+def largest_log(logs: AnyArray, sharpness, axis: int) -> AnyArray:
+    """The largest of logarithms, from above; infinite sharpness: exact."""
+    k = jnp.where(jnp.isfinite(sharpness), sharpness, 1.0)
+    return jnp.where(
+        jnp.isfinite(sharpness), jax.scipy.special.logsumexp(k * logs, axis=axis) / k, jnp.max(logs, axis=axis)
+    )
+
+
+def inverse(info: Float[AnyArray, "p p"]) -> Float[AnyArray, "p p"]:
+    """The covariance of an information matrix; NaN for a singular one."""
+    scale = 1.0 / jnp.sqrt(jnp.diagonal(info))
+    factor = jnp.linalg.cholesky(info * scale[:, None] * scale[None, :])
+    half = jax.scipy.linalg.solve_triangular(factor, jnp.diag(scale), lower=True)
+    return half.T @ half
+
+
+def further(shifts: Float[np.ndarray, "J p p"]) -> Float[np.ndarray, "d p p"]:
+    """Matrices F with `Σ_d F_dᵀ D F_d = Σ_j S_jᵀ D S_j` for every D, S a polynomial of j: d its degree plus one."""
+    _, sizes, along = np.linalg.svd(np.reshape(shifts, (len(shifts), -1)), full_matrices=False)
+    kept = sizes > 1e-14 * sizes[0]
+    return np.reshape(sizes[kept, None] * along[kept], (-1, *shifts.shape[1:]))

@@ -1,0 +1,159 @@
+"""Cycles as coordinates: within the limits whatever the numbers, and the sums over repeated cycles."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gradcal_jax.design.cycle_moves import Neighbourhood
+from gradcal_jax.design.pose_cycle import (
+    CycleCoordinates,
+    TableLimits,
+    Turn,
+    further,
+    inverse,
+    largest_log,
+    largest_turn,
+    nodes_for,
+    structure_of,
+)
+
+LIMITS = TableLimits(
+    rates=np.array([3.0, 5.0]),
+    accelerations=np.array([4.0, 7.0]),
+    reach=np.array([[-1.5, 2.0], [-np.inf, np.inf]]),
+    start=np.array([0.3, 0.0]),
+    largest=20.0,
+    shortest=2.0,
+    longest=100.0,
+    slow=0.1,
+)
+CYCLE = (
+    Turn(1, 7.0, 2.5, 4.0),
+    Turn(0, 0.9, 1.0, 0.0),
+    Turn(1, -3.0, 0.08, 6.0),
+    Turn(0, -0.9, 0.7, 3.0),
+    Turn(1, 2.0 * math.pi - 4.0, 1.5, 2.5),
+)
+
+
+def lasting(t: Turn) -> float:
+    """A turn with cosine ramps at the axis's acceleration, then its rest; s."""
+    return abs(t.angle) / t.rate + math.pi * t.rate / (2.0 * LIMITS.accelerations[t.axis]) + t.rest
+
+
+def test_a_cycle_is_what_its_coordinates_are_decoded_to():
+    of = structure_of(CYCLE, 8, LIMITS, sum(map(lasting, CYCLE)))
+    coordinates = CycleCoordinates(LIMITS, 8)
+    again = coordinates.cycle(coordinates.encode(CYCLE, of), of)
+    assert [t.axis for t in again] == [t.axis for t in CYCLE]
+    for new, old in zip(again, CYCLE, strict=True):
+        assert new.angle == pytest.approx(old.angle, rel=1e-6)
+        assert new.rate == pytest.approx(old.rate, rel=1e-5)
+        assert new.rest == pytest.approx(old.rest, abs=0.06)
+    assert np.asarray(of.whole) == pytest.approx([0.0, 2.0 * math.pi])
+
+
+@pytest.mark.parametrize("size", [0.3, 3.0, 30.0])
+def test_whatever_the_coordinates_the_cycle_keeps_the_limits_and_closes(size):
+    """The time excepted, which a penalty keeps."""
+    coordinates, rng = CycleCoordinates(LIMITS, 8), np.random.default_rng(round(10 * size))
+    of = structure_of(CYCLE, 8, LIMITS, 60.0)
+    for _ in range(50):
+        z = size * rng.standard_normal((3, 8))
+        decoded = coordinates.decode(jnp.asarray(z), of)
+        cycle = coordinates.cycle(z, of)
+        for axis in (0, 1):
+            poses = LIMITS.start[axis] + np.cumsum([t.angle for t in cycle if t.axis == axis])
+            assert np.all(poses >= LIMITS.reach[axis, 0] - 1e-12)
+            assert np.all(poses <= LIMITS.reach[axis, 1] + 1e-12)
+            turned = (poses[-1] - LIMITS.start[axis]) / (2.0 * math.pi)
+            assert turned == pytest.approx(round(turned), abs=1e-12)
+        assert all(t.rate <= LIMITS.rates[t.axis] for t in cycle)
+        # The ramps alone do not turn further than the move does.
+        ramps = [math.pi * t.rate**2 / (2.0 * LIMITS.accelerations[t.axis]) for t in cycle]
+        assert all(r <= math.hypot(t.angle, 1e-3) for r, t in zip(ramps, cycle, strict=True))
+        assert cycle[2].rate <= LIMITS.slow
+        assert cycle[1].rest == 0.0
+        assert all(t.rest >= LIMITS.shortest for k, t in enumerate(cycle) if k != 1)
+        whole = float(jnp.sum(decoded.turning) + jnp.sum(decoded.rest))
+        if decoded.left > 5.0:
+            assert whole == pytest.approx(60.0, abs=1e-3)
+            assert float(coordinates.penalty(decoded, of.period)) >= 0.0
+        elif decoded.left < 0.0:
+            assert float(coordinates.penalty(decoded, of.period)) > 0.0
+
+
+def test_poses_that_are_not_free_have_no_derivative():
+    coordinates = CycleCoordinates(LIMITS, 8)
+    z = coordinates.encode(CYCLE, structure_of(CYCLE, 8, LIMITS, 60.0))
+
+    def moved(turnable: bool) -> np.ndarray:
+        of = structure_of(CYCLE, 8, LIMITS, 60.0, turnable=turnable)
+        decoded = lambda x: jnp.sum(coordinates.decode(x, of).turning ** 2)  # noqa: E731
+        return np.asarray(jax.grad(decoded)(jnp.asarray(z)))
+
+    assert np.all(moved(False)[0] == 0.0)
+    # The last turn of each axis closes the cycle.
+    assert np.flatnonzero(moved(True)[0]).tolist() == [0, 1, 2]
+
+
+def test_few_matrices_sum_up_all_cycles():
+    rng = np.random.default_rng(3)
+    parts, j = rng.standard_normal((4, 9, 9)), np.linspace(-1.0, 1.0, 30)[:, None, None, None]
+    shifts = np.sum(parts[None] * j ** np.arange(4)[None, :, None, None], axis=1)
+    few, added = further(shifts), rng.standard_normal((9, 9))
+    assert len(few) == 4
+    whole = sum(s.T @ added @ s for s in shifts)
+    assert sum(f.T @ added @ f for f in few) == pytest.approx(whole, rel=1e-12, abs=1e-10)
+
+
+def test_the_soft_largest_logarithm_is_above_the_largest_and_near_it():
+    logs = jnp.asarray(np.random.default_rng(0).uniform(-0.5, 2.0, (7, 5)))
+    peak = np.max(np.asarray(logs), axis=0)
+    for sharpness in (8.0, 100.0):
+        soft = np.asarray(largest_log(logs, sharpness, axis=0))
+        assert np.all(soft >= peak)
+        assert np.all(soft <= peak + math.log(7) / sharpness)
+    assert np.array_equal(largest_log(logs, np.inf, axis=0), peak)
+
+
+def test_the_inverse_of_badly_scaled_information():
+    rng = np.random.default_rng(1)
+    rows = rng.standard_normal((40, 6)) * 10.0 ** np.arange(-9, 9, 3)
+    size = np.linalg.norm(rows, axis=0)
+    covariance = np.asarray(inverse(jnp.asarray(rows.T @ rows))) * np.outer(size, size)
+    assert covariance == pytest.approx(np.linalg.inv((rows / size).T @ (rows / size)), rel=1e-9)
+    assert np.all(np.isnan(np.asarray(inverse(jnp.asarray(np.diag([1.0, 1.0, -1.0]))))))
+
+
+@pytest.mark.parametrize("harmonics", [0, 4])
+@pytest.mark.parametrize("turned", [1.0, 7.0, 25.0])
+def test_nodes_suffice_for_the_largest_turn_of_their_class(turned, harmonics):
+    largest = largest_turn(turned, harmonics)
+    assert largest >= turned
+    assert nodes_for(largest, harmonics) == nodes_for(turned, harmonics)
+    # Gauss–Legendre nodes integrate the fastest wave of a column over the turn.
+    x, w = np.polynomial.legendre.leggauss(nodes_for(turned, harmonics))
+    wave = max(3, harmonics + 1)
+    at = 0.5 * largest * (x + 1.0)
+    exact = math.sin(wave * largest) / wave
+    assert 0.5 * largest * np.sum(w * np.cos(wave * at)) == pytest.approx(exact, abs=1e-9)
+
+
+def test_changed_cycles_keep_the_reach_and_the_number_of_turns():
+    around, rng = Neighbourhood(LIMITS, 9), np.random.default_rng(0)
+    cycle, kinds = CYCLE, set()
+    for _ in range(300):
+        cycle = around.neighbour(cycle, rng)
+        kinds.add(len(cycle))
+        assert 2 <= len(cycle) <= 9
+        assert all(abs(t.angle) <= LIMITS.largest * (1.0 + 1e-12) for t in cycle)
+        poses = LIMITS.start[0] + np.cumsum([t.angle for t in cycle if t.axis == 0])
+        assert np.all((poses >= -1.5 - 1e-12) & (poses <= 2.0 + 1e-12))
+    assert len(kinds) >= 6
+    drawn = around.random(7, rng)
+    assert len(drawn) == 7
+    assert {t.axis for t in drawn} == {0, 1}

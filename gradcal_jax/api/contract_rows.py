@@ -1,4 +1,4 @@
-"""Parts common to the calibration files of an axis and of a whole unit, and their rows for programs and people."""
+"""Parts of calibration files that the estimators share, and their rows for programs and people."""
 
 import platform
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,9 +14,8 @@ from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad, Sensor
 
 if TYPE_CHECKING:
     from gradcal_jax.estimation import Test
-    from gradcal_jax.files.calibration import Covariance, FitTest, UnseenError
+    from gradcal_jax.files.calibration import Calibration, Covariance, FitTest, UnseenError
     from gradcal_jax.files.log import Log
-    from gradcal_jax.files.unit_calibration import UnitCalibration
 
 
 def finite(value: float | None) -> float | None:
@@ -39,8 +38,8 @@ def counted_std(name: str, std: float | None, unseen: "Sequence[UnseenError]") -
     return None if std is None else sqrt(std**2 + sum(e.coefficients.get(name, 0.0) ** 2 for e in unseen))
 
 
-def coefficient_rows(calibration: "UnitCalibration") -> list[dict[str, Any]]:
-    """Every coefficient of a unit's calibration with its standard deviation, where the file has one, by the fit and
+def coefficient_rows(calibration: "Calibration") -> list[dict[str, Any]]:
+    """Every coefficient of a calibration with its standard deviation, where the file has one, by the fit and
     with what no residual shows (`std_counted`), and its unit."""
     deviations, unseen = deviations_of(calibration.covariance), calibration.unseen
     return [

@@ -14,7 +14,7 @@ from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
     from gradcal_jax.api.validation import Acceptance, AxisValidation
-    from gradcal_jax.files.exports import Export
+    from gradcal_jax.files.calibration.exports import Export
 
 Calibrated = Annotated[Path, Parameter(help="The calibration file.")]
 
@@ -30,7 +30,7 @@ def apply(
     force: ForceOutput = False,
     json: Json = False,
 ) -> int:
-    """Correct the rates (of a whole unit: and specific forces) of a log by a calibration, and write them as a log.
+    """Correct the rates and specific forces of a log by a calibration, and write them as a log.
 
     The exit status is 1 where rows lie outside the range of the calibration; there its value at the edge is used.
 
@@ -43,19 +43,15 @@ def apply(
     json
         Print the name of the log, and how many rows lie outside, as JSON.
     """
-    from gradcal_jax.files.correction import apply as correct
+    from gradcal_jax.files.calibration import read_calibration
+    from gradcal_jax.files.calibration.correction import apply as correct
     from gradcal_jax.files.log import write_log
-    from gradcal_jax.files.unit_calibration import UnitCalibration, read_any_calibration
-    from gradcal_jax.files.unit_correction import apply_unit
 
-    content = read_any_calibration(calibration)
+    content = read_calibration(calibration)
     writable(output, force)
     recorded = load(log, source, unit=unit)
     number = _unit(recorded, content.serial_number, unit)
-    if isinstance(content, UnitCalibration):
-        corrected = apply_unit(content, recorded, number)
-    else:
-        corrected = correct(content, recorded, number)
+    corrected = correct(content, recorded, number)
     write_log(corrected.log, output)
     outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
     if json:
@@ -67,7 +63,7 @@ def apply(
             if count:
                 print(f"note: {count} {what} lie outside the range of the calibration: its value at the edge was used")
         if corrected.left_alone:
-            print(f"note: not calibrated, and left unchanged: axis {', '.join(corrected.left_alone)}")
+            print(f"note: not calibrated, and left unchanged: {', '.join(corrected.left_alone)}")
         print(f"wrote {output}")
     return NOT_AS_WISHED if any(outside.values()) else DONE
 
@@ -100,12 +96,12 @@ def validate(
     parts
         Number of ranges of temperature.
     """
-    from gradcal_jax.files.unit_calibration import expect_axes, read_any_calibration
+    from gradcal_jax.files.calibration import read_calibration
 
     if parts < 1:
         raise ValueError(f"--parts must be 1 or more, not {parts}")
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
-    content = expect_axes(read_any_calibration(calibration), "gradcal validate")
+    content = read_calibration(calibration)
     recorded = load(log, source, unit=unit)
     use_float64()
     from gradcal_jax.api import validation as work
@@ -145,7 +141,7 @@ def export(
     Parameters
     ----------
     format
-        ardupilot, px4, kalibr, c-header or csv; of a whole unit matrices, too.
+        ardupilot, px4, kalibr, matrices, c-header or csv.
     output
         Write here; without it the text is printed, and the report goes to stderr.
     temperature
@@ -155,27 +151,20 @@ def export(
     device_id
         PX4's device id of the sensor.
     zero
-        A coefficient that did not pass validation, such as a3 or x.a3; may be repeated.
+        A coefficient that did not pass validation, such as a3, x.a3 or gyro_x.a3; may be repeated.
     json
         Print text, losses and notes as JSON.
     """
-    from gradcal_jax.files import exports
-    from gradcal_jax.files.unit_calibration import UnitCalibration, read_any_calibration
-    from gradcal_jax.files.unit_exports import export_unit
+    from gradcal_jax.files.calibration import exports, read_calibration
     from gradcal_jax.files.writing import write_whole
 
     at = None if temperature is None else quantity(temperature, "temperature", "--temperature")
-    content = read_any_calibration(calibration)
+    content = read_calibration(calibration)
     if output is not None:
         writable(output, force)
     number = (0 if format == "px4" else 1) if instance is None else instance
     chosen = {"temperature_c": at, "instance": number, "device_id": device_id}
-    if isinstance(content, UnitCalibration):
-        if zero:
-            raise ValueError("--zero is for calibrations of a gyro's axes, and this one is of a whole unit")
-        done = export_unit(content, format, **chosen)
-    else:
-        done = exports.export(content, format, **chosen, zeroed=zero)
+    done = exports.export(content, format, **chosen, zeroed=zero)
     if output is not None:
         write_whole(output, done.text)
     if json:
@@ -240,8 +229,8 @@ def export_text(done: "Export") -> str:
     """The losses of an export, and its notes."""
     lines: list[str] = []
     if done.losses:
-        shown = [("axis", "what is lost", "at most", "")]
-        shown += [(loss.axis, loss.what, f"{loss.value:.4g}", loss.unit) for loss in done.losses]
+        shown = [("channel", "what is lost", "at most", "")]
+        shown += [(loss.channel, loss.what, f"{loss.value:.4g}", loss.unit) for loss in done.losses]
         lines.append(table(shown, indent="", right=(2,)))
     else:
         lines.append("nothing is lost")

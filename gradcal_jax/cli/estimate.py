@@ -215,10 +215,10 @@ def estimate(
         if not json:
             print(f"wrote {path}")
     if parameters is not None and firmware is not None:
-        from gradcal_jax.files.exports import export_units
+        from gradcal_jax.files.calibration.exports import export_sensors
         from gradcal_jax.files.writing import write_whole
 
-        done = export_units(report.calibrations, firmware)
+        done = export_sensors(report.calibrations, firmware)
         write_whole(parameters, done.text)
         if not json:
             print(f"{export_text(done)}\nwrote {parameters}")
@@ -350,7 +350,7 @@ def _channel(channel: "UnitChannel", unseen: "Sequence[UnseenError]") -> str:
         unit, factor = shown[si]
         if np.isfinite(deviations[k]):
             of_fit = float(deviations[k])
-            counted, fit = (f"{(s or 0.0) * factor:.4g}" for s in (counted_std(name, of_fit, unseen), of_fit))
+            counted, fit = (f"{(s or 0.0) * factor:.4g}" for s in (counted_std(f"gyro_{channel.axis}.{name}", of_fit, unseen), of_fit))
             rows.append((name, f"{values[k] * factor:.4f}", counted, fit, unit))
         else:
             rows.append((name, "not observable", "", "", unit))

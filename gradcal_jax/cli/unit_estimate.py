@@ -9,8 +9,8 @@ import numpy as np
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
-from gradcal_jax.files.unit_calibration import write_unit_calibration
-from gradcal_jax.files.unit_correction import term_values
+from gradcal_jax.files.calibration import write_calibration
+from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
 from gradcal_jax.units import G
@@ -35,7 +35,7 @@ def say_units(
     print(as_json({"units": list(map(rows, reports))}) if json else "\n".join([*descriptions, *map(text, reports)]))
     for report in reports:
         if (path := files.get(report.unit)) is not None:
-            write_unit_calibration(report.calibration, path)
+            write_calibration(report.calibration, path)
             if not json:
                 print(f"wrote {path}")
     return DONE if all(report.as_wished for report in reports) else NOT_AS_WISHED

@@ -154,6 +154,16 @@ def correct(
     return dict(zip(inputs, result, strict=True))
 
 
+def correct_triads(
+    channels: Sequence[CalibratedChannel], rate: Floats, force: Floats, temperature_c: Floats
+) -> tuple[Floats, Floats]:
+    """True rates and specific forces `(n, 3)` along x, y, z from measured ones; NaN where there is none."""
+    measured = dict(zip(SIGNALS, (*rate.T, *force.T), strict=True))
+    there = {name: values for name, values in measured.items() if np.isfinite(values).any()}
+    done = np.stack(list((measured | correct(channels, there, temperature_c)).values()), axis=1)
+    return done[:, :3], done[:, 3:]
+
+
 def _correct(
     channels: Sequence[tuple[CalibratedChannel, Floats]],
     inputs: list[str],

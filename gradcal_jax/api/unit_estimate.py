@@ -561,8 +561,8 @@ def _terms(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Iterator[Cal
         coefficients = {name: float(v) for name, v in zip(term.names(), own, strict=True)}
         section = getattr(triad, section_of(triad, term.name))
         assert isinstance(term, Map | SignalMap)
-        of_rate = () if term.rate is None else (f"rate {AXIS_NAMES[channel.axis]}",)
-        signals = term.signals if isinstance(term, SignalMap) else of_rate
+        of_rate = (f"rate {AXIS_NAMES[channel.axis]}",)
+        signals = term.signals if isinstance(term, SignalMap) else () if term.rate is None else of_rate
         bases = {"temperature": section.temperature, "rate": getattr(section, "rate", None)}
         yield build_term(term.name, term.unit, signals, coefficients, **bases)
 

@@ -30,6 +30,7 @@ _FORCE: Final = r"\metre\second\tothe{-2}"
 _IN_SI: Final = {
     "ppm": (1e-6, _ONE),
     "deg/h": (_DEG_PER_H, _RATE),
+    "m": (1.0, r"\metre"),
     "deg": (_DEG, r"\radian"),
     "urad": (1e-6, r"\radian"),
     "arcsec": (_DEG_PER_H, r"\radian"),

@@ -34,9 +34,9 @@ from gradcal_jax.files import write_toml as write_toml
 from gradcal_jax.files.calibration import Calibration as Calibration
 from gradcal_jax.files.calibration import read_calibration as read_calibration
 from gradcal_jax.files.calibration import write_calibration as write_calibration
-from gradcal_jax.files.catalogue import read_catalogue as read_catalogue
 from gradcal_jax.files.calibration.correction import apply as apply
 from gradcal_jax.files.calibration.exports import export as export
+from gradcal_jax.files.catalogue import read_catalogue as read_catalogue
 from gradcal_jax.files.importers import import_log as import_log
 from gradcal_jax.files.importers import parse_column_map as parse_column_map
 from gradcal_jax.files.log import Log as Log

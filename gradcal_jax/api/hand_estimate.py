@@ -132,7 +132,9 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
         simulated=log.simulated,
         frame=_FRAME,
         order=ORDER,
-        channel=tuple(CalibratedChannel(kind=kind, axis=a, term=terms, **covered) for kind, a, terms in _terms(solution)),
+        channel=tuple(
+            CalibratedChannel(kind=kind, axis=a, term=terms, **covered) for kind, a, terms in _terms(solution)
+        ),
         covariance=Covariance(
             names=tuple(n for n, out in zip(names, hidden, strict=True) if not out),
             matrix=tuple(map(tuple, matrix[np.ix_(~hidden, ~hidden)].tolist())),

@@ -159,7 +159,8 @@ def _terms_of(
         return
     rates = np.zeros(1)
     if term.rate is not None:
-        rates = np.linspace(*(float(end) for end in channel.valid_rate), _RATES)
+        slow, fast = channel.valid_rate
+        rates = np.linspace(float(slow), float(fast), _RATES)
     here = term_map(calibration, channel, term.name, np.full_like(rates, at), rates)
     mean = np.full((1, len(rates)), 1.0 / len(rates))
     words = "B" if term.name == "bias" else "mean of M over rate" if term.rate is not None else plain

@@ -418,9 +418,7 @@ def _internal(built: AssembledUnit, solution: UnitEstimate, covered: tuple[float
                 yield InternalMisalignment(f"{kind} {label}", value, std)
 
 
-def _gravity(
-    readings: UnitReadings, calibration: Calibration, temperature: np.ndarray
-) -> tuple[float, float] | None:
+def _gravity(readings: UnitReadings, calibration: Calibration, temperature: np.ndarray) -> tuple[float, float] | None:
     """Rms of |f| − g over the rests: as measured, and corrected. None without three accelerometers."""
     done, rows, model = readings.done, readings.log, readings.model
     if sum(c.kind == "accelerometer" for c in model.channels) < 3:

@@ -12,8 +12,7 @@ from gradcal_jax import estimation, formulas
 from gradcal_jax.api.log_rows import count_rows, table_axis_of, table_readings, usable_rows
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM
 from gradcal_jax.api.unit_channel import integrated_rows
-from gradcal_jax.files.calibration import correction
-from gradcal_jax.files.calibration import LOG_HASH, Calibration, Result
+from gradcal_jax.files.calibration import LOG_HASH, Calibration, Result, correction
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.information.conformity import acceptance_limit, specific_risk
 

@@ -350,7 +350,10 @@ def _channel(channel: "UnitChannel", unseen: "Sequence[UnseenError]") -> str:
         unit, factor = shown[si]
         if np.isfinite(deviations[k]):
             of_fit = float(deviations[k])
-            counted, fit = (f"{(s or 0.0) * factor:.4g}" for s in (counted_std(f"gyro_{channel.axis}.{name}", of_fit, unseen), of_fit))
+            counted, fit = (
+                f"{(s or 0.0) * factor:.4g}"
+                for s in (counted_std(f"gyro_{channel.axis}.{name}", of_fit, unseen), of_fit)
+            )
             rows.append((name, f"{values[k] * factor:.4f}", counted, fit, unit))
         else:
             rows.append((name, "not observable", "", "", unit))

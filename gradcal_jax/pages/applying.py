@@ -39,8 +39,8 @@ class ExportFact(NamedTuple):
 
 
 def examples_of(calibration: Calibration) -> list[ExampleFact]:
-    """A reading of all channels at once: a third of the largest rate and half of gravity, at room temperature where that
-    is covered."""
+    """A reading of all channels at once: a third of the largest rate and half of gravity, at room temperature where
+    that is covered."""
     at, readings = _room(calibration), dict[str, float]()
     for channel in calibration.channel:
         fastest = max(abs(float(end)) for end in channel.valid_rate) * DEG_PER_S

@@ -69,8 +69,8 @@ class ResultRow(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """A correction of one channel over temperature: the value of `term` in `unit` and its expanded uncertainty U at each
-    of `temperature_c`; U is None where it is not known. A map over rate has a correction at each end of its rates."""
+    """A correction of one channel over temperature: the value of `term` in `unit` and its expanded uncertainty U at
+    each of `temperature_c`; U is None where it is not known. A map over rate has one at each end of its rates."""
 
     channel: str
     term: str
@@ -186,8 +186,8 @@ def _validity(calibration: Calibration) -> tuple[str, ...]:
         failed = "; ".join(test.replace("_", " ") for test in calibration.contradicted)
         rows.append(f"NOT VALID: the data contradict the model ({failed}); nothing is certified.")
     rows += [
-        "The values hold for the sensor as it was, on the day of the recording, within the temperatures and rates above; "
-        "beyond, those at the edge are held and are not covered.",
+        "The values hold for the sensor as it was, on the day of the recording, within the temperatures and rates "
+        "above; beyond, those at the edge are held and are not covered.",
         "The turn-on bias of another day is not part of the stated uncertainty of the bias corrections; a result on "
         "the bias counts it, unless its requirement is of one run.",
     ]

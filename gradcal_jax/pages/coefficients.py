@@ -33,9 +33,7 @@ class ParameterFact(NamedTuple):
     off_by_sigma: float | None
 
 
-def predicted_deviations(
-    recipe: Recipe | None, prediction: Prediction | None
-) -> dict[str, tuple[float | None, str]]:
+def predicted_deviations(recipe: Recipe | None, prediction: Prediction | None) -> dict[str, tuple[float | None, str]]:
     """One sigma of every predicted coefficient, and its SI unit, by its name in a calibration file."""
     rows = () if recipe is None else recipe.prediction.parameters
     named = {f"gyro_{r.axis}.{r.name if re.match(r'[ab][0-9_]', r.name) else _GRADIENT}": r for r in rows}
@@ -52,9 +50,7 @@ def parameters(
     facts: list[ParameterFact] = []
     for row in coefficient_rows(calibration):
         std, _ = predicted.get(row["name"], (None, ""))
-        facts.append(
-            parameter_fact(row["name"], row["unit"], row["value"], row["std"], std, hidden.get(row["name"]))
-        )
+        facts.append(parameter_fact(row["name"], row["unit"], row["value"], row["std"], std, hidden.get(row["name"])))
     return facts
 
 

@@ -138,7 +138,11 @@ def calibration_pictures(calibration: Calibration) -> list[Picture]:
             over_rate.add(channel.kind)
             words = f"Scale factor of {channel.label} as estimated; the bands are one standard deviation."
             draw.append(
-                (f"scale-factor-{channel.axis}", words, lambda ax, c=channel: draw_calibrated_scale_factor(calibration, c, ax=ax))
+                (
+                    f"scale-factor-{channel.axis}",
+                    words,
+                    lambda ax, c=channel: draw_calibrated_scale_factor(calibration, c, ax=ax),
+                )
             )
     for kind, name in panels_of(calibration):
         if name == "bias" or kind not in over_rate:
@@ -152,7 +156,9 @@ def calibration_pictures(calibration: Calibration) -> list[Picture]:
             draw.append((f"residuals-{channel.name}", words, lambda ax, c=channel: draw_residuals(c, ax=ax)))
             if channel.residuals.rms:
                 words = f"Size of the residuals of {channel.label} along the run; the band holds 95 of 100 by chance."
-                draw.append((f"residual-parts-{channel.name}", words, lambda ax, c=channel: draw_residual_parts(c, ax=ax)))
+                draw.append(
+                    (f"residual-parts-{channel.name}", words, lambda ax, c=channel: draw_residual_parts(c, ax=ax))
+                )
     return [picture(picture_key(f"found-{key}"), words, function, _HIGH) for key, words, function in draw]
 
 

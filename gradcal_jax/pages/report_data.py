@@ -24,8 +24,8 @@ class AxisFact(NamedTuple):
 
 class ReportData(NamedTuple):
     """All numbers of a page. `before_is`: the meaning of "before"; empty without it. `fit`: tests of the fit, each with
-    its name, χ², degrees of freedom and chance; `contradicted`: those that fail; `agreement`: χ² of the estimate against
-    a simulation's truth, its degrees, its chance."""
+    its name, χ², degrees of freedom and chance; `contradicted`: those that fail; `agreement`: χ² of the estimate
+    against a simulation's truth, its degrees, its chance."""
 
     title: str
     simulated: bool

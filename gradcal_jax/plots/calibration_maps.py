@@ -10,7 +10,7 @@ from gradcal_jax.plots.style import PALETTE, draw_band, new_axes, style_of
 
 
 def panels_of(calibration: Calibration) -> list[tuple[str, str]]:
-    """The kinds of channel, and which of their biases and scale factors a calibration has, for `draw_calibrated_term`."""
+    """The biases and scale factors of a calibration, by kind of channel, for `draw_calibrated_term`."""
     found = {(c.kind, t.name): None for c in calibration.channel for t in c.term if t.name in ("bias", "scale_factor")}
     return sorted(found, key=lambda panel: (panel[0] != "gyro", panel[1]))
 

@@ -12,6 +12,7 @@ from gradcal_jax.plots.calibration_maps import draw_calibrated_term, panels_of
 from gradcal_jax.plots.style import PALETTE, new_axes
 from gradcal_jax.units import G
 
+
 def draw_unit_residuals(report: UnitReport, *, ax: Axes | None = None) -> tuple[Axes, list[PathCollection]]:
     """Whitened residuals of every channel over time; nearly all lie within ± 3."""
     ax = new_axes(ax)

@@ -24,3 +24,25 @@ from gradcal_jax.files.calibration.file import (
     read_calibration,
     write_calibration,
 )
+
+__all__ = [
+    "FORMAT",
+    "LOG_HASH",
+    "ORDER",
+    "TEMPERATURE_RATE",
+    "CalibratedChannel",
+    "CalibratedTerm",
+    "Calibration",
+    "Covariance",
+    "FitTest",
+    "Noise",
+    "Residuals",
+    "Result",
+    "TableError",
+    "UnseenError",
+    "build_term",
+    "is_calibration",
+    "parse_calibration",
+    "read_calibration",
+    "write_calibration",
+]

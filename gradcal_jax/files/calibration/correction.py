@@ -109,8 +109,8 @@ def linear_part(
     *,
     mean_over_rates: bool = False,
 ) -> tuple[Floats, Floats]:
-    """At one temperature: measured = matrix (n, n) · inputs + bias (n,), SI, for slow rates or with the mean of the maps
-    over the rates that they cover. Absent terms count as zero."""
+    """At one temperature: measured = matrix (n, n) · inputs + bias (n,), SI, for slow rates or with the mean of the
+    maps over the rates that they cover. Absent terms count as zero."""
     matrix, bias = np.eye(len(inputs)), np.zeros(len(inputs))
     for channel in channels:
         if channel.input in inputs:
@@ -128,7 +128,8 @@ def value_at(
     channel: CalibratedChannel, term: CalibratedTerm, temperature_c: float, *, mean_over_rates: bool = False
 ) -> float:
     """A term's map at one temperature, for slow rates or as its mean over the rates that it covers."""
-    rates = np.linspace(*map(float, channel.valid_rate), 201) if mean_over_rates and term.rate else np.zeros(1)
+    slow, fast = channel.valid_rate
+    rates = np.linspace(float(slow), float(fast), 201) if mean_over_rates and term.rate else np.zeros(1)
     return float(np.mean(term_values(term, np.full(len(rates), temperature_c), rates)))
 
 
@@ -249,21 +250,19 @@ def known_temperature(log: Log, unit: int) -> Floats:
 def needs_temperature(calibration: Calibration) -> bool:
     """Whether any term changes with temperature."""
     terms = [term for channel in calibration.channel for term in channel.term]
-    return any(
-        TEMPERATURE_RATE in t.signals or (t.temperature is not None and t.temperature.size > 1) for t in terms
-    )
+    return any(TEMPERATURE_RATE in t.signals or (t.temperature is not None and t.temperature.size > 1) for t in terms)
 
 
 def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
-    """The log of one sensor with corrected rates (rad/s) and specific forces (m/s²); channels that the calibration does
-    not have stay as they are.
+    """The log of one sensor with corrected rates (rad/s) and specific forces (m/s²); channels that the calibration
+    does not have stay as they are.
 
     `unit`: its name or number in the log. Solves measured = input + Σ map(T)·signals, row by row; beyond the
-    calibration's range its value at the edge holds, and `Corrected` counts such rows. Masked rows are corrected too, and
-    stay masked.
+    calibration's range its value at the edge holds, and `Corrected` counts such rows. Masked rows are corrected too,
+    and stay masked.
 
-    Errors: `LogError` where no channel of the log is calibrated, and where a temperature or another channel's reading is
-    needed that is not there.
+    Errors: `LogError` where no channel of the log is calibrated, and where a temperature or another channel's reading
+    is needed that is not there.
     """
     number = log.unit_index(unit)
     rates, forces = log.rate_rad_per_s[number].copy(), log.specific_force_m_per_s2

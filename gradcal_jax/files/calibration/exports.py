@@ -2,7 +2,7 @@
 
     ardupilot   INS_TCALn_*: biases over temperature, cubics about 35 °C in float32; accelerometers' scale at one T
     px4         TC_G*, TC_A*: biases over temperature, cubics in float32; no scale factor; in steps of 1 °C
-    kalibr      imu.yaml at one temperature: scale, misalignment (triangular), sensitivity of gyros to acceleration, noise
+    kalibr      imu.yaml at one temperature: scale, misalignment (triangular), gyros' sensitivity to acceleration
     matrices    YAML at one temperature: corrected = matrix · (raw − bias) for gyros and accelerometers
     c-header    a function in float32 with all that the calibration has (polynomials)
     csv         every coefficient with its standard deviation, for spreadsheets; nothing is lost
@@ -61,8 +61,8 @@ def export(
     `temperature_c`: for targets of one temperature; `instance`: number of the sensor on the controller (from 1 for
     ArduPilot, from 0 for PX4); `device_id`: PX4's; `zeroed`: coefficients that did not pass a validation, which are
     left out ("gyro_x.a3", "x.a3" or, for every channel, "a3"). Returns the text, and every loss with its largest value
-    and unit. The formulas are those of the targets' firmware, which their functions here name. Errors: `ValueError` with
-    a sentence for what cannot be exported.
+    and unit. The formulas are those of the targets' firmware, which their functions here name. Errors: `ValueError`
+    with a sentence for what cannot be exported.
     """
     if target not in FORMATS:
         raise ValueError(f'there is no export format "{target}": known are {", ".join(FORMATS)}')
@@ -235,13 +235,12 @@ def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     at = 0.5 * (low + high)
     span = (("ENABLE", 1.0), ("TMIN", low), ("TMAX", high))
     parameters = {f"INS_TCAL{number}_{name}": value for name, value in span}
-    losses: list[Loss] = []
-    for channels, kind in ((gyros, "GYR"), (forces, "ACC")):
-        if channels:
-            parameters |= _ardupilot_biases(channels, number, at, kind)
-            losses += _bias_losses(
-                channels, lambda c, t, kind=kind: ardupilot_correction(parameters, c.axis, t, number, kind)
-            )
+    kinds = {"gyro": "GYR", "accelerometer": "ACC"}
+    for channels in filter(None, (gyros, forces)):
+        parameters |= _ardupilot_biases(channels, number, at, kinds[channels[0].kind])
+    losses = list(
+        _bias_losses([*gyros, *forces], lambda c, t: ardupilot_correction(parameters, c.axis, t, number, kinds[c.kind]))
+    )
     # Accelerometers have a scale, gyros none.
     losses += _losses(gyros, _all_but("bias"))
     losses += _losses(forces, lambda c, t: _held(c, t, at) if t.name == "scale_factor" else _all_but("bias")(c, t))
@@ -371,8 +370,8 @@ class LinearForm(NamedTuple):
 
 
 def linear_at(calibration: Calibration, temperature_c: float) -> LinearForm:
-    """The linear part of every channel at one temperature, of maps over rate their mean; absent terms and channels count
-    as zero."""
+    """The linear part of every channel at one temperature, of maps over rate their mean; absent terms and channels
+    count as zero."""
     matrix, bias = linear_part(calibration.channel, temperature_c, mean_over_rates=True)
     return LinearForm(matrix[:3, :3], bias[:3], matrix[:3, 3:], matrix[3:, 3:], bias[3:])
 

@@ -4,8 +4,8 @@
 
 A channel is a gyro or an accelerometer; one gyro axis is a file with one channel. Its terms are maps over temperature
 (of a gyro's scale factor over its own rate, too) times a product of signals: none for a bias, "rate x" for the scale
-factor of gyro x, "force y" for a sensitivity to acceleration. Signals are true inputs, in the frame that the file names;
-"temperature rate" is dT/dt. Coefficients are those of the paper: `a{k}` multiplies the k-th power of
+factor of gyro x, "force y" for a sensitivity to acceleration. Signals are true inputs, in the frame that the file
+names; "temperature rate" is dT/dt. Coefficients are those of the paper: `a{k}` multiplies the k-th power of
 `(T − centre)/scale` in a bias, `b{j}{i}` the j-th power of `(ω − centre)/scale` and the i-th of the temperature's in
 a scale factor; other bases count their functions. Numbers without a unit are SI.
 """
@@ -67,8 +67,9 @@ class CalibratedTerm(Section):
             message = f"expected {self.size}, as many as the bases have functions"
             yield Problem(("coefficients",), message, len(self.coefficients))
         elif self.name in ("bias", "scale_factor") and self.temperature is not None:
-            rates = [[]] if self.rate is None else [[j] for j in range(self.rate.size)]
-            functions = [[i, *j] for i in range(self.temperature.size) for j in rates]
+            rates = 1 if self.rate is None else self.rate.size
+            functions = [[i, j] for i in range(self.temperature.size) for j in range(rates)]
+            functions = functions if self.rate is not None else [[i] for i, _ in functions]
             for name, functions_of_name in zip(self.coefficients, functions, strict=True):
                 if function_of(name) != functions_of_name:
                     place = " and ".join(map(str, functions_of_name))

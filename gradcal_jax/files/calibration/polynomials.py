@@ -83,5 +83,5 @@ def _side(span: tuple[float, float]) -> tuple[float, float]:
 
 def _chebyshev_powers(order: int, size: int) -> Floats:
     """A Chebyshev polynomial in powers, `(size,)`."""
-    powers = chebyshev.cheb2poly(np.eye(size)[order])
-    return np.pad(np.asarray(powers, np.float64), (0, size - len(powers)))
+    powers: Floats = np.asarray(chebyshev.cheb2poly(np.eye(size)[order]), np.float64)
+    return np.pad(powers, (0, size - len(powers)))

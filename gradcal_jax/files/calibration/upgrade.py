@@ -82,5 +82,5 @@ def _diagonal(blocks: list[Any]) -> list[list[Any]]:
     rows: list[list[Any]] = []
     for block in blocks:
         before = len(rows)
-        rows += [[*[0.0] * before, *row, *[0.0] * (size - before - len(row))] for row in block]
+        rows += [[*[0.0] * before, *row, *[0.0] * (size - before - len(block))] for row in block]
     return rows

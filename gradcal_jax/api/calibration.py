@@ -414,13 +414,12 @@ def _calibration(
         order=ORDER,
         channel=tuple(part.channel for part in parts),
         covariance=joined([part.covariance for part in parts]),
-        **{
-            key: rows
-            for key in ("unseen", "fit", "contradicted", "unobservable")
-            if (rows := tuple(row for part in parts for row in getattr(part, key)))
-        },
+        unseen=tuple(row for part in parts for row in part.unseen),
+        fit=tuple(row for part in parts for row in part.fit),
+        contradicted=tuple(row for part in parts for row in part.contradicted),
+        unobservable=tuple(row for part in parts for row in part.unobservable),
         noise=Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **random_walks(spec.sensor)),
-        **({"result": tuple(_result(row) for row in verdicts)} if verdicts else {}),
+        result=tuple(_result(row) for row in verdicts),
         provenance=provenance_of(
             [log],
             unit,
@@ -433,7 +432,7 @@ def _calibration(
 
 def joined(blocks: Sequence[Covariance]) -> Covariance:
     """One covariance of channels that were estimated each by itself."""
-    matrix = block_diag(*(np.array(block.matrix).reshape(len(block.names), -1) for block in blocks))
+    matrix = np.asarray(block_diag(*(np.array(block.matrix).reshape(len(block.names), -1) for block in blocks)))
     return Covariance(
         names=tuple(name for block in blocks for name in block.names), matrix=tuple(map(tuple, matrix.tolist()))
     )

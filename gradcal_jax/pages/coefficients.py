@@ -63,6 +63,7 @@ def hidden_values(truth: Mapping[str, Any] | None, calibration: Calibration | No
     return {
         f"gyro_{axis}.{_GRADIENT if name == 'gradient' else name}": value
         for axis, values in truth.items()
+        if isinstance(values, dict)
         for name, value in values.items()
     }
 

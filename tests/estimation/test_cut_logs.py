@@ -13,7 +13,7 @@ from gradcal_jax.api.unit_estimate import estimate_units
 from gradcal_jax.files.log import Log, part_of
 from gradcal_jax.pages.report_data import report_data_of
 from gradcal_jax.pages.sources import Sources
-from gradcal_jax.pages.unit import unit_report_data
+from gradcal_jax.pages.report_data import report_data_of
 
 
 def cut(log: Log, share: float) -> Log:
@@ -53,7 +53,7 @@ def test_a_unit_s_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predi
     assert lacks is not None
     assert "(85%): the executed part alone predicts" in lacks
     assert report.messages[0] == lacks
-    assert lacks in unit_report_data(Sources(unit_calibration=report.calibration)).notes
+    assert lacks in report_data_of(Sources(calibration=report.calibration)).notes
     for before, after in zip(requirement_rows(spec, float(part.time_s[-1])), report.requirements, strict=True):
         assert after.decisive == pytest.approx(before.decisive, rel=0.1)
 

@@ -76,6 +76,7 @@ def validate(
     unit: str | None = None,
     table_axis: str | None = None,
     earth_rate: str | None = None,
+    gravity: str | None = None,
     parts: int = 3,
     source: Recording = WHOLE,
     json: JsonNumbers = False,
@@ -93,6 +94,8 @@ def validate(
         The axis of the table that turns the sensor's.
     earth_rate
         The Earth rate along the sensor's axis, such as "10.4 deg/h"; it is taken off.
+    gravity
+        The gravity at the place, such as "9.8123 m/s^2", for accelerometers; without it standard gravity.
     parts
         Number of ranges of temperature.
     """
@@ -101,13 +104,16 @@ def validate(
     if parts < 1:
         raise ValueError(f"--parts must be 1 or more, not {parts}")
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
+    place = {} if gravity is None else {"gravity": quantity(gravity, "acceleration", "--gravity")}
     content = read_calibration(calibration)
     recorded = load(log, source, unit=unit)
     use_float64()
     from gradcal_jax.api import validation as work
 
     name = _unit(recorded, content.serial_number, unit)
-    rows = work.validate(content, recorded, unit=name, temperature_parts=parts, earth_rate=earth, table_axis=table_axis)
+    rows = work.validate(
+        content, recorded, unit=name, temperature_parts=parts, earth_rate=earth, table_axis=table_axis, **place
+    )
     judged = work.acceptances(content, rows)
     if json:
         simulated = recorded.simulated or content.simulated
@@ -119,7 +125,8 @@ def validate(
             print("\n" + _validation_text(row))
         for one in judged:
             print("\n" + _acceptance_text(one))
-    worse = [pair for row in rows for pair in (row.scale_factor_ppm, row.bias_deg_per_h) if pair and pair[1] > pair[0]]
+    pairs = [pair for row in rows for pair in (row.scale_factor_ppm, row.bias_deg_per_h, row.gravity_ug) if pair]
+    worse = [pair for pair in pairs if pair[1] > pair[0]]
     return NOT_AS_WISHED if worse or any(row.verdict != "met" for row in judged) else DONE
 
 
@@ -207,13 +214,20 @@ def _acceptance_text(row: "Acceptance") -> str:
 
 def _validation_text(row: "AxisValidation") -> str:
     used = ", ".join(f"{count} {reason}" for reason, count in row.rows.items())
-    lines = [strong(f"axis {row.axis}") + f": {row.moves} moves, {row.rests} rests; rows: {used}"]
+    together = row.axis in ("gyros", "accelerometers")
+    lines = [
+        strong(row.axis if together else f"axis {row.axis}") + f": {row.moves} moves, {row.rests} rests; rows: {used}"
+    ]
     if row.scale_factor_ppm is not None:
         before, after = row.scale_factor_ppm
         lines.append(f"angle of the moves: {before:.5g} ppm rms without, {after:.4g} ppm with the calibration")
     if row.bias_deg_per_h is not None:
         before, after = row.bias_deg_per_h
-        lines.append(f"rate at rest: {before:.5g} deg/h rms without, {after:.4g} deg/h with the calibration")
+        what = "norm of the rate at rest, less the Earth's" if together else "rate at rest"
+        lines.append(f"{what}: {before:.5g} deg/h rms without, {after:.4g} deg/h with the calibration")
+    if row.gravity_ug is not None:
+        before, after = row.gravity_ug
+        lines.append(f"norm of gravity at rest: {before:.5g} ug rms without, {after:.4g} ug with the calibration")
     shown = [("temperature", "mean rate", "how many", "without", "with", "scatter", "")]
     for cell in row.cells:
         warm = cell.temperature_c

@@ -280,12 +280,17 @@ def test_an_estimate_counts_what_its_spec_omits(recorded):
     assert "lag" in said
     assert not any("typical" in m for m in exact.messages[log.units[0]])
     # The covariance of the fit is the same; what no residual shows stands beside it.
-    assert exact.calibrations[0].axis[0].covariance == bare.calibrations[0].axis[0].covariance
-    assert exact.calibrations[0].axis[0].unseen == ()
-    (axis,) = bare.calibrations[0].axis
-    assert {e.name for e in axis.unseen} >= {"input axis beside the table's axis", "Earth's rate", "omitted noise"}
+    (found,), (bare_found,) = exact.calibrations, bare.calibrations
+    assert found.covariance == bare_found.covariance
+    assert found.unseen == ()
+    assert {e.name for e in bare_found.unseen} >= {
+        "input axis beside the table's axis",
+        "Earth's rate",
+        "omitted noise",
+    }
     at = np.linspace(-20.0, 60.0, 5)
-    shown = calibration_map(axis, "scale_factor", at, np.linspace(-200.0, 200.0, 5))[1].values
+    (channel,) = bare_found.channel
+    shown = calibration_map(bare_found, channel, "scale_factor", at, np.linspace(-200.0, 200.0, 5))[1].values
     assert np.mean(shown.max(axis=0)) == pytest.approx(by_bare["M"].value, rel=1e-3)
 
 

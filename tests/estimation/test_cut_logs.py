@@ -13,7 +13,6 @@ from gradcal_jax.api.unit_estimate import estimate_units
 from gradcal_jax.files.log import Log, part_of
 from gradcal_jax.pages.report_data import report_data_of
 from gradcal_jax.pages.sources import Sources
-from gradcal_jax.pages.report_data import report_data_of
 
 
 def cut(log: Log, share: float) -> Log:

@@ -179,7 +179,9 @@ def test_what_the_data_do_not_tell_is_not_a_number(made):
     )
     less = made[2].model_copy(update={"covariance": covariance})
     channel = less.channel[0]
-    _, deviation = calibration_map(less, channel, "scale_factor", np.array([20.0, 25.0]), np.array([-100.0, 0.0, 100.0]))
+    _, deviation = calibration_map(
+        less, channel, "scale_factor", np.array([20.0, 25.0]), np.array([-100.0, 0.0, 100.0])
+    )
     # b11 stands before ω′·T′, which is zero at 20 °C and at rest.
     assert np.isfinite(deviation.values).tolist() == [[True, True, True], [False, True, False]]
     assert {term.name: term.std for term in standard_terms(less, channel)}["scale factor asymmetry"] is None

@@ -14,7 +14,7 @@ _POINTS, _SMALL_GRID = 201, 41
 _FIT_DEGREE = 7
 
 
-class Powers(NamedTuple):
+class PowerForm(NamedTuple):
     """Centre and scale of temperature (°C, K) and of rate (rad/s), and a map's coefficients `(n_T, n_ω)` in powers of
     the normalised variables; `exact`: whether the map is this polynomial."""
 
@@ -44,7 +44,7 @@ def bias_polynomial(channel: CalibratedChannel, about_c: float, degree: int) -> 
 
 
 def _moved(coefficients: Floats, centre: float, scale: float, about: float) -> Floats:
-    """Powers of (x − centre)/scale as powers of (x − about)."""
+    """PowerForm of (x − centre)/scale as powers of (x − about)."""
     inner = np.array([(about - centre) / scale, 1.0 / scale])
     total, power = np.zeros(len(coefficients)), np.ones(1)
     for value in coefficients:
@@ -53,7 +53,7 @@ def _moved(coefficients: Floats, centre: float, scale: float, about: float) -> F
     return total
 
 
-def in_powers(channel: CalibratedChannel, term: CalibratedTerm) -> Powers:
+def in_powers(channel: CalibratedChannel, term: CalibratedTerm) -> PowerForm:
     """A term's map in normalised powers; fitted over the channel's range where it is no polynomial."""
     of_t, of_w = term.temperature, term.rate
     sides, degrees, exact = [(0.0, 1.0), (0.0, 1.0)], [0, 0], True
@@ -65,7 +65,7 @@ def in_powers(channel: CalibratedChannel, term: CalibratedTerm) -> Powers:
             sides[k], degrees[k], exact = _side(span), _FIT_DEGREE, False
     if exact:
         table = np.array(list(term.coefficients.values())).reshape(degrees[0] + 1, degrees[1] + 1)
-        return Powers(sides[0], sides[1], table, True)
+        return PowerForm(sides[0], sides[1], table, True)
     t, w = (np.linspace(float(low), float(high), _SMALL_GRID) for low, high in spans)
     grid_t, grid_w = (x.ravel() for x in np.meshgrid(t, w, indexing="ij"))
     normalised = [(x - centre) / scale for x, (centre, scale) in zip((grid_t, grid_w), sides, strict=True)]
@@ -73,7 +73,7 @@ def in_powers(channel: CalibratedChannel, term: CalibratedTerm) -> Powers:
     fitted = np.linalg.lstsq(design, term_values(term, grid_t, grid_w), rcond=None)[0]
     to_powers = [np.stack([_chebyshev_powers(k, d + 1) for k in range(d + 1)], axis=1) for d in degrees]
     table = to_powers[0] @ fitted.reshape(degrees[0] + 1, degrees[1] + 1) @ to_powers[1].T
-    return Powers(sides[0], sides[1], table, False)
+    return PowerForm(sides[0], sides[1], table, False)
 
 
 def _side(span: tuple[float, float]) -> tuple[float, float]:

@@ -276,18 +276,18 @@ def _triads(
 def _turns(log, number, rests, temperature, rates, at_rest, step):
     """Errors `(2, turns)` of the turns between rests about one table axis, before and after the correction (ppm), with
     their temperatures (°C) and mean rates (deg/s)."""
-    count, messages = len(number), list[str]()
-    read = (
-        table_readings(log, k, number >= 0, np.inf, messages, every_kind=True)[0] for k in range(len(log.table_axes))
-    )
-    angles = [angle for one in read if (angle := one.at_rows(count)[0]) is not None]
+    angles: list[np.ndarray] = []
+    for axis in range(len(log.table_axes)):
+        read, _ = table_readings(log, axis, number >= 0, np.inf, [], every_kind=True)
+        of_rest = [read.angle[number[read.rows] == rest] for rest in rests]
+        angles.append(np.array([np.mean(own) if len(own) else np.nan for own in of_rest]))
     found: list[tuple[float, ...]] = []
     for k in range(len(rests) - 1) if angles else ():
         first = int(np.flatnonzero(number == rests[k])[-1])
         last = int(np.flatnonzero(number == rests[k + 1])[0])
-        turned = np.sort(np.abs([angle[last] - angle[first] for angle in angles]))
+        turned = np.sort(np.abs([angle[k + 1] - angle[k] for angle in angles]))
         between = slice(first + 1, last + 1)
-        if turned[-1] < np.radians(1.0) or np.any(turned[:-1] > _OTHER_AXIS) or not step[between].all():
+        if not turned[-1] > np.radians(1.0) or np.any(turned[:-1] > _OTHER_AXIS) or not step[between].all():
             continue
         # About one direction, the integrated rate is as long as its way.
         way = np.linalg.norm(rates[0][between], axis=1) @ step[between]

@@ -66,7 +66,7 @@ class CalibratedTerm(Section):
         if len(self.coefficients) != self.size:
             message = f"expected {self.size}, as many as the bases have functions"
             yield Problem(("coefficients",), message, len(self.coefficients))
-        elif self.name in ("bias", "scale_factor") and self.temperature is not None:
+        elif self.name in ("bias", "scale_factor") and self.temperature is not None and self.size > 1:
             rates = 1 if self.rate is None else self.rate.size
             functions = [[i, j] for i in range(self.temperature.size) for j in range(rates)]
             functions = functions if self.rate is not None else [[i] for i, _ in functions]

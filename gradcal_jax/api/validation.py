@@ -241,6 +241,8 @@ def _triads(
     rows, still = count_rows(log, unit, usable), number >= 0
     lasts = np.bincount(number[still], step[still])
     rests = np.flatnonzero(lasts > _BRIEF_S)
+    if not len(rests):
+        return []
     temperature = np.full(len(number), np.nan) if log.temperature_c is None else log.temperature_c[unit]
 
     def mean(values: np.ndarray) -> np.ndarray:
@@ -264,18 +266,27 @@ def _triads(
         if kind == "accelerometer":
             result.append(AxisValidation("accelerometers", 0, len(rests), None, None, tuple(cells), rows, (), pair))
             continue
-        errors, heat, speed = _turns(log, number, rests, temperature, before_and_after, at_rest, step)
+        turns = _turns(log, number, rests, temperature, before_and_after, at_rest, step)
         scale = None
-        if len(speed):
-            scale = _rms(errors[0]), _rms(errors[1])
-            cells += _cells(heat, speed, *errors, _edges(heat, parts), "ppm")
-        result.append(AxisValidation("gyros", len(speed), len(rests), scale, pair, tuple(cells), rows, tuple(messages)))
+        if len(turns):
+            uncorrected, left, heat, speed = turns.T
+            scale = _rms(uncorrected), _rms(left)
+            cells += _cells(heat, speed, uncorrected, left, _edges(heat, parts), "ppm")
+        result.append(AxisValidation("gyros", len(turns), len(rests), scale, pair, tuple(cells), rows, tuple(messages)))
     return result
 
 
-def _turns(log, number, rests, temperature, rates, at_rest, step):
-    """Errors `(2, turns)` of the turns between rests about one table axis, before and after the correction (ppm), with
-    their temperatures (°C) and mean rates (deg/s)."""
+def _turns(
+    log: Log,
+    number: np.ndarray,
+    rests: np.ndarray,
+    temperature: np.ndarray,
+    rates: list[np.ndarray],
+    at_rest: list[np.ndarray],
+    step: np.ndarray,
+) -> np.ndarray:
+    """Turns between rests about one table axis, `(turns, 4)`: errors before and after the correction (ppm), temperature
+    (°C) and mean rate (deg/s)."""
     angles: list[np.ndarray] = []
     for axis in range(len(log.table_axes)):
         read, _ = table_readings(log, axis, number >= 0, np.inf, [], every_kind=True)
@@ -289,20 +300,17 @@ def _turns(log, number, rests, temperature, rates, at_rest, step):
         between = slice(first + 1, last + 1)
         if not turned[-1] > np.radians(1.0) or np.any(turned[:-1] > _OTHER_AXIS) or not step[between].all():
             continue
+        lasting, row = float(step[between].sum()), list[float]()
+        wholes = [values[between].T @ step[between] for values in rates]
         # About one direction, the integrated rate is as long as its way.
-        way = np.linalg.norm(rates[0][between], axis=1) @ step[between]
-        if np.linalg.norm(rates[0][between].T @ step[between]) < _STRAIGHT * way:
+        if np.linalg.norm(wholes[0]) < _STRAIGHT * (np.linalg.norm(rates[0][between], axis=1) @ step[between]):
             continue
-        row: list[float] = []
-        for values, rest in zip(rates, at_rest, strict=True):
-            whole, lasting = values[between].T @ step[between], float(step[between].sum())
+        for whole, rest in zip(wholes, at_rest, strict=True):
             length = float(np.linalg.norm(whole))
             still = 0.5 * (rest[k] + rest[k + 1]) @ whole / length
-            row.append((length - still * lasting) / turned[-1] - 1.0)
-        heat = float(np.mean(temperature[between]))
-        found.append((row[0] * PPM, row[1] * PPM, heat, turned[-1] / lasting * DEG_PER_S))
-    table = np.array(found).reshape(-1, 4).T
-    return table[:2], table[2], table[3]
+            row.append(PPM * ((length - still * lasting) / turned[-1] - 1.0))
+        found.append((*row, float(np.mean(temperature[between])), turned[-1] / lasting * DEG_PER_S))
+    return np.array(found).reshape(-1, 4)
 
 
 def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:

@@ -8,7 +8,16 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.contract_rows import counted_std, finite, fit_rows, provenance_of, random_walks
+from gradcal_jax.api.contract_rows import (
+    counted_std,
+    finite,
+    fit_rows,
+    judged_by_data,
+    provenance_of,
+    random_walks,
+    requirement_fields,
+    result_of_requirement,
+)
 from gradcal_jax.api.contradictions import (
     SCALE_FACTOR_ERROR,
     beyond_the_data,
@@ -20,17 +29,8 @@ from gradcal_jax.api.estimate import common_axes, estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.log_rows import with_options
-from gradcal_jax.api.posterior_of_plan import (
-    DEG_PER_S,
-    PPM,
-    UNIT_OF,
-    decision_rule,
-    residual_map,
-    run_of,
-    statistic_of,
-    target_of,
-    verdict,
-)
+from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM, UNIT_OF
+from gradcal_jax.api.prediction import requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.standard_estimate import point_channel
 from gradcal_jax.api.systematic import (
@@ -56,38 +56,20 @@ from gradcal_jax.files.calibration import (
     FitTest,
     Noise,
     Residuals,
-    Result,
     UnseenError,
     build_term,
 )
+from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.points import RatePoints
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import unobservable_combinations
 from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT
 
 # Standard deviations by which two halves of the data differ by chance once in a thousand.
 _APART = 3.3
-
-
-class Verdict(NamedTuple):
-    """A requirement, as the estimate meets it: its statistic and the worst place of the box (both 1σ), with what the
-    spec omits and, in "any run", another power-on. `named`: the statistic by what the spec names, in this run."""
-
-    requirement: Requirement
-    axis: str
-    value: float | None
-    worst: float | None
-    unit: str
-    target: float | None
-    verdict: str | None
-    rule: str
-    coverage: float
-    named: float | None = None
-    another_run: float | None = None
 
 
 CountedByChannel = Mapping[tuple[str, str], CountedPosteriors]
@@ -112,8 +94,8 @@ class EstimateReport(NamedTuple):
 
     calibrations: tuple[Calibration, ...]
     channels: tuple[UnitChannel, ...]
-    verdicts: dict[str, tuple[Verdict, ...]]
-    """By unit."""
+    verdicts: dict[str, tuple[RequirementRow, ...]]
+    """The requirements by unit."""
     messages: dict[str, tuple[str, ...]]
     """By unit: sentences to read before the calibration is used."""
     discrepancies: tuple[MeasuredDiscrepancy, ...] = ()
@@ -271,35 +253,13 @@ def _budget(built: Assembled, channel: UnitChannel, noise: Mapping[Axis, dict[st
     return budget_of_estimate(built._replace(model=channel.model), known, done, of_axis)
 
 
-def _verdicts(budgets: CountedByChannel, channel: UnitChannel) -> list[Verdict]:
-    budget = budgets[channel.unit, channel.axis]
-    built = budget.built
-    rows: list[Verdict] = []
-    contradicted = contradictions_of(channel)
-    for requirement in built.spec.requirement:
-        in_this = residual_map(built, budget.own, requirement)[2]
-        any_run = run_of(requirement) == "any run"
-        values = residual_map(built, budget.judged(run_of(requirement)), requirement)[2]
-        value, worst = (finite(statistic_of(requirement, values, name)) for name in (requirement.statistic, "max"))
-        judged = verdict(requirement, values)
-        if judged in ("met", "missed") and beyond_the_data(requirement, *_covered(channel)):
-            judged = "not covered"
-        judged = "not valid" if contradicted else judged
-        rows.append(
-            Verdict(
-                requirement,
-                channel.axis,
-                value,
-                worst,
-                UNIT_OF[requirement.quantity][0],
-                target_of(requirement),
-                judged,
-                decision_rule(requirement),
-                requirement.coverage,
-                finite(statistic_of(requirement, in_this)),
-                value if any_run and budget.any_run is not budget.whole else None,
-            )
-        )
+def _verdicts(budgets: CountedByChannel, channel: UnitChannel) -> list[RequirementRow]:
+    budget, contradicted = budgets[channel.unit, channel.axis], contradictions_of(channel)
+    rows: list[RequirementRow] = []
+    for requirement in budget.built.spec.requirement:
+        row = requirement_row(budget.built, budget, requirement, budget.built.channels[0])
+        beyond = beyond_the_data(requirement, *_covered(channel))
+        rows.append(judged_by_data(row, beyond, contradicted).model_copy(update={"axis": channel.axis}))
     return rows
 
 
@@ -400,7 +360,7 @@ def _calibration(
     unit: str,
     channels: list[UnitChannel],
     budgets: CountedByChannel,
-    verdicts: tuple[Verdict, ...],
+    verdicts: tuple[RequirementRow, ...],
     options: Options,
     sources: dict[str, str],
 ) -> Calibration:
@@ -419,7 +379,7 @@ def _calibration(
         contradicted=tuple(row for part in parts for row in part.contradicted),
         unobservable=tuple(row for part in parts for row in part.unobservable),
         noise=Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **random_walks(spec.sensor)),
-        result=tuple(_result(row) for row in verdicts),
+        result=tuple(map(result_of_requirement, verdicts)),
         provenance=provenance_of(
             [log],
             unit,
@@ -435,22 +395,6 @@ def joined(blocks: Sequence[Covariance]) -> Covariance:
     matrix = np.asarray(block_diag(*(np.array(block.matrix).reshape(len(block.names), -1) for block in blocks)))
     return Covariance(
         names=tuple(name for block in blocks for name in block.names), matrix=tuple(map(tuple, matrix.tolist()))
-    )
-
-
-def _result(row: Verdict) -> Result:
-    values: dict[str, Any] = {"value": row.value, "worst": row.worst, "target": row.target, "verdict": row.verdict}
-    values |= {"named": None if row.named == row.value else row.named}
-    if row.target is not None:
-        values |= {"coverage": row.coverage, "rule": row.rule}
-        values["risk"] = None if row.requirement.risk is None else float(row.requirement.risk)
-    return Result(
-        name=row.requirement.name,
-        axis=row.axis,
-        quantity=row.requirement.quantity,
-        statistic=f"{row.requirement.statistic}, 1 sigma",
-        unit=row.unit,
-        **{name: value for name, value in values.items() if value is not None},
     )
 
 
@@ -548,7 +492,7 @@ def estimate_rows(report: EstimateReport) -> dict[str, Any]:
                 "channels": [
                     _channel_row(one, report.unseen_of(one)) for one in report.channels if one.unit == c.serial_number
                 ],
-                "requirements": [_verdict_row(row) for row in report.verdicts[c.serial_number]],
+                "requirements": [requirement_fields(row) for row in report.verdicts[c.serial_number]],
                 "messages": list(report.messages[c.serial_number]),
             }
             for c in report.calibrations
@@ -624,11 +568,3 @@ def _channel_row(channel: UnitChannel, unseen: Sequence[UnseenError]) -> dict[st
             ],
         },
     }
-
-
-def _verdict_row(row: Verdict) -> dict[str, Any]:
-    fields = {name: getattr(row.requirement, name) for name in ("name", "quantity", "statistic")}
-    # The order of the keys in JSON.
-    order = ("name", "axis", "quantity", "statistic", "value", "worst", "named", "another_run")
-    order = (*order, "unit", "target", "verdict", "coverage", "rule")
-    return {name: (fields | row._asdict())[name] for name in order}

@@ -14,7 +14,8 @@ from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad, Sensor
 
 if TYPE_CHECKING:
     from gradcal_jax.estimation import Test
-    from gradcal_jax.files.calibration import Calibration, Covariance, FitTest, UnseenError
+    from gradcal_jax.files.calibration import Calibration, Covariance, FitTest, Result, UnseenError
+    from gradcal_jax.files.contracts import RequirementRow
     from gradcal_jax.files.log import Log
 
 
@@ -93,3 +94,33 @@ def fit_rows(tests: "Iterable[tuple[str, Test]]") -> "tuple[FitTest, ...]":
         FitTest(name=name, statistic=test.statistic, degrees=test.degrees, chance=test.probability)
         for name, test in tests
     )
+
+
+def judged_by_data(row: "RequirementRow", beyond: str | None, contradicted: Sequence[str]) -> "RequirementRow":
+    """A requirement as an estimate meets it: no verdict where the data lack what it asks for (`beyond`), or contradict
+    the model."""
+    verdict = "not covered" if beyond and row.verdict in ("met", "missed") else row.verdict
+    return row.model_copy(update={"verdict": "not valid" if contradicted else verdict})
+
+
+def result_of_requirement(row: "RequirementRow") -> "Result":
+    """A requirement in a calibration file."""
+    from gradcal_jax.files.calibration import Result
+
+    values: dict[str, Any] = {"value": row.judged, "worst": row.worst, "target": row.target, "verdict": row.verdict}
+    values["named"] = None if row.decisive == row.judged else row.decisive
+    if row.target is not None:
+        values |= {"coverage": row.coverage, "rule": row.rule, "risk": row.risk}
+    return Result(
+        name=row.name,
+        axis=row.axis,
+        quantity=row.quantity,
+        statistic=f"{row.statistic}, 1 sigma",
+        unit=row.unit,
+        **{key: value for key, value in values.items() if value is not None},
+    )
+
+
+def requirement_fields(row: "RequirementRow") -> dict[str, Any]:
+    """A requirement for `--json`: the row with the judged value, and that of the terms that the spec names."""
+    return row.model_dump(mode="json", exclude_none=True) | {"value": row.judged, "named": row.decisive}

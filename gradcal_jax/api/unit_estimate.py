@@ -13,7 +13,16 @@ import numpy as np
 from gradcal_jax import estimation, trajectory
 from gradcal_jax.api.build import move_of
 from gradcal_jax.api.calibration import excess_of, noise_sentences, not_valid
-from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of, random_walks, section_of
+from gradcal_jax.api.contract_rows import (
+    coefficient_rows,
+    fit_rows,
+    judged_by_data,
+    provenance_of,
+    random_walks,
+    requirement_fields,
+    result_of_requirement,
+    section_of,
+)
 from gradcal_jax.api.contradictions import (
     beyond_the_data,
     diagnosis_sentences,
@@ -47,7 +56,6 @@ from gradcal_jax.files.calibration import (
     Calibration,
     Covariance,
     Noise,
-    Result,
     TableError,
     build_term,
 )
@@ -203,13 +211,9 @@ def _report(
     contradicted = (*shown.not_valid, *estimation.contradictions(_tests_of(tests, channels)))
     requirements, beyond = [], list[str]()
     for requirement in built.spec.requirement:
-        row = unit_requirement_row(built, budget, requirement)
         if sentence := beyond_the_data(requirement, *covered):
             beyond.append(sentence)
-            if row.verdict in ("met", "missed"):
-                row = row.model_copy(update={"verdict": "not covered"})
-        if contradicted:
-            row = row.model_copy(update={"verdict": "not valid"})
+        row = judged_by_data(unit_requirement_row(built, budget, requirement), sentence, contradicted)
         requirements.append(row)
     requirements = tuple(requirements)
     calibration = _calibration(built, logs, name, solution, tests, channels, requirements, covered, options, sources)
@@ -522,7 +526,7 @@ def _calibration(
         "fit": fit_rows(named.items()),
         "unobservable": tuple(n for n in unobserved_parameters(built, solution.known) if n in kept),
         "noise": _noise(spec, logs[0]),
-        "result": tuple(_result(row) for row in requirements),
+        "result": tuple(map(result_of_requirement, requirements)),
         "provenance": provenance_of(
             logs,
             name,
@@ -574,22 +578,6 @@ def _noise(spec: UnitSpec, log: Log) -> Noise:
     return Noise(**densities)
 
 
-def _result(row: RequirementRow) -> Result:
-    values = {"value": row.judged, "target": row.target, "verdict": row.verdict}
-    if row.judged != row.decisive:
-        values["named"] = row.decisive
-    if row.target is not None:
-        values |= {"coverage": row.coverage, "rule": row.rule}
-    return Result(
-        name=row.name,
-        quantity=row.quantity,
-        axis=row.axis or "",
-        statistic=f"{row.statistic}, 1 sigma",
-        unit=row.unit,
-        **{key: v for key, v in values.items() if v is not None},
-    )
-
-
 def unit_estimate_rows(report: UnitReport) -> dict[str, Any]:
     """All numbers of an estimate for `--json`, in SI unless they have a unit beside them."""
     calibration = report.calibration
@@ -598,7 +586,7 @@ def unit_estimate_rows(report: UnitReport) -> dict[str, Any]:
         "simulated": calibration.simulated,
         "parameters": coefficient_rows(calibration),
         "table": [row.model_dump(mode="json") for row in calibration.table],
-        "requirements": [row.model_dump(mode="json", exclude_none=True) for row in report.requirements],
+        "requirements": [requirement_fields(row) for row in report.requirements],
         "internal_misalignment": [row._asdict() for row in report.internal],
         "gravity_rms_m_per_s2": report.gravity,
         "tests": [row.model_dump(mode="json") for row in calibration.fit],

@@ -36,7 +36,7 @@ def test_an_axis_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predic
     (verdicts,) = report.verdicts.values()
     assert len(predicted) == len(verdicts) > 0
     for before, after in zip(predicted, verdicts, strict=True):
-        assert after.named == pytest.approx(before.decisive, rel=0.05)
+        assert after.decisive == pytest.approx(before.decisive, rel=0.05)
         assert f"{before.decisive:.4g} {before.unit} of {before.name}" in calibration.lacks
     assert estimate_calibration(spec, log).calibrations[0].lacks is None
 

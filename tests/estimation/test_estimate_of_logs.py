@@ -385,5 +385,5 @@ def test_without_a_table_only_the_bias_is_seen():
     assert calibration.covariance.names == ("gyro_x.a0", "gyro_x.a1")
     assert len(calibration.unobservable) == 4
     assert any("the scale factor is not observable" in message for message in report.messages[log.units[0]])
-    verdicts = {v.requirement.name: v.verdict for v in report.verdicts[log.units[0]]}
+    verdicts = {v.name: v.verdict for v in report.verdicts[log.units[0]]}
     assert verdicts["map"] == "unobservable"

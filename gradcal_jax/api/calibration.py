@@ -365,6 +365,11 @@ def _calibration(
     sources: dict[str, str],
 ) -> Calibration:
     parts = [_channel(spec, channel, budgets[unit, channel.axis]) for channel in channels]
+    rows: dict[str, Any] = {
+        key: tuple(row for part in parts for row in getattr(part, key))
+        for key in ("unseen", "fit", "contradicted", "unobservable")
+    }
+    rows["result"] = tuple(map(result_of_requirement, verdicts))
     return Calibration(
         format=FORMAT,
         title=spec.title or spec.sensor.name or f"calibration of {unit}",
@@ -374,12 +379,8 @@ def _calibration(
         order=ORDER,
         channel=tuple(part.channel for part in parts),
         covariance=joined([part.covariance for part in parts]),
-        unseen=tuple(row for part in parts for row in part.unseen),
-        fit=tuple(row for part in parts for row in part.fit),
-        contradicted=tuple(row for part in parts for row in part.contradicted),
-        unobservable=tuple(row for part in parts for row in part.unobservable),
+        **{key: value for key, value in rows.items() if value},
         noise=Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **random_walks(spec.sensor)),
-        result=tuple(map(result_of_requirement, verdicts)),
         provenance=provenance_of(
             [log],
             unit,

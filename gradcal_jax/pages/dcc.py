@@ -61,6 +61,8 @@ def _document(certificate: Certificate, rig: RigFile | None) -> ET.Element:
     for key, option in (("certificate number", "--number"), ("performed", "--performed 2026-11-22")):
         if stated[key] == NOT_STATED:
             raise ValueError(f"a DCC says the {key}: give {option}")
+    if strange := [row.term for row in certificate.corrections if row.unit not in _IN_SI]:
+        raise ValueError(f"a DCC has no unit for {', '.join(strange)}: leave --dcc out")
     begin, _, end = stated["performed"].partition("..")
     root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION})
     root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{VERSION}/dcc.xsd")

@@ -187,7 +187,7 @@ def _losses(
 def _for_people(term: CalibratedTerm, kind: str) -> tuple[str, float]:
     forces = sum(signal.strip("|").startswith("force") for signal in term.signals)
     if TEMPERATURE_RATE in term.signals:
-        return ("deg/h", DEG_PER_H / 60.0) if kind == "gyro" else ("ug", _MICRO_G / 60.0)
+        return ("deg/h at 1 K/min", DEG_PER_H / 60.0) if kind == "gyro" else ("ug at 1 K/min", _MICRO_G / 60.0)
     if kind == "gyro" and forces:
         return "deg/h at 1 g", DEG_PER_H * G**forces
     if not term.signals:

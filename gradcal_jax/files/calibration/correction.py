@@ -32,6 +32,8 @@ from gradcal_jax.files.calibration.file import TEMPERATURE_RATE, CalibratedChann
 from gradcal_jax.files.log import Floats, Log, LogError
 
 _ROUNDS, _SETTLED, _DIVERGED = 60, 1e-14, 1e-9
+# Larger forces (m/s²) are wrong samples.
+_LARGEST_FORCE = 1000.0
 _ROWS_AT_ONCE = 1 << 15
 _SLOPE_WINDOW_S = 60.0
 # Over a shorter break the temperature is continuous; after a longer one a run begins with a stable chamber, and the
@@ -176,33 +178,42 @@ def _correct(
     inverse = np.linalg.inv(matrix)
     # The temperature stays as it is from round to round.
     maps = [[_at_temperatures(term, np.clip(at, *c.valid_temperature)) for term in c.term] for c, at in channels]
-    now = 0.0 * measured
-    moved = np.zeros(len(inputs))
+    now, change = 0.0 * measured, 0.0 * measured
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_ROUNDS):
             signals = {**dict(zip(inputs, now, strict=True)), **slope}
             left = measured - now
             for (channel, at), of_temperature in zip(channels, maps, strict=True):
                 left[inputs.index(channel.input)] -= channel_error(channel, at, signals, of_temperature)
+            settled = True
             for k in range(len(inputs)):
                 # Only channels with an effect: a missing reading does not affect the other triad.
                 acts = np.flatnonzero(inverse[k])
-                change = inverse[k, acts] @ left[acts]
-                now[k] += change
-                size = max(float(np.nanmax(np.abs(now[k]), initial=0.0)), 1e-300)
-                moved[k] = float(np.nanmax(np.abs(change), initial=0.0)) / size
-            if np.all(moved <= _SETTLED):
+                change[k] = inverse[k, acts] @ left[acts]
+                now[k] += change[k]
+                size = float(np.nanmax(np.abs(now[k]), initial=1e-300))
+                settled &= bool(np.nanmax(np.abs(change[k]), initial=0.0) <= _SETTLED * size)
+            if settled:
                 return now
-    for channel, at in channels:
-        # Next to a jump of the map (bins) two values may alternate: both are within the jump.
-        k, jumps = inputs.index(channel.input), any(isinstance(term.rate, RateBins) for term in channel.term)
-        if not moved[k] <= _DIVERGED and not jumps:
-            row = int(np.nanargmax(np.abs(measured[k])))
-            raise ValueError(
-                f"the calibration of {channel.label} is too steep to be inverted between 0 and {measured[k, row]:.4g} "
-                f"(SI), near {at[row]:.4g} degC: is this calibration of another sensor?"
-            )
+        for channel, at in channels:
+            _refuse_or_leave(channel, at, *(rows[inputs.index(channel.input)] for rows in (measured, change, now)))
     return now
+
+
+def _refuse_or_leave(channel: CalibratedChannel, at: Floats, measured: Floats, change: Floats, now: Floats) -> None:
+    """Set to NaN what has no solution, far beyond what the sensor measures; raise `ValueError` within that."""
+    # Next to a jump of the map (bins) two values may alternate: both are within the jump.
+    if any(isinstance(term.rate, RateBins) for term in channel.term) or not np.isfinite(measured).any():
+        return
+    limit = 2.0 * max(abs(float(r)) for r in channel.valid_rate) if channel.kind == "gyro" else _LARGEST_FORCE
+    size = np.maximum(np.abs(now), np.nanmedian(np.abs(now)))
+    unsolved = np.isfinite(measured) & ~(np.abs(change) <= _DIVERGED * size)
+    if len(rows := np.flatnonzero(unsolved & (np.abs(measured) <= limit))):
+        raise ValueError(
+            f"the calibration of {channel.label} is too steep to be inverted at {measured[rows[0]]:.4g} (SI), "
+            f"{at[rows[0]]:.4g} degC: is this calibration of another sensor?"
+        )
+    now[unsolved] = np.nan
 
 
 def followed(temperature_c: Floats, time_s: Floats, starts: NDArray[np.int64], lag_s: float) -> Floats:

@@ -167,3 +167,14 @@ def test_a_map_too_steep_to_invert_is_refused():
     steep = parse_calibration(HEAD + re.sub(r"^b10 = .*$", "b10 = -3.0", axis_text("x"), flags=re.M))
     with pytest.raises(ValueError, match="gyro x is too steep"):
         correct(steep.channel, {"rate x": np.radians(np.linspace(-300, 300, 61))}, np.full(61, 70.0))
+
+
+def test_a_wrong_sample_without_a_solution_spoils_no_other():
+    truth = a_truth()
+    log, rate, force = readings(truth, 50)
+    felt = log.specific_force_m_per_s2.copy()
+    felt[0, 7, 2] = -1e9
+    done = apply(calibration_of(truth), replace(log, specific_force_m_per_s2=felt)).log
+    kept = np.arange(50) != 7
+    assert np.max(np.abs(done.rate_rad_per_s[0] - rate)[kept]) < 1e-12
+    assert np.max(np.abs(done.specific_force_m_per_s2[0] - force)[kept]) < 1e-12 * G

@@ -11,6 +11,7 @@ Quantities are SI (°C for temperatures) unless the name ends in another unit; r
 """
 
 import importlib
+import warnings
 from typing import Any
 
 __version__ = "0.1.0"
@@ -70,20 +71,15 @@ _HOME_OF_NAME: dict[str, str] = {
     "limiting_function_of_mean": "identify.limiting_function",
     # calibrations
     "estimate": "api.log_flow",
+    "Calibration": "files.calibration",
     "read_calibration": "files.calibration",
     "write_calibration": "files.calibration",
-    "apply": "files.correction",
+    "apply": "files.calibration.correction",
     "validate": "api.validation",
-    "export": "files.exports",
+    "export": "files.calibration.exports",
     "report": "pages.report",
-    # calibrations of whole units
     "estimate_by_hand": "api.hand_estimate",
     "estimate_units": "api.unit_estimate",
-    "UnitCalibration": "files.unit_calibration",
-    "read_any_calibration": "files.unit_calibration",
-    "write_unit_calibration": "files.unit_calibration",
-    "apply_unit": "files.unit_correction",
-    "export_unit": "files.unit_exports",
     # the core alone: error model, plans, covariance
     "SensorModel": "model",
     "gradient_plan": "trajectory",
@@ -97,8 +93,21 @@ _HOME_OF_NAME: dict[str, str] = {
 
 __all__ = list(_HOME_OF_NAME)
 
+# For one release: names of the time when an axis and an IMU had calibrations of their own.
+_OLD_NAMES: dict[str, str] = {
+    "UnitCalibration": "Calibration",
+    "read_any_calibration": "read_calibration",
+    "write_unit_calibration": "write_calibration",
+    "apply_unit": "apply",
+    "export_unit": "export",
+}
+
 
 def __getattr__(name: str) -> Any:
+    if name in _OLD_NAMES:
+        sentence = f"gradcal_jax.{name} is now gradcal_jax.{_OLD_NAMES[name]}; the old name goes with the next release"
+        warnings.warn(sentence, DeprecationWarning, stacklevel=2)
+        return __getattr__(_OLD_NAMES[name])
     if name not in _HOME_OF_NAME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF_NAME[name]}"), name)

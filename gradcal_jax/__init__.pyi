@@ -31,11 +31,12 @@ from gradcal_jax.files import read_spec as read_spec
 from gradcal_jax.files import schema as schema
 from gradcal_jax.files import tables_of as tables_of
 from gradcal_jax.files import write_toml as write_toml
+from gradcal_jax.files.calibration import Calibration as Calibration
 from gradcal_jax.files.calibration import read_calibration as read_calibration
 from gradcal_jax.files.calibration import write_calibration as write_calibration
+from gradcal_jax.files.calibration.correction import apply as apply
+from gradcal_jax.files.calibration.exports import export as export
 from gradcal_jax.files.catalogue import read_catalogue as read_catalogue
-from gradcal_jax.files.correction import apply as apply
-from gradcal_jax.files.exports import export as export
 from gradcal_jax.files.importers import import_log as import_log
 from gradcal_jax.files.importers import parse_column_map as parse_column_map
 from gradcal_jax.files.log import Log as Log
@@ -44,11 +45,6 @@ from gradcal_jax.files.log import write_log as write_log
 from gradcal_jax.files.recipe import read_recipe as read_recipe
 from gradcal_jax.files.rig import read_rig as read_rig
 from gradcal_jax.files.sweep import read_sweep as read_sweep
-from gradcal_jax.files.unit_calibration import UnitCalibration as UnitCalibration
-from gradcal_jax.files.unit_calibration import read_any_calibration as read_any_calibration
-from gradcal_jax.files.unit_calibration import write_unit_calibration as write_unit_calibration
-from gradcal_jax.files.unit_correction import apply_unit as apply_unit
-from gradcal_jax.files.unit_exports import export_unit as export_unit
 from gradcal_jax.files.unit_spec import UnitSpec as UnitSpec
 from gradcal_jax.files.unit_spec import parse_unit_spec as parse_unit_spec
 from gradcal_jax.files.unit_spec import read_unit_spec as read_unit_spec

@@ -99,6 +99,22 @@ def test_whatever_public_names_give_tells_the_shapes_of_its_arrays():
     assert silent == []
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("UnitCalibration", "Calibration"),
+        ("read_any_calibration", "read_calibration"),
+        ("write_unit_calibration", "write_calibration"),
+        ("apply_unit", "apply"),
+        ("export_unit", "export"),
+    ],
+)
+def test_an_old_name_is_the_new_one_and_warns(old, new):
+    with pytest.warns(DeprecationWarning, match=rf"gradcal_jax\.{old} is now gradcal_jax\.{new};"):
+        assert getattr(gj, old) is getattr(gj, new)
+    assert old not in gj.__all__
+
+
 def test_functions_have_the_names_of_commands():
     commands = {name for name in build() if not name.startswith("-")}
     assert commands - AT_A_TERMINAL <= set(gj.__all__)

@@ -5,9 +5,19 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.contract_rows import counted_std, finite, fit_rows, provenance_of, random_walks
+from gradcal_jax.api.contract_rows import (
+    counted_std,
+    finite,
+    fit_rows,
+    judged_by_data,
+    provenance_of,
+    random_walks,
+    requirement_fields,
+    result_of_requirement,
+)
 from gradcal_jax.api.contradictions import (
     SCALE_FACTOR_ERROR,
     beyond_the_data,
@@ -19,17 +29,8 @@ from gradcal_jax.api.estimate import common_axes, estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.log_rows import with_options
-from gradcal_jax.api.posterior_of_plan import (
-    DEG_PER_S,
-    PPM,
-    UNIT_OF,
-    decision_rule,
-    residual_map,
-    run_of,
-    statistic_of,
-    target_of,
-    verdict,
-)
+from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM, UNIT_OF
+from gradcal_jax.api.prediction import requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.standard_estimate import point_channel
 from gradcal_jax.api.systematic import (
@@ -47,46 +48,28 @@ from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import (
     FORMAT,
     ORDER,
-    AxisCalibration,
-    BiasMap,
+    TEMPERATURE_RATE,
+    CalibratedChannel,
+    CalibratedTerm,
     Calibration,
     Covariance,
+    FitTest,
     Noise,
     Residuals,
-    Result,
-    ScaleFactorMap,
     UnseenError,
-    bias_names,
-    scale_factor_names,
+    build_term,
 )
+from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.points import RatePoints
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.information import unobservable_combinations
 from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT
 
 # Standard deviations by which two halves of the data differ by chance once in a thousand.
 _APART = 3.3
-
-
-class Verdict(NamedTuple):
-    """A requirement, as the estimate meets it: its statistic and the worst place of the box (both 1σ), with what the
-    spec omits and, in "any run", another power-on. `named`: the statistic by what the spec names, in this run."""
-
-    requirement: Requirement
-    axis: str
-    value: float | None
-    worst: float | None
-    unit: str
-    target: float | None
-    verdict: str | None
-    rule: str
-    coverage: float
-    named: float | None = None
-    another_run: float | None = None
 
 
 CountedByChannel = Mapping[tuple[str, str], CountedPosteriors]
@@ -111,8 +94,8 @@ class EstimateReport(NamedTuple):
 
     calibrations: tuple[Calibration, ...]
     channels: tuple[UnitChannel, ...]
-    verdicts: dict[str, tuple[Verdict, ...]]
-    """By unit."""
+    verdicts: dict[str, tuple[RequirementRow, ...]]
+    """The requirements by unit."""
     messages: dict[str, tuple[str, ...]]
     """By unit: sentences to read before the calibration is used."""
     discrepancies: tuple[MeasuredDiscrepancy, ...] = ()
@@ -120,8 +103,7 @@ class EstimateReport(NamedTuple):
 
     def unseen_of(self, channel: UnitChannel) -> tuple[UnseenError, ...]:
         """The errors of a channel that no residual of its fit shows."""
-        axes = (a for c in self.calibrations if c.serial_number == channel.unit for a in c.axis)
-        return next((axis.unseen for axis in axes if axis.name == channel.axis), ())
+        return next((c.unseen for c in self.calibrations if c.serial_number == channel.unit), ())
 
     @property
     def as_wished(self) -> bool:
@@ -271,35 +253,13 @@ def _budget(built: Assembled, channel: UnitChannel, noise: Mapping[Axis, dict[st
     return budget_of_estimate(built._replace(model=channel.model), known, done, of_axis)
 
 
-def _verdicts(budgets: CountedByChannel, channel: UnitChannel) -> list[Verdict]:
-    budget = budgets[channel.unit, channel.axis]
-    built = budget.built
-    rows: list[Verdict] = []
-    contradicted = contradictions_of(channel)
-    for requirement in built.spec.requirement:
-        in_this = residual_map(built, budget.own, requirement)[2]
-        any_run = run_of(requirement) == "any run"
-        values = residual_map(built, budget.judged(run_of(requirement)), requirement)[2]
-        value, worst = (finite(statistic_of(requirement, values, name)) for name in (requirement.statistic, "max"))
-        judged = verdict(requirement, values)
-        if judged in ("met", "missed") and beyond_the_data(requirement, *_covered(channel)):
-            judged = "not covered"
-        judged = "not valid" if contradicted else judged
-        rows.append(
-            Verdict(
-                requirement,
-                channel.axis,
-                value,
-                worst,
-                UNIT_OF[requirement.quantity][0],
-                target_of(requirement),
-                judged,
-                decision_rule(requirement),
-                requirement.coverage,
-                finite(statistic_of(requirement, in_this)),
-                value if any_run and budget.any_run is not budget.whole else None,
-            )
-        )
+def _verdicts(budgets: CountedByChannel, channel: UnitChannel) -> list[RequirementRow]:
+    budget, contradicted = budgets[channel.unit, channel.axis], contradictions_of(channel)
+    rows: list[RequirementRow] = []
+    for requirement in budget.built.spec.requirement:
+        row = requirement_row(budget.built, budget, requirement, budget.built.channels[0])
+        beyond = beyond_the_data(requirement, *_covered(channel))
+        rows.append(judged_by_data(row, beyond, contradicted).model_copy(update={"axis": channel.axis}))
     return rows
 
 
@@ -400,46 +360,42 @@ def _calibration(
     unit: str,
     channels: list[UnitChannel],
     budgets: CountedByChannel,
-    verdicts: tuple[Verdict, ...],
+    verdicts: tuple[RequirementRow, ...],
     options: Options,
     sources: dict[str, str],
 ) -> Calibration:
-    section: dict[str, Any] = {
-        "format": FORMAT,
-        "title": spec.title or spec.sensor.name or f"calibration of {unit}",
-        "serial_number": unit,
-        "quantity": "gyro",
-        "simulated": log.simulated,
-        "frame": "the sensor's own axes " + ", ".join(channel.axis for channel in channels) + ", not orthogonalised",
-        "order": ORDER,
-        "axis": tuple(_axis(spec, channel, budgets[unit, channel.axis]) for channel in channels),
-        "noise": Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **random_walks(spec.sensor)),
-        "provenance": provenance_of(
+    parts = [_channel(spec, channel, budgets[unit, channel.axis]) for channel in channels]
+    rows: dict[str, Any] = {
+        key: tuple(row for part in parts for row in getattr(part, key))
+        for key in ("unseen", "fit", "contradicted", "unobservable")
+    }
+    rows["result"] = tuple(map(result_of_requirement, verdicts))
+    return Calibration(
+        format=FORMAT,
+        title=spec.title or spec.sensor.name or f"calibration of {unit}",
+        serial_number=unit,
+        simulated=log.simulated,
+        frame="the sensor's own axes " + ", ".join(channel.axis for channel in channels) + ", not orthogonalised",
+        order=ORDER,
+        channel=tuple(part.channel for part in parts),
+        covariance=joined([part.covariance for part in parts]),
+        **{key: value for key, value in rows.items() if value},
+        noise=Noise(sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"), **random_walks(spec.sensor)),
+        provenance=provenance_of(
             [log],
             unit,
             sources,
             estimator=_estimator(options, channels[0]),
             readings=", ".join(f"{c.axis}: {len(c.weights)}" for c in channels),
         ),
-    }
-    if verdicts:
-        section["result"] = tuple(_result(row) for row in verdicts)
-    return Calibration(**section)
+    )
 
 
-def _result(row: Verdict) -> Result:
-    values: dict[str, Any] = {"value": row.value, "worst": row.worst, "target": row.target, "verdict": row.verdict}
-    values |= {"named": None if row.named == row.value else row.named}
-    if row.target is not None:
-        values |= {"coverage": row.coverage, "rule": row.rule}
-        values["risk"] = None if row.requirement.risk is None else float(row.requirement.risk)
-    return Result(
-        name=row.requirement.name,
-        axis=row.axis,
-        quantity=row.requirement.quantity,
-        statistic=f"{row.requirement.statistic}, 1 sigma",
-        unit=row.unit,
-        **{name: value for name, value in values.items() if value is not None},
+def joined(blocks: Sequence[Covariance]) -> Covariance:
+    """One covariance of channels that were estimated each by itself."""
+    matrix = np.asarray(block_diag(*(np.array(block.matrix).reshape(len(block.names), -1) for block in blocks)))
+    return Covariance(
+        names=tuple(name for block in blocks for name in block.names), matrix=tuple(map(tuple, matrix.tolist()))
     )
 
 
@@ -463,47 +419,56 @@ def _residuals(white: np.ndarray) -> Residuals:
     return Residuals(counts=tuple(counts.tolist()), rms=tuple(float(np.sqrt(np.mean(part**2))) for part in tenths))
 
 
-def _axis(spec: Spec, channel: UnitChannel, budget: CountedPosteriors) -> AxisCalibration:
-    model = channel.model
-    count, bias, scale = model.calibrated, model.where(BIAS), model.where(SCALE_FACTOR)
-    reported = model.to_reported[:count]
+class ChannelPart(NamedTuple):
+    """What one channel's estimate adds to a calibration file, with the names of the file."""
+
+    channel: CalibratedChannel
+    covariance: Covariance
+    unseen: tuple[UnseenError, ...]
+    fit: tuple[FitTest, ...]
+    contradicted: tuple[str, ...]
+    unobservable: tuple[str, ...]
+
+
+def _channel(spec: Spec, channel: UnitChannel, budget: CountedPosteriors) -> ChannelPart:
+    model, known = channel.model, channel.estimate.known[0]
+    reported, name = model.to_reported[: model.calibrated], f"gyro_{channel.axis}"
     values = reported @ channel.estimate.parameters[0]
-    known = channel.estimate.known[0]
-    names = model.names()[:count]
-    deviations = known.deviations(reported)
-    seen = np.flatnonzero(np.isfinite(deviations))
-    covariance = known.covariance(reported) * excess_of(channel.consistency) ** 2
-    low, high = channel.valid_temperature_c
-    slow, fast = channel.valid_rate_rad_per_s
-    fields: dict[str, Any] = {}
+    names = [f"{name}.{symbol}" for symbol in model.names()[: model.calibrated]]
+    seen = np.flatnonzero(np.isfinite(known.deviations(reported)))
+    covariance = known.covariance(reported)[np.ix_(seen, seen)] * excess_of(channel.consistency) ** 2
+
+    def term(symbol: str, quantity: str, unit: str, signals: tuple[str, ...], **bases: Any) -> CalibratedTerm:
+        where = model.where(quantity)
+        coefficients = dict(zip(model.names()[where], values[where].tolist(), strict=True))
+        return build_term(symbol, unit, signals, coefficients, **bases)
+
+    terms: list[CalibratedTerm] = []
     if (of := spec.sensor.bias) is not None:
-        own = _named(bias_names(of.temperature), names, values[bias], bias)
-        fields["bias"] = BiasMap(temperature=of.temperature, coefficients=own)
+        terms.append(term("bias", BIAS, "rad/s", (), temperature=of.temperature))
     if (of := spec.sensor.scale_factor) is not None:
-        own = _named(scale_factor_names(of.temperature, of.rate), names, values[scale], scale)
-        fields["scale_factor"] = ScaleFactorMap(temperature=of.temperature, rate=of.rate, coefficients=own)
+        bases = {"temperature": of.temperature, "rate": of.rate}
+        terms.append(term("scale_factor", SCALE_FACTOR, "1", (f"rate {channel.axis}",), **bases))
     if model.term(TEMPERATURE_GRADIENT) is not None:
-        fields["bias_temperature_gradient"] = float(values[model.where(TEMPERATURE_GRADIENT)][0])
-    if channel.lag_s > 0.0:
-        fields["thermal_lag"] = Quantity.of(channel.lag_s, "s")
-    named = _tests_of(channel.consistency).items()
-    fields["fit"] = fit_rows((n, t) for n, t in named if np.isfinite(t.statistic) and np.isfinite(t.probability))
-    if contradicted := contradictions_of(channel):
-        fields["contradicted"] = tuple(contradicted)
-    fields["residuals"] = _residuals(channel.estimate.residuals[0])
-    hidden = tuple(unobservable_combinations(known, model))
-    if hidden:
-        fields["unobservable"] = hidden
-    if unseen := unseen_errors(budget, names, reported):
-        fields["unseen"] = unseen
-    return AxisCalibration(
-        name=channel.axis,
-        valid_temperature=(_shown(low, 1.0, "degC"), _shown(high, 1.0, "degC")),
-        valid_rate=(_shown(slow, DEG_PER_S, "deg/s"), _shown(fast, DEG_PER_S, "deg/s")),
-        covariance=Covariance(
-            names=tuple(names[k] for k in seen), matrix=tuple(map(tuple, covariance[np.ix_(seen, seen)].tolist()))
+        terms.append(term("bias_temperature_gradient", TEMPERATURE_GRADIENT, "rad/K", (TEMPERATURE_RATE,)))
+    (low, high), (slow, fast) = channel.valid_temperature_c, channel.valid_rate_rad_per_s
+    lag = {"thermal_lag": Quantity.of(channel.lag_s, "s")} if channel.lag_s > 0.0 else {}
+    tests = [(f"{name}: {test}", t) for test, t in _tests_of(channel.consistency).items()]
+    return ChannelPart(
+        CalibratedChannel(
+            kind="gyro",
+            axis=channel.axis,
+            valid_temperature=(_shown(low, 1.0, "degC"), _shown(high, 1.0, "degC")),
+            valid_rate=(_shown(slow, DEG_PER_S, "deg/s"), _shown(fast, DEG_PER_S, "deg/s")),
+            term=tuple(terms),
+            residuals=_residuals(channel.estimate.residuals[0]),
+            **lag,
         ),
-        **fields,
+        Covariance(names=tuple(names[k] for k in seen), matrix=tuple(map(tuple, covariance.tolist()))),
+        unseen_errors(budget, names, reported),
+        fit_rows((n, t) for n, t in tests if np.isfinite(t.statistic) and np.isfinite(t.probability)),
+        tuple(f"{name}: {test}" for test in contradictions_of(channel)),
+        tuple(f"{name}: {combination}" for combination in unobservable_combinations(known, model)),
     )
 
 
@@ -511,11 +476,6 @@ def _shown(value: float, factor: float, unit: str) -> Quantity:
     """A quantity with one decimal, in `unit`."""
     dimension = "temperature" if unit == "degC" else "angular rate"
     return Quantity.read(f"{value * factor:.1f} {unit}".replace("-0.0 ", "0.0 "), dimension)
-
-
-def _named(names: list[str], all_names: list[str], values: np.ndarray, where: slice) -> dict[str, float]:
-    assert all_names[where] == names  # the core's names and the file's are one convention
-    return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
 # --- for people and programs ------------------------------------------------------------------------------------------
@@ -533,7 +493,7 @@ def estimate_rows(report: EstimateReport) -> dict[str, Any]:
                 "channels": [
                     _channel_row(one, report.unseen_of(one)) for one in report.channels if one.unit == c.serial_number
                 ],
-                "requirements": [_verdict_row(row) for row in report.verdicts[c.serial_number]],
+                "requirements": [requirement_fields(row) for row in report.verdicts[c.serial_number]],
                 "messages": list(report.messages[c.serial_number]),
             }
             for c in report.calibrations
@@ -558,7 +518,7 @@ def _channel_row(channel: UnitChannel, unseen: Sequence[UnseenError]) -> dict[st
                 "name": n,
                 "value": float(v),
                 "std": finite(s),
-                "std_counted": counted_std(n, finite(s), unseen),
+                "std_counted": counted_std(f"gyro_{channel.axis}.{n}", finite(s), unseen),
                 "unit": u,
             }
             for n, v, s, u in zip(names, values, deviations, model.units(), strict=True)
@@ -609,11 +569,3 @@ def _channel_row(channel: UnitChannel, unseen: Sequence[UnseenError]) -> dict[st
             ],
         },
     }
-
-
-def _verdict_row(row: Verdict) -> dict[str, Any]:
-    fields = {name: getattr(row.requirement, name) for name in ("name", "quantity", "statistic")}
-    # The order of the keys in JSON.
-    order = ("name", "axis", "quantity", "statistic", "value", "worst", "named", "another_run")
-    order = (*order, "unit", "target", "verdict", "coverage", "rule")
-    return {name: (fields | row._asdict())[name] for name in order}

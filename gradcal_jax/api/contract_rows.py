@@ -1,4 +1,4 @@
-"""Parts common to the calibration files of an axis and of a whole unit, and their rows for programs and people."""
+"""Parts of calibration files that the estimators share, and their rows for programs and people."""
 
 import platform
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,9 +14,9 @@ from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad, Sensor
 
 if TYPE_CHECKING:
     from gradcal_jax.estimation import Test
-    from gradcal_jax.files.calibration import Covariance, FitTest, UnseenError
+    from gradcal_jax.files.calibration import Calibration, Covariance, FitTest, Result, UnseenError
+    from gradcal_jax.files.contracts import RequirementRow
     from gradcal_jax.files.log import Log
-    from gradcal_jax.files.unit_calibration import UnitCalibration
 
 
 def finite(value: float | None) -> float | None:
@@ -39,8 +39,8 @@ def counted_std(name: str, std: float | None, unseen: "Sequence[UnseenError]") -
     return None if std is None else sqrt(std**2 + sum(e.coefficients.get(name, 0.0) ** 2 for e in unseen))
 
 
-def coefficient_rows(calibration: "UnitCalibration") -> list[dict[str, Any]]:
-    """Every coefficient of a unit's calibration with its standard deviation, where the file has one, by the fit and
+def coefficient_rows(calibration: "Calibration") -> list[dict[str, Any]]:
+    """Every coefficient of a calibration with its standard deviation, where the file has one, by the fit and
     with what no residual shows (`std_counted`), and its unit."""
     deviations, unseen = deviations_of(calibration.covariance), calibration.unseen
     return [
@@ -94,3 +94,33 @@ def fit_rows(tests: "Iterable[tuple[str, Test]]") -> "tuple[FitTest, ...]":
         FitTest(name=name, statistic=test.statistic, degrees=test.degrees, chance=test.probability)
         for name, test in tests
     )
+
+
+def judged_by_data(row: "RequirementRow", beyond: str | None, contradicted: Sequence[str]) -> "RequirementRow":
+    """A requirement as an estimate meets it: no verdict where the data lack what it asks for (`beyond`), or contradict
+    the model."""
+    verdict = "not covered" if beyond and row.verdict in ("met", "missed") else row.verdict
+    return row.model_copy(update={"verdict": "not valid" if contradicted else verdict})
+
+
+def result_of_requirement(row: "RequirementRow") -> "Result":
+    """A requirement in a calibration file."""
+    from gradcal_jax.files.calibration import Result
+
+    values: dict[str, Any] = {"value": row.judged, "worst": row.worst, "target": row.target, "verdict": row.verdict}
+    values["named"] = None if row.decisive == row.judged else row.decisive
+    if row.target is not None:
+        values |= {"coverage": row.coverage, "rule": row.rule, "risk": row.risk}
+    return Result(
+        name=row.name,
+        axis=row.axis,
+        quantity=row.quantity,
+        statistic=f"{row.statistic}, 1 sigma",
+        unit=row.unit,
+        **{key: value for key, value in values.items() if value is not None},
+    )
+
+
+def requirement_fields(row: "RequirementRow") -> dict[str, Any]:
+    """A requirement for `--json`: the row with the judged value, and that of the terms that the spec names."""
+    return row.model_dump(mode="json", exclude_none=True) | {"value": row.judged, "named": row.decisive}

@@ -1,7 +1,7 @@
 """The calibration of a unit from a log of many positions at rest, turned by hand between them; no table, no spec."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -11,19 +11,19 @@ from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import bridged_temperature, time_of, usable_rows
 from gradcal_jax.estimation import Test
 from gradcal_jax.estimation.hand import LOWER, ByHand, HandRows, find_positions, solve_by_hand
-from gradcal_jax.files.calibration import FORMAT, Covariance
+from gradcal_jax.files.calibration import (
+    FORMAT,
+    ORDER,
+    CalibratedChannel,
+    CalibratedTerm,
+    Calibration,
+    Covariance,
+    Noise,
+    build_term,
+)
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.signal_faults import quiet_windows, refuse_repeated
-from gradcal_jax.files.unit_calibration import (
-    UNIT_ORDER,
-    CalibratedChannel,
-    CalibratedTerm,
-    UnitCalibration,
-    UnitNoise,
-    term_of,
-)
-from gradcal_jax.files.unit_correction import triad_of
 from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.units import DEG_PER_H, G
 
@@ -39,7 +39,7 @@ class HandReport(NamedTuple):
 
     unit: str
     solution: ByHand
-    calibration: UnitCalibration
+    calibration: Calibration
     tests: dict[str, Test]
     gravity_left: float
     turns_left: float
@@ -77,7 +77,7 @@ def estimate_by_hand(
 
 def _report(log: Log, name: str, gravity: float, options: Options, sources: dict[str, str]) -> HandReport:
     number, (time, messages) = log.unit_index(name), time_of(log, options)
-    rates, force = triad_of(log, number)
+    rates, force = log.triads(number)
     missing = [f"gyro {a}" for k, a in enumerate("xyz") if not np.isfinite(rates[:, k]).any()]
     missing += [f"accelerometer {a}" for k, a in enumerate("xyz") if not np.isfinite(force[:, k]).any()]
     if missing:
@@ -117,29 +117,31 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
         "gyros: turns of gravity": rate_fit.test,
         "gyros: rates at rest": solution.at_rest,
     }
-    channels = tuple(_channels(solution))
     names, matrix = _covariance(solution)
     hidden = np.concatenate([force_fit.hidden, rate_fit.hidden])
     low, high = float(temperature[between].min()), float(temperature[between].max())
     ends = float(np.floor(low * 10.0) / 10.0), float(np.ceil(high * 10.0) / 10.0)
-    calibration = UnitCalibration(
+    covered: dict[str, Any] = {
+        "valid_temperature": (Quantity.of(ends[0], "degC"), Quantity.of(ends[1], "degC")),
+        "valid_rate": (Quantity.of(-fastest, "rad/s"), Quantity.of(fastest, "rad/s")),
+    }
+    calibration = Calibration(
         format=FORMAT,
         title=f"calibration of {name} by hand",
         serial_number=name,
-        quantity="unit",
         simulated=log.simulated,
         frame=_FRAME,
-        order=UNIT_ORDER,
-        valid_temperature=(Quantity.of(ends[0], "degC"), Quantity.of(ends[1], "degC")),
-        valid_rate=(Quantity.of(-fastest, "rad/s"), Quantity.of(fastest, "rad/s")),
-        channel=channels,
+        order=ORDER,
+        channel=tuple(
+            CalibratedChannel(kind=kind, axis=a, term=terms, **covered) for kind, a, terms in _terms(solution)
+        ),
         covariance=Covariance(
             names=tuple(n for n, out in zip(names, hidden, strict=True) if not out),
             matrix=tuple(map(tuple, matrix[np.ix_(~hidden, ~hidden)].tolist())),
         ),
         fit=fit_rows(tests.items()),
         unobservable=tuple(n for n, out in zip(names, hidden, strict=True) if out),
-        noise=UnitNoise(
+        noise=Noise(
             angle_random_walk=density(held.rate_noise, rate_fit.gain, "rad/s/sqrt(Hz)"),
             velocity_random_walk=density(held.force_noise, force_fit.gain, "m/s^2/sqrt(Hz)"),
             sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"),
@@ -157,38 +159,38 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     return HandReport(name, solution, calibration, tests, left[0], left[1], tuple(messages))
 
 
-def _channels(solution: ByHand) -> Iterator[CalibratedChannel]:
-    """The coefficients of reading = centre + gain · (…) as terms of a calibration file."""
+def _terms(solution: ByHand) -> Iterator[tuple[Literal["gyro", "accelerometer"], str, tuple[CalibratedTerm, ...]]]:
+    """The coefficients of reading = centre + gain · (…) as terms of a calibration file, by kind and axis."""
     gyro, force = solution.gyro, solution.accelerometer
     for j, a in enumerate(AXIS_NAMES):
         row = gyro.gain * gyro.parameters.reshape(3, 7)[j]
         terms = [
-            term_of("bias", "rad/s", (), {"a": float(gyro.centre[j] + row[3])}),
-            term_of("scale_factor", "1", (f"rate {a}",), {"b00": float(gyro.gain + row[j] - 1.0)}, rate=_GYRO_RATE),
+            build_term("bias", "rad/s", (), {"a": float(gyro.centre[j] + row[3])}),
+            build_term("scale_factor", "1", (f"rate {a}",), {"b00": float(gyro.gain + row[j] - 1.0)}, rate=_GYRO_RATE),
         ]
         terms += [
-            term_of(f"misalignment_{b}", "rad", (f"rate {b}",), {f"m_{b}": float(row[l])})
+            build_term(f"misalignment_{b}", "rad", (f"rate {b}",), {f"m_{b}": float(row[l])})
             for l, b in enumerate("xyz")
             if l != j
         ]
         terms += [
-            term_of(f"g_sensitivity_{b}", "rad/s/(m/s^2)", (f"force {b}",), {f"g_{b}": float(row[4 + l])})
+            build_term(f"g_sensitivity_{b}", "rad/s/(m/s^2)", (f"force {b}",), {f"g_{b}": float(row[4 + l])})
             for l, b in enumerate("xyz")
         ]
-        yield CalibratedChannel(kind="gyro", axis=a, term=tuple(terms))
+        yield "gyro", a, tuple(terms)
     matrix = np.zeros((3, 3))
     for value, place in zip(force.parameters[3:], LOWER, strict=True):
         matrix[place] = force.gain * value
     for j, a in enumerate(AXIS_NAMES):
         terms: list[CalibratedTerm] = [
-            term_of("bias", "m/s^2", (), {"a": float(force.centre[j] + force.gain * force.parameters[j])}),
-            term_of("scale_factor", "1", (f"force {a}",), {"s": float(force.gain + matrix[j, j] - 1.0)}),
+            build_term("bias", "m/s^2", (), {"a": float(force.centre[j] + force.gain * force.parameters[j])}),
+            build_term("scale_factor", "1", (f"force {a}",), {"s": float(force.gain + matrix[j, j] - 1.0)}),
         ]
         terms += [
-            term_of(f"misalignment_{b}", "rad", (f"force {b}",), {f"m_{b}": float(matrix[j, l])})
+            build_term(f"misalignment_{b}", "rad", (f"force {b}",), {f"m_{b}": float(matrix[j, l])})
             for l, b in enumerate("xyz"[:j])
         ]
-        yield CalibratedChannel(kind="accelerometer", axis=a, term=tuple(terms))
+        yield "accelerometer", a, tuple(terms)
 
 
 def _covariance(solution: ByHand) -> tuple[list[str], np.ndarray]:

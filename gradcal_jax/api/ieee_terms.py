@@ -5,15 +5,17 @@ quantity that is linear in the coefficients, `cᵀβ`, has the standard deviatio
 are those of IEEE 952, 1431 and 1780; each has its exact definition in words, since the standards leave room.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM, UNIT_OF, box
+from gradcal_jax.api.posterior_of_plan import DEG_PER_S, UNIT_OF, box
+from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.files import Spec
-from gradcal_jax.files.calibration import AxisCalibration, bias_names, scale_factor_names
-from gradcal_jax.files.correction import basis_values
+from gradcal_jax.files.calibration import CalibratedChannel, CalibratedTerm, Calibration
+from gradcal_jax.files.calibration.correction import basis_values
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.sensor import ScaleFactor
 
@@ -42,31 +44,77 @@ class Box(NamedTuple):
     unit: str
 
 
-def calibration_map(axis: AxisCalibration, quantity: str, temperature_c: Floats, rate_dps: Floats) -> tuple[Box, Box]:
-    """The map of a calibration and its standard deviation on a grid. Errors: `ValueError` for a map that it lacks."""
-    unit, factor = UNIT_OF[quantity]
+class TermMap(NamedTuple):
+    """A term of a calibration at `n` places: `rows` `(n, p)` are the functions that its coefficients multiply."""
+
+    calibration: Calibration
+    channel: CalibratedChannel
+    term: CalibratedTerm
+    rows: Floats
+
+    def weighted(self, weights: Floats) -> "TermMap":
+        """Linear combinations of the places by `weights` `(m, n)`."""
+        return self._replace(rows=weights @ self.rows)
+
+    @property
+    def values(self) -> Floats:
+        """The term at every place, in SI."""
+        return self.rows @ np.array(list(self.term.coefficients.values()))
+
+    @property
+    def deviations(self) -> Floats:
+        """One sigma of each value, in SI; `inf` where it involves a coefficient that is not observable."""
+        names = [f"{self.channel.name}.{name}" for name in self.term.coefficients]
+        known = self.calibration.covariance
+        place = {} if known is None else {name: k for k, name in enumerate(known.names)}
+        seen = [k for k, name in enumerate(names) if name in place]
+        variance = np.zeros(len(self.rows))
+        if known is not None and seen:
+            where, part = [place[names[k]] for k in seen], self.rows[:, seen]
+            block = np.array(known.matrix)[np.ix_(where, where)]
+            variance = np.maximum(np.einsum("gi,ij,gj->g", part, block, part), 0.0)
+        for error in self.calibration.unseen:
+            variance = variance + (self.rows @ np.array([error.coefficients.get(name, 0.0) for name in names])) ** 2
+        unseen = np.delete(self.rows, seen, axis=1)
+        return np.where(np.any(unseen != 0.0, axis=1), np.inf, np.sqrt(variance))
+
+
+def term_map(
+    calibration: Calibration, channel: CalibratedChannel, name: str, temperature_c: Floats, rate: Floats
+) -> TermMap:
+    """A term at temperatures (°C) and rates (rad/s), both `(n,)`. Errors: `ValueError` for a term that is not there."""
+    if (term := channel.term_of(name)) is None:
+        raise ValueError(f"the calibration of {channel.label} holds no {name.replace('_', ' ')}")
+    one = np.ones((len(temperature_c), 1))
+    cold = one if term.temperature is None else basis_values(term.temperature, temperature_c)
+    fast = one if term.rate is None else basis_values(term.rate, rate)
+    return TermMap(calibration, channel, term, (cold[:, :, None] * fast[:, None, :]).reshape(len(one), -1))
+
+
+def calibration_map(
+    calibration: Calibration, channel: CalibratedChannel, name: str, temperature_c: Floats, rate_dps: Floats
+) -> tuple[Box, Box]:
+    """A term of a calibration and its standard deviation on a grid. Errors: `ValueError` for a term that it lacks."""
     grid_t, grid_w = np.meshgrid(temperature_c, rate_dps / DEG_PER_S, indexing="ij")
-    names, rows = _rows(axis, quantity, grid_t.ravel(), grid_w.ravel())
-    known = axis.values()
-    values = rows @ np.array([known[name] for name in names])
-    shape = grid_t.shape
-    return (
-        Box(temperature_c, rate_dps, values.reshape(shape) * factor, unit),
-        Box(temperature_c, rate_dps, _deviations(axis, names, rows).reshape(shape) * factor, unit),
-    )
+    of = term_map(calibration, channel, name, grid_t.ravel(), grid_w.ravel())
+    unit, factor = UNITS_OF_TERMS.get(of.term.unit, (of.term.unit, 1.0))
+    maps = (values.reshape(grid_t.shape) * factor for values in (of.values, of.deviations))
+    first, second = (Box(temperature_c, rate_dps, values, unit) for values in maps)
+    return first, second
 
 
-def grid_of(axis: AxisCalibration, requirement: Requirement | None, quantity: str) -> tuple[Floats, Floats]:
-    """Temperatures (°C) and rates (deg/s) of a requirement's box, or of all that the data cover."""
-    cold, warm = axis.valid_temperature if requirement is None else requirement.temperature
-    slow, fast = axis.valid_rate
+def grid_of(channel: CalibratedChannel, requirement: Requirement | None, name: str) -> tuple[Floats, Floats]:
+    """Temperatures (°C) and rates (deg/s) of a requirement's box, or of all that the data cover for a term."""
+    cold, warm = channel.valid_temperature if requirement is None else requirement.temperature
+    slow, fast = channel.valid_rate
     counts: tuple[int, ...] = (_TEMPERATURES, _RATES)
     if requirement is not None:
         counts = tuple(requirement.grid)
         if requirement.quantity == "scale_factor":
             slow, fast = requirement.rate
     temperatures = np.linspace(float(cold), float(warm), counts[0])
-    if quantity == "bias":
+    term = channel.term_of(name)
+    if term is None or term.rate is None:
         return temperatures, np.zeros(1)
     return temperatures, np.linspace(float(slow), float(fast), counts[1]) * DEG_PER_S
 
@@ -87,98 +135,70 @@ def prior_map(spec: Spec, requirement: Requirement) -> Box | None:
     return Box(temperatures, rates * DEG_PER_S, values, unit)
 
 
-def standard_terms(axis: AxisCalibration) -> list[IeeeTerm]:
-    """The calibration of an axis in the vocabulary of IEEE 952, 1431 and 1780."""
-    cold, warm = (float(end) for end in axis.valid_temperature)
+_NAMES = {
+    "scale_factor": "scale factor error",
+    "bias_temperature_gradient": "bias temperature gradient sensitivity",
+}
+
+
+def standard_terms(calibration: Calibration, channel: CalibratedChannel) -> list[IeeeTerm]:
+    """The calibration of a channel in the vocabulary of IEEE 952, 1431 and 1780."""
+    cold, warm = (float(end) for end in channel.valid_temperature)
     at = _ROOM if cold <= _ROOM <= warm else 0.5 * (cold + warm)
-    temperatures = np.linspace(cold, warm, _TEMPERATURES)
-    terms: list[IeeeTerm] = []
-    if axis.bias is not None:
-        here = _rows(axis, "bias", np.array([at]), np.zeros(1))
-        terms.append(_term(axis, "bias", *here, DEG_PER_H, "deg/h", f"B at {at:g} °C"))
-        if warm > cold:
-            names, rows = _rows(axis, "bias", temperatures, np.zeros_like(temperatures))
-            words = f"slope of the straight line through B, {cold:g} … {warm:g} °C"
-            slope = _slope(temperatures) @ rows
-            terms.append(_term(axis, "bias temperature sensitivity", names, slope[None], DEG_PER_H, "deg/h/°C", words))
-    if axis.bias_temperature_gradient is not None:
-        row = ["bias_temperature_gradient"], np.ones((1, 1))
-        words = "bias for each °C/min of the temperature's rate"
-        name = "bias temperature gradient sensitivity"
-        terms.append(_term(axis, name, *row, DEG_PER_H / 60.0, "deg/h/(°C/min)", words))
-    if axis.scale_factor is not None:
-        terms += _scale_factor_terms(axis, at, temperatures)
-    return terms
+    return [row for term in channel.term for row in _terms_of(calibration, channel, term, at)]
 
 
-def _scale_factor_terms(axis: AxisCalibration, at: float, temperatures: Floats) -> list[IeeeTerm]:
-    slow, fast = (float(end) for end in axis.valid_rate)
-    rates = np.linspace(slow, fast, _RATES)
-    names, rows = _rows(axis, "scale_factor", np.full_like(rates, at), rates)
-    mean = rows.mean(axis=0)[None]
-    terms = [_term(axis, "scale factor error", names, mean, PPM, "ppm", f"mean of M over rate at {at:g} °C")]
+def _terms_of(
+    calibration: Calibration, channel: CalibratedChannel, term: CalibratedTerm, at: float
+) -> Iterator[IeeeTerm]:
+    """A term at one temperature, its change over temperature and, of a map over rate, over rate."""
+    plain = term.name.replace("_", " ")
+    if term.name == "bias_temperature_gradient":
+        of = term_map(calibration, channel, term.name, np.array([at]), np.zeros(1))
+        yield _term(of, _NAMES[term.name], "bias for each °C/min of the temperature's rate")
+        return
+    rates = np.zeros(1)
+    if term.rate is not None:
+        slow, fast = channel.valid_rate
+        rates = np.linspace(float(slow), float(fast), _RATES)
+    here = term_map(calibration, channel, term.name, np.full_like(rates, at), rates)
+    mean = np.full((1, len(rates)), 1.0 / len(rates))
+    words = "B" if term.name == "bias" else "mean of M over rate" if term.rate is not None else plain
+    yield _term(here.weighted(mean), _NAMES.get(term.name, plain), f"{words} at {at:g} °C")
+    if term.rate is not None:
+        yield from _over_rate(here, rates, at)
+    low, high = (float(end) for end in channel.valid_temperature)
+    if high > low and term.temperature is not None and term.temperature.size > 1:
+        temperatures = np.linspace(low, high, _TEMPERATURES)
+        grid_t, grid_w = (x.ravel() for x in np.meshgrid(temperatures, rates, indexing="ij"))
+        everywhere = term_map(calibration, channel, term.name, grid_t, grid_w)
+        centred = temperatures - temperatures.mean()
+        slope = np.kron(centred / (centred @ centred), mean)
+        what = "M's mean over rate" if term.rate is not None else words
+        words = f"slope of the straight line through {what}, {low:g} … {high:g} °C"
+        yield _term(everywhere.weighted(slope), f"{plain} temperature sensitivity", words, "/°C")
+
+
+def _over_rate(here: TermMap, rates: Floats, at: float) -> Iterator[IeeeTerm]:
+    slow, fast = float(rates[0]), float(rates[-1])
     if slow < 0.0 < fast:
-        difference = rows[rates > 0.0].mean(axis=0) - rows[rates < 0.0].mean(axis=0)
+        positive, negative = (sign * rates > 0.0 for sign in (1.0, -1.0))
+        difference = positive / positive.sum() - negative / negative.sum()
         words = f"mean of M over positive rates less that over negative ones, at {at:g} °C"
-        terms.append(_term(axis, "scale factor asymmetry", names, difference[None], PPM, "ppm", words))
+        yield _term(here.weighted(difference[None]), "scale factor asymmetry", words)
     if fast > slow:
         # Output error M·ω less its best straight line, over the largest rate.
         line = np.stack([np.ones_like(rates), rates], axis=1)
-        away = (np.eye(len(rates)) - line @ np.linalg.pinv(line)) @ (rows * rates[:, None]) / max(abs(slow), abs(fast))
-        known = axis.values()
-        worst = int(np.argmax(np.abs(away @ np.array([known[name] for name in names]))))
+        away = here.weighted((np.eye(len(rates)) - line @ np.linalg.pinv(line)) * rates / max(abs(slow), abs(fast)))
+        worst = int(np.argmax(np.abs(away.values)))
         words = (
             f"largest distance of the output from its best straight line, over the largest rate, at {at:g} °C "
             f"(at {rates[worst] * DEG_PER_S:.0f} deg/s)"
         )
-        terms.append(_term(axis, "scale factor nonlinearity", names, away[worst][None], PPM, "ppm", words))
-    if temperatures[-1] > temperatures[0]:
-        grid_t, grid_w = np.meshgrid(temperatures, rates, indexing="ij")
-        names, rows = _rows(axis, "scale_factor", grid_t.ravel(), grid_w.ravel())
-        over_rate = rows.reshape(len(temperatures), len(rates), -1).mean(axis=1)
-        words = f"slope of the straight line through M's mean over rate, {temperatures[0]:g} … {temperatures[-1]:g} °C"
-        slope = (_slope(temperatures) @ over_rate)[None]
-        terms.append(_term(axis, "scale factor temperature sensitivity", names, slope, PPM, "ppm/°C", words))
-    return terms
+        yield _term(away._replace(rows=away.rows[worst][None]), "scale factor nonlinearity", words)
 
 
-def _slope(x: Floats) -> Floats:
-    """Weights of the least-squares slope."""
-    centred = x - x.mean()
-    return centred / (centred @ centred)
-
-
-def _term(axis: AxisCalibration, name: str, names, rows: Floats, factor: float, unit: str, computed: str) -> IeeeTerm:
-    known = axis.values()
-    value = float((rows @ np.array([known[n] for n in names]))[0]) * factor
-    std = float(_deviations(axis, names, rows)[0]) * factor
-    return IeeeTerm(name, value, std if np.isfinite(std) else None, unit, computed)
-
-
-def _rows(axis: AxisCalibration, quantity: str, temperature_c: Floats, rate: Floats) -> tuple[list[str], Floats]:
-    """Names of coefficients and the functions `(g, p)` that they multiply."""
-    if quantity == "bias":
-        if axis.bias is None:
-            raise ValueError(f"the calibration of axis {axis.name} holds no bias")
-        return bias_names(axis.bias.temperature), basis_values(axis.bias.temperature, temperature_c)
-    if (of := axis.scale_factor) is None:
-        raise ValueError(f"the calibration of axis {axis.name} holds no scale factor")
-    cold, fast = basis_values(of.temperature, temperature_c), basis_values(of.rate, rate)
-    return scale_factor_names(of.temperature, of.rate), (cold[:, :, None] * fast[:, None, :]).reshape(len(rate), -1)
-
-
-def _deviations(axis: AxisCalibration, names: list[str], rows: Floats) -> Floats:
-    """One sigma of each row; `inf` where it involves a coefficient that is not observable."""
-    if axis.covariance is None:
-        return np.full(len(rows), np.inf)
-    place = {name: k for k, name in enumerate(axis.covariance.names)}
-    matrix = np.array(axis.covariance.matrix)
-    seen = [k for k, name in enumerate(names) if name in place]
-    where = [place[names[k]] for k in seen]
-    part = rows[:, seen]
-    variance = np.maximum(np.einsum("gi,ij,gj->g", part, matrix[np.ix_(where, where)], part), 0.0)
-    for error in axis.unseen:
-        variance = variance + (rows @ np.array([error.coefficients.get(name, 0.0) for name in names])) ** 2
-    deviations = np.sqrt(variance)
-    unseen = np.delete(rows, seen, axis=1)
-    return np.where(np.any(unseen != 0.0, axis=1), np.inf, deviations)
+def _term(of: TermMap, name: str, computed: str, per: str = "") -> IeeeTerm:
+    unit, factor = UNITS_OF_TERMS.get(of.term.unit, (of.term.unit, 1.0))
+    std = float(of.deviations[0]) * factor
+    return IeeeTerm(name, float(of.values[0]) * factor, std if np.isfinite(std) else None, unit + per, computed)

@@ -9,7 +9,7 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.files import correction
+from gradcal_jax.files.calibration import correction
 from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.schedule import StandardSchedule

@@ -71,7 +71,7 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     shares: dict[Axis, dict[str, dict[str, float]]] = {}
     rows: list[RequirementRow] = []
     for requirement, channel, budget in counted_posteriors(built, known):
-        row = _requirement_row(built, budget, requirement, channel)
+        row = requirement_row(built, budget, requirement, channel)
         more = _risks(budget, requirement, row) if outlook else {}
         if limits:
             if channel not in shares:
@@ -95,7 +95,7 @@ def requirement_rows(spec: Spec | UnitSpec, until_s: float = np.inf) -> list[Req
         return _unit_rows(unit, posterior_of_unit(unit))
     built = assemble(spec, until_s)
     return [
-        _requirement_row(built, budget, r, c) for r, c, budget in counted_posteriors(built, posteriors_of_plan(built))
+        requirement_row(built, budget, r, c) for r, c, budget in counted_posteriors(built, posteriors_of_plan(built))
     ]
 
 
@@ -185,9 +185,10 @@ def unit_requirement_row(
     )
 
 
-def _requirement_row(
+def requirement_row(
     built: Assembled, budget: CountedPosteriors, requirement: Requirement, channel: Axis
 ) -> RequirementRow:
+    """The residual and the verdict of one requirement on one axis."""
     _, rates, values = residual_map(built, budget.own, requirement)
     judged, more = _judged_maps(
         budget,
@@ -241,6 +242,7 @@ def _decided(requirement: Requirement | UnitRequirement, of: Callable[[Statistic
         "worst": worst,
         "verdict": verdict_of(requirement, of),
         "coverage": requirement.coverage,
+        "risk": None if requirement.risk is None else float(requirement.risk),
         "rule": decision_rule(requirement) or None,
         "specific_risk": None if target is None or worst is None else specific_risk(0.0, worst, target),
     }

@@ -13,7 +13,16 @@ import numpy as np
 from gradcal_jax import estimation, trajectory
 from gradcal_jax.api.build import move_of
 from gradcal_jax.api.calibration import excess_of, noise_sentences, not_valid
-from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of, random_walks, section_of
+from gradcal_jax.api.contract_rows import (
+    coefficient_rows,
+    fit_rows,
+    judged_by_data,
+    provenance_of,
+    random_walks,
+    requirement_fields,
+    result_of_requirement,
+    section_of,
+)
 from gradcal_jax.api.contradictions import (
     beyond_the_data,
     diagnosis_sentences,
@@ -39,21 +48,21 @@ from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_residual import internal_misalignments
 from gradcal_jax.api.unit_sentences import prior_deviations, unobserved_parameters
 from gradcal_jax.estimation import Consistency, ExecutedUnit, PlannedMove, Test, UnitEstimate, UnitReadings, UnitRows
-from gradcal_jax.files import correction
-from gradcal_jax.files.calibration import FORMAT, Covariance
+from gradcal_jax.files.calibration import (
+    FORMAT,
+    ORDER,
+    CalibratedChannel,
+    CalibratedTerm,
+    Calibration,
+    Covariance,
+    Noise,
+    TableError,
+    build_term,
+)
+from gradcal_jax.files.calibration.correction import correct_triads, followed
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.unit_calibration import (
-    UNIT_ORDER,
-    CalibratedChannel,
-    TableError,
-    UnitCalibration,
-    UnitNoise,
-    UnitResult,
-    term_of,
-)
-from gradcal_jax.files.unit_correction import correct_unit, triad_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, segments_of
 from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, Map, SignalMap
@@ -62,6 +71,8 @@ from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, Map, Sign
 _REHUNG_S = 6 * 3600.0
 # Residuals of this many times the noise come from a wrong table, order of axes, or sign.
 _ABSURD = 100.0
+# Temperatures (°C) and rates (rad/s) of a calibration that is used at those of its own data alone.
+_EVERYWHERE = (-273.0, 1000.0), (-1e4, 1e4)
 # Parts of a planned move's time at which its angle is tabulated.
 _PROFILE = 512
 # An error of the table of more than this many times its standard deviation by the spec is reported.
@@ -84,7 +95,7 @@ class UnitReport(NamedTuple):
     built: AssembledUnit
     executed: ExecutedUnit
     solution: UnitEstimate
-    calibration: UnitCalibration
+    calibration: Calibration
     requirements: tuple[RequirementRow, ...]
     consistency: Consistency
     channels: dict[str, tuple[Test, Test]]
@@ -169,7 +180,7 @@ def _report(
     lag = options.lag
     if isinstance(lag, str):
         raise ValueError("the lag of a whole unit is not fitted: give a time, such as --lag 90s")
-    temperature = correction.followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)
+    temperature = followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)
     model = built.model
     refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), model.channels)
     threshold = options.threshold if options.robust else None
@@ -200,19 +211,15 @@ def _report(
     contradicted = (*shown.not_valid, *estimation.contradictions(_tests_of(tests, channels)))
     requirements, beyond = [], list[str]()
     for requirement in built.spec.requirement:
-        row = unit_requirement_row(built, budget, requirement)
         if sentence := beyond_the_data(requirement, *covered):
             beyond.append(sentence)
-            if row.verdict in ("met", "missed"):
-                row = row.model_copy(update={"verdict": "not covered"})
-        if contradicted:
-            row = row.model_copy(update={"verdict": "not valid"})
+        row = judged_by_data(unit_requirement_row(built, budget, requirement), sentence, contradicted)
         requirements.append(row)
     requirements = tuple(requirements)
     calibration = _calibration(built, logs, name, solution, tests, channels, requirements, covered, options, sources)
     if contradicted:
         calibration = calibration.model_copy(update={"contradicted": contradicted})
-    own = {f"{c.name}.{n}" for c in calibration.channel for term in c.term for n in term.coefficients}
+    own = calibration.values()
     kept = [k for k, n in enumerate(model.names()) if n in own]
     unseen = unseen_errors(budget, [model.names()[k] for k in kept], model.to_reported[kept])
     if unseen:
@@ -248,8 +255,8 @@ def fitted_twice(
     factor of a per cent would otherwise be estimated at wrong rates.
     """
     first = _read(built, name, rows, rows, temperature, threshold)[2]
-    held = tuple(_channels(built, built.model.to_reported @ first.parameters))
-    rates, felt = correct_unit(held, rows.rates, rows.force, temperature)
+    held = tuple(_channels(built, built.model.to_reported @ first.parameters, _EVERYWHERE))
+    rates, felt = correct_triads(held, rows.rates, rows.force, temperature)
     return _read(built, name, rows, rows._replace(rates=rates), temperature, threshold, felt, first.parameters)
 
 
@@ -327,7 +334,7 @@ def unit_rows(
 
 def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) -> tuple[UnitRows, list[str]]:
     number, (time, messages) = log.unit_index(name), time_of(log, options)
-    rates, force = triad_of(log, number)
+    rates, force = log.triads(number)
     usable, gyros, missing = usable_rows(log, number), np.zeros(3, bool), []
     for c in built.model.channels:
         values = (rates if c.kind == "gyro" else force)[:, c.axis]
@@ -415,9 +422,7 @@ def _internal(built: AssembledUnit, solution: UnitEstimate, covered: tuple[float
                 yield InternalMisalignment(f"{kind} {label}", value, std)
 
 
-def _gravity(
-    readings: UnitReadings, calibration: UnitCalibration, temperature: np.ndarray
-) -> tuple[float, float] | None:
+def _gravity(readings: UnitReadings, calibration: Calibration, temperature: np.ndarray) -> tuple[float, float] | None:
     """Rms of |f| − g over the rests: as measured, and corrected. None without three accelerometers."""
     done, rows, model = readings.done, readings.log, readings.model
     if sum(c.kind == "accelerometer" for c in model.channels) < 3:
@@ -432,7 +437,7 @@ def _gravity(
 
     force, rate = mean(rows.force), mean(np.where(np.isfinite(rows.rates), rows.rates, 0.0))
     at = mean(temperature[:, None])[:, 0]
-    corrected = correct_unit(calibration.channel, rate, force, at)[1]
+    corrected = correct_triads(calibration.channel, rate, force, at)[1]
     g = float(done.motion.geometry.gravity)
     before, after = (float(np.sqrt(np.mean((np.linalg.norm(f, axis=1) - g) ** 2))) for f in (force, corrected))
     return before, after
@@ -485,14 +490,14 @@ def _calibration(
     covered: tuple[tuple[float, float], tuple[float, float]],
     options: Options,
     sources: dict[str, str],
-) -> UnitCalibration:
+) -> Calibration:
     model, spec, named = built.model, built.spec, _tests_of(tests, channels)
     reported = model.to_reported
     values, deviations = reported @ solution.parameters, solution.known.deviations(reported)
     names, units = model.names(), model.units()
     priors = prior_deviations(built)
     own = slice(0, model.calibrated)
-    held = list(_channels(built, values))
+    held = list(_channels(built, values, covered, options.lag))
     kept = {f"{c.name}.{n}" for c in held for term in c.term for n in term.coefficients}
     covariant = [k for k in range(model.calibrated) if np.isfinite(deviations[k]) and names[k] in kept]
     matrix = solution.known.covariance(reported[own])[np.ix_(covariant, covariant)]
@@ -502,14 +507,11 @@ def _calibration(
         "format": FORMAT,
         "title": spec.title or spec.sensor.name or f"calibration of {name}",
         "serial_number": name,
-        "quantity": "unit",
         "simulated": any(one.simulated for one in logs),
         "frame": "the case, as far as its mounting is known"
         if case
         else "the table's axes at zero, through the nominal mounting",
-        "order": UNIT_ORDER,
-        "valid_temperature": tuple(f"{t:.1f} degC" for t in covered[0]),
-        "valid_rate": tuple(f"{np.degrees(r):.1f} deg/s" for r in covered[1]),
+        "order": ORDER,
         "channel": tuple(held),
         "covariance": Covariance(
             names=tuple(names[k] for k in covariant), matrix=tuple(map(tuple, matrix.tolist()))
@@ -524,7 +526,7 @@ def _calibration(
         "fit": fit_rows(named.items()),
         "unobservable": tuple(n for n in unobserved_parameters(built, solution.known) if n in kept),
         "noise": _noise(spec, logs[0]),
-        "result": tuple(_result(row) for row in requirements),
+        "result": tuple(map(result_of_requirement, requirements)),
         "provenance": provenance_of(
             logs,
             name,
@@ -533,22 +535,27 @@ def _calibration(
             rows=str(int(np.count_nonzero(solution.used))),
         ),
     }  # fmt: skip
-    if options.lag:
-        section["thermal_lag"] = Quantity.of(float(options.lag), "s")
-    return UnitCalibration(**section)
+    return Calibration(**section)
 
 
-def _channels(built: AssembledUnit, values: np.ndarray) -> Iterator[CalibratedChannel]:
-    """The calibrated channels, from all reported parameters `(p,)`."""
+def _channels(
+    built: AssembledUnit, values: np.ndarray, covered: tuple[tuple[float, float], tuple[float, float]], lag: Any = None
+) -> Iterator[CalibratedChannel]:
+    """The calibrated channels, from all reported parameters `(p,)`; `covered`: temperatures (°C) and rates (rad/s)."""
     begin = 0
+    shared: dict[str, Any] = {
+        "valid_temperature": tuple(f"{t:.1f} degC" for t in covered[0]),
+        "valid_rate": tuple(f"{np.degrees(r):.1f} deg/s" for r in covered[1]),
+    }
+    shared |= {"thermal_lag": Quantity.of(float(lag), "s")} if lag else {}
     for c in built.model.channels:
-        yield _channel(built.spec, c, values[begin : begin + c.model.size])
+        terms = _terms(built.spec, c, values[begin : begin + c.model.size])
+        yield CalibratedChannel(kind=c.kind, axis=AXIS_NAMES[c.axis], term=tuple(terms), **shared)
         begin += c.model.size
 
 
-def _channel(spec: UnitSpec, channel: Channel, values: np.ndarray) -> CalibratedChannel:
+def _terms(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Iterator[CalibratedTerm]:
     triad = getattr(spec.sensor, channel.kind)
-    terms, axis = [], AXIS_NAMES[channel.axis]
     for term in channel.model.terms:
         if isinstance(term, Discrepancy):
             continue
@@ -556,35 +563,19 @@ def _channel(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Calibrated
         coefficients = {name: float(v) for name, v in zip(term.names(), own, strict=True)}
         section = getattr(triad, section_of(triad, term.name))
         assert isinstance(term, Map | SignalMap)
-        signals = term.signals if isinstance(term, SignalMap) else () if term.rate is None else (f"rate {axis}",)
+        of_rate = (f"rate {AXIS_NAMES[channel.axis]}",)
+        signals = term.signals if isinstance(term, SignalMap) else () if term.rate is None else of_rate
         bases = {"temperature": section.temperature, "rate": getattr(section, "rate", None)}
-        terms.append(term_of(term.name, term.unit, signals, coefficients, **bases))
-    return CalibratedChannel(kind=channel.kind, axis=axis, term=tuple(terms))
+        yield build_term(term.name, term.unit, signals, coefficients, **bases)
 
 
-def _noise(spec: UnitSpec, log: Log) -> UnitNoise:
+def _noise(spec: UnitSpec, log: Log) -> Noise:
     densities: dict[str, Any] = {"sample_rate": Quantity.of(1.0 / log.sample_interval_s, "Hz")}
     if (gyro := spec.sensor.gyro) is not None:
         densities |= random_walks(gyro)
     if (force := spec.sensor.accelerometer) is not None:
         densities["velocity_random_walk"] = force.velocity_random_walk
-    return UnitNoise(**densities)
-
-
-def _result(row: RequirementRow) -> UnitResult:
-    values = {"value": row.judged, "target": row.target, "verdict": row.verdict}
-    if row.judged != row.decisive:
-        values["named"] = row.decisive
-    if row.target is not None:
-        values |= {"coverage": row.coverage, "rule": row.rule}
-    return UnitResult(
-        name=row.name,
-        quantity=row.quantity,
-        axis=row.axis or "",
-        statistic=f"{row.statistic}, 1 sigma",
-        unit=row.unit,
-        **{key: v for key, v in values.items() if v is not None},
-    )
+    return Noise(**densities)
 
 
 def unit_estimate_rows(report: UnitReport) -> dict[str, Any]:
@@ -595,7 +586,7 @@ def unit_estimate_rows(report: UnitReport) -> dict[str, Any]:
         "simulated": calibration.simulated,
         "parameters": coefficient_rows(calibration),
         "table": [row.model_dump(mode="json") for row in calibration.table],
-        "requirements": [row.model_dump(mode="json", exclude_none=True) for row in report.requirements],
+        "requirements": [requirement_fields(row) for row in report.requirements],
         "internal_misalignment": [row._asdict() for row in report.internal],
         "gravity_rms_m_per_s2": report.gravity,
         "tests": [row.model_dump(mode="json") for row in calibration.fit],

@@ -24,6 +24,7 @@ from gradcal_jax.units import DEG_PER_H, PPM, G
 UNITS_OF_TERMS = {
     "rad/s": ("deg/h", DEG_PER_H),
     "1": ("ppm", PPM),
+    "rad/K": ("deg/h/(°C/min)", DEG_PER_H / 60.0),
     "rad": ("urad", 1e6),
     "m": ("mm", 1e3),
     "m/s^2": ("ug", 1e6 / G),

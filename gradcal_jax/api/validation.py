@@ -2,6 +2,10 @@
 
 The corrected rates are integrated from standstill to standstill. The difference of a move's angle from the table's,
 over the angle, is the remaining scale-factor error; the integrated rate at rest, over the time, the remaining bias.
+
+Channels that depend on each other are validated together, by what no mounting changes: the norm of the integrated rate
+of a turn about one table axis, less the rate at rest along it, is the turned angle; the norms of the mean specific
+force and rate at rest are gravity and the Earth's rate.
 """
 
 from typing import Any, NamedTuple
@@ -10,15 +14,18 @@ import numpy as np
 
 from gradcal_jax import estimation, formulas
 from gradcal_jax.api.log_rows import count_rows, table_axis_of, table_readings, usable_rows
-from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM
+from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM, G
 from gradcal_jax.api.unit_channel import integrated_rows
-from gradcal_jax.files import correction
-from gradcal_jax.files.calibration import LOG_HASH, Calibration, Result
+from gradcal_jax.files.calibration import LOG_HASH, TEMPERATURE_RATE, Calibration, Result, correction
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.information.conformity import acceptance_limit, specific_risk
+from gradcal_jax.trajectory import EARTH_RATE
 
 # A shorter rest (s) tells nothing; temperatures within this (K) are one range.
 _BRIEF_S, _SAME_K = 1.0, 1.0
+# A turn is of one table axis where the others turn by less, rad.
+_OTHER_AXIS = 1e-4
+_STRAIGHT = 0.98
 
 
 class Cell(NamedTuple):
@@ -55,7 +62,8 @@ class Acceptance(NamedTuple):
 
 
 class AxisValidation(NamedTuple):
-    """The validation of one axis. `scale_factor_ppm`, `bias_deg_per_h`: rms before and after, moves and rests."""
+    """The validation of one axis, or of "gyros" or "accelerometers" together. `scale_factor_ppm`, `bias_deg_per_h`,
+    `gravity_ug`: rms before and after, of moves, and of rates and forces at rest (together: their norms' errors)."""
 
     axis: str
     moves: int
@@ -65,6 +73,7 @@ class AxisValidation(NamedTuple):
     cells: tuple[Cell, ...]
     rows: dict[str, int]
     messages: tuple[str, ...]
+    gravity_ug: tuple[float, float] | None = None
 
 
 def validate(
@@ -75,12 +84,13 @@ def validate(
     temperature_parts: int = 3,
     earth_rate: float = 0.0,
     table_axis: str | None = None,
+    gravity: float = G,
 ) -> list[AxisValidation]:
     """The errors that a calibration leaves on an independent log (its own is refused): ppm of moves' angles and deg/h
     at rest, rms before and after, by `temperature_parts` ranges of temperature (°C) and by rate (deg/s).
 
     For every axis of both. `earth_rate` rad/s along the sensor's axis is subtracted; `table_axis`: the one that turns
-    it. Errors: `LogError` where the log holds neither moves with a reference nor rests.
+    it; `gravity`: m/s², at the place. Errors: `LogError` where the log holds neither moves with a reference nor rests.
     """
     number = log.unit_index(unit)
     if calibration.provenance.get(LOG_HASH) == log.fingerprint(number):
@@ -90,8 +100,10 @@ def validate(
         )
     corrected = correction.apply(calibration, log, unit)
     result: list[AxisValidation] = []
-    for name in log.axes:
-        if name not in corrected.left_alone:
+    if _together(calibration):
+        result += _triads(log, corrected.log, number, temperature_parts, gravity, corrected.left_alone)
+    for name in log.axes if not result else ():
+        if f"gyro {name}" not in corrected.left_alone:
             result.append(_axis(log, corrected.log, number, name, temperature_parts, earth_rate, table_axis))
     if not any(one.moves or one.rests for one in result):
         raise LogError("the log holds neither a move with a table angle nor a rest: there is nothing to compare with")
@@ -105,9 +117,10 @@ def acceptances(calibration: Calibration, validations: list[AxisValidation]) -> 
     rows: list[Acceptance] = []
     by_axis = {one.axis: one for one in validations}
     for result in calibration.result:
-        if result.target is None or result.axis not in by_axis:
+        axis = "gyros" if result.quantity == "gyro_scale_factor" else result.axis
+        if result.target is None or axis not in by_axis:
             continue
-        cells = [c for c in by_axis[result.axis].cells if c.unit == result.unit and c.how_many > 1]
+        cells = [c for c in by_axis[axis].cells if c.unit == result.unit and c.how_many > 1]
         judged = [_judged(result, cell) for cell in cells]
         if judged:
             rows.append(max(judged, key=lambda row: (row.verdict == "missed", row.specific_risk, abs(row.error))))
@@ -203,6 +216,101 @@ def _axis(
         cells += _cells(warm, None, before, after, edges, "deg/h")
     rows = count_rows(log, unit, integrated_rows(done, len(raw)))
     return AxisValidation(axis, moves, rests, scale, bias, tuple(cells), rows, tuple(messages))
+
+
+def _together(calibration: Calibration) -> bool:
+    """Whether the correction of a channel depends on other channels."""
+    return any(
+        name.strip("|") not in (channel.input, TEMPERATURE_RATE)
+        for channel in calibration.channel
+        for term in channel.term
+        for name in term.signals
+    )
+
+
+def _triads(
+    log: Log, corrected: Log, unit: int, parts: int, gravity: float, left_alone: tuple[str, ...]
+) -> list[AxisValidation]:
+    """The triads of gyros and of accelerometers that are calibrated and in the log."""
+    number, messages = log.standstill, list[str]()
+    if number is None:
+        number = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
+        messages.append("the log marks no standstills: they were found where the rates are quiet")
+    usable = usable_rows(log, unit)
+    step = np.where(usable, np.diff(log.time_s, prepend=log.time_s[0]), 0.0)
+    rows, still = count_rows(log, unit, usable), number >= 0
+    lasts = np.bincount(number[still], step[still])
+    rests = np.flatnonzero(lasts > _BRIEF_S)
+    if not len(rests):
+        return []
+    temperature = np.full(len(number), np.nan) if log.temperature_c is None else log.temperature_c[unit]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        """Over each rest, `(rests, columns)`."""
+        known = (np.nan_to_num(values) * step[:, None])[still]
+        sums = np.stack([np.bincount(number[still], column, len(lasts)) for column in known.T], axis=1)
+        return sums[rests] / lasts[rests, None]
+
+    warm = mean(temperature[:, None])[:, 0] if np.isfinite(temperature).all() else np.full(len(rests), np.nan)
+    edges, result = _edges(warm, parts), list[AxisValidation]()
+    for kind, truth, factor, label in (
+        ("gyro", EARTH_RATE, DEG_PER_H, "deg/h"),
+        ("accelerometer", gravity, 1e6 / G, "ug"),
+    ):
+        before_and_after = [of.triads(k)[kind == "accelerometer"] for of, k in ((log, unit), (corrected, 0))]
+        if not np.isfinite(before_and_after[0]).any(axis=0).all() or any(name.startswith(kind) for name in left_alone):
+            continue
+        at_rest = [mean(values) for values in before_and_after]
+        before, after = ((np.linalg.norm(values, axis=1) - truth) * factor for values in at_rest)
+        cells, pair = _cells(warm, None, before, after, edges, label), (_rms(before), _rms(after))
+        if kind == "accelerometer":
+            result.append(AxisValidation("accelerometers", 0, len(rests), None, None, tuple(cells), rows, (), pair))
+            continue
+        turns = _turns(log, number, rests, temperature, before_and_after, at_rest, step)
+        scale = None
+        if len(turns):
+            uncorrected, left, heat, speed = turns.T
+            scale = _rms(uncorrected), _rms(left)
+            cells += _cells(heat, speed, uncorrected, left, _edges(heat, parts), "ppm")
+        result.append(AxisValidation("gyros", len(turns), len(rests), scale, pair, tuple(cells), rows, tuple(messages)))
+    return result
+
+
+def _turns(
+    log: Log,
+    number: np.ndarray,
+    rests: np.ndarray,
+    temperature: np.ndarray,
+    rates: list[np.ndarray],
+    at_rest: list[np.ndarray],
+    step: np.ndarray,
+) -> np.ndarray:
+    """Turns between rests about one table axis, `(turns, 4)`: errors before and after the correction (ppm), temperature
+    (°C) and mean rate (deg/s)."""
+    angles: list[np.ndarray] = []
+    for axis in range(len(log.table_axes)):
+        read, _ = table_readings(log, axis, number >= 0, np.inf, [], every_kind=True)
+        of_rest = [read.angle[number[read.rows] == rest] for rest in rests]
+        angles.append(np.array([np.mean(own) if len(own) else np.nan for own in of_rest]))
+    found: list[tuple[float, ...]] = []
+    for k in range(len(rests) - 1) if angles else ():
+        first = int(np.flatnonzero(number == rests[k])[-1])
+        last = int(np.flatnonzero(number == rests[k + 1])[0])
+        turned = np.sort(np.abs([angle[k + 1] - angle[k] for angle in angles]))
+        between = slice(first + 1, last + 1)
+        if not turned[-1] > np.radians(1.0) or np.any(turned[:-1] > _OTHER_AXIS) or not step[between].all():
+            continue
+        lasting, row = float(step[between].sum()), list[float]()
+        wholes = [values[between].T @ step[between] for values in rates]
+        # About one direction, the integrated rate is as long as its way.
+        if np.linalg.norm(wholes[0]) < _STRAIGHT * (np.linalg.norm(rates[0][between], axis=1) @ step[between]):
+            continue
+        for whole, rest in zip(wholes, at_rest, strict=True):
+            length = float(np.linalg.norm(whole))
+            still = 0.5 * (rest[k] + rest[k + 1]) @ whole / length
+            row.append(PPM * ((length - still * lasting) / turned[-1] - 1.0))
+        found.append((*row, float(np.mean(temperature[between])), turned[-1] / lasting * DEG_PER_S))
+    return np.array(found).reshape(-1, 4)
 
 
 def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from gradcal_jax import estimation, identify
-from gradcal_jax.api.calibration import EstimateReport, estimate_calibration
+from gradcal_jax.api.calibration import EstimateReport, estimate_calibration, joined
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.instability import RestRecord, at_rest, number, plausible, too_noisy
 from gradcal_jax.files import Spec, parse_spec
@@ -24,6 +24,7 @@ from gradcal_jax.files.sensor import Sensor
 from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
 
 DEGREE = 3
+_ROWS = ("channel", "unseen", "fit", "contradicted", "unobservable", "result")
 # K; over a narrower span the terms of a cubic cannot be separated.
 _LEAST_SPAN = 10.0
 _BINS = 300
@@ -85,12 +86,12 @@ def _unit(log: Log, unit: str, axes: Sequence[str], options: Options, sources: d
         rate_random_walk=Quantity.of(slow, "rad/s/sqrt(s)"),
         sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"),
     )
-    named = ", ".join(axis.name for c in calibrations for axis in c.axis)
+    named = ", ".join(channel.axis for c in calibrations for channel in c.channel)
     first = calibrations[0]
     whole = first.model_copy(
         update={
-            "axis": tuple(axis for c in calibrations for axis in c.axis),
-            "result": tuple(row for c in calibrations for row in c.result),
+            **{key: tuple(row for c in calibrations for row in getattr(c, key)) for key in _ROWS},
+            "covariance": joined([c.covariance for c in calibrations if c.covariance is not None]),
             "noise": noise,
             "frame": f"the axes {named} of the log, not orthogonalised",
             "provenance": {**first.provenance, "readings": ", ".join(c.provenance["readings"] for c in calibrations)},

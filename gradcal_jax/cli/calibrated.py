@@ -14,7 +14,7 @@ from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
     from gradcal_jax.api.validation import Acceptance, AxisValidation
-    from gradcal_jax.files.exports import Export
+    from gradcal_jax.files.calibration.exports import Export
 
 Calibrated = Annotated[Path, Parameter(help="The calibration file.")]
 
@@ -30,7 +30,7 @@ def apply(
     force: ForceOutput = False,
     json: Json = False,
 ) -> int:
-    """Correct the rates (of a whole unit: and specific forces) of a log by a calibration, and write them as a log.
+    """Correct the rates and specific forces of a log by a calibration, and write them as a log.
 
     The exit status is 1 where rows lie outside the range of the calibration; there its value at the edge is used.
 
@@ -43,19 +43,15 @@ def apply(
     json
         Print the name of the log, and how many rows lie outside, as JSON.
     """
-    from gradcal_jax.files.correction import apply as correct
+    from gradcal_jax.files.calibration import read_calibration
+    from gradcal_jax.files.calibration.correction import apply as correct
     from gradcal_jax.files.log import write_log
-    from gradcal_jax.files.unit_calibration import UnitCalibration, read_any_calibration
-    from gradcal_jax.files.unit_correction import apply_unit
 
-    content = read_any_calibration(calibration)
+    content = read_calibration(calibration)
     writable(output, force)
     recorded = load(log, source, unit=unit)
     number = _unit(recorded, content.serial_number, unit)
-    if isinstance(content, UnitCalibration):
-        corrected = apply_unit(content, recorded, number)
-    else:
-        corrected = correct(content, recorded, number)
+    corrected = correct(content, recorded, number)
     write_log(corrected.log, output)
     outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
     if json:
@@ -67,7 +63,7 @@ def apply(
             if count:
                 print(f"note: {count} {what} lie outside the range of the calibration: its value at the edge was used")
         if corrected.left_alone:
-            print(f"note: not calibrated, and left unchanged: axis {', '.join(corrected.left_alone)}")
+            print(f"note: not calibrated, and left unchanged: {', '.join(corrected.left_alone)}")
         print(f"wrote {output}")
     return NOT_AS_WISHED if any(outside.values()) else DONE
 
@@ -80,6 +76,7 @@ def validate(
     unit: str | None = None,
     table_axis: str | None = None,
     earth_rate: str | None = None,
+    gravity: str | None = None,
     parts: int = 3,
     source: Recording = WHOLE,
     json: JsonNumbers = False,
@@ -97,21 +94,26 @@ def validate(
         The axis of the table that turns the sensor's.
     earth_rate
         The Earth rate along the sensor's axis, such as "10.4 deg/h"; it is taken off.
+    gravity
+        The gravity at the place, such as "9.8123 m/s^2", for accelerometers; without it standard gravity.
     parts
         Number of ranges of temperature.
     """
-    from gradcal_jax.files.unit_calibration import expect_axes, read_any_calibration
+    from gradcal_jax.files.calibration import read_calibration
 
     if parts < 1:
         raise ValueError(f"--parts must be 1 or more, not {parts}")
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
-    content = expect_axes(read_any_calibration(calibration), "gradcal validate")
+    place = {} if gravity is None else {"gravity": quantity(gravity, "acceleration", "--gravity")}
+    content = read_calibration(calibration)
     recorded = load(log, source, unit=unit)
     use_float64()
     from gradcal_jax.api import validation as work
 
     name = _unit(recorded, content.serial_number, unit)
-    rows = work.validate(content, recorded, unit=name, temperature_parts=parts, earth_rate=earth, table_axis=table_axis)
+    rows = work.validate(
+        content, recorded, unit=name, temperature_parts=parts, earth_rate=earth, table_axis=table_axis, **place
+    )
     judged = work.acceptances(content, rows)
     if json:
         simulated = recorded.simulated or content.simulated
@@ -123,7 +125,8 @@ def validate(
             print("\n" + _validation_text(row))
         for one in judged:
             print("\n" + _acceptance_text(one))
-    worse = [pair for row in rows for pair in (row.scale_factor_ppm, row.bias_deg_per_h) if pair and pair[1] > pair[0]]
+    pairs = [pair for row in rows for pair in (row.scale_factor_ppm, row.bias_deg_per_h, row.gravity_ug) if pair]
+    worse = [pair for pair in pairs if pair[1] > pair[0]]
     return NOT_AS_WISHED if worse or any(row.verdict != "met" for row in judged) else DONE
 
 
@@ -145,7 +148,7 @@ def export(
     Parameters
     ----------
     format
-        ardupilot, px4, kalibr, c-header or csv; of a whole unit matrices, too.
+        ardupilot, px4, kalibr, matrices, c-header or csv.
     output
         Write here; without it the text is printed, and the report goes to stderr.
     temperature
@@ -155,27 +158,20 @@ def export(
     device_id
         PX4's device id of the sensor.
     zero
-        A coefficient that did not pass validation, such as a3 or x.a3; may be repeated.
+        A coefficient that did not pass validation, such as a3, x.a3 or gyro_x.a3; may be repeated.
     json
         Print text, losses and notes as JSON.
     """
-    from gradcal_jax.files import exports
-    from gradcal_jax.files.unit_calibration import UnitCalibration, read_any_calibration
-    from gradcal_jax.files.unit_exports import export_unit
+    from gradcal_jax.files.calibration import exports, read_calibration
     from gradcal_jax.files.writing import write_whole
 
     at = None if temperature is None else quantity(temperature, "temperature", "--temperature")
-    content = read_any_calibration(calibration)
+    content = read_calibration(calibration)
     if output is not None:
         writable(output, force)
     number = (0 if format == "px4" else 1) if instance is None else instance
     chosen = {"temperature_c": at, "instance": number, "device_id": device_id}
-    if isinstance(content, UnitCalibration):
-        if zero:
-            raise ValueError("--zero is for calibrations of a gyro's axes, and this one is of a whole unit")
-        done = export_unit(content, format, **chosen)
-    else:
-        done = exports.export(content, format, **chosen, zeroed=zero)
+    done = exports.export(content, format, **chosen, zeroed=zero)
     if output is not None:
         write_whole(output, done.text)
     if json:
@@ -218,13 +214,20 @@ def _acceptance_text(row: "Acceptance") -> str:
 
 def _validation_text(row: "AxisValidation") -> str:
     used = ", ".join(f"{count} {reason}" for reason, count in row.rows.items())
-    lines = [strong(f"axis {row.axis}") + f": {row.moves} moves, {row.rests} rests; rows: {used}"]
+    together = row.axis in ("gyros", "accelerometers")
+    lines = [
+        strong(row.axis if together else f"axis {row.axis}") + f": {row.moves} moves, {row.rests} rests; rows: {used}"
+    ]
     if row.scale_factor_ppm is not None:
         before, after = row.scale_factor_ppm
         lines.append(f"angle of the moves: {before:.5g} ppm rms without, {after:.4g} ppm with the calibration")
     if row.bias_deg_per_h is not None:
         before, after = row.bias_deg_per_h
-        lines.append(f"rate at rest: {before:.5g} deg/h rms without, {after:.4g} deg/h with the calibration")
+        what = "norm of the rate at rest, less the Earth's" if together else "rate at rest"
+        lines.append(f"{what}: {before:.5g} deg/h rms without, {after:.4g} deg/h with the calibration")
+    if row.gravity_ug is not None:
+        before, after = row.gravity_ug
+        lines.append(f"norm of gravity at rest: {before:.5g} ug rms without, {after:.4g} ug with the calibration")
     shown = [("temperature", "mean rate", "how many", "without", "with", "scatter", "")]
     for cell in row.cells:
         warm = cell.temperature_c
@@ -240,8 +243,8 @@ def export_text(done: "Export") -> str:
     """The losses of an export, and its notes."""
     lines: list[str] = []
     if done.losses:
-        shown = [("axis", "what is lost", "at most", "")]
-        shown += [(loss.axis, loss.what, f"{loss.value:.4g}", loss.unit) for loss in done.losses]
+        shown = [("channel", "what is lost", "at most", "")]
+        shown += [(loss.channel, loss.what, f"{loss.value:.4g}", loss.unit) for loss in done.losses]
         lines.append(table(shown, indent="", right=(2,)))
     else:
         lines.append("nothing is lost")

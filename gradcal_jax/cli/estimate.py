@@ -23,7 +23,6 @@ from gradcal_jax.cli.output import (
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, load_all, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
-from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
@@ -215,10 +214,10 @@ def estimate(
         if not json:
             print(f"wrote {path}")
     if parameters is not None and firmware is not None:
-        from gradcal_jax.files.exports import export_units
+        from gradcal_jax.files.calibration.exports import export_sensors
         from gradcal_jax.files.writing import write_whole
 
-        done = export_units(report.calibrations, firmware)
+        done = export_sensors(report.calibrations, firmware)
         write_whole(parameters, done.text)
         if not json:
             print(f"{export_text(done)}\nwrote {parameters}")
@@ -294,6 +293,8 @@ def _files(output: Path | None, units: Sequence[str], force: bool) -> dict[str, 
 
 
 def _text(report: "EstimateReport") -> str:
+    from gradcal_jax.cli.unit_estimate import requirement_lines
+
     lines: list[str] = []
     for one in report.calibrations:
         lines += ["", strong(f"unit {one.serial_number}" + (", SIMULATED" if one.simulated else ""))]
@@ -301,18 +302,7 @@ def _text(report: "EstimateReport") -> str:
             if channel.unit == one.serial_number:
                 lines += [_channel(channel, report.unseen_of(channel))]
         rows = report.verdicts[one.serial_number]
-        if rows:
-            shown = [("requirement", "statistic", "residual 1σ", "as named", "at worst", "target", "verdict")]
-            for row in rows:
-                target = "" if row.target is None else amount(row.target, row.unit)
-                name, value = f"{row.requirement.name}, axis {row.axis}", amount(row.value, row.unit)
-                worst = "" if row.worst is None else amount(row.worst, row.unit)
-                alone = amount(row.named, "").strip()
-                shown.append((name, row.requirement.statistic, value, alone, worst, target, row.verdict or ""))
-            if all(row.named == row.value for row in rows):
-                shown = [(*cells[:3], *cells[4:]) for cells in shown]
-            lines += ["", table(shown, indent="")]
-            lines += [f"{row.requirement.name}, axis {row.axis}: {row.rule}" for row in rows if row.rule]
+        lines += requirement_lines(rows) if rows else []
         lines += [f"note: {message}" for message in report.messages[one.serial_number]]
     lines += [line for row in report.discrepancies for line in _discrepancy(row)]
     return "\n".join(lines)
@@ -350,7 +340,10 @@ def _channel(channel: "UnitChannel", unseen: "Sequence[UnseenError]") -> str:
         unit, factor = shown[si]
         if np.isfinite(deviations[k]):
             of_fit = float(deviations[k])
-            counted, fit = (f"{(s or 0.0) * factor:.4g}" for s in (counted_std(name, of_fit, unseen), of_fit))
+            counted, fit = (
+                f"{(s or 0.0) * factor:.4g}"
+                for s in (counted_std(f"gyro_{channel.axis}.{name}", of_fit, unseen), of_fit)
+            )
             rows.append((name, f"{values[k] * factor:.4f}", counted, fit, unit))
         else:
             rows.append((name, "not observable", "", "", unit))

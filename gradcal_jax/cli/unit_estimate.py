@@ -9,8 +9,8 @@ import numpy as np
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
-from gradcal_jax.files.unit_calibration import write_unit_calibration
-from gradcal_jax.files.unit_correction import term_values
+from gradcal_jax.files.calibration import write_calibration
+from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.pages.plain_text import amount
 from gradcal_jax.pages.plain_text import columns as table
 from gradcal_jax.units import G
@@ -18,6 +18,7 @@ from gradcal_jax.units import G
 if TYPE_CHECKING:
     from gradcal_jax.api.hand_estimate import HandReport
     from gradcal_jax.api.unit_estimate import UnitReport
+    from gradcal_jax.files.contracts import RequirementRow
 
 Report = TypeVar("Report", "UnitReport", "HandReport")
 
@@ -35,7 +36,7 @@ def say_units(
     print(as_json({"units": list(map(rows, reports))}) if json else "\n".join([*descriptions, *map(text, reports)]))
     for report in reports:
         if (path := files.get(report.unit)) is not None:
-            write_unit_calibration(report.calibration, path)
+            write_calibration(report.calibration, path)
             if not json:
                 print(f"wrote {path}")
     return DONE if all(report.as_wished for report in reports) else NOT_AS_WISHED
@@ -61,21 +62,26 @@ def _tests(report: "UnitReport | HandReport") -> str:
     return table(rows, right=(1, 2, 3))
 
 
+def requirement_lines(rows: "Sequence[RequirementRow]") -> list[str]:
+    """The requirements as an estimate meets them, and the rules of their verdicts."""
+    shown = [("requirement", "statistic", "residual 1σ", "as named", "at worst", "target", "verdict")]
+    names = [f"{row.name}, {row.limited_by or f'axis {row.axis}'}" for row in rows]
+    for name, row in zip(names, rows, strict=True):
+        target = "" if row.target is None else amount(row.target, row.unit)
+        worst = "" if row.worst is None else amount(row.worst, row.unit)
+        alone = amount(row.decisive, "").strip()
+        shown.append((name, row.statistic, amount(row.judged, row.unit), alone, worst, target, row.verdict or ""))
+    if all(row.judged == row.decisive for row in rows):
+        shown = [(*cells[:3], *cells[4:]) for cells in shown]
+    return ["", table(shown, indent=""), *(f"{n}: {row.rule}" for n, row in zip(names, rows, strict=True) if row.rule)]
+
+
 def text_of_estimate(report: "UnitReport") -> str:
     from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 
     calibration, model = report.calibration, report.built.model
     lines = _head(report, f"{np.count_nonzero(report.solution.used)} rows of {len(model.channels)} channels")
-    shown = [("requirement", "statistic", "residual 1σ", "as named", "of", "target", "verdict")]
-    for result, row in zip(calibration.result, report.requirements, strict=True):
-        target = "" if row.target is None else amount(row.target, row.unit)
-        worst = (row.limited_by or "").removeprefix("axis ")
-        value, alone = amount(result.value, row.unit), amount(row.decisive, "").strip()
-        shown.append((row.name, row.statistic, value, alone, worst, target, row.verdict or ""))
-    if all(row.judged == row.decisive for row in report.requirements):
-        shown = [(*cells[:3], *cells[4:]) for cells in shown]
-    lines += ["", table(shown, indent="")]
-    lines += [f"{row.name}: {row.rule}" for row in report.requirements if row.rule]
+    lines += requirement_lines(report.requirements)
     spread = _sizes(report)
     lines += ["", "the terms, at most over the temperatures:", table(spread, right=(1, 2))]
     if report.internal:

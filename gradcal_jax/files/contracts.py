@@ -314,6 +314,8 @@ class RequirementRow(Section):
     """Whether the target is met; "not covered": the requirement asks for what the data of an estimate lack."""
     coverage: Size = 1.0
     """Standard deviations that must be within the target."""
+    risk: Size | None = None
+    """Largest chance that a sensor beyond the target passes; null: simple acceptance."""
     rule: str | None = None
     """Rule of the verdict, in words."""
     specific_risk: Size | None = None

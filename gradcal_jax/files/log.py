@@ -302,6 +302,16 @@ class Log:
         """The number of an axis given by name or number. Raises `LogError`."""
         return _index(axis, self.axes, "axis")
 
+    def triads(self, unit: str | int = 0) -> tuple[Floats, Floats]:
+        """Rates and specific forces `(n, 3)` along x, y, z; NaN for axes that the log does not have."""
+        number, result = self.unit_index(unit), np.full((2, len(self.time_s), 3), np.nan)
+        pairs = ((self.axes, self.rate_rad_per_s), (self.force_axes, self.specific_force_m_per_s2))
+        for into, (labels, values) in zip(result, pairs, strict=True):
+            for k, label in enumerate(labels):
+                if values is not None and label in ("x", "y", "z"):
+                    into[:, "xyz".index(label)] = values[number, :, k]
+        return result[0], result[1]
+
     def usable(self, unit: str | int = 0) -> Bools:
         """Which rows of a unit are not masked. [time]"""
         if self.status is None:

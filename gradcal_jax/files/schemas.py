@@ -25,13 +25,12 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "points": ("points", "PointMap"),
     "log": ("log_contents", "LogContents"),
     "calibration": ("calibration", "Calibration"),
-    "unit-calibration": ("unit_calibration", "UnitCalibration"),
     "recipe": ("recipe", "Recipe"),
     "sweep": ("sweep", "SweepFile"),
     "catalogue": ("catalogue", "CatalogueFile"),
 }
 # Versions other than 1.
-_VERSIONS: Final[Mapping[str, str]] = {"timeline": "2"}
+_VERSIONS: Final[Mapping[str, str]] = {"timeline": "2", "calibration": "2"}
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 

@@ -4,11 +4,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.posterior_of_plan import PPM
-from gradcal_jax.files import correction, exports
-from gradcal_jax.files.calibration import AxisCalibration, Calibration
-from gradcal_jax.files.unit_calibration import UnitCalibration
-from gradcal_jax.files.unit_exports import UNIT_FORMATS, export_unit
+from gradcal_jax.files.calibration import Calibration
+from gradcal_jax.files.calibration.correction import correct
+from gradcal_jax.files.calibration.exports import FORMATS, export
+from gradcal_jax.units import DEG_PER_S
 
 _ENDINGS: Final = {
     "ardupilot": "parm",
@@ -22,14 +21,13 @@ _AT_ONE_TEMPERATURE: Final = ("kalibr", "matrices")
 
 
 class ExampleFact(NamedTuple):
-    """The correction of one reading; rates in deg/s."""
+    """The correction of one reading of a channel, in `unit`."""
 
-    axis: str
+    channel: str
     temperature_c: float
-    measured_dps: float
-    bias_dps: float
-    scale_factor_ppm: float
-    corrected_dps: float
+    measured: float
+    corrected: float
+    unit: str
 
 
 class ExportFact(NamedTuple):
@@ -40,45 +38,39 @@ class ExportFact(NamedTuple):
     losses: tuple[str, ...]
 
 
-def example_of(axis: AxisCalibration) -> ExampleFact:
-    """A reading at a third of the largest rate, at room temperature where that is covered."""
-    at = _room(axis)
-    measured_dps = float(f"{np.degrees(max(abs(float(end)) for end in axis.valid_rate)) / 3.0:.1g}")
-    temperature, measured = np.array([at]), np.array([np.radians(measured_dps)])
-    true = correction.correct(axis, measured, temperature)
-    return ExampleFact(
-        axis.name,
-        at,
-        measured_dps,
-        float(np.degrees(correction.bias(axis, temperature)[0])),
-        float(correction.scale_factor(axis, temperature, true)[0]) * PPM,
-        float(np.degrees(true[0])),
-    )
+def examples_of(calibration: Calibration) -> list[ExampleFact]:
+    """A reading of all channels at once: a third of the largest rate and half of gravity, at room temperature where
+    that is covered."""
+    at, readings = _room(calibration), dict[str, float]()
+    for channel in calibration.channel:
+        fastest = max(abs(float(end)) for end in channel.valid_rate) * DEG_PER_S
+        readings[channel.input] = float(f"{fastest / 3.0:.1g}") / DEG_PER_S if channel.kind == "gyro" else 5.0
+    done = correct(calibration.channel, {name: np.array([v]) for name, v in readings.items()}, np.array([at]))
+    facts: list[ExampleFact] = []
+    for channel in calibration.channel:
+        unit, factor = ("deg/s", DEG_PER_S) if channel.kind == "gyro" else ("m/s²", 1.0)
+        true = float(done[channel.input][0])
+        facts.append(ExampleFact(channel.label, at, readings[channel.input] * factor, true * factor, unit))
+    return facts
 
 
-def exports_of(calibration: Calibration | UnitCalibration, name: str) -> list[ExportFact]:
+def exports_of(calibration: Calibration, name: str) -> list[ExportFact]:
     """Every export with its command and losses; those of one temperature at room temperature, where it is covered."""
-    of_unit = isinstance(calibration, UnitCalibration)
-    at = _room(calibration if of_unit else calibration.axis[0])
+    at = _room(calibration)
     facts: list[ExportFact] = []
-    for target in UNIT_FORMATS if of_unit else exports.FORMATS:
+    for target in FORMATS:
         option = f' --temperature "{at:g} degC"' if target in _AT_ONE_TEMPERATURE else ""
         command = f"gradcal export {name} --format {target}{option} -o calibration.{_ENDINGS[target]}"
-        temperature = at if option else None
         try:
-            if of_unit:
-                done = export_unit(calibration, target, temperature_c=temperature)
-            else:
-                done = exports.export(calibration, target, temperature_c=temperature)
+            done = export(calibration, target, temperature_c=at if option else None)
         except ValueError as error:
             facts.append(ExportFact(target, "", (f"not for this calibration: {error}",)))
             continue
-        axis = "" if of_unit else "axis "
-        losses = tuple(f"{axis}{x.axis}: {x.what}, up to {x.value:.4g} {x.unit}" for x in done.losses if x.value > 0.0)
+        losses = tuple(f"{x.channel}: {x.what}, up to {x.value:.4g} {x.unit}" for x in done.losses if x.value > 0.0)
         facts.append(ExportFact(target, command, losses))
     return facts
 
 
-def _room(covered: AxisCalibration | UnitCalibration) -> float:
-    cold, warm = (float(end) for end in covered.valid_temperature)
+def _room(calibration: Calibration) -> float:
+    cold, warm = (float(end) for end in calibration.valid_temperature)
     return 25.0 if cold <= 25.0 <= warm else 0.5 * (cold + warm)

@@ -17,7 +17,7 @@ import gradcal_jax
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.ieee_terms import calibration_map
 from gradcal_jax.api.prediction import counted_shares
-from gradcal_jax.files.calibration import LOG_HASH, AxisCalibration, Calibration, Result
+from gradcal_jax.files.calibration import LOG_HASH, CalibratedChannel, Calibration, Result
 from gradcal_jax.files.log import SERIAL_NUMBER
 from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.writing import write_whole
@@ -69,15 +69,15 @@ class ResultRow(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """The corrections of one axis at one temperature: bias (deg/h) and scale factor at ± the fastest rate (ppm), with
-    U."""
+    """A correction of one channel over temperature: the value of `term` in `unit` and its expanded uncertainty U at
+    each of `temperature_c`; U is None where it is not known. A map over rate has one at each end of its rates."""
 
-    axis: str
-    temperature_c: float
-    bias: float | None
-    bias_expanded: float | None
-    scale_factor: tuple[float, float] | None
-    scale_factor_expanded: float | None
+    channel: str
+    term: str
+    unit: str
+    temperature_c: tuple[float, ...]
+    value: tuple[float, ...]
+    expanded: tuple[float | None, ...]
 
 
 class Certificate(NamedTuple):
@@ -89,9 +89,9 @@ class Certificate(NamedTuple):
     conditions: tuple[tuple[str, str], ...]
     results: tuple[ResultRow, ...]
     budgets: tuple[Budget, ...]
-    fit: tuple[tuple[str, str, float, int, float], ...]
+    fit: tuple[tuple[str, float, int, float], ...]
     corrections: tuple[Correction, ...]
-    fastest_dps: float
+    order: str
     serial_number: str
     validity: tuple[str, ...]
     simulated: bool
@@ -122,7 +122,7 @@ def certificate_of(
         ("customer", customer or NOT_STATED),
         ("operator", who or NOT_STATED),
         # A name in a rig file or in a log is no number of the device.
-        ("unit", f"{calibration.title or calibration.quantity}, in the data {calibration.serial_number}"),
+        ("unit", f"{calibration.title or 'inertial sensor'}, in the data {calibration.serial_number}"),
         ("serial number", number_of_unit),
         ("performed", _performed(performed, sources)),
     )
@@ -136,10 +136,10 @@ def certificate_of(
         conditions=_conditions(calibration),
         results=tuple(_result(row) for row in calibration.result),
         budgets=tuple(_budgets(sources)),
-        fit=tuple((axis.name, t.name, t.statistic, t.degrees, t.chance) for axis in calibration.axis for t in axis.fit),
-        corrections=tuple(row for axis in calibration.axis for row in _corrections(axis, len(calibration.axis))),
+        fit=tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in calibration.fit),
+        corrections=tuple(row for channel in calibration.channel for row in _corrections(calibration, channel)),
+        order=calibration.order,
         serial_number=number_of_unit,
-        fastest_dps=min(float(np.degrees(axis.valid_rate[1])) for axis in calibration.axis),
         validity=_validity(calibration),
         simulated=calibration.simulated,
     )
@@ -167,35 +167,34 @@ def _method(sources: Sources, calibration: Calibration) -> str:
 
 
 def _conditions(calibration: Calibration) -> tuple[tuple[str, str], ...]:
-    axes = calibration.axis
-    low, high = (f"{axes[0].valid_temperature[k]}" for k in (0, 1))
-    rows = [("temperature of the unit", f"{low} to {high}"), ("frame", calibration.frame)]
-    rows += [(f"rates, axis {a.name}", f"{a.valid_rate[0]} to {a.valid_rate[1]}") for a in axes]
+    rows = [("frame", calibration.frame)]
+    spans = [(f"{c.valid_temperature[0]} to {c.valid_temperature[1]}", c) for c in calibration.channel]
+    spans += [(f"{c.valid_rate[0]} to {c.valid_rate[1]}", c) for c in calibration.channel if c.kind == "gyro"]
+    ranges: dict[tuple[str, str], list[str]] = {}
+    for k, (span, channel) in enumerate(spans):
+        what = "temperature" if k < len(calibration.channel) else "rates"
+        ranges.setdefault((what, span), []).append(channel.label)
+    rows += [(f"{what}, {', '.join(labels)}", span) for (what, span), labels in ranges.items()]
     if (digest := calibration.provenance.get(LOG_HASH)) is not None:
         rows.append(("recording (SHA-256)", digest[:16]))
     return tuple(rows)
 
 
 def _validity(calibration: Calibration) -> tuple[str, ...]:
-    rows = [
-        f"NOT VALID: axis {axis.name}: the data contradict the model ({'; '.join(axis.contradicted)}); nothing is "
-        "certified."
-        for axis in calibration.axis
-        if axis.contradicted
-    ]
+    rows: list[str] = []
+    if calibration.contradicted:
+        failed = "; ".join(test.replace("_", " ") for test in calibration.contradicted)
+        rows.append(f"NOT VALID: the data contradict the model ({failed}); nothing is certified.")
     rows += [
-        "The values hold for the unit as it was, on the day of the recording, within the temperatures and rates above; "
-        "beyond, those at the edge are held and are not covered.",
+        "The values hold for the sensor as it was, on the day of the recording, within the temperatures and rates "
+        "above; beyond, those at the edge are held and are not covered.",
         "The turn-on bias of another day is not part of the stated uncertainty of the bias corrections; a result on "
         "the bias counts it, unless its requirement is of one run.",
     ]
-    if names := dict.fromkeys(error.name for axis in calibration.axis for error in axis.unseen):
+    if names := dict.fromkeys(error.name for error in calibration.unseen):
         rows.append(f"Every uncertainty also counts what no residual of the fit shows: {', '.join(names)}.")
-    rows += [
-        f"Axis {axis.name}: the data say nothing of {', '.join(axis.unobservable)}."
-        for axis in calibration.axis
-        if axis.unobservable
-    ]
+    if calibration.unobservable:
+        rows.append(f"Not observed by the data: {', '.join(calibration.unobservable)}.")
     return tuple(rows)
 
 
@@ -231,26 +230,20 @@ def _budgets(sources: Sources):
         yield Budget(name, channel, row.unit, row.value, tuple(inputs))
 
 
-def _corrections(axis: AxisCalibration, axes: int) -> list[Correction]:
-    low, high = (float(t) for t in axis.valid_temperature)
-    temperatures = np.linspace(low, high, _TEMPERATURES if axes <= 3 else 3)
-    slow, fast = (float(np.degrees(r)) for r in axis.valid_rate)
-    bias = None if axis.bias is None else calibration_map(axis, "bias", temperatures, np.zeros(1))
-    scale = None
-    if axis.scale_factor is not None:
-        scale = calibration_map(axis, "scale_factor", temperatures, np.linspace(slow, fast, 21))
+def _corrections(calibration: Calibration, channel: CalibratedChannel) -> list[Correction]:
+    low, high = (float(t) for t in channel.valid_temperature)
+    temperatures = np.linspace(low, high, _TEMPERATURES if len(calibration.channel) <= 3 else 3)
     rows: list[Correction] = []
-    for k, at in enumerate(temperatures):
-        b = u_b = u_m = None
-        m: tuple[float, float] | None = None
-        if bias is not None:
-            b, u_b = float(bias[0].values[k, 0]), _COVERAGE * float(bias[1].values[k, 0])
-        if scale is not None:
-            m = float(scale[0].values[k, 0]), float(scale[0].values[k, -1])
-            u_m = _COVERAGE * float(np.max(scale[1].values[k]))
-        if axis.contradicted:
-            u_b = u_m = None
-        rows.append(Correction(axis.name, float(at), b, finite(u_b), m, finite(u_m)))
+    for term in channel.term:
+        ends = np.degrees([float(r) for r in channel.valid_rate]) if term.rate is not None else np.zeros(1)
+        value, deviation = calibration_map(calibration, channel, term.name, temperatures, ends)
+        for k, rate in enumerate(ends):
+            at = f" at {rate:.4g} deg/s" if term.rate is not None else ""
+            expanded = [finite(_COVERAGE * float(u)) for u in deviation.values[:, k]]
+            known = [None] * len(expanded) if calibration.contradictions_of(channel) else expanded
+            name = term.name.replace("_", " ") + at
+            values = tuple(float(v) for v in value.values[:, k])
+            rows.append(Correction(channel.label, name, value.unit, tuple(temperatures.tolist()), values, tuple(known)))
     return rows
 
 
@@ -264,7 +257,7 @@ def certificate_tables(certificate: Certificate) -> dict[str, Any]:
         ],
         "results": [row._asdict() for row in certificate.results],
         "budgets": [b._asdict() | {"inputs": [i._asdict() for i in b.inputs]} for b in certificate.budgets],
-        "fit": [dict(zip(("axis", "test", "statistic", "degrees", "chance"), r, strict=True)) for r in certificate.fit],
+        "fit": [dict(zip(("test", "statistic", "degrees", "chance"), r, strict=True)) for r in certificate.fit],
         "corrections": [row._asdict() for row in certificate.corrections],
         "made_by": f"gradcal {gradcal_jax.__version__}",
     }

@@ -6,9 +6,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.contract_rows import deviations_of
-from gradcal_jax.api.posterior_of_plan import DEG_PER_H, PPM
-from gradcal_jax.files.calibration import AxisCalibration, Calibration, Covariance
+from gradcal_jax.api.contract_rows import coefficient_rows
+from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+from gradcal_jax.files.calibration import Calibration, Covariance
+from gradcal_jax.files.contracts import Prediction
 from gradcal_jax.files.recipe import Recipe
 
 # The temperature-gradient sensitivity has other names in predictions and in a simulation's truth.
@@ -17,10 +18,11 @@ _SUPERSCRIPTS: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"
 
 
 class ParameterFact(NamedTuple):
-    """A coefficient in `unit`, the function that it multiplies, its estimated and predicted one sigma, and the true
-    value of a simulation."""
+    """A coefficient of a channel in `unit`, the function that it multiplies, its estimated and predicted one sigma, and
+    the true value of a simulation."""
 
     name: str
+    kind: str
     axis: str
     multiplies: str
     unit: str
@@ -31,59 +33,62 @@ class ParameterFact(NamedTuple):
     off_by_sigma: float | None
 
 
+def predicted_deviations(recipe: Recipe | None, prediction: Prediction | None) -> dict[str, tuple[float | None, str]]:
+    """One sigma of every predicted coefficient, and its SI unit, by its name in a calibration file."""
+    rows = () if recipe is None else recipe.prediction.parameters
+    named = {f"gyro_{r.axis}.{r.name if re.match(r'[ab][0-9_]', r.name) else _GRADIENT}": r for r in rows}
+    named |= {} if prediction is None else {row.name: row for row in prediction.parameters}
+    return {name: (row.std, row.unit) for name, row in named.items()}
+
+
 def parameters(
-    recipe: Recipe | None, calibration: Calibration | None, truth: dict[str, Any] | None
+    predicted: Mapping[str, tuple[float | None, str]], calibration: Calibration | None, hidden: Mapping[str, float]
 ) -> list[ParameterFact]:
-    """Every coefficient of a calibration, or of a recipe's plan alone, beside the true values of a simulation."""
-    known = () if recipe is None else recipe.prediction.parameters
-    predicted = {(row.axis, row.name if re.match(r"[ab][\d_]", row.name) else _GRADIENT): row for row in known}
+    """Every coefficient of a calibration, or of a plan alone, beside the true values of a simulation."""
     if calibration is None:
-        return [_fact(name, axis, None, None, row.std, None) for (axis, name), row in predicted.items()]
-    rows: list[ParameterFact] = []
-    for axis in calibration.axis:
-        hidden, deviations = hidden_of(axis, truth), deviations_of(axis.covariance)
-        for name, value in axis.values().items():
-            row, std = predicted.get((axis.name, name)), deviations.get(name)
-            rows.append(_fact(name, axis.name, value, std, None if row is None else row.std, hidden.get(name)))
-    return rows
+        return [parameter_fact(name, unit, None, None, std, None) for name, (std, unit) in predicted.items()]
+    facts: list[ParameterFact] = []
+    for row in coefficient_rows(calibration):
+        std, _ = predicted.get(row["name"], (None, ""))
+        facts.append(parameter_fact(row["name"], row["unit"], row["value"], row["std"], std, hidden.get(row["name"])))
+    return facts
 
 
-def hidden_of(axis: AxisCalibration, truth: dict[str, Any] | None) -> dict[str, float]:
-    """The true values of a simulated axis, by the names of a calibration."""
-    hidden = (truth or {}).get(axis.name) or {}
-    return {_GRADIENT if name == "gradient" else name: value for name, value in hidden.items()}
+def hidden_values(truth: Mapping[str, Any] | None, calibration: Calibration | None) -> dict[str, float]:
+    """The true values of a simulated sensor and table, by the names of a calibration file."""
+    if truth is None or calibration is None:
+        return {}
+    if "units" in truth:
+        return truth.get("installation", {}) | truth["units"].get(calibration.serial_number, {})
+    return {
+        f"gyro_{axis}.{_GRADIENT if name == 'gradient' else name}": value
+        for axis, values in truth.items()
+        if isinstance(values, dict)
+        for name, value in values.items()
+    }
 
 
-def parameter_fact(
-    name: str, axis: str, multiplies: str, unit: str, factor: float, *numbers: float | None
-) -> ParameterFact:
-    """A coefficient in `unit`, of which `factor` are one in SI. `numbers` (SI): value, one sigma, predicted one sigma,
-    truth."""
+def parameter_fact(full_name: str, si: str, *numbers: float | None) -> ParameterFact:
+    """A coefficient for people. `numbers` (SI): value, one sigma, predicted one sigma, truth."""
+    channel, _, name = full_name.partition(".")
+    kind, _, axis = channel.partition("_")
+    unit, factor = UNITS_OF_TERMS.get(si, (si, 1.0))
     value, std, _, truth = numbers
     off = None if value is None or truth is None or not std else (value - truth) / std
     value, std, predicted, truth = (None if number is None else number * factor for number in numbers)
-    return ParameterFact(name, axis, multiplies, unit, value, std, predicted, truth, off)
-
-
-def _fact(name: str, axis: str, *numbers: float | None) -> ParameterFact:
-    return parameter_fact(name, axis, _multiplies(name), *_factor(name), *numbers)
-
-
-def _factor(name: str) -> tuple[str, float]:
-    if name == _GRADIENT:
-        return "deg/h/(°C/min)", DEG_PER_H / 60.0
-    return ("deg/h", DEG_PER_H) if name.startswith("a") else ("ppm", PPM)
+    return ParameterFact(name, kind, axis, _multiplies(name), unit, value, std, predicted, truth, off)
 
 
 def _multiplies(name: str) -> str:
     """The function that a coefficient multiplies: powers of T′ and ω′; for other bases the number of the function."""
     if name == _GRADIENT:
         return "dT/dt"
-    if (match := re.fullmatch(r"a(\d+)", name)) is not None:
-        return _power("T′", match[1]) or "1"
     if (match := re.fullmatch(r"b(\d)(\d)", name)) or (match := re.fullmatch(r"b(\d+)_(\d+)", name)):
         return "·".join(part for part in (_power("ω′", match[1]), _power("T′", match[2])) if part) or "1"
-    return "function " + name[1:].strip("_").replace("_", " × ")
+    if re.match(r"a_|b\d*_", name):
+        return "function " + name[1:].strip("_").replace("_", " × ")
+    match = re.fullmatch(r"(?:a|s|[mg]_[a-z])(\d+)", name)
+    return (_power("T′", match[1]) if match else "") or "1"
 
 
 def _power(symbol: str, exponent: str) -> str:

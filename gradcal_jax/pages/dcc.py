@@ -14,6 +14,7 @@ import gradcal_jax
 from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.pages.certificate import NOT_STATED, Certificate, Correction, ResultRow
+from gradcal_jax.units import G
 
 VERSION: Final = "3.2.1"
 _DCC: Final = "https://ptb.de/dcc"
@@ -22,9 +23,24 @@ _XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 _RATE: Final = r"\radian\second\tothe{-1}"
 _ONE: Final = r"\one"
 _CELSIUS: Final = r"\degreecelsius"
-# The certificate's units in SI.
-_IN_SI: Final = {"ppm": (1e-6, _ONE), "deg/h": (math.pi / 180.0 / 3600.0, _RATE)}
 _DEG: Final = math.pi / 180.0
+_DEG_PER_H: Final = _DEG / 3600.0
+_FORCE: Final = r"\metre\second\tothe{-2}"
+# The certificate's units in SI.
+_IN_SI: Final = {
+    "ppm": (1e-6, _ONE),
+    "deg/h": (_DEG_PER_H, _RATE),
+    "m": (1.0, r"\metre"),
+    "deg": (_DEG, r"\radian"),
+    "urad": (1e-6, r"\radian"),
+    "arcsec": (_DEG_PER_H, r"\radian"),
+    "ug": (1e-6 * G, _FORCE),
+    "deg/h/g": (_DEG_PER_H / G, r"\radian\second\metre\tothe{-1}"),
+    "deg/h/g^2": (_DEG_PER_H / G**2, r"\radian\second\tothe{3}\metre\tothe{-2}"),
+    "ug/g^2": (1e-6 / G, r"\second\tothe{2}\metre\tothe{-1}"),
+    "ug/g^3": (1e-6 / G**2, r"\second\tothe{4}\metre\tothe{-2}"),
+    "deg/h/(°C/min)": (_DEG_PER_H * 60.0, r"\radian\kelvin\tothe{-1}"),
+}
 
 
 def write_dcc(certificate: Certificate, rig: RigFile | None, path: str | Path) -> None:
@@ -45,6 +61,8 @@ def _document(certificate: Certificate, rig: RigFile | None) -> ET.Element:
     for key, option in (("certificate number", "--number"), ("performed", "--performed 2026-11-22")):
         if stated[key] == NOT_STATED:
             raise ValueError(f"a DCC says the {key}: give {option}")
+    if strange := [row.term for row in certificate.corrections if row.unit not in _IN_SI]:
+        raise ValueError(f"a DCC has no unit for {', '.join(strange)}: leave --dcc out")
     begin, _, end = stated["performed"].partition("..")
     root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION})
     root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{VERSION}/dcc.xsd")
@@ -105,16 +123,16 @@ def _measurement(result: ET.Element, certificate: Certificate) -> None:
     results = _add(result, "results")
     for row in certificate.results:
         _error(results, row)
-    for axis in dict.fromkeys(row.axis for row in certificate.corrections):
-        _corrections(results, axis, [row for row in certificate.corrections if row.axis == axis], certificate)
+    for channel in dict.fromkeys(row.channel for row in certificate.corrections):
+        _corrections(results, channel, [row for row in certificate.corrections if row.channel == channel])
     for budget in certificate.budgets:
         factor, unit = _IN_SI[budget.unit]
         data = _result(results, f"Uncertainty budget: {budget.requirement}, axis {budget.axis}")
         for entry in budget.inputs:
             words = f"{entry.name} ({entry.value}; {entry.distribution}, type {entry.type}): contribution to u"
             _real(data, words, entry.contribution * factor, unit)
-    for axis, name, statistic, degrees, chance in certificate.fit:
-        data = _result(results, f"Test of the fit: {name}, axis {axis}")
+    for name, statistic, degrees, chance in certificate.fit:
+        data = _result(results, f"Test of the fit: {name}")
         for words, value in (("statistic", statistic), ("degrees of freedom", float(degrees)), ("chance", chance)):
             _real(data, words, value, _ONE)
 
@@ -140,25 +158,14 @@ def _error(results: ET.Element, row: ResultRow) -> None:
         _add(meta, "conformity", "pass" if row.verdict == "met" else "fail")
 
 
-def _corrections(results: ET.Element, axis: str, rows: list[Correction], certificate: Certificate) -> None:
-    data = _add(_result(results, f"Corrections of axis {axis} over temperature"), "list")
-    _reals(data, "temperature", [row.temperature_c for row in rows], _CELSIUS)
-    deg_per_h, ppm = _IN_SI["deg/h"][0], _IN_SI["ppm"][0]
-    if all(row.bias is not None for row in rows):
-        biases = [float(row.bias or 0.0) * deg_per_h for row in rows]
-        _reals(data, "bias", biases, _RATE, _times(deg_per_h, [row.bias_expanded for row in rows]))
-    fastest = f"{certificate.fastest_dps * _DEG:.6g} rad/s"
-    for place, words in enumerate(("slowest", f"fastest ({fastest})")):
-        pairs = [row.scale_factor for row in rows if row.scale_factor is not None]
-        if len(pairs) == len(rows):
-            spread = _times(ppm, [row.scale_factor_expanded for row in rows])
-            _reals(data, f"scale factor error at the {words} rate", [p[place] * ppm for p in pairs], _ONE, spread)
-
-
-def _times(factor: float, values: list[float | None]) -> list[float] | None:
-    """All values multiplied by a factor; None where one is not known."""
-    known = [factor * value for value in values if value is not None]
-    return known if len(known) == len(values) else None
+def _corrections(results: ET.Element, channel: str, rows: list[Correction]) -> None:
+    data = _add(_result(results, f"Corrections of {channel} over temperature"), "list")
+    _reals(data, "temperature", list(rows[0].temperature_c), _CELSIUS)
+    for row in rows:
+        factor, unit = _IN_SI[row.unit]
+        known = [factor * u for u in row.expanded if u is not None]
+        values = [value * factor for value in row.value]
+        _reals(data, row.term, values, unit, known if len(known) == len(values) else None)
 
 
 def _result(results: ET.Element, name: str) -> ET.Element:

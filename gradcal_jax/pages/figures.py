@@ -15,16 +15,17 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from gradcal_jax import plots
 from gradcal_jax.api.ieee_terms import Box
-from gradcal_jax.files.calibration import AxisCalibration, Calibration
+from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.pages.run_history import RunHistory
 from gradcal_jax.plots.calibration_maps import (
-    draw_calibrated_bias,
     draw_calibrated_scale_factor,
+    draw_calibrated_term,
     draw_residual_parts,
     draw_residuals,
+    panels_of,
 )
 from gradcal_jax.plots.tracks import draw_against_time, draw_planned_rate, draw_planned_temperature, turned_axes
 
@@ -71,7 +72,7 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], flo
         drawn.append(fact)
         where = fact.name if len({f.axis for f in facts}) == 1 else f"{fact.name}, axis {fact.axis}"
         key = f"{picture_key(fact.name)}-{fact.axis}-{fact.quantity}"
-        if fact.quantity != "scale_factor":
+        if len(fact.maps[0][1].rate_dps) == 1:
             groups.append([_curves(fact, f"{key}-curves", where, targets.get((fact.name, fact.axis)))])
             continue
         norm = _norm([box for _, box in fact.maps])
@@ -130,26 +131,35 @@ def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Pi
 
 def calibration_pictures(calibration: Calibration) -> list[Picture]:
     """The maps of a calibration, and its residuals."""
-    pictures: list[Picture] = []
-    for axis in calibration.axis:
-        draw: list[tuple[str, str, Callable[[AxisCalibration, Axes], object]]] = []
-        if axis.scale_factor is not None:
-            words = f"Scale factor of axis {axis.name} as estimated; the band is one standard deviation."
-            draw.append(("scale-factor", words, lambda a, ax: draw_calibrated_scale_factor(a, ax=ax)))
-        if axis.bias is not None:
-            words = f"Bias of axis {axis.name} as estimated; the band is one standard deviation."
-            draw.append(("bias", words, lambda a, ax: draw_calibrated_bias(a, ax=ax)))
-        if axis.residuals is not None and sum(axis.residuals.counts):
-            words = f"Residuals of axis {axis.name}, in standard deviations of what the noise of the spec says."
-            draw.append(("residuals", words, lambda a, ax: draw_residuals(a, ax=ax)))
-            if axis.residuals.rms:
-                words = f"Size of the residuals of axis {axis.name} along the run; the band holds 95 of 100 by chance."
-                draw.append(("residual-parts", words, lambda a, ax: draw_residual_parts(a, ax=ax)))
-        pictures += [
-            picture(f"found-{name}-{axis.name}", words, lambda ax, a=axis, d=function: d(a, ax), _HIGH)
-            for name, words, function in draw
-        ]
-    return pictures
+    draw: list[tuple[str, str, Callable[[Axes], object]]] = []
+    over_rate: set[str] = set()
+    for channel in calibration.channel:
+        if (term := channel.term_of("scale_factor")) is not None and term.rate is not None and term.rate.size > 1:
+            over_rate.add(channel.kind)
+            words = f"Scale factor of {channel.label} as estimated; the bands are one standard deviation."
+            draw.append(
+                (
+                    f"scale-factor-{channel.axis}",
+                    words,
+                    lambda ax, c=channel: draw_calibrated_scale_factor(calibration, c, ax=ax),
+                )
+            )
+    for kind, name in panels_of(calibration):
+        if name == "bias" or kind not in over_rate:
+            words = f"{kind.capitalize()} {name.replace('_', ' ')} as estimated; the bands are one standard deviation."
+            draw.append(
+                (f"{kind}-{name}", words, lambda ax, k=kind, n=name: draw_calibrated_term(calibration, k, n, ax=ax))
+            )
+    for channel in calibration.channel:
+        if channel.residuals is not None and sum(channel.residuals.counts):
+            words = f"Residuals of {channel.label}, in standard deviations of what the noise of the spec says."
+            draw.append((f"residuals-{channel.name}", words, lambda ax, c=channel: draw_residuals(c, ax=ax)))
+            if channel.residuals.rms:
+                words = f"Size of the residuals of {channel.label} along the run; the band holds 95 of 100 by chance."
+                draw.append(
+                    (f"residual-parts-{channel.name}", words, lambda ax, c=channel: draw_residual_parts(c, ax=ax))
+                )
+    return [picture(picture_key(f"found-{key}"), words, function, _HIGH) for key, words, function in draw]
 
 
 def _holds(outer: MapFact, inner: MapFact) -> bool:

@@ -7,9 +7,10 @@ from importlib import resources
 from typing import Any
 
 import gradcal_jax
+from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.files.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.pages.coefficients import ParameterFact
+from gradcal_jax.pages.coefficients import ParameterFact, hidden_values
 from gradcal_jax.pages.figures import calibration_pictures, map_pictures, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures, one_sign
@@ -18,7 +19,7 @@ from gradcal_jax.pages.plain_text import times_text
 from gradcal_jax.pages.report_data import ReportData
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
-from gradcal_jax.pages.unit import unit_calibration_pictures, unit_pictures, unit_words
+from gradcal_jax.pages.unit import BASIS, parameter_rows, plan_words, unit_pictures
 from gradcal_jax.units import time_text
 
 
@@ -42,15 +43,12 @@ def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
     recipe, calibration = sources.recipe, sources.calibration
     targets = {(r.name, r.axis): r.target / r.coverage for r in data.requirements if r.target is not None}
     left, tracks = map_pictures(data.maps, targets), track_pictures(recipe, data.history)
-    words = _words(data, recipe)
+    words = _words(data, sources)
     pictures = [] if calibration is None else calibration_pictures(calibration)
-    if sources.of_unit:
-        left, poses = unit_pictures(sources)
+    if sources.unit is not None:
+        left, poses = unit_pictures(sources.unit)
         tracks = [*poses, *tracks]
-        if sources.unit_calibration is not None:
-            pictures = unit_calibration_pictures(sources.unit_calibration)
-        words["unit"] = unit_words(sources, data)
-        words |= {name: words["unit"][name] for name in words["unit"] if name in words}
+        words["unit"] = plan_words(sources.unit)
     context: dict[str, Any] = {
         "data": data,
         "panel": panel_of(recipe) if panel and recipe is not None else None,
@@ -77,7 +75,8 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
 
 
-def _words(data: ReportData, recipe: Recipe | None) -> dict[str, Any]:
+def _words(data: ReportData, sources: Sources) -> dict[str, Any]:
+    recipe, calibration = sources.recipe, sources.calibration
     """Rows of cells and sentences for the template."""
     plan = None if recipe is None else recipe.prediction
     return {
@@ -102,10 +101,9 @@ def _words(data: ReportData, recipe: Recipe | None) -> dict[str, Any]:
             ]
             for axis in data.axes
         ],
-        "fit": [
-            [(name, figures(value), str(degrees), figures(chance, 2)) for name, value, degrees, chance in axis.fit]
-            for axis in data.axes
-        ],
+        "fit": [(name, figures(value), str(degrees), figures(chance, 2)) for name, value, degrees, chance in data.fit],
+        "table": _table_errors(sources),
+        "order": "" if calibration is None else calibration.order,
         "basis": _basis(recipe, data),
         "exports": [(row.target, row.command, "; ".join(row.losses) or "nothing is lost") for row in data.exports],
         "provenance": [*data.provenance, ("page made", _time_and_version())],
@@ -119,7 +117,7 @@ def _verdict(data: ReportData) -> str:
     with_target = [row for row in data.requirements if row.target is not None]
     done = "achieved" if achieved else "predicted"
     if data.verdict == "not valid":
-        failed = dict.fromkeys(test.replace("_", " ") for axis in data.axes for test in axis.contradicted)
+        failed = [test.replace("_", " ") for test in data.contradicted]
         return f"Not valid: the data contradict the model ({'; '.join(failed)}), so that no stated uncertainty holds."
     if data.verdict == "met":
         return f"Met: every target is met by the {done} residuals ({_against(with_target)})."
@@ -187,6 +185,9 @@ def _box(row: RequirementFact) -> str:
 
 def _parameters(data: ReportData) -> dict[str, Any]:
     rows = data.parameters
+    if len({(row.kind, row.axis) for row in rows}) > 3:
+        head, *cells = parameter_rows(rows)
+        return {"parameter_head": list(head), "parameter_rows": cells, "parameter_numbers": (1, 2, 3), "basis": BASIS}
     several = len({row.axis for row in rows}) > 1
     # Head, the field that must have a value, the shown field, its digits, text for none, suffix.
     columns = (
@@ -212,6 +213,21 @@ def _parameters(data: ReportData) -> dict[str, Any]:
         ],
         "parameter_numbers": tuple(range(2, 2 + len(kept))),
     }
+
+
+def _table_errors(sources: Sources) -> dict[str, Any] | None:
+    """The estimated errors of the table, beside the spec's uncertainty and a simulation's true values."""
+    calibration = sources.calibration
+    if calibration is None or not calibration.table:
+        return None
+    hidden = hidden_values(sources.hidden_truth, calibration)
+    rows: list[tuple[str, ...]] = []
+    for error in calibration.table:
+        unit, factor = UNITS_OF_TERMS.get(error.unit, (error.unit, 1.0))
+        numbers = (error.value, error.standard_deviation, error.prior, *([hidden[error.name]] if hidden else []))
+        rows.append((error.name.replace("_", " "), *(figures(n * factor) for n in numbers), unit))
+    head = ["error of the table", "estimate", "1σ", "known to", *(["hidden truth"] if hidden else []), "unit"]
+    return {"head": head, "rows": rows, "numbers": tuple(range(1, len(head) - 1))}
 
 
 def _basis(recipe: Recipe | None, data: ReportData) -> str:

@@ -36,9 +36,9 @@ def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> lis
         rows += [(name, str(value)) for name, value in figures if value is not None]
         return rows + omitted_rows(recipe.axis_spec)
     if calibration is not None and calibration.noise is not None:
-        rows.append(("angle random walk", str(calibration.noise.angle_random_walk)))
-        if calibration.noise.rate_random_walk is not None:
-            rows.append(("rate random walk", str(calibration.noise.rate_random_walk)))
+        names = ("angle_random_walk", "rate_random_walk", "velocity_random_walk")
+        known = {name.replace("_", " "): getattr(calibration.noise, name) for name in names}
+        rows += [(name, str(figure)) for name, figure in known.items() if figure is not None]
     return rows
 
 
@@ -51,7 +51,7 @@ def omitted_rows(spec: Spec | UnitSpec) -> list[tuple[str, str]]:
 def provenance_rows(sources: Sources) -> list[tuple[str, str]]:
     """Fingerprints, versions, seeds and names of files."""
     rows: list[tuple[str, str]] = []
-    recipe, calibration, run = sources.recipe, sources.calibration or sources.unit_calibration, sources.run
+    recipe, calibration, run = sources.recipe, sources.calibration, sources.run
     if recipe is not None:
         rows += [
             ("recipe", recipe.fingerprint),

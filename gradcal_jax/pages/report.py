@@ -7,7 +7,6 @@ from gradcal_jax.files.writing import write_whole
 from gradcal_jax.pages.page import page
 from gradcal_jax.pages.report_data import ReportData, report_data_of
 from gradcal_jax.pages.sources import Sources, read_sources
-from gradcal_jax.pages.unit import unit_report_data
 
 
 def report(
@@ -40,6 +39,6 @@ def report(
 
 def write_page(sources: Sources, output: str | Path, *, panel: bool = False) -> ReportData:
     """Write the page of `sources`."""
-    data = unit_report_data(sources) if sources.of_unit else report_data_of(sources)
+    data = report_data_of(sources)
     write_whole(output, page(sources, data, panel=panel))
     return data

@@ -1,36 +1,31 @@
 """All numbers of a page, from recipe, run and calibration, by the functions behind the commands."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from gradcal_jax import api
 from gradcal_jax.api.ieee_terms import IeeeTerm, standard_terms
-from gradcal_jax.files.calibration import AxisCalibration
-from gradcal_jax.files.unit_calibration import UnitCalibration
-from gradcal_jax.pages.applying import ExampleFact, ExportFact, example_of, exports_of
-from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_of, parameters
+from gradcal_jax.pages.applying import ExampleFact, ExportFact, examples_of, exports_of
+from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_values, parameters, predicted_deviations
 from gradcal_jax.pages.provenance import assumed_noise, provenance_rows
 from gradcal_jax.pages.requirements import MapFact, RequirementFact, hidden_by_structure, requirements_of
 from gradcal_jax.pages.run_history import RunHistory, history_of
 from gradcal_jax.pages.sources import Sources
+from gradcal_jax.pages.unit import assumed_of_unit, unit_requirements, versions_row
 
 
 class AxisFact(NamedTuple):
-    """The calibration of one axis. `fit`: tests of the fit, each with its name, χ², degrees of freedom and chance;
-    `contradicted`: those that fail;
-    `agreement`: χ² of the estimate against a simulation's truth, its degrees, its chance."""
+    """The calibration of one channel ("gyro x")."""
 
     axis: str
     terms: tuple[IeeeTerm, ...]
     valid_temperature: tuple[str, str]
     valid_rate: tuple[str, str]
-    unobservable: tuple[str, ...]
-    contradicted: tuple[str, ...]
-    fit: tuple[tuple[str, float, int, float], ...]
-    agreement: tuple[float, int, float] | None
 
 
 class ReportData(NamedTuple):
-    """All numbers of a page. `before_is`: the meaning of "before"; empty without it."""
+    """All numbers of a page. `before_is`: the meaning of "before"; empty without it. `fit`: tests of the fit, each with
+    its name, χ², degrees of freedom and chance; `contradicted`: those that fail; `agreement`: χ² of the estimate
+    against a simulation's truth, its degrees, its chance."""
 
     title: str
     simulated: bool
@@ -38,6 +33,10 @@ class ReportData(NamedTuple):
     requirements: tuple[RequirementFact, ...]
     parameters: tuple[ParameterFact, ...]
     axes: tuple[AxisFact, ...]
+    unobservable: tuple[str, ...]
+    contradicted: tuple[str, ...]
+    fit: tuple[tuple[str, float, int, float], ...]
+    agreement: tuple[float, int, float] | None
     examples: tuple[ExampleFact, ...]
     exports: tuple[ExportFact, ...]
     assumed: tuple[tuple[str, str], ...]
@@ -59,35 +58,52 @@ class ReportData(NamedTuple):
 
 def report_data_of(sources: Sources) -> ReportData:
     """Compute the data of a page. Raises `ValueError` for a run that never began."""
-    recipe, calibration = sources.recipe, sources.calibration
+    recipe, calibration, unit = sources.recipe, sources.calibration, sources.unit
     history = None if sources.run is None else history_of(sources.run)
-    before_is, requirements, maps = requirements_of(sources)
-    axes = () if calibration is None else tuple(_axis(axis, sources.hidden_truth) for axis in calibration.axis)
+    prediction = None if unit is None else api.predict(unit)
+    if prediction is None:
+        before_is, requirements, maps = requirements_of(sources)
+    else:
+        before_is, requirements, maps = "", unit_requirements(prediction, calibration), []
     notes = [*sources.notes]
     if calibration is not None and calibration.lacks is not None:
         notes.append(calibration.lacks)
-    if recipe is not None:
-        notes += [*recipe.notes, *(row.sentence for row in recipe.prediction.notices), *recipe.prediction.warnings]
-    notes += [
-        f"axis {axis.axis}: the data say nothing of {', '.join(axis.unobservable)}"
-        for axis in axes
-        if axis.unobservable
-    ]
+    for planned in (prediction, None if recipe is None else recipe.prediction):
+        notes += [] if planned is None else [*(row.sentence for row in planned.notices), *planned.warnings]
+    notes += [] if recipe is None else recipe.notes
+    if calibration is not None and calibration.unobservable:
+        notes.append(f"not observed by the data: {', '.join(calibration.unobservable)}")
     notes += hidden_by_structure(requirements, maps)
-    simulated = any(source is not None and source.simulated for source in (history, calibration))
-    title = (recipe.title if recipe is not None else None) or (calibration.title if calibration is not None else None)
+    hidden = hidden_values(sources.hidden_truth, calibration)
+    titles = (source.title for source in (recipe, unit, calibration) if source is not None and source.title)
     return ReportData(
-        title=title or "Calibration",
-        simulated=simulated,
+        title=next(titles, "Calibration"),
+        simulated=any(source is not None and source.simulated for source in (history, calibration)),
         before_is=before_is,
         requirements=tuple(requirements),
-        parameters=tuple(parameters(recipe, calibration, sources.hidden_truth)),
-        axes=axes,
-        examples=() if calibration is None else tuple(example_of(axis) for axis in calibration.axis),
+        parameters=tuple(parameters(predicted_deviations(recipe, prediction), calibration, hidden)),
+        axes=()
+        if calibration is None
+        else tuple(
+            AxisFact(
+                channel.label,
+                tuple(standard_terms(calibration, channel)),
+                (str(channel.valid_temperature[0]), str(channel.valid_temperature[1])),
+                (str(channel.valid_rate[0]), str(channel.valid_rate[1])),
+            )
+            for channel in calibration.channel
+        ),
+        unobservable=() if calibration is None else calibration.unobservable,
+        contradicted=() if calibration is None else calibration.contradicted,
+        fit=()
+        if calibration is None
+        else tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in calibration.fit),
+        agreement=None if calibration is None else agreement(calibration.values(), calibration.covariance, hidden),
+        examples=() if calibration is None else tuple(examples_of(calibration)),
         exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
-        assumed=tuple(assumed_noise(recipe, calibration)),
+        assumed=tuple(assumed_noise(recipe, calibration) if unit is None else assumed_of_unit(unit)),
         history=history,
-        provenance=tuple(provenance_rows(sources)),
+        provenance=(*provenance_rows(sources), *(() if unit is None else (versions_row(),))),
         notes=tuple(dict.fromkeys(notes)),
         maps=tuple(maps),
     )
@@ -110,6 +126,10 @@ def as_tables(data: ReportData) -> dict[str, Any]:
         "requirements": [row._asdict() for row in data.requirements],
         "parameters": [row._asdict() for row in data.parameters],
         "axes": [row._asdict() | {"terms": [term._asdict() for term in row.terms]} for row in data.axes],
+        "unobservable": list(data.unobservable),
+        "contradicted": list(data.contradicted),
+        "fit": [dict(zip(("test", "statistic", "degrees", "chance"), row, strict=True)) for row in data.fit],
+        "agreement": data.agreement,
         "examples": [row._asdict() for row in data.examples],
         "exports": [row._asdict() for row in data.exports],
         "assumed": dict(data.assumed),
@@ -117,24 +137,3 @@ def as_tables(data: ReportData) -> dict[str, Any]:
         "provenance": dict(data.provenance),
         "notes": list(data.notes),
     }
-
-
-def axis_fact(
-    of: AxisCalibration | UnitCalibration, name: str, terms: Sequence[IeeeTerm], agreed: tuple[float, int, float] | None
-) -> AxisFact:
-    """The calibration of an axis, or of a whole unit."""
-    return AxisFact(
-        name,
-        tuple(terms),
-        (str(of.valid_temperature[0]), str(of.valid_temperature[1])),
-        (str(of.valid_rate[0]), str(of.valid_rate[1])),
-        of.unobservable,
-        of.contradicted,
-        tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in of.fit),
-        agreed,
-    )
-
-
-def _axis(axis: AxisCalibration, truth: dict[str, Any] | None) -> AxisFact:
-    known = None if axis.unobservable else axis.covariance
-    return axis_fact(axis, axis.name, standard_terms(axis), agreement(axis.values(), known, hidden_of(axis, truth)))

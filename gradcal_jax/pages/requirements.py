@@ -11,15 +11,15 @@ from gradcal_jax.api.posterior_of_plan import UNIT_OF, run_of, statistic_of
 from gradcal_jax.api.prediction import counted_posteriors
 from gradcal_jax.api.systematic import CountedPosteriors
 from gradcal_jax.files import Spec
-from gradcal_jax.files.calibration import AxisCalibration, Result
+from gradcal_jax.files.calibration import Result
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.requirement import HeadingRequirement, Requirement
-from gradcal_jax.files.unit_calibration import UnitResult
 from gradcal_jax.information import Posterior, statistic
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.pages.sources import Sources
 
+SUMMED: Final = {"worst": "worst axis", "all": "all axes together"}
 # Relative difference of residuals that shows in the digits of a page.
 _SEEN: Final = 1e-3
 
@@ -51,7 +51,7 @@ class RequirementFact(NamedTuple):
     coverage: float = 1.0
 
 
-def fact_of(row: RequirementRow, result: Result | UnitResult | None, **more: Any) -> RequirementFact:
+def fact_of(row: RequirementRow, result: Result | None, **more: Any) -> RequirementFact:
     """A requirement as predicted, and as achieved where there is a result. `more`: further fields."""
     fields: dict[str, Any] = {"statistic": row.statistic, "predicted": row.judged, "verdict": row.verdict}
     fields["named"] = None if row.judged == row.decisive else row.decisive
@@ -78,16 +78,17 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
     if recipe is None:
         assert calibration is not None
         maps = [
-            MapFact("all that the data cover", axis.name, name, (("achieved", deviation),))
-            for axis in calibration.axis
-            for name in _quantities(axis)
-            for _, deviation in (calibration_map(axis, name, *grid_of(axis, None, name)),)
+            MapFact("all that the data cover", channel.axis, name, (("achieved", deviation),))
+            for channel in calibration.channel
+            if channel.kind == "gyro"
+            for name in ("scale_factor", "bias")
+            if channel.term_of(name) is not None
+            for _, deviation in (calibration_map(calibration, channel, name, *grid_of(channel, None, name)),)
         ]
-        return "", [result_alone(row, row.statistic.removesuffix(", 1 sigma")) for row in calibration.result], maps
+        return "", [result_alone(row) for row in calibration.result], maps
     built, known, counted = _plan(recipe.axis_spec)
     other = None if sources.before is None else _plan(sources.before)
     results = {} if calibration is None else {(r.name, r.axis, r.quantity): r for r in reversed(calibration.result)}
-    axes = {} if calibration is None else {axis.name: axis for axis in reversed(calibration.axis)}
     rows: list[RequirementFact] = []
     maps: list[MapFact] = []
     before_is = ""
@@ -110,12 +111,10 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
             continue
         values = _judged_map(counted[cast("Axis", row.axis)], requirement)
         drawn.append(("predicted", Box(*values, row.unit)))
-        axis = axes.get(row.axis)
-        if axis is not None and requirement.quantity in _quantities(axis):
-            _, deviation = calibration_map(
-                axis, requirement.quantity, *grid_of(axis, requirement, requirement.quantity)
-            )
-            drawn.append(("achieved", deviation))
+        name, channel = requirement.quantity, calibration and calibration.channel_of("gyro", row.axis)
+        if calibration and channel and channel.term_of(name) is not None:
+            grid = grid_of(channel, requirement, name)
+            drawn.append(("achieved", calibration_map(calibration, channel, name, *grid)[1]))
         maps.append(MapFact(row.name, row.axis, row.quantity, tuple(drawn)))
     record = recipe.optimisation or {}
     name, value = re.sub(r" \([^)]*\)$", "", str(record.get("objective", ""))), record.get("before")
@@ -166,11 +165,8 @@ def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | 
     return Box(*_judged_map(counted[channel], requirement), UNIT_OF[requirement.quantity][0])
 
 
-def result_alone(row: Result | UnitResult, statistic: str) -> RequirementFact:
+def result_alone(row: Result) -> RequirementFact:
     """A requirement of a calibration without a recipe: the achieved residual."""
     known = {"achieved": row.value, "target": row.target, "verdict": row.verdict, "named": row.named}
+    statistic = ", ".join(filter(None, (row.statistic.removesuffix(", 1 sigma"), SUMMED.get(row.axis))))
     return RequirementFact(row.name, row.axis, row.quantity, statistic, row.unit, **known)
-
-
-def _quantities(axis: AxisCalibration) -> list[str]:
-    return [name for name, part in (("scale_factor", axis.scale_factor), ("bias", axis.bias)) if part is not None]

@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from gradcal_jax.files import Spec
-from gradcal_jax.files.calibration import FORMAT as CALIBRATION
-from gradcal_jax.files.calibration import Calibration
+from gradcal_jax.files.calibration import Calibration, is_calibration, read_calibration
 from gradcal_jax.files.document import read_text, read_toml
 from gradcal_jax.files.recipe import Recipe, is_recipe, recipe_of, spec_in
 from gradcal_jax.files.spec import is_of_unit
-from gradcal_jax.files.unit_calibration import UnitCalibration, read_any_calibration
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.hardware.run_folder import RunFolder
 
@@ -27,7 +25,6 @@ class Sources:
     limits, by requirement. `paths`: name and SHA-256 of each file; `notes`: mismatches between the sources."""
 
     unit: UnitSpec | None = None
-    unit_calibration: UnitCalibration | None = None
     recipe: Recipe | None = None
     run: RunFolder | None = None
     calibration: Calibration | None = None
@@ -38,11 +35,6 @@ class Sources:
     limits: dict[str, float] = field(default_factory=dict[str, float])
     paths: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
-
-    @property
-    def of_unit(self) -> bool:
-        """Whether the page is of a whole unit."""
-        return self.unit is not None or self.unit_calibration is not None
 
 
 def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: Path | None = None) -> Sources:
@@ -68,8 +60,7 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
         take("unit" if of_unit else "recipe", recipe.spec if of_unit else recipe, path)
 
     def take_calibration(path: Path) -> None:
-        calibration = read_any_calibration(path)
-        take("unit_calibration" if isinstance(calibration, UnitCalibration) else "calibration", calibration, path)
+        take("calibration", read_calibration(path), path)
         parts["calibration_name"] = str(path)
 
     for path in paths:
@@ -83,7 +74,7 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
             take("unit", unit_spec_of(document, str(path)), path)
         elif is_recipe(document):
             take_recipe(recipe_of(document, str(path)), path)
-        elif document.get("format") == CALIBRATION:
+        elif is_calibration(document):
             take_calibration(path)
         else:
             raise ValueError(
@@ -94,13 +85,13 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
     if run is not None:
         if "recipe" not in parts and "unit" not in parts:
             take_recipe(run.recipe(), run.path / "recipe.toml")
-        if not parts.keys() & {"calibration", "unit_calibration"} and (own := _calibration_in(run.path)) is not None:
+        if "calibration" not in parts and (own := _calibration_in(run.path)) is not None:
             take_calibration(own)
         parts["hidden_truth"] = _hidden_truth(run)
-    if parts.keys() & {"unit", "unit_calibration"}:
+    if "unit" in parts:
         if before is not None or limits is not None:
             raise ValueError("the page of a whole unit compares with no other plan: gradcal compare does")
-        if parts.keys() & {"recipe", "calibration"}:
+        if "recipe" in parts:
             raise ValueError("one of these is of a whole unit, another of a gyro's axes: they make two pages")
     if not parts:
         raise ValueError("a report of what? Name the folder of a run, a recipe, a calibration, or the spec of a unit")
@@ -121,7 +112,7 @@ def _calibration_in(folder: Path) -> Path | None:
     for path in sorted(folder.glob("*.toml")):
         # A file that cannot be read is no calibration; what it is meant to be does not matter here.
         with suppress(ValueError, OSError):
-            if read_toml(read_text(path), str(path)).get("format") == CALIBRATION:
+            if is_calibration(read_toml(read_text(path), str(path))):
                 found.append(path)
     if len(found) > 1:
         names = ", ".join(path.name for path in found)
@@ -151,7 +142,7 @@ def _hidden_truth(run: RunFolder) -> dict[str, Any] | None:
 def _misfits(parts: dict[str, Any]) -> list[str]:
     """Sentences on sources that do not belong together."""
     recipe: Recipe | None = parts.get("recipe")
-    calibration: Calibration | UnitCalibration | None = parts.get("calibration") or parts.get("unit_calibration")
+    calibration: Calibration | None = parts.get("calibration")
     run: RunFolder | None = parts.get("run")
     if recipe is None and run is not None and isinstance(run.recipe().spec, UnitSpec):
         recipe = run.recipe()

@@ -1,127 +1,65 @@
-"""A page of a whole unit: residuals of every quantity, poses, run and calibration."""
+"""The page of a whole unit's plan: residuals of every quantity, poses, moves."""
 
+from collections.abc import Sequence
 from typing import Any
 
-from gradcal_jax import api, plots, units
-from gradcal_jax.api.contract_rows import coefficient_rows, versions_of
+from gradcal_jax import plots, units
+from gradcal_jax.api.contract_rows import versions_of
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_residual import UNITS_OF_TERMS, unit_residual
-from gradcal_jax.files.contracts import Prediction, RequirementRow
+from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.files.calibration import Calibration
+from gradcal_jax.files.contracts import Prediction
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
-from gradcal_jax.files.unit_calibration import UnitCalibration, UnitResult
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.pages.applying import exports_of
-from gradcal_jax.pages.coefficients import ParameterFact, agreement, parameter_fact
+from gradcal_jax.pages.coefficients import ParameterFact, parameters, predicted_deviations
 from gradcal_jax.pages.figures import Picture, picture, picture_key
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.plain_text import times_text
-from gradcal_jax.pages.provenance import omitted_rows, provenance_rows
-from gradcal_jax.pages.report_data import AxisFact, ReportData, axis_fact
-from gradcal_jax.pages.requirements import RequirementFact, fact_of, result_alone
-from gradcal_jax.pages.run_history import history_of
-from gradcal_jax.pages.sources import Sources
-from gradcal_jax.plots.unit_calibration import draw_unit_term, panels_of
+from gradcal_jax.pages.provenance import omitted_rows
+from gradcal_jax.pages.requirements import SUMMED, RequirementFact, fact_of
 from gradcal_jax.units import time_text
 
-_SUMMED = {"worst": "worst axis", "all": "all axes together"}
 _MOST_ROWS = 80
+BASIS = (
+    "a: bias; b with the powers of rate and temperature, or s: scale factor; m: misalignment towards an axis; g: drift "
+    "for a specific force along an axis; k2: second order. Digits at the end count powers of temperature."
+)
 
 
-def unit_report_data(sources: Sources) -> ReportData:
-    """All numbers of a page of a unit: of its plan, its calibration, or both. Raises `ValueError` for a run that never
-    began."""
-    spec, calibration, run = sources.unit, sources.unit_calibration, sources.run
-    prediction = None if spec is None else api.predict(spec)
-    history = None if run is None else history_of(run)
-    hidden = _hidden(sources)
-    notes = [*sources.notes, *(() if prediction is None else prediction.warnings)]
-    axes: tuple[AxisFact, ...] = ()
-    if calibration is not None:
-        values = {row["name"]: row["value"] for row in coefficient_rows(calibration)}
-        agreed = agreement(values, calibration.covariance, hidden)
-        axes = (axis_fact(calibration, calibration.serial_number, (), agreed),)
-        if calibration.lacks is not None:
-            notes.append(calibration.lacks)
-        if calibration.unobservable:
-            notes.append(f"the data say nothing of {', '.join(calibration.unobservable)}")
-    simulated = any(source is not None and source.simulated for source in (history, calibration))
-    versions = versions_of(("gradcal_jax", "numpy", "scipy", "jax")).items()
-    title = (None if spec is None else spec.title) or (None if calibration is None else calibration.title)
-    return ReportData(
-        title=title or "Calibration of a unit",
-        simulated=simulated,
-        before_is="",
-        requirements=tuple(_requirements(prediction, calibration)),
-        parameters=tuple(_parameters(prediction, calibration, hidden)),
-        axes=axes,
-        examples=(),
-        exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
-        assumed=() if spec is None else tuple(_assumed(spec)),
-        history=history,
-        provenance=(*provenance_rows(sources), ("versions", ", ".join(map(" ".join, versions)))),
-        notes=tuple(notes),
-        maps=(),
-    )
-
-
-def _hidden(sources: Sources) -> dict[str, float]:
-    """The true values of a simulated unit and table, by name."""
-    truth, calibration = sources.hidden_truth, sources.unit_calibration
-    if truth is None or calibration is None:
-        return {}
-    return truth.get("installation", {}) | truth.get("units", {}).get(calibration.serial_number, {})
-
-
-def _requirements(prediction: Prediction | None, calibration: UnitCalibration | None) -> list[RequirementFact]:
+def unit_requirements(prediction: Prediction, calibration: Calibration | None) -> list[RequirementFact]:
     """The requirements as predicted, and as achieved where there is a calibration."""
     results = {} if calibration is None else {row.name: row for row in calibration.result}
-    if prediction is not None:
-        verdict = {} if calibration is None else {"verdict": None}
-        return [
-            fact_of(row, result, statistic=_summed(row), **(verdict if result is None else {}))
-            for row in prediction.requirements
-            for result in (results.get(row.name),)
-        ]
-    return [result_alone(row, _summed(row)) for row in results.values()]
-
-
-def _summed(row: RequirementRow | UnitResult) -> str:
-    return f"{row.statistic}, {_SUMMED.get(row.axis, f'axis {row.axis}')}"
-
-
-def _parameters(
-    prediction: Prediction | None, calibration: UnitCalibration | None, hidden: dict[str, float]
-) -> list[ParameterFact]:
-    predicted = {} if prediction is None else {row.name: row for row in prediction.parameters}
-    if calibration is None:
-        return [_parameter(row.name, row.unit, None, None, row.std, None) for row in predicted.values()]
+    unjudged = {} if calibration is None else {"verdict": None}
     return [
-        _parameter(name, row["unit"], row["value"], row["std"], known and known.std, hidden.get(name))
-        for row in coefficient_rows(calibration)
-        for name, known in ((row["name"], predicted.get(row["name"])),)
+        fact_of(
+            row,
+            result := results.get(row.name),
+            statistic=f"{row.statistic}, {SUMMED.get(row.axis or '', f'axis {row.axis}')}",
+            **(unjudged if result is None else {}),
+        )
+        for row in prediction.requirements
     ]
 
 
-def _parameter(name: str, si: str, *numbers: float | None) -> ParameterFact:
-    channel, _, symbol = name.partition(".")
-    kind, _, axis = channel.rpartition("_")
-    return parameter_fact(symbol, axis, kind, *UNITS_OF_TERMS.get(si, (si, 1.0)), *numbers)
+def versions_row() -> tuple[str, str]:
+    """The versions of the programs behind a page that no recipe names them for."""
+    return "versions", ", ".join(map(" ".join, versions_of(("gradcal_jax", "numpy", "scipy", "jax")).items()))
 
 
 def parameter_table(prediction: Prediction) -> list[tuple[str, ...]]:
     """The standard deviations of a unit's coefficients: a row for each, a column for each axis, after a head."""
-    return parameter_rows(_parameters(prediction, None, {}))
+    return parameter_rows(parameters(predicted_deviations(None, prediction), None, {}))
 
 
-def parameter_rows(parameters: "list[ParameterFact] | tuple[ParameterFact, ...]") -> list[tuple[str, ...]]:
-    """As `parameter_table`, from facts whose `multiplies` is the kind of channel."""
+def parameter_rows(facts: Sequence[ParameterFact]) -> list[tuple[str, ...]]:
+    """As `parameter_table`, from facts."""
     table: dict[tuple[str, str, str], dict[str, str]] = {}
-    for row in parameters:
+    for row in facts:
         value = "not observable" if row.predicted_std is None else f"{row.predicted_std:.4g}"
         if row.value is not None:
             value = "not observed" if row.std is None else f"{row.value:.5g} ± {row.std:.2g}"
-        table.setdefault((row.multiplies, row.name, row.unit), {})[row.axis] = value
-    estimated = any(row.value is not None for row in parameters)
+        table.setdefault((row.kind, row.name, row.unit), {})[row.axis] = value
+    estimated = any(row.value is not None for row in facts)
     return [
         ("parameter ± 1σ" if estimated else "parameter, 1σ", "x", "y", "z", "unit"),
         *(
@@ -131,7 +69,7 @@ def parameter_rows(parameters: "list[ParameterFact] | tuple[ParameterFact, ...]"
     ]
 
 
-def _assumed(spec: UnitSpec) -> list[tuple[str, str]]:
+def assumed_of_unit(spec: UnitSpec) -> list[tuple[str, str]]:
     """The figures of noise and installation behind the numbers."""
     rows: list[tuple[str, str]] = []
     for name, triad in (("gyro", spec.sensor.gyro), ("accelerometer", spec.sensor.accelerometer)):
@@ -166,25 +104,8 @@ def _assumed(spec: UnitSpec) -> list[tuple[str, str]]:
     return [*rows, *((name, str(value)) for name, value in installation if value is not None), *omitted_rows(spec)]
 
 
-def unit_words(sources: Sources, data: ReportData) -> dict[str, Any]:
-    """Further texts and tables on the page of a unit, for the template."""
-    head, *parameters = parameter_rows(data.parameters)
-    return {
-        **_plan_words(sources.unit),
-        "table": _table_errors(sources),
-        "order": "" if sources.unit_calibration is None else sources.unit_calibration.order,
-        "parameter_head": list(head),
-        "parameter_rows": parameters,
-        "parameter_numbers": (1, 2, 3),
-        "basis": "a: bias; b with the powers of rate and temperature, or s: scale factor; m: misalignment towards an "
-        "axis; g: drift for a specific force along an axis; k2: second order. Digits at the end count powers of "
-        "temperature.",
-    }
-
-
-def _plan_words(spec: UnitSpec | None) -> dict[str, Any]:
-    if spec is None:
-        return {"times": "", "moves": [], "more": ""}
+def plan_words(spec: UnitSpec) -> dict[str, Any]:
+    """The plan in words and rows, for the template."""
     schedule = spec.schedule
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     lasts = times_text(schedule.duration, schedule.soak, schedule.motion)
@@ -208,26 +129,8 @@ def _plan_words(spec: UnitSpec | None) -> dict[str, Any]:
     }
 
 
-def _table_errors(sources: Sources) -> dict[str, Any] | None:
-    """The estimated errors of the table, beside the spec's uncertainty and a simulation's true values."""
-    calibration = sources.unit_calibration
-    if calibration is None or not calibration.table:
-        return None
-    hidden = _hidden(sources)
-    rows: list[tuple[str, ...]] = []
-    for error in calibration.table:
-        unit, factor = UNITS_OF_TERMS.get(error.unit, (error.unit, 1.0))
-        numbers = (error.value, error.standard_deviation, error.prior, *([hidden[error.name]] if hidden else []))
-        rows.append((error.name.replace("_", " "), *(figures(n * factor) for n in numbers), unit))
-    head = ["error of the table", "estimate", "1σ", "known to", *(["hidden truth"] if hidden else []), "unit"]
-    return {"head": head, "rows": rows, "numbers": tuple(range(1, len(head) - 1))}
-
-
-def unit_pictures(sources: Sources) -> tuple[list[list[Picture]], list[Picture]]:
+def unit_pictures(spec: UnitSpec) -> tuple[list[list[Picture]], list[Picture]]:
     """The residuals of each requirement's quantity, and the vertical in the unit's frame at every rest."""
-    spec = sources.unit
-    if spec is None:
-        return [], []
     built = assemble_unit(spec)
     known = posterior_of_unit(built)
     left: list[Picture] = []
@@ -239,16 +142,3 @@ def unit_pictures(sources: Sources) -> tuple[list[list[Picture]], list[Picture]]
     words = "Which way is up, seen from the unit, at every rest; the colour is the time, the size how long it rests."
     poses = picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), 3.2, projection="mollweide")
     return ([left] if left else []), [poses]
-
-
-def unit_calibration_pictures(calibration: UnitCalibration) -> list[Picture]:
-    """The maps of a unit's calibration."""
-    return [
-        picture(
-            picture_key(f"found {title}"),
-            f"{title[:1].upper()}{title[1:]} as estimated; the bands are one standard deviation.",
-            lambda ax, k=kind, n=name: draw_unit_term(calibration, k, n, ax=ax),
-            3.4,
-        )
-        for kind, name, title in panels_of(calibration)
-    ]

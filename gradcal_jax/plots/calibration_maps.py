@@ -5,16 +5,43 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from gradcal_jax.api.ieee_terms import calibration_map, grid_of
-from gradcal_jax.files.calibration import AxisCalibration
+from gradcal_jax.files.calibration import CalibratedChannel, Calibration
 from gradcal_jax.plots.style import PALETTE, draw_band, new_axes, style_of
 
 
-def draw_calibrated_scale_factor(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, list[Line2D]]:
+def panels_of(calibration: Calibration) -> list[tuple[str, str]]:
+    """The biases and scale factors of a calibration, by kind of channel, for `draw_calibrated_term`."""
+    found = {(c.kind, t.name): None for c in calibration.channel for t in c.term if t.name in ("bias", "scale_factor")}
+    return sorted(found, key=lambda panel: (panel[0] != "gyro", panel[1]))
+
+
+def draw_calibrated_term(
+    calibration: Calibration, kind: str, name: str, *, ax: Axes | None = None
+) -> tuple[Axes, list[Line2D]]:
+    """A term of all channels of a kind over temperature, slowly turned, each with a band of ± 1σ."""
+    ax = new_axes(ax)
+    lines: list[Line2D] = []
+    unit = ""
+    for channel in calibration.channel:
+        if channel.kind == kind and channel.term_of(name) is not None:
+            temperatures, _ = grid_of(channel, None, name)
+            value, std = calibration_map(calibration, channel, name, temperatures, np.zeros(1))
+            unit, number = value.unit, len(lines)
+            lines.append(draw_band(ax, temperatures, value.values[:, 0], std.values[:, 0], number, channel.axis))
+    ax.set(xlabel="temperature, °C", ylabel=f"{kind} {name.replace('_', ' ')} ± 1σ, {unit}")
+    if len(lines) > 1:
+        ax.legend(title="axis")
+    return ax, lines
+
+
+def draw_calibrated_scale_factor(
+    calibration: Calibration, channel: CalibratedChannel, *, ax: Axes | None = None
+) -> tuple[Axes, list[Line2D]]:
     """M over rate at the coldest, the middle and the warmest temperature that the data cover."""
     ax = new_axes(ax)
-    temperatures, rates = grid_of(axis, None, "scale_factor")
+    temperatures, rates = grid_of(channel, None, "scale_factor")
     chosen = temperatures[[0, len(temperatures) // 2, -1]]
-    value, deviation = calibration_map(axis, "scale_factor", chosen, rates)
+    value, deviation = calibration_map(calibration, channel, "scale_factor", chosen, rates)
     lines: list[Line2D] = []
     for index, temperature in enumerate(chosen):
         label = f"{temperature:.4g} °C".replace("-", "−")
@@ -24,20 +51,11 @@ def draw_calibrated_scale_factor(axis: AxisCalibration, *, ax: Axes | None = Non
     return ax, lines
 
 
-def draw_calibrated_bias(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """B over temperature."""
-    ax = new_axes(ax)
-    value, deviation = calibration_map(axis, "bias", *grid_of(axis, None, "bias"))
-    line = draw_band(ax, value.temperature_c, value.values[:, 0], deviation.values[:, 0], 0, alpha=0.25)
-    ax.set(xlabel="temperature, °C", ylabel="bias B ± 1σ, deg/h")
-    return ax, line
-
-
-def draw_residuals(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+def draw_residuals(channel: CalibratedChannel, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
     """The histogram of whitened residuals, beside the normal distribution of a true model."""
     ax = new_axes(ax)
-    assert axis.residuals is not None
-    counts, edges = np.array(axis.residuals.counts), np.arange(-4.5, 4.75, 0.5)
+    assert channel.residuals is not None
+    counts, edges = np.array(channel.residuals.counts), np.arange(-4.5, 4.75, 0.5)
     ax.bar(edges[:-1], counts, width=0.5, align="edge", color=PALETTE[0], alpha=0.6, label="residuals")
     x = np.linspace(-4.5, 4.5, 181)
     normal = 0.5 * counts.sum() * np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
@@ -47,13 +65,13 @@ def draw_residuals(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Ax
     return ax, line
 
 
-def draw_residual_parts(axis: AxisCalibration, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
+def draw_residual_parts(channel: CalibratedChannel, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
     """The rms of the residuals in each tenth of the run, and the 95 % band of a true model."""
     ax = new_axes(ax)
-    assert axis.residuals is not None
-    rms = np.array(axis.residuals.rms)
+    assert channel.residuals is not None
+    rms = np.array(channel.residuals.rms)
     (line,) = ax.plot(np.arange(1, len(rms) + 1), rms, marker="o", **style_of(0))
-    half = 1.96 / np.sqrt(2.0 * sum(axis.residuals.counts) / len(rms))
+    half = 1.96 / np.sqrt(2.0 * sum(channel.residuals.counts) / len(rms))
     ax.axhspan(1.0 - half, 1.0 + half, color=PALETTE[1], alpha=0.2)
     ax.set(xlabel="tenth of the run", ylabel="rms residual, standard deviations", ylim=(0.0, None))
     return ax, line

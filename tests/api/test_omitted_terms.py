@@ -102,7 +102,7 @@ def recorded():
 
 def estimated(spec, log, **options):
     report = estimate_calibration(spec, log, options=Options(**options))
-    return report, {row.requirement.name: row for row in report.verdicts[log.units[0]]}
+    return report, {row.name: row for row in report.verdicts[log.units[0]]}
 
 
 # --- predictions ------------------------------------------------------------------------------------------------------
@@ -268,9 +268,9 @@ def test_an_estimate_counts_what_its_spec_omits(recorded):
     bare, by_bare = estimated(BARE, log)
     for name in ("M", "B"):
         assert by_exact[name].verdict == "met"
-        assert by_exact[name].named == by_exact[name].value
-        assert by_bare[name].named == pytest.approx(by_exact[name].value, rel=1e-12)
-        assert by_bare[name].value > 5.0 * by_bare[name].named
+        assert by_exact[name].decisive == by_exact[name].judged
+        assert by_bare[name].decisive == pytest.approx(by_exact[name].judged, rel=1e-12)
+        assert by_bare[name].judged > 5.0 * by_bare[name].decisive
         assert by_bare[name].verdict == "missed"
     assert exact.as_wished
     assert not bare.as_wished
@@ -280,13 +280,18 @@ def test_an_estimate_counts_what_its_spec_omits(recorded):
     assert "lag" in said
     assert not any("typical" in m for m in exact.messages[log.units[0]])
     # The covariance of the fit is the same; what no residual shows stands beside it.
-    assert exact.calibrations[0].axis[0].covariance == bare.calibrations[0].axis[0].covariance
-    assert exact.calibrations[0].axis[0].unseen == ()
-    (axis,) = bare.calibrations[0].axis
-    assert {e.name for e in axis.unseen} >= {"input axis beside the table's axis", "Earth's rate", "omitted noise"}
+    (found,), (bare_found,) = exact.calibrations, bare.calibrations
+    assert found.covariance == bare_found.covariance
+    assert found.unseen == ()
+    assert {e.name for e in bare_found.unseen} >= {
+        "input axis beside the table's axis",
+        "Earth's rate",
+        "omitted noise",
+    }
     at = np.linspace(-20.0, 60.0, 5)
-    shown = calibration_map(axis, "scale_factor", at, np.linspace(-200.0, 200.0, 5))[1].values
-    assert np.mean(shown.max(axis=0)) == pytest.approx(by_bare["M"].value, rel=1e-3)
+    (channel,) = bare_found.channel
+    shown = calibration_map(bare_found, channel, "scale_factor", at, np.linspace(-200.0, 200.0, 5))[1].values
+    assert np.mean(shown.max(axis=0)) == pytest.approx(by_bare["M"].judged, rel=1e-3)
 
 
 def faults(log):
@@ -320,7 +325,7 @@ def test_an_error_that_no_residual_shows_is_within_the_stated_uncertainty(record
     at = np.linspace(-20.0, 60.0, 5)
     error = of.values(at, np.full(5, 1.0)) @ (channel.estimate.parameters[0] - truth)[where] * unit
     worst, row = float(np.max(np.abs(error))), rows[name]
-    assert worst > 5.0 * row.named
+    assert worst > 5.0 * row.decisive
     assert worst <= 2.0 * row.worst
     assert key in " ".join(report.messages[log.units[0]])
 

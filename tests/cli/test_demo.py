@@ -17,7 +17,6 @@ from gradcal_jax.cli.app import build
 from gradcal_jax.cli.recordings import Recording
 from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.files.recipe import read_recipe
-from gradcal_jax.files.unit_calibration import read_any_calibration
 
 DATA = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 PROGRAM = "import sys; from gradcal_jax.cli import main; sys.exit(main())"
@@ -131,7 +130,7 @@ def test_the_demo_of_a_whole_unit_finds_what_was_hidden(tmp_path):
     folder = tmp_path / "demo"
     text = demo(folder, "--imu")
     numbers = json.loads((folder / "demo.json").read_text(encoding="utf-8"))
-    found = read_any_calibration(folder / "run" / "calibration.toml")
+    found = read_calibration(folder / "run" / "calibration.toml")
     page = (folder / "report.html").read_text(encoding="utf-8")
     results = {row.name: row for row in found.result}
     for row in numbers["report"]["requirements"]:

@@ -7,9 +7,18 @@ import pytest
 from estimate_scenes import draw_truth, record, scene
 
 from gradcal_jax.cli import main
+from gradcal_jax.files.calibration import read_calibration
+from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.log import read_log, write_log
-from gradcal_jax.files.unit_calibration import read_any_calibration
+from gradcal_jax.files.rig import TEMPLATE
+from gradcal_jax.files.unit_spec import read_unit_spec
 from gradcal_jax.files.writing import write_toml
+
+LABORATORY = """
+[laboratory]
+name = "Laboratory"
+country = "DE"
+"""
 
 
 @pytest.fixture(scope="module")
@@ -51,35 +60,34 @@ def test_the_page_of_a_calibration(folder, capsys):
     spec, found, page = (str(folder / name) for name in ("spec.toml", "unit.toml", "page.html"))
     assert main(["report", spec, found, "-o", page, "--json"]) == 0
     tables, html = json.loads(capsys.readouterr().out), (folder / "page.html").read_text(encoding="utf-8")
-    kept = read_any_calibration(found)
+    kept = read_calibration(found)
     assert [row["achieved"] for row in tables["requirements"]] == [row.value for row in kept.result]
     assert all(row["predicted"] > 0.0 for row in tables["requirements"])
-    row = next(
-        row for row in tables["parameters"] if (row["multiplies"], row["name"], row["axis"]) == ("gyro", "a0", "y")
-    )
+    row = next(row for row in tables["parameters"] if (row["kind"], row["name"], row["axis"]) == ("gyro", "a0", "y"))
     value = kept.channel_of("gyro", "y").term_of("bias").coefficients["a0"]
     assert row["value"] == pytest.approx(value * 3600.0 * 180.0 / np.pi)
     assert row["std"] > 0.0
     assert row["truth"] is None
-    assert len(tables["axes"][0]["fit"]) == len(kept.fit)
+    assert len(tables["fit"]) == len(kept.fit)
     for words in (
         "SIMULATED",
         "error of the table",
         "orthogonality tilt spin",
-        "Unit ",
+        "Gyro x",
         "--format matrices",
     ):
         assert words in html
-    # Residuals, poses, and what was found of four terms.
-    assert html.count("<svg") == len(kept.result) + 1 + 4
-    assert "gradcal validate" not in html
+    # Residuals, poses, scale factors of three gyros over rate, and three terms over temperature.
+    assert html.count("<svg") == len(kept.result) + 1 + 3 + 3
+    assert "gradcal validate" in html
     assert main(["report", found, "-o", page, "--force"]) == 0
     alone = (folder / "page.html").read_text(encoding="utf-8")
-    assert alone.count("<svg") == 4
+    # Standard deviations of three gyros over temperature and rate (a map and two curves each); and the terms.
+    assert alone.count("<svg") == 9 + 3 + 3
     assert "Plan of the unit" not in alone
     capsys.readouterr()
     assert main(["report", found, found, "-o", page, "--force"]) == 2
-    assert "second unit calibration" in capsys.readouterr().err
+    assert "second calibration" in capsys.readouterr().err
 
 
 def test_all_numbers_as_json(folder, capsys):
@@ -110,6 +118,40 @@ def test_a_second_log_is_for_a_second_mounting(folder, capsys):
     assert "one log for each" in capsys.readouterr().err
 
 
-def test_validate_says_what_it_takes(folder, capsys):
+def test_another_log_validates_gyros_and_accelerometers_together(folder, capsys):
     assert main(["validate", str(folder / "unit.toml"), str(folder / "log.nc")]) == 2
-    assert "of a gyro's axes" in capsys.readouterr().err
+    assert "was estimated from this log" in capsys.readouterr().err
+    spec, rng = read_unit_spec(folder / "spec.toml"), np.random.default_rng(4)
+    again = record(spec, draw_truth(spec, rng), np.random.default_rng(5))[0]
+    write_log(again, folder / "again.nc")
+    command = ["validate", str(folder / "unit.toml"), str(folder / "again.nc"), "--gravity", "9.80665 m/s^2"]
+    status = main([*command, "--json"])
+    gyros, forces = json.loads(capsys.readouterr().out)["axes"]
+    assert (gyros["axis"], forces["axis"]) == ("gyros", "accelerometers")
+    for before, after in (gyros["scale_factor_ppm"], gyros["bias_deg_per_h"], forces["gravity_ug"]):
+        assert after < 0.2 * before, (gyros, forces)
+    assert gyros["moves"] > 20
+    assert status == main(command) == 0
+    assert "norm of gravity at rest" in capsys.readouterr().out
+
+
+def test_a_certificate_and_a_dcc_of_an_imu(folder, capsys):
+    (folder / "rig.toml").write_text(TEMPLATE + LABORATORY, encoding="utf-8")
+    page, xml = folder / "certificate.html", folder / "dcc.xml"
+    command = ["report", str(folder / "unit.toml"), "--certificate", "--rig", str(folder / "rig.toml"), "--json"]
+    command += ["--number", "K-1", "--performed", "2026-11-22", "-o", str(page), "--dcc", str(xml)]
+    assert main(command) == 0
+    tables, kept = json.loads(capsys.readouterr().out), read_calibration(folder / "unit.toml")
+    rows = {(row["channel"], row["term"]): row for row in tables["corrections"]}
+    assert {channel for channel, _ in rows} == {channel.label for channel in kept.channel}
+    force = rows["accelerometer z", "bias"]
+    term = kept.channel_of("accelerometer", "z").term_of("bias")
+    expected = term_values(term, np.array(force["temperature_c"])) / 9.80665e-6
+    assert force["unit"] == "ug"
+    np.testing.assert_allclose(force["value"], expected, rtol=1e-9)
+    assert min(force["expanded"]) > 0.0
+    assert len(tables["fit"]) == len(kept.fit)
+    text = xml.read_text(encoding="utf-8")
+    assert "Corrections of accelerometer z over temperature" in text
+    assert r"\metre\second\tothe{-2}" in text
+    assert "accelerometer z" in page.read_text(encoding="utf-8")

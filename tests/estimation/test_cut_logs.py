@@ -13,7 +13,6 @@ from gradcal_jax.api.unit_estimate import estimate_units
 from gradcal_jax.files.log import Log, part_of
 from gradcal_jax.pages.report_data import report_data_of
 from gradcal_jax.pages.sources import Sources
-from gradcal_jax.pages.unit import unit_report_data
 
 
 def cut(log: Log, share: float) -> Log:
@@ -37,7 +36,7 @@ def test_an_axis_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predic
     (verdicts,) = report.verdicts.values()
     assert len(predicted) == len(verdicts) > 0
     for before, after in zip(predicted, verdicts, strict=True):
-        assert after.named == pytest.approx(before.decisive, rel=0.05)
+        assert after.decisive == pytest.approx(before.decisive, rel=0.05)
         assert f"{before.decisive:.4g} {before.unit} of {before.name}" in calibration.lacks
     assert estimate_calibration(spec, log).calibrations[0].lacks is None
 
@@ -53,7 +52,7 @@ def test_a_unit_s_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predi
     assert lacks is not None
     assert "(85%): the executed part alone predicts" in lacks
     assert report.messages[0] == lacks
-    assert lacks in unit_report_data(Sources(unit_calibration=report.calibration)).notes
+    assert lacks in report_data_of(Sources(calibration=report.calibration)).notes
     for before, after in zip(requirement_rows(spec, float(part.time_s[-1])), report.requirements, strict=True):
         assert after.decisive == pytest.approx(before.decisive, rel=0.1)
 

@@ -16,7 +16,7 @@ from gradcal_jax.api.estimate import _fitted_lag, estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, host_time, temperature_followed
 from gradcal_jax.files import parse_spec
-from gradcal_jax.files.correction import bias, scale_factor
+from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.log import Log, LogError, Reason
 from gradcal_jax.information import information
 from gradcal_jax.information import posterior as posterior_of
@@ -96,14 +96,14 @@ def test_without_noise_the_maps_come_back(text):
     made = simulate_log(spec, sample_rate_hz=50.0, seed=2, noiseless=True)
     report = estimate_calibration(spec, made.log)
     (calibration,) = report.calibrations
-    axis = calibration.axis[0]
+    bias, scale_factor = (calibration.channel[0].term_of(name) for name in ("bias", "scale_factor"))
     model = assemble(spec).model
     t, w = np.array([5.0, 20.0, 35.0]), np.radians(np.array([-250.0, 40.0, 250.0]))
     rows = model.scale.values(t, w)
     truth = made.truth["x"][0]
-    np.testing.assert_allclose(scale_factor(axis, t, w), rows @ truth[model.where(SCALE_FACTOR)], atol=0.2e-6)
+    np.testing.assert_allclose(term_values(scale_factor, t, w), rows @ truth[model.where(SCALE_FACTOR)], atol=0.2e-6)
     of_bias = model.bias.values(t, t) @ truth[model.where(BIAS)]
-    np.testing.assert_allclose(bias(axis, t), of_bias, atol=np.radians(0.02) / 3600)
+    np.testing.assert_allclose(term_values(bias, t), of_bias, atol=np.radians(0.02) / 3600)
     assert calibration.simulated
     assert made.log.simulated
 
@@ -381,9 +381,9 @@ def test_without_a_table_only_the_bias_is_seen():
     alone = replace(log, table_axes=(), table_angle_rad=None)
     report = estimate_calibration(spec, alone)
     assert not report.as_wished
-    (axis,) = report.calibrations[0].axis
-    assert axis.covariance.names == ("a0", "a1")
-    assert len(axis.unobservable) == 4
+    (calibration,) = report.calibrations
+    assert calibration.covariance.names == ("gyro_x.a0", "gyro_x.a1")
+    assert len(calibration.unobservable) == 4
     assert any("the scale factor is not observable" in message for message in report.messages[log.units[0]])
-    verdicts = {v.requirement.name: v.verdict for v in report.verdicts[log.units[0]]}
+    verdicts = {v.name: v.verdict for v in report.verdicts[log.units[0]]}
     assert verdicts["map"] == "unobservable"

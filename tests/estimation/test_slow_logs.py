@@ -69,8 +69,8 @@ def test_a_long_rest_is_validated_by_ranges_of_temperature():
     )
     found = calibration(recipe())
     wide = tuple(Quantity.read(text, "temperature") for text in ("-40 degC", "90 degC"))
-    axis = found.axis[0].model_copy(update={"valid_temperature": wide})
-    (of,) = gj.validate(found.model_copy(update={"axis": (axis,)}), rest)
+    channel = found.channel[0].model_copy(update={"valid_temperature": wide})
+    (of,) = gj.validate(found.model_copy(update={"channel": (channel,)}), rest)
     assert of.rests == 1
     cells = [cell for cell in of.cells if cell.unit == "deg/h"]
     assert [cell.temperature_c for cell in cells] == [

@@ -11,10 +11,11 @@ import pytest
 from vehicle_samples import dataflash, imu_rows, sensor_gyro, ulog
 from warm_ups import DEG_PER_H, output, vehicle, warming
 
+from gradcal_jax.api.ieee_terms import calibration_map
 from gradcal_jax.api.warm_up import estimate_warm_up
 from gradcal_jax.cli import main
-from gradcal_jax.files import correction
 from gradcal_jax.files.calibration import read_calibration
+from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.log import Log, LogError
 
 FIT = np.linspace(15.5, 48.0, 40)
@@ -41,17 +42,14 @@ def ardupilot_correction(values, number, axis, temperature):
 
 
 def left(errors, calibration):
-    """Errors `(temperatures, 3)` in the stated σ of the calibration at `FIT`, and that σ in deg/h."""
-    sigma = np.stack([deviation(axis, FIT) for axis in calibration.axis], axis=1)
-    return errors / sigma, sigma / DEG_PER_H
+    """Errors `(temperatures, 3)` in the stated σ of the calibration's fit at `FIT`, and that σ in deg/h."""
+    fit = calibration.model_copy(update={"unseen": ()})
+    sigma = np.stack([calibration_map(fit, c, "bias", FIT, np.zeros(1))[1].values[:, 0] for c in fit.channel], axis=1)
+    return errors / (sigma * DEG_PER_H), sigma
 
 
-def deviation(axis, temperature):
-    names = [name for name in axis.covariance.names if name in axis.bias.coefficients]
-    rows = correction.basis_values(axis.bias.temperature, temperature)
-    where = [axis.covariance.names.index(name) for name in names]
-    matrix = np.array(axis.covariance.matrix)[np.ix_(where, where)]
-    return np.sqrt(np.einsum("ti,ij,tj->t", rows, matrix, rows))
+def biases(calibration):
+    return np.stack([term_values(channel.term_of("bias"), FIT) for channel in calibration.channel], axis=1)
 
 
 def numbers(path, name=0, value=1):
@@ -125,7 +123,7 @@ def test_a_thermometer_that_steps_by_a_degree():
     log = log_of(unit, time, temperature, 5)
     coarse = estimate_warm_up([Log(time, log.rate_rad_per_s, ("g",), log.axes, np.rint(temperature)[None])])
     (result,) = coarse.calibrations
-    errors = np.stack([correction.bias(axis, FIT) for axis in result.axis], axis=1) - unit.true_bias(FIT)
+    errors = biases(result) - unit.true_bias(FIT)
     sigmas, _ = left(errors, result)
     assert np.abs(sigmas).max() < 3.0
     assert np.sqrt(np.mean(errors**2)) / DEG_PER_H < 12.0
@@ -188,7 +186,7 @@ def test_the_stated_sigma_covers_what_is_left(kind):
         truth = unit.true_bias(FIT)
         if kind == "random walk":  # its beginning is this run's bias
             truth = truth + drift_at_start(unit, seed)
-        taken = np.stack([correction.bias(axis, FIT) for axis in result.axis], axis=1)
+        taken = biases(result)
         sigmas, sigma = left(taken - truth, result)
         inside.append(np.mean(np.abs(sigmas) < 1.96))
         sizes.append(sigma)

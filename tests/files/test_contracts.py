@@ -15,7 +15,7 @@ from gradcal_jax.files.schemas import schema, schema_names
 def test_schemas_are_valid_and_closed(name):
     found = schema(name)
     jsonschema.Draft202012Validator.check_schema(found)
-    version = 2 if name == "timeline" else 1
+    version = 2 if name in ("timeline", "calibration") else 1
     assert found["$id"] == f"gradcal-{name}/{version}"
     assert found["additionalProperties"] is False
     assert json.loads(json.dumps(found)) == found

@@ -18,7 +18,7 @@ def test_the_calibration_is_committed_as_executed():
 def test_its_cells_run_and_page_and_calibration_say_the_same(monkeypatch):
     names, said = run_cells(NAME, monkeypatch)
     told, verdict = names["told"], names["verdict"]
-    assert told.achieved == verdict.value
+    assert told.achieved == verdict.judged
     assert told.predicted == names["recipe"].prediction.requirements[0].decisive
     assert f"{told.achieved:.3g} achieved" in said
     assert names["chance"] > 1e-3

@@ -16,12 +16,10 @@ from gradcal_jax.api.log_flow import estimate as estimate_axes
 from gradcal_jax.api.sensitivity import sensitivity
 from gradcal_jax.api.unit_estimate import estimate_units
 from gradcal_jax.files import Spec, spec_of, tables_of
-from gradcal_jax.files.correction import apply
-from gradcal_jax.files.exports import export
+from gradcal_jax.files.calibration import parse_calibration
+from gradcal_jax.files.calibration.correction import apply
+from gradcal_jax.files.calibration.exports import export
 from gradcal_jax.files.log import Log, read_log
-from gradcal_jax.files.unit_calibration import UnitCalibration, parse_any_calibration
-from gradcal_jax.files.unit_correction import apply_unit
-from gradcal_jax.files.unit_exports import export_unit
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 
 HERE = Path(__file__).resolve().parent
@@ -89,11 +87,11 @@ def measurements() -> Log:
 
 def calibration(tables: Tables) -> Tables:
     """Every export as the hash of its text, with losses and notes; and the measurements corrected."""
-    of = parse_any_calibration(tomlkit.dumps(tables))
+    of = parse_calibration(tomlkit.dumps(tables))
     exports = {target: exported(of, target) for target in TARGETS}
-    log = (apply_unit if isinstance(of, UnitCalibration) else apply)(of, measurements()).log  # pyright: ignore
+    log = apply(of, measurements()).log
     corrected: Tables = {"rate": log.rate_rad_per_s[0].tolist()}
-    if isinstance(of, UnitCalibration) and log.specific_force_m_per_s2 is not None:
+    if log.specific_force_m_per_s2 is not None:
         corrected["force"] = log.specific_force_m_per_s2[0].tolist()
     return {"exports": exports, "corrected": corrected}
 
@@ -103,7 +101,7 @@ def exported(of: Any, target: str) -> Tables:
     options: Tables = {"temperature_c": 25.0 if target in ("kalibr", "matrices") else None}
     options |= {"device_id": 4321} if target == "px4" else {}
     try:
-        done = (export_unit if isinstance(of, UnitCalibration) else export)(of, target, **options)
+        done = export(of, target, **options)
     except ValueError as error:
         return {"refused": str(error)}
     lines = done.text.splitlines()
@@ -133,18 +131,14 @@ def unpacked(path: Path) -> Log:
 
 
 def result(document: Tables) -> Tables:
-    """Numbers of a calibration file, of axes or of a unit."""
-    values: Tables = {}
-    for axis in document.get("axis", ()):
-        for part in ("bias", "scale_factor"):
-            values |= {f"{axis['name']}.{k}": v for k, v in axis.get(part, {}).get("coefficients", {}).items()}
-    for channel in document.get("channel", ()):
-        for term in channel["term"]:
-            values |= {f"{channel['kind']}_{channel['axis']}.{k}": v for k, v in term["coefficients"].items()}
-    stds, tests = {}, {}
-    for prefix, of in [*((f"{a['name']}.", a) for a in document.get("axis", ())), ("", document)]:
-        if "covariance" in of:
-            diagonal = np.sqrt(np.diag(np.array(of["covariance"]["matrix"])))
-            stds |= {prefix + k: float(v) for k, v in zip(of["covariance"]["names"], diagonal, strict=True)}
-        tests |= {prefix + test["name"]: [test["statistic"], test["degrees"]] for test in of.get("fit", ())}
+    """Numbers of a calibration file."""
+    values = {
+        f"{channel['kind']}_{channel['axis']}.{k}": v
+        for channel in document["channel"]
+        for term in channel["term"]
+        for k, v in term["coefficients"].items()
+    }
+    known = document["covariance"]
+    stds = dict(zip(known["names"], np.sqrt(np.diag(np.array(known["matrix"]))).tolist(), strict=True))
+    tests = {test["name"]: [test["statistic"], test["degrees"]] for test in document.get("fit", ())}
     return {"values": values, "std": stds, "tests": tests}

@@ -8,7 +8,7 @@ import numpy as np
 
 from gradcal_jax import api
 from gradcal_jax.files import Spec, changed, parse_spec, presets
-from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration, bias_names, scale_factor_names
+from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
@@ -84,8 +84,7 @@ def calibration(made: Recipe, seed: int = 7) -> Calibration:
     sensor = made.spec.sensor
     assert sensor.bias is not None
     assert sensor.scale_factor is not None
-    bias = bias_names(sensor.bias.temperature)
-    scale = scale_factor_names(sensor.scale_factor.temperature, sensor.scale_factor.rate)
+    bias, scale = ["a0", "a1"], ["b00", "b10", "b01", "b11"]
     sizes = np.array([1e-4] * len(bias) + [1e-3] * len(scale))
     values = sizes * random.standard_normal(len(sizes))
     mixed = random.standard_normal((len(sizes), 2 * len(sizes)))
@@ -94,27 +93,37 @@ def calibration(made: Recipe, seed: int = 7) -> Calibration:
         "format": FORMAT,
         "title": made.title,
         "serial_number": "unit <7>",
-        "quantity": "gyro",
         "simulated": True,
         "frame": "the sensor's own axes x",
         "order": ORDER,
-        "axis": [
+        "channel": [
             {
-                "name": "x",
-                "bias": {
-                    "temperature": sensor.bias.temperature,
-                    "coefficients": dict(zip(bias, values[: len(bias)].tolist(), strict=True)),
-                },
-                "scale_factor": {
-                    "temperature": sensor.scale_factor.temperature,
-                    "rate": sensor.scale_factor.rate,
-                    "coefficients": dict(zip(scale, values[len(bias) :].tolist(), strict=True)),
-                },
+                "kind": "gyro",
+                "axis": "x",
                 "valid_temperature": ("20 degC", "26 degC"),
                 "valid_rate": ("-200 deg/s", "200 deg/s"),
-                "covariance": {"names": (*bias, *scale), "matrix": tuple(map(tuple, covariance.tolist()))},
+                "term": [
+                    {
+                        "name": "bias",
+                        "unit": "rad/s",
+                        "temperature": sensor.bias.temperature,
+                        "coefficients": dict(zip(bias, values[: len(bias)].tolist(), strict=True)),
+                    },
+                    {
+                        "name": "scale_factor",
+                        "unit": "1",
+                        "signals": ["rate x"],
+                        "temperature": sensor.scale_factor.temperature,
+                        "rate": sensor.scale_factor.rate,
+                        "coefficients": dict(zip(scale, values[len(bias) :].tolist(), strict=True)),
+                    },
+                ],
             }
         ],
+        "covariance": {
+            "names": [f"gyro_x.{name}" for name in (*bias, *scale)],
+            "matrix": tuple(map(tuple, covariance.tolist())),
+        },
         "noise": {"angle_random_walk": "0.1 deg/sqrt(h)"},
         "result": [
             {

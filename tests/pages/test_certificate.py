@@ -11,6 +11,7 @@ from report_samples import calibration, recipe
 import gradcal_jax as gj
 from gradcal_jax.cli import main
 from gradcal_jax.files.calibration import FitTest
+from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.rig import TEMPLATE
 
 REFERENCES = """
@@ -34,14 +35,13 @@ def folder(tmp_path_factory):
     made = recipe()
     gj.write_toml(made, folder / "recipe.toml")
     found = calibration(made)
-    tested = FitTest(name="χ² of the fit", statistic=101.0, degrees=98, chance=0.4)
-    axis = found.axis[0].model_copy(update={"fit": (tested,)})
+    tested = FitTest(name="gyro_x: χ² of the fit", statistic=101.0, degrees=98, chance=0.4)
     row = found.result[0].model_copy(
         update={"worst": 800.0, "coverage": 2.0, "rule": "simple acceptance: 2 × mean of max (1σ) within 2000 ppm"}
     )
     gj.write_calibration(
         type(found).model_validate(
-            found.model_copy(update={"axis": (axis,), "result": (row, *found.result[1:])}).model_dump(
+            found.model_copy(update={"fit": (tested,), "result": (row, *found.result[1:])}).model_dump(
                 exclude_unset=True
             )
         ),
@@ -74,23 +74,28 @@ def test_the_json_hangs_together(made, capsys):
     (budget, *_) = told["budgets"]
     assert sum(i["sensitivity"] for i in budget["inputs"]) == pytest.approx(1.0, abs=0.01)
     assert sum(i["contribution"] ** 2 for i in budget["inputs"]) == pytest.approx(budget["total"] ** 2, rel=0.01)
-    assert told["fit"][0]["test"] == "χ² of the fit"
+    assert told["fit"][0]["test"] == "gyro x: χ² of the fit"
 
 
 def test_corrections_are_those_of_apply_and_their_uncertainty_the_covariances(made, folder, capsys):
     assert main([*made, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     found = gj.read_calibration(folder / "cal.toml")
-    axis = found.axis[0]
-    from gradcal_jax.files.correction import bias, scale_factor
-
-    at = np.array([row["temperature_c"] for row in told["corrections"]])
-    np.testing.assert_allclose([r["bias"] for r in told["corrections"]], np.degrees(bias(axis, at)) * 3600.0, rtol=1e-9)
-    for k, end in enumerate(axis.valid_rate):
-        expected = scale_factor(axis, at, np.full(len(at), float(end))) * 1e6
-        np.testing.assert_allclose([r["scale_factor"][k] for r in told["corrections"]], expected, rtol=1e-9)
-    if axis.covariance is not None:
-        assert all(r["bias_expanded"] > 0.0 for r in told["corrections"])
+    channel = found.channel[0]
+    bias, slow, fast = told["corrections"]
+    assert [row["term"] for row in told["corrections"]] == [
+        "bias",
+        "scale factor at -200 deg/s",
+        "scale factor at 200 deg/s",
+    ]
+    at = np.array(bias["temperature_c"])
+    assert len(at) == 7
+    expected = term_values(channel.term_of("bias"), at) * np.degrees(1.0) * 3600.0
+    np.testing.assert_allclose(bias["value"], expected, rtol=1e-9)
+    for row, end in zip((slow, fast), channel.valid_rate, strict=True):
+        expected = term_values(channel.term_of("scale_factor"), at, np.full(len(at), float(end))) * 1e6
+        np.testing.assert_allclose(row["value"], expected, rtol=1e-9)
+    assert min(min(row["expanded"]) for row in told["corrections"]) > 0.0
 
 
 def test_the_page_has_every_item_and_claims_nothing(made, folder):

@@ -113,11 +113,9 @@ def folder(tmp_path_factory):
     made = recipe()
     gj.write_toml(made, folder / "recipe.toml")
     found = calibration(made)
-    axis = found.axis[0].model_copy(
-        update={"fit": (FitTest(name="χ² of the fit", statistic=101.0, degrees=98, chance=0.4),)}
-    )
+    tested = FitTest(name="gyro_x: χ² of the fit", statistic=101.0, degrees=98, chance=0.4)
     row = found.result[0].model_copy(update={"worst": 800.0, "coverage": 2.0, "rule": "simple acceptance"})
-    changed = found.model_copy(update={"axis": (axis,), "result": (row, *found.result[1:])})
+    changed = found.model_copy(update={"fit": (tested,), "result": (row, *found.result[1:])})
     gj.write_calibration(type(found).model_validate(changed.model_dump(exclude_unset=True)), folder / "cal.toml")
     rig = TEMPLATE + REFERENCES.replace("operator =", 'country = "DE"\noperator =')
     (folder / "rig.toml").write_text(rig, encoding="utf-8")
@@ -194,12 +192,12 @@ def test_the_numbers_are_the_certificates_in_si(folder, written, capsys):
     assert left["error after correction"].find(f".//{D}conformity").text == "pass"
     limit = left["limit on the error"].find(f"{S}real")
     assert (float(limit.find(f"{S}value").text), limit.find(f"{S}unit").text) == (pytest.approx(0.002), r"\one")
-    corrections = by_name["Corrections of axis x over temperature"]
+    corrections = by_name["Corrections of gyro x over temperature"]
     values = [float(v) for v in corrections["bias"].find(f".//{S}valueXMLList").text.split()]
-    expected = [math.radians(r["bias"]) / 3600.0 for r in told["corrections"]]
+    expected = [math.radians(value) / 3600.0 for value in told["corrections"][0]["value"]]
     assert values == pytest.approx(expected, rel=1e-12)
     warm = [float(v) for v in corrections["temperature"].find(f".//{S}valueXMLList").text.split()]
-    assert warm == [r["temperature_c"] for r in told["corrections"]]
+    assert warm == told["corrections"][0]["temperature_c"]
     assert root.find(f".//{D}beginPerformanceDate").text == "2026-11-21"
     assert root.find(f".//{D}endPerformanceDate").text == "2026-11-22"
     said = [e.text for e in root.iter(f"{D}content")]

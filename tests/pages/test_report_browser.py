@@ -8,7 +8,6 @@ from unit_bench import made, short
 from gradcal_jax.api.unit_estimate import estimate_units
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files.calibration import write_calibration
-from gradcal_jax.files.unit_calibration import write_unit_calibration
 from gradcal_jax.hardware import execute
 from gradcal_jax.pages.report import write_page
 from gradcal_jax.pages.sources import read_sources
@@ -29,7 +28,7 @@ def html(request, tmp_path_factory):
         plan = made(short())
         execute.run(plan, folder / "run", simulate=True, seed=3)
         (found,) = estimate_units(plan.spec, [run_log.log(folder / "run")])
-        write_unit_calibration(found.calibration, folder / "run" / "calibration.toml")
+        write_calibration(found.calibration, folder / "run" / "calibration.toml")
     else:
         plan = recipe()
         rehearse(plan, folder / "run")

@@ -16,7 +16,7 @@ from gradcal_jax.api.ieee_terms import calibration_map, prior_map, standard_term
 from gradcal_jax.cli import main
 from gradcal_jax.files import to_toml
 from gradcal_jax.files.calibration import write_calibration
-from gradcal_jax.files.correction import measured
+from gradcal_jax.files.calibration.correction import channel_error
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.information import statistic
 from gradcal_jax.pages.figures import _draw_curves, map_pictures
@@ -129,19 +129,18 @@ def test_predicted_maps_have_the_recipes_statistics_and_achieved_ones_the_covari
     box = maps["achieved"]
     cold, fast = (box.temperature_c[2] - 20.0) / 50.0, np.radians(box.rate_dps[3]) / np.radians(300.0)
     psi = np.array([0.0, 0.0, 1.0, fast, cold, cold * fast])
-    assert found.axis[0].covariance is not None
-    assert found.axis[0].covariance.names == ("a0", "a1", "b00", "b10", "b01", "b11")
-    expected = 1e6 * np.sqrt(psi @ np.array(found.axis[0].covariance.matrix) @ psi)
+    assert [n[7:] for n in found.covariance.names] == ["a0", "a1", "b00", "b10", "b01", "b11"]
+    expected = 1e6 * np.sqrt(psi @ np.array(found.covariance.matrix) @ psi)
     assert box.values[2, 3] == pytest.approx(expected, rel=1e-12)
 
 
 def test_parameters_and_their_hidden_truth_are_those_of_the_files(made, whole):
     _, plan, found, truth = made
     rows = whole[1].table("parameters", "parameter")
-    values = found.axis[0].values()
+    values = {name.removeprefix("gyro_x."): value for name, value in found.values().items()}
     predicted = {row.name: row.std for row in plan.prediction.parameters}
     assert [row["parameter"] for row in rows] == list(values)
-    deviations = np.sqrt(np.diag(np.array(found.axis[0].covariance.matrix)))
+    deviations = np.sqrt(np.diag(np.array(found.covariance.matrix)))
     for row, std in zip(rows, deviations, strict=True):
         name = row["parameter"]
         factor = DEG_PER_H if name.startswith("a") else 1e6
@@ -155,10 +154,10 @@ def test_parameters_and_their_hidden_truth_are_those_of_the_files(made, whole):
 
 
 def test_the_standards_terms_are_those_of_a_map_that_is_known(made):
-    axis = made[2].axis[0]
-    known = axis.values()
-    terms = {term.name: term for term in standard_terms(axis)}
-    step, variance = 5.0 / 50.0, np.array(axis.covariance.matrix)
+    found = made[2]
+    known = {name.removeprefix("gyro_x."): value for name, value in found.values().items()}
+    terms = {term.name: term for term in standard_terms(found, found.channel[0])}
+    step, variance = 5.0 / 50.0, np.array(found.covariance.matrix)
     bias = np.array([1.0, step])
     assert terms["bias"].value == pytest.approx((known["a0"] + known["a1"] * step) * DEG_PER_H)
     assert terms["bias"].std == pytest.approx(np.sqrt(bias @ variance[:2, :2] @ bias) * DEG_PER_H)
@@ -174,18 +173,18 @@ def test_the_standards_terms_are_those_of_a_map_that_is_known(made):
 
 
 def test_what_the_data_do_not_tell_is_not_a_number(made):
-    axis = made[2].axis[0]
-    covariance = axis.covariance.model_copy(
-        update={
-            "names": axis.covariance.names[:-1],
-            "matrix": tuple(row[:-1] for row in axis.covariance.matrix[:-1]),
-        }
+    known = made[2].covariance
+    covariance = known.model_copy(
+        update={"names": known.names[:-1], "matrix": tuple(row[:-1] for row in known.matrix[:-1])}
     )
-    less = axis.model_copy(update={"covariance": covariance})
-    _, deviation = calibration_map(less, "scale_factor", np.array([20.0, 25.0]), np.array([-100.0, 0.0, 100.0]))
+    less = made[2].model_copy(update={"covariance": covariance})
+    channel = less.channel[0]
+    _, deviation = calibration_map(
+        less, channel, "scale_factor", np.array([20.0, 25.0]), np.array([-100.0, 0.0, 100.0])
+    )
     # b11 stands before ω′·T′, which is zero at 20 °C and at rest.
     assert np.isfinite(deviation.values).tolist() == [[True, True, True], [False, True, False]]
-    assert {term.name: term.std for term in standard_terms(less)}["scale factor asymmetry"] is None
+    assert {term.name: term.std for term in standard_terms(less, channel)}["scale factor asymmetry"] is None
 
 
 def test_the_run_is_the_journals(made, whole):
@@ -232,9 +231,10 @@ def test_planned_motion_turns_by_the_planned_angles(made):
 
 def test_the_example_of_a_page_is_undone_by_the_calibration_itself(made, whole):
     (example,) = whole[0].examples
-    back = measured(made[2].axis[0], np.radians([example.corrected_dps]), np.array([example.temperature_c]))
-    assert np.degrees(back[0]) == pytest.approx(example.measured_dps, rel=1e-13)
-    assert figures(example.corrected_dps, 9) in whole[1].text
+    true = np.radians([example.corrected])
+    error = channel_error(made[2].channel[0], np.array([example.temperature_c]), {"rate x": true})
+    assert np.degrees(true + error)[0] == pytest.approx(example.measured, rel=1e-13)
+    assert figures(example.corrected, 9) in whole[1].text
 
 
 def test_a_page_stands_alone_and_escapes_what_files_say(whole):

@@ -34,7 +34,7 @@ def test_every_number_is_the_prediction_s_and_every_warning_is_on_the_page(writt
     assert "Missed: the predicted residual exceeds a target" in html
     assert len(data.parameters) == len(predicted.parameters)
     bias = next(row for row in predicted.parameters if row.name == "accelerometer_x.a0")
-    shown = next(row for row in data.parameters if (row.multiplies, row.name, row.axis) == ("accelerometer", "a0", "x"))
+    shown = next(row for row in data.parameters if (row.kind, row.name, row.axis) == ("accelerometer", "a0", "x"))
     assert shown.predicted_std == pytest.approx(bias.std / 9.80665e-6)
     assert shown.unit == "ug"
     for words in ("accelerometer z never points down: add a pose", "add 180 deg of spin", "k2"):

@@ -9,8 +9,8 @@ from gradcal_jax.plots.calibration_maps import draw_residual_parts, draw_residua
 
 
 @pytest.fixture(scope="module")
-def axis():
-    return calibration(recipe()).axis[0]
+def channel():
+    return calibration(recipe()).channel[0]
 
 
 def test_every_residual_is_counted_where_it_lies():
@@ -23,9 +23,9 @@ def test_every_residual_is_counted_where_it_lies():
     assert _residuals(walk).rms == pytest.approx(np.arange(1.0, 11.0))
 
 
-def test_the_pictures_show_the_counts_and_what_is_expected(axis):
+def test_the_pictures_show_the_counts_and_what_is_expected(channel):
     white = np.random.default_rng(2).standard_normal(5000)
-    made = axis.model_copy(update={"residuals": _residuals(white)})
+    made = channel.model_copy(update={"residuals": _residuals(white)})
     ax, line = draw_residuals(made)
     heights = [bar.get_height() for bar in ax.patches]
     assert heights == list(made.residuals.counts)

@@ -12,8 +12,8 @@ from scipy import stats
 
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.hand_estimate import HandReport, estimate_by_hand
+from gradcal_jax.files.calibration.correction import apply
 from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.unit_correction import apply_unit
 
 G = 9.81
 LATITUDE = np.radians(45.0)
@@ -159,7 +159,7 @@ def test_a_simulated_unit_is_found_within_its_covariance():
     assert all(test.probability > 1e-4 for test in report.tests.values())
     # Three g of hand-made error become a tenth of a milligram and less.
     assert report.gravity_left < 1e-4 * G
-    corrected = apply_unit(report.calibration, log).log
+    corrected = apply(report.calibration, log).log
     rests = log.standstill >= 0
     norm = np.linalg.norm(corrected.specific_force_m_per_s2[0][rests].reshape(-1, 3), axis=1)
     assert abs(norm.mean() / G - 1.0) < 1e-4
@@ -204,7 +204,7 @@ def test_counts_of_any_scale_and_zero_give_the_same_unit(a_log, seed):
         specific_force_m_per_s2=scale[1] * (a_log.specific_force_m_per_s2 + zero[1]),
     )
     (plain,), (report,) = (estimate_by_hand(log, G, options=AT) for log in (a_log, counted))
-    first, second = apply_unit(plain.calibration, a_log).log, apply_unit(report.calibration, counted).log
+    first, second = apply(plain.calibration, a_log).log, apply(report.calibration, counted).log
     # Another start, another prior: far below what is known.
     assert np.max(np.abs(first.rate_rad_per_s - second.rate_rad_per_s)) < 1e-5
     assert np.max(np.abs(first.specific_force_m_per_s2 - second.specific_force_m_per_s2)) < 1e-5

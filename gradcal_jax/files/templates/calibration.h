@@ -1,28 +1,37 @@
-/* gyro calibration of $serial_number, made by gradcal
-$remarks * measured = (1 + M(T, rate)) * rate + B(T), on each axis alone, in the sensor's own frame:
- * $axes
- * temperature in degC, rates in rad/s. Outside its range the calibration holds its value at the edge.
+/* calibration of $serial_number, made by gradcal
+$remarks * measured = input + sum of map(T) * signals, solved for the inputs; frame: $frame
+ * $channels
+ * temperature in degC, rates in rad/s, specific force in m/s^2. Beyond its range the values at the edge hold.
  */
 #ifndef GRADCAL_CALIBRATION_H
 #define GRADCAL_CALIBRATION_H
 
-#define GRADCAL_AXES $count
+#define GRADCAL_CHANNELS $count
+#define GRADCAL_TERMS $terms
 
-struct gradcal_axis {
-    float t_min, t_max;          /* degC */
-    float w_min, w_max;          /* rad/s */
-    float bt_centre, bt_scale;   /* degC, K */
-    int b_count;
-    const float *b;              /* rad/s, powers of (T - bt_centre)/bt_scale */
-    float mt_centre, mt_scale;   /* degC, K */
-    float mw_centre, mw_scale;   /* rad/s */
-    int mt_count, mw_count;
-    const float *m;              /* ratio; powers of temperature slow, of rate fast */
+struct gradcal_term {
+    int of;                /* number of its channel */
+    int signal[$factors];         /* factors: number of the channel from 1; 0: none; negative: its magnitude */
+    float t_centre, t_inverse;   /* degC, 1/K */
+    float w_centre, w_inverse;   /* rad/s, s/rad: of the gyro's own rate */
+    int t_count, w_count;
+    const float *c;        /* SI; powers of temperature slow, of rate fast */
 };
 
 $arrays
-static const struct gradcal_axis gradcal_axes[GRADCAL_AXES] = {
+
+static const struct gradcal_term gradcal_terms[GRADCAL_TERMS] = {
 $rows
+};
+
+/* of each channel: lowest and highest temperature, degC, and rate, rad/s */
+static const float gradcal_ranges[GRADCAL_CHANNELS][4] = {
+$ranges
+};
+
+/* of the linear part at the middle of the temperatures */
+static const float gradcal_inverse[GRADCAL_CHANNELS][GRADCAL_CHANNELS] = {
+$inverse
 };
 
 static inline float gradcal_clip(float x, float low, float high)
@@ -30,36 +39,42 @@ static inline float gradcal_clip(float x, float low, float high)
     return x < low ? low : (x > high ? high : x);
 }
 
-/* Corrects one reading of all axes; `out` may be `raw`. */
-static inline void gradcal_correct(float temperature, const float raw[GRADCAL_AXES], float out[GRADCAL_AXES])
+/* Corrects one reading of all channels; `out` must not be `raw`. */
+static inline void gradcal_correct(float temperature, const float raw[GRADCAL_CHANNELS], float out[GRADCAL_CHANNELS])
 {
-    for (int k = 0; k < GRADCAL_AXES; k++) {
-        const struct gradcal_axis *a = &gradcal_axes[k];
-        const float t = gradcal_clip(temperature, a->t_min, a->t_max);
-        const float tb = (t - a->bt_centre) / a->bt_scale;
-        const float tm = (t - a->mt_centre) / a->mt_scale;
-        float bias = 0.0f;
-        for (int i = a->b_count - 1; i >= 0; i--) bias = bias * tb + a->b[i];
-        const float unbiased = raw[k] - bias;
-        float rate = unbiased;
-        for (int round = 0; round < $rounds; round++) {
-            const float w = (gradcal_clip(rate, a->w_min, a->w_max) - a->mw_centre) / a->mw_scale;
-            float scale = 0.0f;
-            for (int i = a->mt_count - 1; i >= 0; i--) {
+    for (int k = 0; k < GRADCAL_CHANNELS; k++) out[k] = 0.0f;
+    for (int round = 0; round < $rounds; round++) {
+        float error[GRADCAL_CHANNELS] = {0.0f};
+        for (int k = 0; k < GRADCAL_TERMS; k++) {
+            const struct gradcal_term *a = &gradcal_terms[k];
+            const float *range = gradcal_ranges[a->of];
+            const float x = (gradcal_clip(temperature, range[0], range[1]) - a->t_centre) * a->t_inverse;
+            const float w = (gradcal_clip(out[a->of], range[2], range[3]) - a->w_centre) * a->w_inverse;
+            float value = 0.0f;
+            for (int i = a->t_count - 1; i >= 0; i--) {
                 float row = 0.0f;
-                for (int j = a->mw_count - 1; j >= 0; j--) row = row * w + a->m[i * a->mw_count + j];
-                scale = scale * tm + row;
+                for (int j = a->w_count - 1; j >= 0; j--) row = row * w + a->c[i * a->w_count + j];
+                value = value * x + row;
             }
-            rate = unbiased / (1.0f + scale);
+            for (int j = 0; j < $factors; j++) {
+                const int s = a->signal[j];
+                if (s == 0) continue;
+                const float signal = out[(s < 0 ? -s : s) - 1];
+                value *= s < 0 && signal < 0.0f ? -signal : signal;
+            }
+            error[a->of] += value;
         }
-        out[k] = rate;
+        for (int k = 0; k < GRADCAL_CHANNELS; k++) error[k] = raw[k] - out[k] - error[k];
+        for (int k = 0; k < GRADCAL_CHANNELS; k++) {
+            for (int j = 0; j < GRADCAL_CHANNELS; j++) out[k] += gradcal_inverse[k][j] * error[j];
+        }
     }
 }
 
 /* self-test: gradcal_correct(GRADCAL_TEST_T, raw, out) must give these within GRADCAL_TEST_TOLERANCE */
 #define GRADCAL_TEST_T $temperature
-static const float gradcal_test_raw[GRADCAL_AXES] = {$raw};
-static const float gradcal_test_out[GRADCAL_AXES] = {$out};
+static const float gradcal_test_raw[GRADCAL_CHANNELS] = {$raw};
+static const float gradcal_test_out[GRADCAL_CHANNELS] = {$out};
 #define GRADCAL_TEST_TOLERANCE $tolerance
 
 #endif

@@ -1,0 +1,342 @@
+"""Correction of data by a calibration, in NumPy, by the same formulas as the estimator.
+
+    measured = input + Σ map(T, ω) · signals
+
+is solved for the inputs of all channels together: the residual of the equation at the corrected values is divided by
+the linear part and added to them, until nothing changes. The error shrinks in each iteration by a factor of the size of
+the terms that are not linear, or that differ from their value at the middle temperature; so raw counts converge, too.
+Outside the range of the data, the maps keep their values at its edge.
+"""
+
+import importlib
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gradcal_jax import formulas
+from gradcal_jax.files.bases import (
+    RateBasis,
+    RateBins,
+    RatePolynomial,
+    RateSpline,
+    TemperatureBasis,
+    TemperatureBins,
+    TemperaturePolynomial,
+    TemperatureSpline,
+)
+from gradcal_jax.files.calibration.file import TEMPERATURE_RATE, CalibratedChannel, CalibratedTerm, Calibration
+from gradcal_jax.files.log import Floats, Log, LogError
+
+_ROUNDS, _SETTLED, _DIVERGED = 60, 1e-14, 1e-9
+# Larger forces (m/s²) are wrong samples.
+_LARGEST_FORCE = 1000.0
+_ROWS_AT_ONCE = 1 << 15
+_SLOPE_WINDOW_S = 60.0
+# Over a shorter break the temperature is continuous; after a longer one a run begins with a stable chamber, and the
+# lag has decayed.
+_BRIDGED_S = 60.0
+SIGNALS = tuple(f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz")
+"""The inputs of an IMU, in the order of its matrices."""
+
+
+class Corrected(NamedTuple):
+    """A log with corrected rates and specific forces, how many of its rows have a temperature outside what the
+    calibration covers, and how many rates of all gyros are outside."""
+
+    log: Log
+    outside_temperature: int
+    outside_rate: int
+    left_alone: tuple[str, ...]
+    """Channels of the log that the calibration does not have."""
+
+
+def basis_values(basis: TemperatureBasis | RateBasis, x: Floats) -> Floats:
+    """Values of a basis's *reported* functions, `(n,) -> (n, size)`."""
+    if isinstance(basis, TemperaturePolynomial | RatePolynomial):
+        return formulas.monomials((x - float(basis.centre)) / float(basis.scale), basis.degree)
+    if isinstance(basis, TemperatureSpline | RateSpline):
+        return formulas.b_spline(x, tuple(float(k) for k in basis.knots), basis.degree)
+    assert isinstance(basis, TemperatureBins | RateBins)
+    return formulas.bins(x, tuple(float(e) for e in basis.edges))
+
+
+def term_values(term: CalibratedTerm, temperature_c: Floats, rate: Floats | None = None) -> Floats:
+    """The map of a term, `(n,)`, in its unit; `rate` rad/s, of its channel's axis (absent: 0)."""
+    return _at_rates(term, _at_temperatures(term, temperature_c), np.zeros(1) if rate is None else rate)
+
+
+def _at_temperatures(term: CalibratedTerm, temperature_c: Floats) -> Floats:
+    """`(n, functions of the rate)`: their coefficients, or the map itself."""
+    coefficients = np.array(list(term.coefficients.values()))
+    one = np.ones((len(temperature_c), 1))
+    basis = one if term.temperature is None else basis_values(term.temperature, temperature_c)
+    return basis @ coefficients.reshape(basis.shape[1], -1)
+
+
+def _at_rates(term: CalibratedTerm, of_temperature: Floats, rate: Floats) -> Floats:
+    if term.rate is None:
+        return of_temperature[:, 0]
+    return (of_temperature * basis_values(term.rate, rate)).sum(axis=-1)
+
+
+def channel_error(
+    channel: CalibratedChannel,
+    temperature_c: Floats,
+    signals: Mapping[str, Floats],
+    maps: Sequence[Floats] | None = None,
+) -> Floats:
+    """The error of a channel's output, `(n,)`, for the true inputs `signals` ("rate x" rad/s, "force z" m/s²; an
+    unknown input counts as zero). `maps`: of each term, `_at_temperatures`."""
+    at = np.clip(temperature_c, *channel.valid_temperature)
+    total = np.zeros(len(at))
+    for k, term in enumerate(channel.term):
+        if all(name.strip("|") in signals for name in term.signals):
+            own = np.clip(signals[channel.input], *channel.valid_rate) if term.rate is not None else at
+            product = _at_rates(term, _at_temperatures(term, at) if maps is None else maps[k], own)
+            for name in term.signals:
+                signal = signals[name.strip("|")]
+                product = product * (np.abs(signal) if name.startswith("|") else signal)
+            total += product
+    return total
+
+
+def linear_part(
+    channels: Sequence[CalibratedChannel],
+    temperature_c: float,
+    inputs: Sequence[str] = SIGNALS,
+    *,
+    mean_over_rates: bool = False,
+) -> tuple[Floats, Floats]:
+    """At one temperature: measured = matrix (n, n) · inputs + bias (n,), SI, for slow rates or with the mean of the
+    maps over the rates that they cover. Absent terms count as zero."""
+    matrix, bias = np.eye(len(inputs)), np.zeros(len(inputs))
+    for channel in channels:
+        if channel.input in inputs:
+            place = inputs.index(channel.input)
+            for term in channel.term:
+                value = value_at(channel, term, temperature_c, mean_over_rates=mean_over_rates)
+                if not term.signals:
+                    bias[place] += value
+                elif len(term.signals) == 1 and term.signals[0] in inputs:
+                    matrix[place, inputs.index(term.signals[0])] += value
+    return matrix, bias
+
+
+def value_at(
+    channel: CalibratedChannel, term: CalibratedTerm, temperature_c: float, *, mean_over_rates: bool = False
+) -> float:
+    """A term's map at one temperature, for slow rates or as its mean over the rates that it covers."""
+    slow, fast = channel.valid_rate
+    rates = np.linspace(float(slow), float(fast), 201) if mean_over_rates and term.rate else np.zeros(1)
+    return float(np.mean(term_values(term, np.full(len(rates), temperature_c), rates)))
+
+
+def correct(
+    channels: Sequence[CalibratedChannel],
+    readings: Mapping[str, Floats],
+    temperature_c: Floats,
+    temperature_rate: Floats | None = None,
+) -> dict[str, Floats]:
+    """True inputs `(n,)` by name for measured ones ("rate x": rad/s, "force z": m/s²; NaN: not known).
+
+    `temperature_c`: `(n,)`, or `(channels, n)` where they lag; `temperature_rate`: K/s, where a term needs it. Readings
+    without a channel count as true. Raises `ValueError` where a map is so steep that it cannot be inverted.
+    """
+    channels_at = np.broadcast_to(temperature_c, (len(channels), temperature_c.shape[-1]))
+    known = [(c, at) for c, at in zip(channels, channels_at, strict=True) if c.input in readings]
+    inputs = list(readings)
+    result = np.stack([readings[name] for name in inputs])
+    for begin in range(0, result.shape[1], _ROWS_AT_ONCE):
+        rows = slice(begin, begin + _ROWS_AT_ONCE)
+        slope = {} if temperature_rate is None else {TEMPERATURE_RATE: temperature_rate[rows]}
+        result[:, rows] = _correct([(c, at[rows]) for c, at in known], inputs, result[:, rows], slope)
+    return dict(zip(inputs, result, strict=True))
+
+
+def correct_triads(
+    channels: Sequence[CalibratedChannel], rate: Floats, force: Floats, temperature_c: Floats
+) -> tuple[Floats, Floats]:
+    """True rates and specific forces `(n, 3)` along x, y, z from measured ones; NaN where there is none."""
+    measured = dict(zip(SIGNALS, (*rate.T, *force.T), strict=True))
+    there = {name: values for name, values in measured.items() if np.isfinite(values).any()}
+    done = np.stack(list((measured | correct(channels, there, temperature_c)).values()), axis=1)
+    return done[:, :3], done[:, 3:]
+
+
+def _correct(
+    channels: Sequence[tuple[CalibratedChannel, Floats]],
+    inputs: list[str],
+    measured: Floats,
+    slope: Mapping[str, Floats],
+) -> Floats:
+    middle = float(np.median(np.concatenate([np.clip(at, *c.valid_temperature) for c, at in channels])))
+    matrix, _ = linear_part([c for c, _ in channels], middle, inputs)
+    inverse = np.linalg.inv(matrix)
+    # The temperature stays as it is from round to round.
+    maps = [[_at_temperatures(term, np.clip(at, *c.valid_temperature)) for term in c.term] for c, at in channels]
+    now, change = 0.0 * measured, 0.0 * measured
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_ROUNDS):
+            signals = {**dict(zip(inputs, now, strict=True)), **slope}
+            left = measured - now
+            for (channel, at), of_temperature in zip(channels, maps, strict=True):
+                left[inputs.index(channel.input)] -= channel_error(channel, at, signals, of_temperature)
+            settled = True
+            for k in range(len(inputs)):
+                # Only channels with an effect: a missing reading does not affect the other triad.
+                acts = np.flatnonzero(inverse[k])
+                change[k] = inverse[k, acts] @ left[acts]
+                now[k] += change[k]
+                size = float(np.nanmax(np.abs(now[k]), initial=1e-300))
+                settled &= bool(np.nanmax(np.abs(change[k]), initial=0.0) <= _SETTLED * size)
+            if settled:
+                return now
+        for channel, at in channels:
+            _refuse_or_leave(channel, at, *(rows[inputs.index(channel.input)] for rows in (measured, change, now)))
+    return now
+
+
+def _refuse_or_leave(channel: CalibratedChannel, at: Floats, measured: Floats, change: Floats, now: Floats) -> None:
+    """Set to NaN what has no solution, far beyond what the sensor measures; raise `ValueError` within that."""
+    # Next to a jump of the map (bins) two values may alternate: both are within the jump.
+    if any(isinstance(term.rate, RateBins) for term in channel.term) or not np.isfinite(measured).any():
+        return
+    limit = 2.0 * max(abs(float(r)) for r in channel.valid_rate) if channel.kind == "gyro" else _LARGEST_FORCE
+    size = np.maximum(np.abs(now), np.nanmedian(np.abs(now)))
+    unsolved = np.isfinite(measured) & ~(np.abs(change) <= _DIVERGED * size)
+    if len(rows := np.flatnonzero(unsolved & (np.abs(measured) <= limit))):
+        raise ValueError(
+            f"the calibration of {channel.label} is too steep to be inverted at {measured[rows[0]]:.4g} (SI), "
+            f"{at[rows[0]]:.4g} degC: is this calibration of another sensor?"
+        )
+    now[unsolved] = np.nan
+
+
+def followed(temperature_c: Floats, time_s: Floats, starts: NDArray[np.int64], lag_s: float) -> Floats:
+    """The temperature of the maps: the measured one `(n,)`, whose unbroken stretches begin at the rows `starts`, with a
+    first-order lag. It begins in equilibrium, also after every long break; over a short break the temperature is
+    interpolated linearly."""
+    if lag_s <= 0.0:
+        return temperature_c
+    signal: Any = importlib.import_module("scipy.signal")
+    result = np.empty_like(temperature_c)
+    for first, end in itertools.pairwise([*starts.tolist(), len(temperature_c)]):
+        result[first] = temperature_c[first]
+        if first and (gap := float(time_s[first] - time_s[first - 1])) <= _BRIDGED_S:
+            (now, before), (_, kept) = formulas.lag_filter(gap, lag_s)
+            result[first] = now * temperature_c[first] + before * temperature_c[first - 1] - kept * result[first - 1]
+        if end - first > 1:
+            interval = float(time_s[end - 1] - time_s[first]) / (end - 1 - first)
+            numerator, denominator = formulas.lag_filter(interval, lag_s)
+            state = numerator[1] * temperature_c[first] - denominator[1] * result[first]
+            late: Any = signal.lfilter(numerator, denominator, temperature_c[first + 1 : end], zi=np.array([state]))
+            result[first + 1 : end] = late[0]
+    return result
+
+
+def temperature_slope(temperature_c: Floats, time_s: Floats) -> Floats:
+    """dT/dt, K/s, over a minute about each row."""
+    half = _SLOPE_WINDOW_S / 2
+    after = np.interp(time_s + half, time_s, temperature_c)
+    before = np.interp(time_s - half, time_s, temperature_c)
+    span = np.minimum(time_s + half, time_s[-1]) - np.maximum(time_s - half, time_s[0])
+    return (after - before) / np.maximum(span, np.finfo(np.float64).tiny)
+
+
+def known_temperature(log: Log, unit: int) -> Floats:
+    """A unit's temperature at every row, missing ones interpolated linearly. Raises `LogError` without any."""
+    if log.temperature_c is None or not np.isfinite(log.temperature_c[unit]).any():
+        raise LogError(f"the log has no temperature of unit {log.units[unit]}, and the calibration depends on it")
+    values = log.temperature_c[unit]
+    known = np.isfinite(values)
+    if known.all():
+        return values
+    return np.asarray(np.interp(log.time_s, log.time_s[known], values[known]), np.float64)
+
+
+def needs_temperature(calibration: Calibration) -> bool:
+    """Whether any term changes with temperature."""
+    terms = [term for channel in calibration.channel for term in channel.term]
+    return any(TEMPERATURE_RATE in t.signals or (t.temperature is not None and t.temperature.size > 1) for t in terms)
+
+
+def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
+    """The log of one sensor with corrected rates (rad/s) and specific forces (m/s²); channels that the calibration
+    does not have stay as they are.
+
+    `unit`: its name or number in the log. Solves measured = input + Σ map(T)·signals, row by row; beyond the
+    calibration's range its value at the edge holds, and `Corrected` counts such rows. Masked rows are corrected too,
+    and stay masked.
+
+    Errors: `LogError` where no channel of the log is calibrated, and where a temperature or another channel's reading
+    is needed that is not there.
+    """
+    number = log.unit_index(unit)
+    rates, forces = log.rate_rad_per_s[number].copy(), log.specific_force_m_per_s2
+    forces = None if forces is None else forces[number].copy()
+    columns = {f"gyro {axis}": rates[:, k] for k, axis in enumerate(log.axes)}
+    if forces is not None:
+        columns |= {f"accelerometer {axis}": forces[:, k] for k, axis in enumerate(log.force_axes)}
+    common = _common(calibration, columns)
+    at = np.full((len(common), len(log.time_s)), float(common[0].valid_temperature[0]))
+    slope = None
+    if needs_temperature(calibration):
+        temperature = known_temperature(log, number)
+        lags = [float(channel.thermal_lag or 0.0) for channel in common]
+        lagged = {lag: followed(temperature, log.time_s, log.stretch_starts, lag) for lag in set(lags)}
+        at = np.stack([lagged[lag] for lag in lags])
+        if any(TEMPERATURE_RATE in term.signals for channel in common for term in channel.term):
+            slope = temperature_slope(temperature, log.time_s)
+    readings = {_input(name): values for name, values in columns.items() if np.isfinite(values).any()}
+    corrected = correct(common, readings, at, slope)
+    usable = log.usable(number)
+    beyond, outside_rate = np.zeros(len(log.time_s), bool), 0
+    for channel, of_channel in zip(common, at, strict=True):
+        columns[channel.label][:] = corrected[channel.input]
+        beyond |= _outside(of_channel, channel.valid_temperature)
+        if channel.kind == "gyro":
+            outside_rate += int(np.count_nonzero(_outside(corrected[channel.input][usable], channel.valid_rate)))
+    known = {channel.label for channel in common}
+    done = replace(
+        log,
+        rate_rad_per_s=rates[None],
+        specific_force_m_per_s2=None if forces is None else forces[None],
+        units=(log.units[number],),
+        temperature_c=None if log.temperature_c is None else log.temperature_c[number][None],
+        status=None if log.status is None else log.status[number][None],
+        simulated=log.simulated or calibration.simulated,
+        provenance={**log.provenance, "corrected": f"by the calibration of {calibration.serial_number}"},
+    )
+    alone = tuple(label for label in columns if label not in known)
+    return Corrected(done, int(np.count_nonzero(beyond[usable])), outside_rate, alone)
+
+
+def _input(label: str) -> str:
+    kind, _, axis = label.partition(" ")
+    return f"{'rate' if kind == 'gyro' else 'force'} {axis}"
+
+
+def _common(calibration: Calibration, columns: Mapping[str, Floats]) -> list[CalibratedChannel]:
+    """The calibration's channels that a log has. Raises `LogError` where it has none, or not all that these need."""
+    has = {label for label, values in columns.items() if np.isfinite(values).any()}
+    common = [channel for channel in calibration.channel if channel.label in has]
+    if not common:
+        raise LogError(
+            f"the log's channels ({', '.join(columns)}) are none of the calibration's "
+            f"({', '.join(channel.label for channel in calibration.channel)})"
+        )
+    needed = {name.strip("|") for channel in common for term in channel.term for name in term.signals}
+    for channel in calibration.channel:
+        if channel.label not in has and channel.input in needed:
+            raise LogError(f"the log has no {channel.label}, on which the correction of other channels depends")
+    return common
+
+
+def _outside(values: Floats, bounds: tuple[float, float]) -> NDArray[np.bool_]:
+    low, high = float(bounds[0]), float(bounds[1])
+    slack = 1e-9 * max(abs(low), abs(high))
+    return (values < low - slack) | (values > high + slack)

@@ -1,0 +1,356 @@
+"""gradcal-calibration/2: the estimated terms of a sensor's channels, their covariance, and the range of validity.
+
+    measured = input + Σ map(T, ω) · signals          of each channel; rates in rad/s, specific force in m/s²
+
+A channel is a gyro or an accelerometer; one gyro axis is a file with one channel. Its terms are maps over temperature
+(of a gyro's scale factor over its own rate, too) times a product of signals: none for a bias, "rate x" for the scale
+factor of gyro x, "force y" for a sensitivity to acceleration. Signals are true inputs, in the frame that the file
+names; "temperature rate" is dT/dt. Coefficients are those of the paper: `a{k}` multiplies the k-th power of
+`(T − centre)/scale` in a bias, `b{j}{i}` the j-th power of `(ω − centre)/scale` and the i-th of the temperature's in
+a scale factor; other bases count their functions. Numbers without a unit are SI.
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field
+
+from gradcal_jax.files.bases import RateBasis, TemperatureBasis, increasing
+from gradcal_jax.files.calibration.upgrade import FORMAT, OLD_FORMAT, function_of, upgraded
+from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
+from gradcal_jax.files.problems import Problem
+from gradcal_jax.files.quantity import (
+    AngleRandomWalk,
+    Flag,
+    Frequency,
+    Number,
+    Rate,
+    RateRandomWalk,
+    Temperature,
+    Text,
+    Time,
+    VelocityRandomWalk,
+    Whole,
+)
+from gradcal_jax.files.section import Section
+from gradcal_jax.files.writing import write_toml
+
+ORDER: Final = (
+    "measured = input + sum of map(T) * signals, the signals being the true inputs; subtract the sum at the corrected "
+    "values, again until they stay (three rounds for errors of a per cent), before any rotation"
+)
+TEMPERATURE_RATE: Final = "temperature rate"
+"""The signal dT/dt, K/s: known, where the others are solved for."""
+LOG_HASH: Final = "log_sha256"
+"""The provenance has the fingerprint of the calibration's log under this name."""
+
+
+class CalibratedTerm(Section):
+    """One term of a channel, in `unit` (SI). Without `temperature` it is constant; `rate`: of its own rate."""
+
+    name: Text
+    """Name of the term, such as scale_factor."""
+    unit: Text
+    """SI unit of its coefficients."""
+    signals: Annotated[tuple[Text, ...], Field(max_length=4)] = ()
+    """Its factors, such as "rate x", "force z", "|force z|" or "temperature rate"; none: 1."""
+    temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
+    rate: RateBasis | None = None
+    """Basis over the channel's own rate; absent: the same at every rate."""
+    coefficients: Annotated[dict[str, Number], Field(min_length=1, max_length=40_000)]
+    """By name, in SI; temperature slow, rate fast."""
+
+    def _problems(self) -> Iterator[Problem]:
+        if len(self.coefficients) != self.size:
+            message = f"expected {self.size}, as many as the bases have functions"
+            yield Problem(("coefficients",), message, len(self.coefficients))
+        elif self.name in ("bias", "scale_factor") and self.temperature is not None and self.size > 1:
+            rates = 1 if self.rate is None else self.rate.size
+            functions = [[i, j] for i in range(self.temperature.size) for j in range(rates)]
+            functions = functions if self.rate is not None else [[i] for i, _ in functions]
+            for name, functions_of_name in zip(self.coefficients, functions, strict=True):
+                if function_of(name) != functions_of_name:
+                    place = " and ".join(map(str, functions_of_name))
+                    message = f"is not the coefficient expected here, of function {place} of temperature (and rate)"
+                    yield Problem(("coefficients", name), message)
+                    break
+
+    @property
+    def size(self) -> int:
+        """Number of its functions."""
+        return (1 if self.temperature is None else self.temperature.size) * (1 if self.rate is None else self.rate.size)
+
+
+class Residuals(Section):
+    """Whitened residuals of the fit, in standard deviations: independent and normal where the model is true."""
+
+    counts: Annotated[tuple[Whole, ...], Field(min_length=18, max_length=18)]
+    """Counts below -4, in steps of one half from there to 4, and above."""
+    rms: Annotated[tuple[Number, ...], Field(max_length=10)] = ()
+    """Root mean square of each tenth of them, in the order of time."""
+
+
+class CalibratedChannel(Section):
+    """A gyro or an accelerometer. Beyond `valid_temperature` and `valid_rate` its maps keep the values at the edge."""
+
+    kind: Literal["gyro", "accelerometer"]
+    """Kind of sensor."""
+    axis: Annotated[Text, Field(max_length=100)]
+    """Its axis of the body."""
+    valid_temperature: tuple[Temperature, Temperature]
+    """Temperatures that the data covered."""
+    valid_rate: tuple[Rate, Rate]
+    """Rates that the data covered."""
+    thermal_lag: Time | None = None
+    """Time by which its maps follow the temperature; absent: none."""
+    term: Annotated[tuple[CalibratedTerm, ...], Field(max_length=40)] = ()
+    """Its errors, which add."""
+    residuals: Residuals | None = None
+    """Residuals of its fit."""
+
+    def _problems(self) -> Iterator[Problem]:
+        for key, span in (("valid_temperature", self.valid_temperature), ("valid_rate", self.valid_rate)):
+            yield from increasing(span, key) if span[0] != span[1] else []
+
+    @property
+    def name(self) -> str:
+        """As in `gyro_x`."""
+        return f"{self.kind}_{self.axis}"
+
+    @property
+    def label(self) -> str:
+        """Its name for people, as in "gyro x"."""
+        return f"{self.kind} {self.axis}"
+
+    @property
+    def input(self) -> str:
+        """The signal that it measures, as in "rate x"."""
+        return f"{'rate' if self.kind == 'gyro' else 'force'} {self.axis}"
+
+    def term_of(self, name: str) -> CalibratedTerm | None:
+        """The term of that name, if there is one."""
+        return next((term for term in self.term if term.name == name), None)
+
+
+class Covariance(Section):
+    """Covariance of the observable coefficients."""
+
+    names: Annotated[tuple[Text, ...], Field(max_length=5000)]
+    """Names of the coefficients, as in gyro_x.b00."""
+    matrix: tuple[tuple[Number, ...], ...]
+    """Their covariance, row by row, in their units."""
+
+    def _problems(self) -> Iterator[Problem]:
+        count = len(self.names)
+        if len(self.matrix) != count or any(len(row) != count for row in self.matrix):
+            yield Problem(("matrix",), f"expected {count} rows of {count} numbers, as many as there are names")
+        elif any(self.matrix[i][i] < 0.0 for i in range(count)):
+            yield Problem(("matrix",), "a variance on its diagonal is negative")
+
+
+class UnseenError(Section):
+    """An error that no residual of the fit shows: of a term of the spec or, with a figure typical of the class, of one
+    that it omits. The covariance with all of them is `covariance` plus the sum of their squares."""
+
+    name: Annotated[Text, Field(max_length=200)]
+    """Which error."""
+    coefficients: dict[str, Number]
+    """One standard deviation of it in each coefficient, in the coefficients' units."""
+
+
+class FitTest(Section):
+    """A test of the fit."""
+
+    name: Text
+    """Which test, of which channel, as in "gyro_x: chi-squared"."""
+    statistic: Number
+    """Its χ²."""
+    degrees: Whole
+    """Degrees of freedom."""
+    chance: Number
+    """Chance of a value as large or larger."""
+
+
+class TableError(Section):
+    """An estimated error of the *table's* installation, SI, with its prior."""
+
+    name: Text
+    """Of the error."""
+    value: Number
+    """Estimate (SI)."""
+    standard_deviation: Number
+    """Standard deviation of the estimate (SI)."""
+    prior: Number
+    """Standard deviation in the spec (SI)."""
+    unit: Text
+    """SI unit of all three."""
+
+
+class Result(Section):
+    """The result for a requirement of the spec, in `unit`."""
+
+    name: Text
+    """Of the requirement."""
+    axis: Text
+    """Which axis, or how several are summed up."""
+    quantity: Text
+    """Which quantity."""
+    statistic: Text
+    """The one that decides."""
+    value: Number | None = None
+    """Its value, one sigma, with terms that the spec omits and, in any run, the turn-on bias; absent: not
+    observable."""
+    named: Number | None = None
+    """Its value by the terms that the spec names, in this run, where it is another."""
+    worst: Number | None = None
+    """The standard deviation at the worst place of the box."""
+    unit: Text
+    """Unit of all figures."""
+    target: Number | None = None
+    """Limit on the error."""
+    verdict: Text | None = None
+    """Whether it is met."""
+    coverage: Number | None = None
+    """Standard deviations that must be within the target."""
+    risk: Annotated[Number, Field(gt=0.0, le=0.5)] | None = None
+    """Largest chance that a sensor beyond the target passes; absent: simple acceptance."""
+    rule: Text | None = None
+    """Rule of the verdict, in words."""
+
+
+class Noise(Section):
+    """The noise that the estimate assumed, for programs that filter; random walks of drifts over short times."""
+
+    angle_random_walk: AngleRandomWalk | None = None
+    """White noise of the rate."""
+    rate_random_walk: RateRandomWalk | None = None
+    """Of the gyros' drifts, over times much shorter than their own."""
+    velocity_random_walk: VelocityRandomWalk | None = None
+    """White noise of the specific force."""
+    sample_rate: Frequency | None = None
+    """Of the log."""
+
+
+class Calibration(TitledFile):
+    """A calibration file, SI (°C) inside, with the channels of one sensor: one gyro axis, or a whole IMU. Made by
+    `estimate`, `estimate_units`, `estimate_by_hand` and `read_calibration`. Errors: `SpecError` by the last.
+    """
+
+    format: Literal["gradcal-calibration/2"]
+    serial_number: Text
+    """Of the sensor."""
+    simulated: Flag
+    """Whether no real sensor made the data."""
+    frame: Text
+    """In which frame the axes are."""
+    order: Text
+    """The meaning of the numbers, and the order of the correction."""
+    channel: Annotated[tuple[CalibratedChannel, ...], Field(min_length=1, max_length=20)]
+    """Gyros and accelerometers."""
+    covariance: Covariance | None = None
+    """Of the coefficients that were observed, by the fit; absent: not kept."""
+    unseen: Annotated[tuple[UnseenError, ...], Field(max_length=5000)] = ()
+    """Errors that no residual shows, and that the results and every stated uncertainty count."""
+    table: Annotated[tuple[TableError, ...], Field(max_length=500)] = ()
+    """Estimated errors of the table."""
+    fit: Annotated[tuple[FitTest, ...], Field(max_length=1000)] = ()
+    """Tests of the fit."""
+    contradicted: Annotated[tuple[Text, ...], Field(max_length=1000)] = ()
+    """Tests of the fit that fail: the data contradict the model, and no stated uncertainty is valid."""
+    unobservable: Annotated[tuple[Text, ...], Field(max_length=5000)] = ()
+    """Coefficients, or combinations of them, that the data do not determine."""
+    noise: Noise | None = None
+    """The noise that the estimate assumed."""
+    lacks: Text | None = None
+    """What part of the plan the log lacks, and what the executed part alone predicts."""
+    result: Annotated[tuple[Result, ...], Field(max_length=1000)] = ()
+    """The results for the requirements."""
+    provenance: dict[str, Text] = Field(default_factory=dict)
+    """Texts by name: versions, sources, the log's hash."""
+
+    def _problems(self) -> Iterator[Problem]:
+        names = [channel.name for channel in self.channel]
+        if len(set(names)) < len(names):
+            yield Problem(("channel",), "two channels are of one kind and axis")
+        axes = {"x", "y", "z", *(channel.axis for channel in self.channel)}
+        known = {TEMPERATURE_RATE, *(f"{kind} {axis}" for kind in ("rate", "force") for axis in axes)}
+        for i, channel in enumerate(self.channel):
+            for j, term in enumerate(channel.term):
+                for k, signal in enumerate(term.signals):
+                    if signal not in known and not (signal[:1] + signal[-1:] == "||" and signal[1:-1] in known):
+                        message = 'is no signal; expected such as "rate x", "force z", "|force z|"'
+                        yield Problem(("channel", i, "term", j, "signals", k), message, signal)
+        if self.covariance is not None and (strange := set(self.covariance.names) - self.values().keys()):
+            text = f"names coefficients that no channel has: {', '.join(sorted(strange)[:5])}"
+            yield Problem(("covariance", "names"), text)
+
+    def values(self) -> dict[str, float]:
+        """Every coefficient by its name, as in gyro_x.b00."""
+        return {f"{c.name}.{name}": v for c in self.channel for t in c.term for name, v in t.coefficients.items()}
+
+    def channel_of(self, kind: str, axis: str) -> CalibratedChannel | None:
+        """The channel of that kind and axis, if it has one."""
+        return next((c for c in self.channel if (c.kind, c.axis) == (kind, axis)), None)
+
+    @property
+    def valid_temperature(self) -> tuple[Temperature, Temperature]:
+        """Temperatures that the data covered for every channel (the second may be below the first: none)."""
+        lows, highs = zip(*(channel.valid_temperature for channel in self.channel), strict=True)
+        return max(lows), min(highs)
+
+    @property
+    def valid_rate(self) -> tuple[Rate, Rate]:
+        """Rates that the data covered for every channel (the second may be below the first: none)."""
+        lows, highs = zip(*(channel.valid_rate for channel in self.channel), strict=True)
+        return max(lows), min(highs)
+
+    def contradictions_of(self, channel: CalibratedChannel) -> tuple[str, ...]:
+        """The failed tests of a channel, and those of all channels together."""
+        others = tuple(f"{c.name}: " for c in self.channel if c is not channel)
+        return tuple(name for name in self.contradicted if not name.startswith(others))
+
+
+def is_calibration(document: Mapping[str, Any]) -> bool:
+    """Whether tables are those of a calibration file."""
+    return document.get("format") in (FORMAT, OLD_FORMAT)
+
+
+def parse_calibration(text: str, source: str = "") -> Calibration:
+    """The calibration in a TOML text; `source` names it in messages. Raises `SpecError` with every fault."""
+    return from_text(lambda document, _: model_of(Calibration, upgraded(document), FORMAT, source), text, source)
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """Read a calibration file: coefficients and covariance in SI (rad/s, m/s², ratios), range of validity, residuals.
+
+    Files of gradcal-calibration/1 are read as the same calibration in today's form. Errors: `SpecError` with every
+    fault.
+    """
+    return parse_calibration(read_text(path), str(path))
+
+
+def write_calibration(calibration: Calibration, path: str | Path) -> None:
+    """Write a calibration, atomically; the head of the file explains its numbers and units.
+
+    Errors: `OSError` where it cannot be written.
+    """
+    write_toml(calibration, path, header=_HEADER + (_SIMULATED if calibration.simulated else ""))
+
+
+def build_term(
+    name: str, unit: str, signals: tuple[str, ...], coefficients: Mapping[str, float], **bases: Any
+) -> CalibratedTerm:
+    """A term from plain numbers; bases that are None are left out."""
+    bases_present = {key: value for key, value in bases.items() if value is not None}
+    return CalibratedTerm(name=name, unit=unit, signals=signals, coefficients=dict(coefficients), **bases_present)
+
+
+_HEADER: Final = """\
+A calibration of gyros and accelerometers. Apply it with `gradcal apply`, check it with `gradcal validate`.
+    measured = input + sum of map(T) * signals       rates in rad/s, specific force in m/s^2
+a{k}: times the k-th power of (T - centre)/scale, in a bias.
+b{j}{i}: times the j-th power of (rate - centre)/scale and the i-th of the temperature's, in a scale factor.
+Numbers without a unit are SI: rad, s, m, degC."""
+_SIMULATED: Final = "\nSIMULATED: made from simulated data, of no real sensor."

@@ -41,7 +41,7 @@ from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.information import Posterior, unit_system, whiten
 from gradcal_jax.model import UnitModel
 
-EVALUATIONS, QUICK_EVALUATIONS = 6000, 600
+EVALUATIONS, QUICK_EVALUATIONS = 12000, 800
 # Cycles that descend side by side.
 TOGETHER = 2
 _SEARCH_GRID = 21

@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from .clockmap import ClockMap
 from . import spool
+from .clockmap import ClockMap
 from .spool import SampleSpool
 
 _STEP: Final = 1 << 12

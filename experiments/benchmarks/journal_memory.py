@@ -108,8 +108,8 @@ def _polled(journal: Any, now_s: float) -> None:
 def _datagrams() -> list[bytes]:
     """One round of the unit's counter."""
     from hardware_bench import sensor_on_table
+    from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 
-    from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
     from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
     clock = VirtualClock()

@@ -17,8 +17,8 @@ from .run_folder import RunFolder, mounting_of, new_folder, prepare_resume
 from .runner import Runner
 from .session import run_session
 from .setup import configs_of
+from .simulate.datagrams import RATES_HZ
 from .simulate.lab import SimulatedLab
-from .simulate.stim300 import RATES_HZ
 from .simulate.unit_lab import SimulatedUnitLab
 from .simulate.virtual_clock import VirtualClock
 from .states import RunProgress, RunResult
@@ -139,16 +139,15 @@ def _simulated(
     settings: Any = {"seed": int(simulation["seed"]), "sample_rate_hz": float(simulation["sample_rate_hz"])}
     if isinstance(recipe.spec, UnitSpec):
         mounting = 0 if resumed is None else max(mounting_of(folder.events()) - 1, 0)
-        simulated_lab = SimulatedUnitLab(
-            recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting
-        )
+        lab = SimulatedUnitLab(recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting)
     else:
-        simulated_lab = SimulatedLab(recipe.spec, clock, **settings)
-    with _on_one_core(), simulated_lab as lab:
+        lab = SimulatedLab(recipe.spec, clock, **settings)
+    with _on_one_core():
         if resumed is None:
             folder = new_folder(path, recipe, lab.rig, simulated=dict(simulation), about=about)
             write_whole(path / "hidden_truth.json", json.dumps(lab.truths(), indent=2) + "\n")
-        return run_session(folder, lab.rig, clock, first_step=resumed or 0, simulated=True, **attended)
+        first_step = resumed or 0
+        return run_session(folder, lab.rig, clock, first_step=first_step, simulated=True, bench=lab.bench, **attended)
 
 
 @contextmanager

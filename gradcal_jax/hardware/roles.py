@@ -181,6 +181,19 @@ class DrawnAxis(Protocol):
         ...
 
 
+class OperatorAsked(Protocol):
+    """A person at a terminal, who is asked one question at a time."""
+
+    def ask(self, question: str) -> None: ...
+    def answer(self) -> tuple[str, float] | None:
+        """The typed line and the time of its end; None until there is one."""
+        ...
+
+    def withdraw(self, why: str) -> None:
+        """Take back a question, if there is one."""
+        ...
+
+
 @dataclass(frozen=True)
 class ImuSettings:
     """The unit's configuration, read back, for the log."""

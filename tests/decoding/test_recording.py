@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hardware_bench import sensor_on_table, short_recipe
+from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 from simulated_devices.vectornav import SimulatedVectorNav
 
 from gradcal_jax.decoding.run_log import log_of
@@ -19,7 +20,6 @@ from gradcal_jax.files.rig import TEMPLATE, parse_rig
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.hardware.simulate.sensor import SensorTruth
-from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 START_S = 1000.0

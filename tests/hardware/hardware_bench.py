@@ -4,13 +4,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from simulated_devices.espec import EspecOptions, SimulatedEspec
 from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
+from simulated_devices.port import SimulatedPort
+from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 from simulated_devices.vectornav import SimulatedVectorNav, VectorNavOptions
 from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import SimulatedWeiss, WeissOptions
+from simulated_devices.zaber import SimulatedZaber, ZaberOptions
 
 from gradcal_jax.files import Quantity, Spec, changed, parse_spec, presets
 from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin
@@ -20,12 +24,8 @@ from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import espec, lines, odrive, registers, stim300, vectornav, weiss, zaber
-from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.sensor import Mounting, SensorTruth, SimulatedSensor
-from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
-from gradcal_jax.hardware.simulate.zaber import SimulatedZaber, ZaberOptions
 from gradcal_jax.hardware.transport import Transport
 
 

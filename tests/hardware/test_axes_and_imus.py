@@ -20,6 +20,9 @@ from hardware_bench import (
 )
 from simulated_devices.faults import Faults
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
+from simulated_devices.port import SimulatedPort
+from simulated_devices.stim300 import SimulatedStim300, Stim300Options
+from simulated_devices.zaber import SimulatedZaber, ZaberOptions
 
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers import odrive
@@ -42,10 +45,7 @@ from gradcal_jax.hardware.errors import (
 from gradcal_jax.hardware.roles import AxisSafe, ImuBatch, ImuStream, MotionAxis, join
 from gradcal_jax.hardware.setup import DRIVERS
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
-from gradcal_jax.hardware.simulate.zaber import SimulatedZaber, ZaberOptions
 
 AXES = {"zaber": zaber_bench, "odrive": odrive_bench, "grbl": grbl_bench, "aerosmith": aerosmith_bench}
 QUICK = {

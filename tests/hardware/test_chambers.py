@@ -24,7 +24,9 @@ from hardware_bench import (
     thermotron_bench,
     weiss_bench,
 )
+from simulated_devices.espec import EspecOptions, SimulatedEspec
 from simulated_devices.faults import Faults
+from simulated_devices.port import SimulatedPort
 from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import WeissOptions
@@ -47,9 +49,7 @@ from gradcal_jax.hardware.modbus import Tcp, parse_words, parse_written, read_bo
 from gradcal_jax.hardware.request_reply import NotThisReply
 from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
 from gradcal_jax.hardware.setup import DRIVERS
-from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.track import Course
 from gradcal_jax.hardware.transport import Transport

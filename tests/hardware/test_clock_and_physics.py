@@ -6,13 +6,13 @@ import time
 import numpy as np
 import pytest
 from hardware_bench import sensor_on_table, stim300_bench
+from simulated_devices.stim300 import Stim300Options
 
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.roles import join
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, Mounting, Process, SensorTruth, TruthBasis
-from gradcal_jax.hardware.simulate.stim300 import Stim300Options
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 # --- clock ------------------------------------------------------------------------------------------------------------

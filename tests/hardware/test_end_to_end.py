@@ -13,6 +13,7 @@ import pytest
 from hardware_bench import short_recipe
 from hardware_evidence import record
 from scipy.stats import chi2
+from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.api import predict
 from gradcal_jax.decoding.run_log import log_of
@@ -24,7 +25,6 @@ from gradcal_jax.files.spec import Spec
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate import lab
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
 from gradcal_jax.hardware.simulate.plants import ChamberTruth
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 

@@ -25,6 +25,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
+from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files.line_protocol import formatted, protocol_of, protocol_text, reply_pattern, shipped, shows
@@ -43,7 +44,6 @@ from gradcal_jax.hardware.roles import AxisSafe, ChamberSafe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import configs_of
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 # Question or command -> its bytes, and the bytes of a reply with the values in it.

@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import rig_of
@@ -11,7 +12,6 @@ from gradcal_jax.hardware.drivers.espec import EspecChamber
 from gradcal_jax.hardware.drivers.lines import LinesChamber
 from gradcal_jax.hardware.errors import ReplyTimeout
 from gradcal_jax.hardware.setup import DRIVERS, configs_of, open_rig
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 
 
 def rig_with(driver: str, options: dict[str, Any], port: str = "COM1") -> Any:

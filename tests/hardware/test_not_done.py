@@ -11,13 +11,13 @@ import pytest
 from hardware_bench import Rig, short_recipe
 from hardware_evidence import record
 from simulated_devices.faults import Faults
+from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.interlocks import InterlockLimits, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 

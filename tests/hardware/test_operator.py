@@ -14,6 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hardware_bench import served, unpredicted
+from simulated_devices.operator import OperatorOptions, SimulatedOperator
+from simulated_devices.port_lab import SimulatedLab
+from simulated_devices.zaber import SimulatedZaber
 
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import Quantity, changed, parse_spec, presets
@@ -29,11 +32,8 @@ from gradcal_jax.hardware.journal import Chunk, read_journal
 from gradcal_jax.hardware.roles import AxisSafe
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
-from gradcal_jax.hardware.simulate.operator import OperatorOptions, SimulatedOperator
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
-from gradcal_jax.hardware.simulate.zaber import SimulatedZaber
 from gradcal_jax.hardware.terminal import Terminal
 from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, beyond_limits
 from gradcal_jax.units import UnitError

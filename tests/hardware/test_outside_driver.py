@@ -11,6 +11,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 from hardware_bench import Rig, short_recipe
+from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
 from gradcal_jax.decoding.run_log import log_of
@@ -23,7 +24,6 @@ from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import configs_of, driver_names, driver_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 HERE = Path(__file__).parent / "outside_driver"

@@ -11,6 +11,7 @@ from hardware_bench import short_recipe, unpredicted
 from hardware_evidence import record
 from hardware_processes import laboratory, start_run
 from simulated_devices.faults import Faults
+from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import changed, parse_spec, presets
@@ -30,7 +31,6 @@ from gradcal_jax.hardware.run_folder import (
 )
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 from gradcal_jax.hardware.session import run_session
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.track import Track
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from hardware_bench import Rig
+from simulated_devices.port import SimulatedPort
 from simulated_devices.replay import ReplayedDevice
 
 from gradcal_jax.cli import main
@@ -16,7 +17,6 @@ from gradcal_jax.files.rig import rig_of
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.transcript import conversation, read, record_bench, rig_in
 

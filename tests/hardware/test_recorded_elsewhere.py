@@ -8,6 +8,7 @@ import pytest
 from hardware_bench import Rig, short_recipe
 from hardware_evidence import record
 from scipy.stats import chi2
+from simulated_devices.port_lab import SimulatedLab
 from test_end_to_end import SMALL, distance
 
 from gradcal_jax.api.calibration import estimate_calibration
@@ -19,7 +20,6 @@ from gradcal_jax.files.log import Log, read_log
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.hardware.simulate.sensor import SensorSamples
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock

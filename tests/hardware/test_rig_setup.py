@@ -5,6 +5,10 @@ from pathlib import Path
 
 import pytest
 from hardware_bench import sensor_on_table
+from simulated_devices.espec import SimulatedEspec
+from simulated_devices.port import SimulatedPort
+from simulated_devices.stim300 import SimulatedStim300
+from simulated_devices.zaber import SimulatedZaber
 
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import TEMPLATE, parse_rig, read_rig
@@ -14,12 +18,8 @@ from gradcal_jax.hardware.drivers.zaber import ZaberConfig
 from gradcal_jax.hardware.errors import PortRefused
 from gradcal_jax.hardware.journal import Direction
 from gradcal_jax.hardware.setup import DRIVERS, check_rig, configs_of, open_rig, option_names
-from gradcal_jax.hardware.simulate.espec import SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
-from gradcal_jax.hardware.simulate.zaber import SimulatedZaber
 
 
 def test_template_is_a_rig_and_its_options_reach_the_drivers() -> None:

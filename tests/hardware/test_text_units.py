@@ -10,6 +10,7 @@ import pytest
 from hardware_bench import Rig, sensor_on_table, short_recipe
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from simulated_devices.port import SimulatedPort
 from simulated_devices.text_unit import SimulatedTextUnit, TextUnitOptions
 
 from gradcal_jax.decoding.run_log import log as log_of_run
@@ -22,7 +23,6 @@ from gradcal_jax.hardware.roles import ImuBatch, join
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import check_each, configs_of
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 BOARD: dict[str, Any] = {

@@ -15,15 +15,15 @@ import pytest
 from hardware_bench import espec_bench, served
 from hypothesis import given
 from hypothesis import strategies as st
+from simulated_devices.espec import SimulatedEspec
+from simulated_devices.port import SimulatedPort
 from simulated_devices.replay import ReplayedDevice
 
 from gradcal_jax.hardware import transcript
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers import espec
 from gradcal_jax.hardware.errors import Disconnected, PortRefused
-from gradcal_jax.hardware.simulate.espec import SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.transport import PortLock, Transport
 
@@ -244,7 +244,7 @@ def test_replay_names_what_the_driver_says_differently(tmp_path: Path) -> None:
 
 def test_importing_the_room_needs_no_jax() -> None:
     names = (
-        "import sys; import gradcal_jax.hardware.drivers.stim300, gradcal_jax.hardware.simulate.stim300, "
+        "import sys; import gradcal_jax.hardware.drivers.stim300, gradcal_jax.hardware.simulate.lab, "
         "gradcal_jax.hardware.drivers.espec; print([m for m in ('jax', 'equinox', 'xarray', 'matplotlib', 'scipy') "
         "if m in sys.modules])"
     )

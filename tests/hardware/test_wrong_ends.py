@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from hardware_bench import Rig, cts_bench, espec_bench, grbl_bench, short_recipe, zaber_bench
 from simulated_devices.faults import Faults
+from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
 from gradcal_jax.cli.run import progress_text
@@ -31,7 +32,6 @@ from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
 from gradcal_jax.hardware.safety import make_safe
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import check_each, open_rig
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.supervision import read_status
 from gradcal_jax.hardware.transport import Transport

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax import api
 from gradcal_jax.files import Spec, changed, parse_spec, presets
@@ -12,7 +13,6 @@ from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration, bias_names
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 TURN = {"turn": "720 deg", "peak_rate": "200 deg/s", "shape": "cosine ramps"}

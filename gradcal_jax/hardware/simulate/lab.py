@@ -1,15 +1,14 @@
-"""A whole simulated laboratory for a recipe: chamber, table and one sensor, on ports of their own, with hidden truth.
+"""A whole simulated laboratory for a recipe: chamber, table and one sensor, with hidden truth.
 
-The chamber is an ESPEC, the table a chain of Zaber stages (or, where the spec's table is driven by hand, a gimbal with
-an operator who turns it and types its angles), the sensor a STIM300. The seed draws the true parameters from the spec's
-priors and the noise from its error model; for a flat prior typical values. A single table axis points east, where the
-Earth's rate has no component; with several axes the Earth's rate is zero. The sensor's mounting is perfect and its
-structure is the spec's: a `discrepancy` is not drawn.
+Where the spec's table is driven by hand, a person turns it and types its angles; the sensor is a STIM300. The seed
+draws the true parameters from the spec's priors and the noise from its error model; for a flat prior typical values. A
+single table axis points east, where the Earth's rate has no component; with several axes the Earth's rate is zero. The
+sensor's mounting is perfect and its structure is the spec's: a `discrepancy` is not drawn.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 
@@ -22,13 +21,13 @@ from ...files.spec import Spec
 from ...files.tracks import tracks_of
 from ...units import to_unit
 from ..clock import Clock
-from .espec import EspecOptions, SimulatedEspec
-from .operator import OperatorOptions, SimulatedOperator
+from ..drivers.stim300 import Stim300Config
+from ..roles import AxisLimits
+from ..setup import Bench
+from .datagrams import RATES_HZ
+from .devices import Hand, HandTurnedAxis, HangingOperator, SimulatedAxis, SimulatedChamber, SimulatedStream
 from .plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
-from .port import SimulatedPort
 from .sensor import EARTH_RATE_DPS, Mounting, Process, SampledSensor, SensorTruth, SimulatedSensor, Triple, TruthBasis
-from .stim300 import RATES_HZ, SimulatedStim300, Stim300Options
-from .zaber import SimulatedZaber
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 _ALONG: Final[dict[Axis, Triple]] = {"x": _X, "y": _Y, "z": _Z}
@@ -36,11 +35,12 @@ _ALONG: Final[dict[Axis, Triple]] = {"x": _X, "y": _Y, "z": _Z}
 _MOUNTED: Final[dict[Axis, tuple[Triple, Triple, Triple]]] = {"x": (_X, _Y, _Z), "y": (_Z, _X, _Y), "z": (_Y, _Z, _X)}
 _TYPICAL_BIAS_DPS: Final = 0.02
 _TYPICAL_SCALE: Final = 1000e-6
-_SLIPS: Final = 0.02
 _SENSOR_NAME: Final = "unit1"
 # Bits/s. 2000 datagrams/s of rates, forces and temperatures leave no margin on the usual line.
 _BAUDRATE: Final = 921_600
 _BAUDRATE_AT_FULL_RATE: Final = 1_843_200
+_AXIS_STEP_DEG: Final = 360.0 / 1_152_000
+_HAND_STEP_DEG: Final = 0.01
 # A plan may use all of its allowed travel: the cable's hard end is this far beyond.
 _BEYOND_DEG: Final = 2.0
 
@@ -151,7 +151,7 @@ def basis_truth(section: Any, unit: str = "") -> TruthBasis:
 
 
 class SimulatedDevices:
-    """Chamber, table and units, each on a port of its own. A context manager; `rig` is the rig file."""
+    """Chamber, table and units. `rig` is the rig file, `bench` the open devices."""
 
     axis_plants: list[AxisPlant]
     rig: RigFile
@@ -168,73 +168,59 @@ class SimulatedDevices:
         self._clock = clock
         self.chamber_plant = ChamberPlant(truth, clock.now())
         cold, hot = (float(end) for end in chamber.range)
-        self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=hot + 5.0, low_c=cold - 5.0))
+        self.range_c = cold - 5.0, hot + 5.0
 
     def _connect(
         self,
         axes: Mapping[str, Table | TableAxis],
-        operator: SimulatedOperator,
         sensors: Mapping[str, SampledSensor],
         *,
         by_hand: bool,
-        hangs: bool = False,
+        hang: Callable[[int], None] | None = None,
+        seed: int,
         sample_rate_hz: float,
         burst_s: float,
     ) -> None:
-        """Make the ports and the rig file. The operator has a port where axes are turned `by_hand`, by the limits of
-        the spec's `axes`, or where the operator `hangs` the units anew."""
+        """Make the devices. Axes may be turned `by_hand`; `hang` hangs the units anew, as a numbered mounting."""
+        clock = self._clock
         baudrate = _BAUDRATE if sample_rate_hz < RATES_HZ[-1] else _BAUDRATE_AT_FULL_RATE
-        options = Stim300Options(baudrate=baudrate, rate_code=RATES_HZ.index(sample_rate_hz), burst_s=burst_s)
-        self.imus = {name: SimulatedStim300(sensor, self._clock, options) for name, sensor in sensors.items()}
-        self.table: SimulatedZaber | SimulatedOperator
-        self.table = operator if by_hand else _chain_of(self.axis_plants, self._clock, axes.values())
-        devices = [self.chamber, self.table, *self.imus.values(), *([operator] if hangs and not by_hand else [])]
-        self.ports = [SimulatedPort(device, self._clock) for device in devices]
-        at_chamber, at_table, *others = (port.url for port in self.ports)
         settings = {"sample_rate": f"{sample_rate_hz:g} Hz", "baudrate": baudrate}
-        units = [
-            {"name": name, "driver": "stim300", "port": port, "options": settings}
-            for name, port in zip(sensors, others, strict=False)
-        ]
+        table = {"driver": "simulated", "port": "/simulated/table", "safe": "hold", "gravity_loaded": False}
+        unit = {"driver": "stim300", "options": settings}
         tables: dict[str, Any] = {
             "format": "gradcal-rig/1",
             "title": "simulated laboratory",
-            "chamber": {"driver": "espec", "port": at_chamber, "safe": "standby"},
-            "axis": [_axis_table(*axis, at_table, i, by_hand) for i, axis in enumerate(axes.items(), start=1)],
-            "imu": units,
+            "chamber": {"driver": "simulated", "port": "/simulated/chamber", "safe": "standby"},
+            "axis": [{"name": name, **table} for name in axes],
+            "imu": [{"name": name, "port": f"/simulated/{name}", **unit} for name in sensors],
         }
-        self.rig = rig_of(tables | ({"operator": {"port": others[-1]}} if len(others) > len(sensors) else {}))
-
-    def __enter__(self) -> Self:
-        for port in self.ports:
-            port.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for port in self.ports:
-            port.close()
-
-
-def _chain_of(plants: list[AxisPlant], clock: Clock, axes: Iterable[Table | TableAxis]) -> SimulatedZaber:
-    chain = SimulatedZaber(plants, clock)
-    for stage, says in zip(chain.stages, axes, strict=True):
-        if not np.isinf(travel := float(says.travel)):
-            reach = round(float(np.degrees(travel)) / 360.0 * stage.settings["limit.cycle.dist"])
-            stage.settings |= {"limit.min": -reach, "limit.max": reach}
-    return chain
+        self.rig = rig_of(tables)
+        self.bench = Bench(self.rig, SimulatedChamber(self.chamber_plant, clock, *self.range_c), simulated=True)
+        for number, (name, says) in enumerate(axes.items()):
+            plant, limits = self.axis_plants[number], _limits_of(says, by_hand)
+            self.bench.axes[name] = (
+                HandTurnedAxis(plant, clock, limits, Hand(seed), number)
+                if by_hand
+                else SimulatedAxis(plant, clock, limits)
+            )
+        config = Stim300Config(baudrate=baudrate, sample_rate_hz=sample_rate_hz)
+        for number, (name, sensor) in enumerate(sensors.items(), start=1):
+            self.bench.imus[name] = SimulatedStream(sensor, clock, config, burst_s, f"SIMULATED{number}")
+        if hang is not None:
+            self.bench.console = HangingOperator(clock, hang)
 
 
-def _axis_table(name: str, says: Table | TableAxis, port: str, number: int, by_hand: bool) -> dict[str, Any]:
-    """The rig file's table of an axis: a stage on a chain, or turned by hand."""
-    limits = {"max_rate": str(says.max_rate), "max_acceleration": str(says.max_acceleration)}
-    if by_hand and not np.isinf(float(says.travel)):
-        limits["travel"] = str(says.travel)
-    device = {"name": name, "driver": "operator" if by_hand else "zaber", "port": port, "safe": "hold"}
-    return device | {"gravity_loaded": False, "options": limits if by_hand else {"device": number, **limits}}
+def _limits_of(says: Table | TableAxis, by_hand: bool) -> AxisLimits:
+    """The limits of a table's axis in the spec."""
+    rate, acceleration = to_unit(float(says.max_rate), "deg/s"), to_unit(float(says.max_acceleration), "deg/s^2")
+    travel = float(np.degrees(float(says.travel)))
+    lowest, highest = (None, None) if np.isinf(travel) else (-travel, travel)
+    step = _HAND_STEP_DEG if by_hand else _AXIS_STEP_DEG
+    return AxisLimits(rate, acceleration, lowest, highest, step, hardware_watchdog=False, by_hand=by_hand)
 
 
 class SimulatedLab(SimulatedDevices):
-    """The laboratory for one recipe's spec. A context manager; `rig` is its rig file.
+    """The laboratory for one recipe's spec.
 
     `burst_s` is how often the sensor's bytes reach the computer; a longer one costs less time. `room_c` is where the
     chamber starts.
@@ -276,17 +262,14 @@ class SimulatedLab(SimulatedDevices):
             seed=seed + 1,
             start_s=now,
         )
-        plants = dict(zip(map(str, self.axes), self.axis_plants, strict=True))
-        operator = SimulatedOperator(plants, clock, OperatorOptions(seed=seed, slips=_SLIPS))
         self._connect(
             dict.fromkeys(self.axes, table),
-            operator,
             {_SENSOR_NAME: self.sensor},
             by_hand=table.drive == "hand",
+            seed=seed,
             sample_rate_hz=sample_rate_hz,
             burst_s=burst_s,
         )
-        (self.imu,) = self.imus.values()
 
     def truths(self) -> dict[str, Any]:
         """The true parameters, for a file."""

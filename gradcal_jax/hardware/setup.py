@@ -71,7 +71,7 @@ class Driver:
 
 _HERE: Final = f"{__package__}.drivers"
 DRIVERS: Final[Mapping[str, Driver]] = {
-    "espec": Driver("chamber", f"{_HERE}.espec", "EspecChamber", "EspecConfig"),
+    "espec": Driver("chamber", f"{_HERE}.lines", "lines_device", "EspecConfig"),
     "weiss": Driver("chamber", f"{_HERE}.weiss", "WeissChamber", "WeissConfig"),
     "registers": Driver("chamber", f"{_HERE}.registers", "RegistersChamber", "RegistersConfig", text=False),
     "lines": Driver(None, f"{_HERE}.lines", "lines_device", "LinesConfig", text=False),

@@ -15,6 +15,7 @@ import serial
 from hardware_bench import (
     cts_bench,
     espec_bench,
+    espec_config,
     f4_bench,
     f4_config,
     f4t_bench,
@@ -33,7 +34,6 @@ from simulated_devices.weiss import WeissOptions
 
 from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers.espec import EspecConfig
 from gradcal_jax.hardware.drivers.registers import RegistersChamber, RegistersConfig, open_exchange
 from gradcal_jax.hardware.drivers.weiss import WeissConfig
 from gradcal_jax.hardware.errors import (
@@ -99,7 +99,7 @@ def test_every_chamber_holds_settles_and_goes_safe(bench) -> None:
         assert port.lost_bytes == 0
 
 
-@pytest.mark.parametrize("make", [espec_bench, weiss_bench, thermotron_bench, cts_bench, f4t_bench])
+@pytest.mark.parametrize("make", [weiss_bench, thermotron_bench, cts_bench, f4t_bench])
 def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(make) -> None:
     clock = VirtualClock()
     with make(clock) as (chamber, device, _):
@@ -121,11 +121,10 @@ def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(make) -> None:
         assert chamber.read().setpoint_c == -40.0
 
 
-@pytest.mark.parametrize("make", [espec_bench, weiss_bench])
-def test_a_ramp_that_the_controller_would_round_is_made_by_set_points(make) -> None:
-    """The ESPEC's six minutes for 5.6 would be 7 % of the slope; the Weiss's 2.2 K/min for 2.16, 2 %."""
+def test_a_ramp_that_the_controller_would_round_is_made_by_set_points() -> None:
+    """The Weiss's 2.2 K/min for 2.16 would be 2 % of the slope."""
     clock = VirtualClock()
-    with make(clock) as (chamber, device, _):
+    with weiss_bench(clock) as (chamber, device, _):
         chamber.hold(14.8)
         clock.sleep(5400.0)
         told: list[dict] = []
@@ -264,12 +263,12 @@ def test_every_chamber_ends_its_lines_as_the_device_is_set(bench) -> None:
 def test_espec_replies_with_any_number_of_decimals_and_with_blanks(decimals: int, blanks: bool) -> None:
     clock = VirtualClock()
     with espec_bench(clock, EspecOptions(decimals=decimals, blanks=blanks)) as (chamber, device, _):
-        assert chamber.identify().model == "P300"
+        assert chamber.identify().model == "ESPEC P300"
         chamber.hold(30.0)
         clock.sleep(3600.0)
         assert chamber.read().air_c == pytest.approx(30.0, abs=0.6 * 10.0**-decimals)
         device.raise_alarm(18)
-        assert chamber.read().alarms == ("18",)
+        assert chamber.read().alarms == ("1,18",)
 
 
 # --- ESPEC ------------------------------------------------------------------------------------------------------------
@@ -290,15 +289,20 @@ def test_espec_simulator_speaks_the_golden_vectors() -> None:
 
 def test_espec_alarm_address_and_old_controller() -> None:
     clock = VirtualClock()
-    config = EspecConfig(address=3, detailed_mode=False, reply_timeout_s=0.3)
+    config = espec_config(line={"prefix": "3,"}, ask={"mode": {"send": "MODE?"}})
     with espec_bench(clock, EspecOptions(address=3, knows_detail=False), config) as (chamber, device, _):
         chamber.hold(30.0)
         clock.sleep(3600.0)
-        assert chamber.ramp(40.0, 2.0) == 2.0
-        assert chamber.read().mode == "RUN"
+        # Somebody starts a program at the panel: a set point ends it.
+        assert device._command("RUN PRGM, TEMP30.0 TIME1:00 GOTEMP60.0") == ""
+        assert (chamber.read().mode, chamber.read().conditioning) == ("RUN", True)
+        chamber.hold(40.0)
+        assert (chamber.read().mode, device.plant.set_point_c(clock.now())) == ("CONSTANT", 40.0)
+        with pytest.raises(Rejected, match="steps of its set point"):
+            chamber.ramp(50.0, 1.0)
         device.raise_alarm(18)
         reading = chamber.read()
-        assert (reading.alarms, reading.conditioning) == (("18",), False)
+        assert (reading.alarms, reading.conditioning) == (("1,18",), False)
 
 
 def test_espec_with_its_echo_off_names_the_setting() -> None:

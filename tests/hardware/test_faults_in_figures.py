@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hardware_bench import (
     espec_bench,
+    espec_config,
     f4_bench,
     f4_config,
     odrive_bench,
@@ -23,9 +24,10 @@ from hardware_bench import (
 )
 from hardware_evidence import record
 from simulated_devices.faults import FAULTS, Faults
+from test_codecs import espec_temperatures
 
 from gradcal_jax.hardware import checksums
-from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, weiss, zaber
+from gradcal_jax.hardware.drivers import odrive, stim300, vectornav, weiss, zaber
 from gradcal_jax.hardware.drivers.stim300_datagrams import Stim300Decoder
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, NotVerified
 from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer
@@ -63,7 +65,7 @@ def believed(protocol: str, stream: bytes) -> list[object]:
     if protocol == "VectorNav binary":
         return list(vectornav.VectorNavFramer().push(stream + bytes(600)))
     ways: dict[str, tuple[Any, Callable[[bytes], object]]] = {
-        "ESPEC": (LineFramer(b"\r\n"), espec.parse_temperatures),
+        "ESPEC": (LineFramer(b"\r\n"), espec_temperatures),
         "Weiss": (LineFramer(b"\r"), lambda frame: weiss.parse_record(frame, WEISS_LAYOUT)),
         "Watlow F4": (
             ModbusReplyFramer(1),
@@ -150,7 +152,7 @@ def test_streams_cut_disturbed_and_shortened() -> None:
 
 
 ASKED: dict[str, Any] = {
-    "ESPEC": (espec_bench, espec.EspecConfig(reply_timeout_s=0.05)),
+    "ESPEC": (espec_bench, espec_config(reply_timeout_s=0.05)),
     "Weiss": (
         weiss_bench,
         weiss.WeissConfig(

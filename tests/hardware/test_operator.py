@@ -18,6 +18,7 @@ from simulated_devices.operator import OperatorOptions, SimulatedOperator
 from simulated_devices.port_lab import SimulatedLab
 from simulated_devices.zaber import SimulatedZaber
 
+from gradcal_jax.decoding import run_log
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import Quantity, changed, parse_spec, presets
 from gradcal_jax.files.problems import SpecError
@@ -30,7 +31,8 @@ from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceed
 from gradcal_jax.hardware.execute import run
 from gradcal_jax.hardware.journal import Chunk, read_journal
 from gradcal_jax.hardware.roles import AxisSafe
-from gradcal_jax.hardware.run_folder import RunFolder
+from gradcal_jax.hardware.run_folder import RunFolder, new_folder
+from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
@@ -299,11 +301,27 @@ def hand_recipe(**more: object) -> Recipe:
     return unpredicted(changed(parse_spec(presets.text("rig-hand")), keys | more))
 
 
-def test_a_rehearsed_run_by_hand_from_recipe_to_log(tmp_path: Path) -> None:
+def test_a_rehearsal_turns_by_hand_too(tmp_path: Path) -> None:
     made = hand_recipe()
     result = run(made, tmp_path / "run", simulate=True, seed=3)
     assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
-    folder = RunFolder(tmp_path / "run")
+    log = run_log.log(tmp_path / "run")
+    assert log.standstill is not None
+    assert log.table_course_rad is not None
+    for number in range(2 * made.motion[0].repeat + 1):
+        rows = log.standstill == number
+        # Every rest keeps its length, however late somebody was; nobody hits the mark exactly.
+        assert np.count_nonzero(rows) >= 5.8 * 125.0
+        (angle,) = set(np.degrees(log.table_course_rad[rows, 0]))
+        assert 0.0 < abs((angle + 180.0) % 360.0 - 180.0) < 2.0
+
+
+def test_a_run_by_hand_from_recipe_to_log(tmp_path: Path) -> None:
+    made = hand_recipe()
+    with SimulatedLab(made.spec, clock := VirtualClock(), seed=3) as lab:
+        folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
+        result = run_session(folder, lab.rig, clock, simulated=True)
+    assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
     contents = folder.contents()
     repeats = made.motion[0].repeat
     moves = [event for event in contents.events if event.name == "move"]

@@ -12,7 +12,7 @@ from simulated_devices.zaber import SimulatedZaber
 
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import TEMPLATE, parse_rig, read_rig
-from gradcal_jax.hardware.drivers.espec import EspecConfig
+from gradcal_jax.hardware.drivers.lines import EspecConfig
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.drivers.zaber import ZaberConfig
 from gradcal_jax.hardware.errors import PortRefused

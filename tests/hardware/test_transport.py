@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
-from hardware_bench import espec_bench, served
+from hardware_bench import espec_bench, espec_config, served
 from hypothesis import given
 from hypothesis import strategies as st
 from simulated_devices.espec import SimulatedEspec
@@ -21,7 +21,7 @@ from simulated_devices.replay import ReplayedDevice
 
 from gradcal_jax.hardware import transcript
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers import espec
+from gradcal_jax.hardware.drivers import lines
 from gradcal_jax.hardware.errors import Disconnected, PortRefused
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
@@ -211,10 +211,10 @@ def test_recorded_conversation_becomes_a_device(tmp_path: Path) -> None:
     """Record a driver against a simulated chamber, then run the same driver against the record alone."""
     path = tmp_path / "field.txt"
     clock = VirtualClock()
-    config = espec.EspecConfig(reply_timeout_s=0.3)
+    config = espec_config()
 
     def conversation(transport: Transport) -> tuple[object, ...]:
-        chamber = espec.EspecChamber(espec.open_exchange(transport, clock, config), config)
+        chamber = lines.LinesChamber(lines.open_exchange(transport, clock, config), config)
         chamber.hold(40.0)
         return chamber.identify(), chamber.limits(), chamber.read().setpoint_c
 
@@ -245,7 +245,7 @@ def test_replay_names_what_the_driver_says_differently(tmp_path: Path) -> None:
 def test_importing_the_room_needs_no_jax() -> None:
     names = (
         "import sys; import gradcal_jax.hardware.drivers.stim300, gradcal_jax.hardware.simulate.lab, "
-        "gradcal_jax.hardware.drivers.espec; print([m for m in ('jax', 'equinox', 'xarray', 'matplotlib', 'scipy') "
+        "gradcal_jax.hardware.drivers.lines; print([m for m in ('jax', 'equinox', 'xarray', 'matplotlib', 'scipy') "
         "if m in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", names], capture_output=True, text=True, check=True).stdout == "[]\n"
@@ -253,14 +253,14 @@ def test_importing_the_room_needs_no_jax() -> None:
 
 def test_driver_on_a_line_that_is_no_such_device_says_what_it_heard() -> None:
     clock = RealClock()
-    config = espec.EspecConfig(reply_timeout_s=0.1)
+    config = espec_config(reply_timeout_s=0.1)
     with served(Echo(), clock, 9600) as (_, line):
-        chamber = espec.EspecChamber(espec.open_exchange(line, clock, config), config)
+        chamber = lines.LinesChamber(lines.open_exchange(line, clock, config), config)
         with pytest.raises(Exception, match=r"TYPE\?") as caught:
             chamber.identify()
-        assert "expected" in str(caught.value) or "no complete reply" in str(caught.value)
+        assert "Is it that device?" in str(caught.value) or "no complete reply" in str(caught.value)
     with served(Deaf(), clock, 9600) as (_, line):
-        chamber = espec.EspecChamber(espec.open_exchange(line, clock, config), config)
+        chamber = lines.LinesChamber(lines.open_exchange(line, clock, config), config)
         with pytest.raises(Exception, match=r"did not answer in 0.1 s.*echo back"):
             chamber.identify()
 

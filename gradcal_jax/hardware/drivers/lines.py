@@ -35,7 +35,7 @@ from ..errors import (
 )
 from ..framing import LineFramer
 from ..request_reply import Exchange, NotThisReply, command_and_verify
-from ..roles import AxisLimits, AxisReading, AxisSafe, SafeReport
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
 from .base import AxisDriver, MeanRate, Unwatched
@@ -93,6 +93,13 @@ class LinesConfig:
         return {"bytesize": line.bytesize, "parity": line.parity, "stopbits": line.stopbits}
 
 
+@dataclass(frozen=True)
+class EspecConfig(LinesConfig):
+    """Of the driver "espec": the protocol of that name."""
+
+    protocol: Any = "espec"
+
+
 class Codec:
     """Codec between lines of one protocol and bytes: pure."""
 
@@ -105,7 +112,7 @@ class Codec:
         return LineFramer(ends or None, keep_empty=bool(ends))
 
     def message(self, text: str, *, bare: bool = False) -> bytes:
-        body = text.encode("latin-1")
+        body = (self._protocol.line.prefix + text).encode("latin-1")
         if not self._framed:
             return body if bare else body + self._protocol.line.ends.encode("latin-1")
         body = bytes([self._protocol.line.address]) + bytes(byte | 0x80 for byte in body)
@@ -149,6 +156,14 @@ class _Spoken(DescribedDevice[LinesConfig]):
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         super().__init__(exchange, config, config.described, require=config.require)
         self._protocol, self._codec = config.described, Codec(config.described)
+        replies = (reply for command in self._protocol.tell.values() for reply in command.reply)
+        self._acknowledgements = [_pattern(reply) for reply in replies]
+
+    def identify(self) -> Identity:
+        try:
+            return super().identify()
+        except ReplyTimeout as silence:
+            raise ReplyTimeout(f"{silence} {self._protocol.line.hint or ''}".strip()) from None
 
     def _read(self, *names: str) -> Texts:
         """The fields of these names, each query sent once, in this order; fields without a query are absent."""
@@ -167,6 +182,9 @@ class _Spoken(DescribedDevice[LinesConfig]):
             except Rejected as refused:
                 # Devices do not refuse queries: it was damaged on its way, and is repeated.
                 raise FramingError(str(refused)) from None
+            if question.last is None and any(known.fullmatch(text) for known in self._acknowledgements):
+                # The late acknowledgement of a command is no answer to a question.
+                raise NotThisReply
             for reply in question.reply:
                 if (match := _pattern(reply).fullmatch(text)) is not None:
                     fields.update(match.groupdict())

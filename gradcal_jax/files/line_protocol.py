@@ -156,7 +156,7 @@ class DeviceLimits(Section):
 
 class LineQuestion(Section):
     """`[ask.NAME]`. `last`: the line that ends a reply of several; `bare`: nothing ends the question. Without `last`
-    several replies are other forms of one, and have the same fields."""
+    several replies are other forms of one: a text that a form lacks is empty."""
 
     send: Text
     """The question."""
@@ -174,7 +174,8 @@ class LineQuestion(Section):
         return {match[1]: match[2] or "number" for match in fields if match[1]}
 
     def _problems(self) -> Iterator[Problem]:
-        forms = [sorted(match[1] for match in _FIELD.finditer(reply) if match[1]) for reply in self.reply]
+        fields = ((match for match in _FIELD.finditer(reply) if match[1]) for reply in self.reply)
+        forms = [sorted(match[1] for match in form if match[2] != "text") for form in fields]
         if self.last is None and any(form != forms[0] for form in forms):
             yield Problem(("last",), "this key is missing; it ends a reply of several lines", kind="missing")
 

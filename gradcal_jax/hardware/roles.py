@@ -48,7 +48,7 @@ class AxisSafe(Enum):
 
 @dataclass(frozen=True)
 class ChamberLimits:
-    """The limits that the chamber reports. Ramps are rounded to steps of a rate, or of a whole time, where not 0."""
+    """The limits that the chamber reports. Ramps are rounded to steps of a rate, where not 0."""
 
     lowest_c: float
     highest_c: float
@@ -57,7 +57,6 @@ class ChamberLimits:
     slowest_ramp_k_per_min: float = 0.0
     fastest_ramp_k_per_min: float = float("inf")
     ramp_step_k_per_min: float = 0.0
-    ramp_step_s: float = 0.0
 
 
 @dataclass(frozen=True)

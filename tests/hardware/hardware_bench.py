@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from simulated_devices.espec import EspecOptions, SimulatedEspec
+from simulated_devices.gyro import Mounting, SensorTruth, SimulatedSensor
 from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
@@ -25,7 +26,6 @@ from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import lines, odrive, registers, stim300, vectornav, weiss, zaber
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.sensor import Mounting, SensorTruth, SimulatedSensor
 from gradcal_jax.hardware.transport import Transport
 
 

@@ -24,6 +24,7 @@ from hardware_bench import (
 )
 from hardware_evidence import record
 from simulated_devices.faults import FAULTS, Faults
+from simulated_devices.line_clock import LineClock
 from test_codecs import espec_temperatures
 
 from gradcal_jax.hardware import checksums
@@ -34,7 +35,6 @@ from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer
 from gradcal_jax.hardware.modbus import Rtu, parse_words, read_body
 from gradcal_jax.hardware.request_reply import NotThisReply
 from gradcal_jax.hardware.roles import join
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 HERE = "tests/hardware/test_faults_in_figures.py"
 
@@ -168,7 +168,7 @@ ASKED: dict[str, Any] = {
 @contextmanager
 def asked(protocol: str, faults: Faults) -> Iterator[tuple[Any, Any]]:
     make, config = ASKED[protocol]
-    with make(VirtualClock(), config=config, faults=faults) as (device, _, port):
+    with make(LineClock(), config=config, faults=faults) as (device, _, port):
         shares, faults.probability = faults.probability, {}
         device.identify()
         if protocol in ("Zaber", "ODrive"):
@@ -207,7 +207,7 @@ def test_readings_over_a_bad_line() -> None:
         assert good > 100
         said.append(f"{protocol}: {good} right, {refused} refused after retries, {wrong} wrong, of {count} faults")
     for name, bench in (("STIM300", stim300_bench), ("VectorNav", vectornav_bench)):
-        clock = VirtualClock()
+        clock = LineClock()
         with bench(clock) as (unit, _, port):
             unit.configure()
             unit.start()

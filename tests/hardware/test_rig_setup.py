@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from hardware_bench import sensor_on_table
 from simulated_devices.espec import SimulatedEspec
+from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
 from simulated_devices.stim300 import SimulatedStim300
 from simulated_devices.zaber import SimulatedZaber
@@ -19,7 +20,6 @@ from gradcal_jax.hardware.errors import PortRefused
 from gradcal_jax.hardware.journal import Direction
 from gradcal_jax.hardware.setup import DRIVERS, check_rig, configs_of, open_rig, option_names
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 
 def test_template_is_a_rig_and_its_options_reach_the_drivers() -> None:
@@ -114,7 +114,7 @@ class Remember:
 
 
 def test_a_rig_is_opened_checked_and_closed(tmp_path: Path) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     plants = [AxisPlant(), AxisPlant()]
     with (
         SimulatedPort(SimulatedEspec(ChamberPlant(ChamberTruth()), clock), clock) as chamber,

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from hardware_bench import Rig, cts_bench, espec_bench, espec_config, grbl_bench, short_recipe, zaber_bench
 from simulated_devices.faults import Faults
+from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
@@ -31,7 +32,6 @@ from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
 from gradcal_jax.hardware.safety import make_safe
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import check_each, open_rig
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.supervision import read_status
 from gradcal_jax.hardware.transport import Transport
 
@@ -138,7 +138,7 @@ def test_two_names_of_one_adapter_are_one_port(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("long", [False, True])
 def test_a_cts_chamber_may_acknowledge_either_way(long: bool) -> None:
-    with cts_bench(VirtualClock()) as (chamber, device, _):
+    with cts_bench(LineClock()) as (chamber, device, _):
         answer = device._answer
 
         def acknowledges(text: str) -> str:
@@ -152,18 +152,18 @@ def test_a_cts_chamber_may_acknowledge_either_way(long: bool) -> None:
 
 
 def test_a_grbl_board_that_reports_inches_is_refused_unless_that_is_left_out() -> None:
-    with grbl_bench(VirtualClock()) as (axis, device, _):
+    with grbl_bench(LineClock()) as (axis, device, _):
         device.settings[13] = 1.0
         with pytest.raises(Rejected, match=r"with \$13=1 the board reports inches"):
             axis.identify()
     config = LinesConfig(protocol="grbl", reply_timeout_s=0.2, require=False)
-    with grbl_bench(VirtualClock(), config=config) as (axis, device, _):
+    with grbl_bench(LineClock(), config=config) as (axis, device, _):
         device.settings[13] = 1.0
         axis.identify()
 
 
 def test_a_board_that_restarts_when_its_port_is_opened_is_given_its_time() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     began = clock.now()
     with grbl_bench(clock) as (axis, device, _):
         receive, heard = device.receive, list[float]()
@@ -213,7 +213,7 @@ def test_a_run_that_never_began_is_not_called_sound(tmp_path: Path, capsys: pyte
 
 
 def test_a_pause_states_its_reason(tmp_path: Path) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     runners: list[Runner] = []
     seen: list[str] = []
 
@@ -252,11 +252,11 @@ def test_a_cable_that_is_in_again_is_used_to_make_safe() -> None:
 
 
 def test_a_refusal_names_device_and_port() -> None:
-    with espec_bench(VirtualClock()) as (chamber, device, port):
+    with espec_bench(LineClock()) as (chamber, device, port):
         device._command = lambda text: "PROTECT ON"
         with pytest.raises(Rejected, match=f"ESPEC at {port.url} was sent 'TEMP, S40.0.*PROTECT ON"):
             chamber.hold(40.0)
-    with zaber_bench(VirtualClock()) as (axis, device, port):
+    with zaber_bench(LineClock()) as (axis, device, port):
         device._move = lambda *_: (False, "BADDATA")
         with pytest.raises(Rejected, match=f"The Zaber stage at {port.url} refuses"):
             axis.spin(10.0, 100.0)

@@ -187,7 +187,7 @@ class _Spoken(DescribedDevice[LinesConfig]):
                 raise NotThisReply
             for reply in question.reply:
                 if (match := _pattern(reply).fullmatch(text)) is not None:
-                    fields.update(match.groupdict())
+                    fields.update({} if question.last else dict.fromkeys(question.fields, ""), **match.groupdict())
                     break
             else:
                 if question.last is None:

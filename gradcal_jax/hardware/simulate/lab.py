@@ -22,18 +22,20 @@ from ...files.tracks import tracks_of
 from ...units import to_unit
 from ..clock import Clock
 from ..drivers.stim300 import Stim300Config
-from ..roles import AxisLimits
+from ..roles import STANDARD_GRAVITY, AxisLimits
 from ..setup import Bench
 from .datagrams import RATES_HZ
 from .devices import Hand, HandTurnedAxis, HangingOperator, SimulatedAxis, SimulatedChamber, SimulatedStream
 from .plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
-from .sensor import EARTH_RATE_DPS, Mounting, Process, SampledSensor, SensorTruth, SimulatedSensor, Triple, TruthBasis
+from .sensor import Process, SampledSensor, TruthBasis
+from .unit import EARTH_RATE, ErrorTerm, ScaleFactors, SimulatedUnit, TableTruth, TriadTruth, UnitTruth
 
+Triple = tuple[float, float, float]
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 _ALONG: Final[dict[Axis, Triple]] = {"x": _X, "y": _Y, "z": _Z}
 # Mountings that point this axis of the sensor east.
 _MOUNTED: Final[dict[Axis, tuple[Triple, Triple, Triple]]] = {"x": (_X, _Y, _Z), "y": (_Z, _X, _Y), "z": (_Y, _Z, _X)}
-_TYPICAL_BIAS_DPS: Final = 0.02
+_TYPICAL_BIAS: Final = np.radians(0.02)
 _TYPICAL_SCALE: Final = 1000e-6
 _SENSOR_NAME: Final = "unit1"
 # Bits/s. 2000 datagrams/s of rates, forces and temperatures leave no margin on the usual line.
@@ -47,38 +49,27 @@ _BEYOND_DEG: Final = 2.0
 
 @dataclass(frozen=True)
 class HiddenTruth:
-    """The true parameters: coefficients of the spec's bases (monomials for polynomials), in deg/s and as ratios,
-    `(3, nT)` and `(3, nT, nω)` by sensor axis."""
+    """The true parameters: by sensor axis the paper's names of the coefficients of the spec's bases, SI."""
 
-    sensor: SensorTruth
+    sensor: UnitTruth
     axis: AxisTruth
+    coefficients: dict[Axis, dict[str, float]]
 
     def tables(self, axes: tuple[Axis, ...]) -> dict[str, Any]:
-        """For a file: the paper's names of coefficients, SI, by sensor axis."""
-        tables: dict[str, Any] = {}
-        for axis in axes:
-            row = AXES.index(axis)
-            bias = {f"a{k}": float(np.radians(v)) for k, v in enumerate(self.sensor.bias_dps[row])}
-            scale = {
-                f"b{rate}{cold}": value
-                for cold, values in enumerate(self.sensor.scale_factor[row])
-                for rate, value in enumerate(values)
-            }
-            tables[axis] = bias | scale | {"gradient": float(np.radians(self.sensor.gradient_deg_per_k[row]))}
-        return tables | {"sample_clock_error": self.sensor.clock_error}
+        """For a file."""
+        return {axis: self.coefficients[axis] for axis in axes} | {"sample_clock_error": self.sensor.clock_error}
 
 
 def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
     """The hidden parameters of a seed. The turn-on bias is part of `a0`."""
     random = np.random.default_rng([seed, 20261])
     sensor, angle = spec.sensor, spec.rig.table.angle
-    deg = 180.0 / np.pi
     bias_basis, bias = TruthBasis(), np.zeros((3, 1))
     if sensor.bias is not None:
         bias_basis = basis_truth(sensor.bias.temperature)
-        size = _TYPICAL_BIAS_DPS if sensor.bias.prior is None else float(sensor.bias.prior) * deg
+        size = _TYPICAL_BIAS if sensor.bias.prior is None else float(sensor.bias.prior)
         bias = size * random.standard_normal((3, sensor.bias.temperature.size))
-    bias[:, 0] += float(sensor.turn_on_bias or 0.0) * deg * random.standard_normal(3)
+    bias[:, 0] += float(sensor.turn_on_bias or 0.0) * random.standard_normal(3)
     temperature_basis, rate_basis, scale = TruthBasis(), TruthBasis(), np.zeros((3, 1, 1))
     if (section := sensor.scale_factor) is not None:
         temperature_basis, rate_basis = basis_truth(section.temperature), basis_truth(section.rate, "deg/s")
@@ -86,27 +77,29 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
         scale = size * random.standard_normal((3, section.temperature.size, section.rate.size))
     gradient = np.zeros(3)
     if (slope := sensor.bias_temperature_gradient) is not None:
-        gradient = (np.radians(1.0) / 60.0 if slope.prior is None else float(slope.prior)) * deg * np.ones(3)
-        gradient *= random.standard_normal(3)
-    truth = SensorTruth(
-        bias_dps=tuple(tuple(float(v) for v in row) for row in bias),
-        scale_factor=tuple(tuple(tuple(float(v) for v in line) for line in row) for row in scale),
-        angle_random_walk_deg_sqrt_s=float(sensor.angle_random_walk) * deg,
-        clock_error=float(sensor.sample_clock_error or 0.0) * float(random.standard_normal()),
-        processes=_processes(sensor),
-        rate_random_walk_dps_sqrt_s=float(sensor.rate_random_walk or 0.0) * deg,
-        gradient_deg_per_k=(float(gradient[0]), float(gradient[1]), float(gradient[2])),
-        bias_basis=bias_basis,
-        temperature_basis=temperature_basis,
-        rate_basis=rate_basis,
+        size = np.radians(1.0) / 60.0 if slope.prior is None else float(slope.prior)
+        gradient = size * random.standard_normal(3)
+    gyros = TriadTruth(
+        (ErrorTerm(bias[:, None, :], bias_basis, "one"), ScaleFactors(scale, temperature_basis, rate_basis)),
+        float(sensor.angle_random_walk),
+        float(sensor.rate_random_walk or 0.0),
+        _processes(sensor),
+        (float(gradient[0]), float(gradient[1]), float(gradient[2])),
     )
+    clock_error = float(sensor.sample_clock_error or 0.0) * float(random.standard_normal())
+    unit = UnitTruth({"gyro": gyros, "accelerometer": TriadTruth((), 0.0)}, clock_error=clock_error)
+    coefficients: dict[Axis, dict[str, float]] = {}
+    for row, axis in enumerate(AXES):
+        named = {f"a{k}": float(value) for k, value in enumerate(bias[row])}
+        named |= {f"b{j}{i}": float(scale[row, i, j]) for i, j in np.ndindex(scale.shape[1:])}
+        coefficients[axis] = named | {"gradient": float(gradient[row])}
     travel = float(spec.rig.table.travel)
     limited = None if np.isinf(travel) else float(np.degrees(travel))
     harmonics: list[tuple[int, float, float]] = []
     for harmonic in angle.harmonics:
         cosine, sine = np.degrees(float(harmonic.amplitude)) * random.standard_normal(2)
         harmonics.append((harmonic.order, float(cosine), float(sine)))
-    axis = AxisTruth(
+    encoder = AxisTruth(
         lowest_deg=None if limited is None else -limited - _BEYOND_DEG,
         highest_deg=None if limited is None else limited + _BEYOND_DEG,
         harmonics=tuple(harmonics),
@@ -116,22 +109,21 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
         rate_accuracy=float(spec.rig.table.rate_accuracy or 0.0),
         seed=seed,
     )
-    return HiddenTruth(truth, axis)
+    return HiddenTruth(unit, encoder, coefficients)
 
 
 def _processes(sensor: Sensor) -> tuple[Process, ...]:
-    deg = 180.0 / np.pi
-    processes = processes_of(sensor.drift, sensor.scale_factor_instability, deg)
+    processes = processes_of(sensor.drift, sensor.scale_factor_instability)
     if (error := sensor.temperature_error) is not None:
         lasts = np.inf if error.correlation_time is None else float(error.correlation_time)
-        gains = (float(error.bias_slope or 0.0) * deg, float(error.scale_factor_slope or 0.0))
+        gains = (float(error.bias_slope or 0.0), float(error.scale_factor_slope or 0.0))
         processes += (Process(float(error.standard_deviation), float(lasts), *gains),)
     return processes
 
 
-def processes_of(drift: Sequence[Any], instability: Sequence[Any] = (), unit: float = 1.0) -> tuple[Process, ...]:
-    """The processes of a spec's drifts (`unit`: how many of their unit are one SI unit) and scale-factor errors."""
-    biases = (Process(float(d.standard_deviation) * unit, float(d.correlation_time), 1.0) for d in drift)
+def processes_of(drift: Sequence[Any], instability: Sequence[Any] = ()) -> tuple[Process, ...]:
+    """The processes of a spec's drifts and scale-factor errors."""
+    biases = (Process(float(d.standard_deviation), float(d.correlation_time), 1.0) for d in drift)
     scales = (Process(float(d.standard_deviation), float(d.correlation_time), 0.0, 1.0) for d in instability)
     return (*biases, *scales)
 
@@ -246,16 +238,20 @@ class SimulatedLab(SimulatedDevices):
         ]
         several = len(self.axes) > 1
         # On the equator, the table turned about the vertical so far that its axis sees the rate that the spec states.
-        along = float(np.degrees(spec.rig.earth_rate or 0.0)) / EARTH_RATE_DPS
-        turned = {"latitude_deg": 0.0, "azimuth_deg": float(np.degrees(np.arcsin(np.clip(along, -1.0, 1.0))))}
-        mounting = Mounting(
+        along = float(spec.rig.earth_rate or 0.0) / EARTH_RATE
+        turned = 0.0 if several or not np.isfinite(along) else float(np.arcsin(np.clip(along, -1.0, 1.0)))
+        axis_x = _MOUNTED["x"] if several else _MOUNTED[self.axes[0]]
+        bench = TableTruth(
             axes=tuple(_ALONG[axis] for axis in self.axes) if several else (_ALONG["x"],),
-            mounting=_MOUNTED["x"] if several else _MOUNTED[self.axes[0]],
-            **({"earth_rate_dps": 0.0} if several else turned if along and np.isfinite(along) else {}),
+            latitude=0.0 if turned else np.radians(45.0),
+            gravity=STANDARD_GRAVITY,
+            base=(0.0, 0.0, turned),
+            mountings=(np.array(axis_x).T,),
+            earth_rate=0.0 if several else EARTH_RATE,
         )
-        self.sensor = SimulatedSensor(
+        self.sensor = SimulatedUnit(
             self.truth.sensor,
-            mounting,
+            bench,
             self.chamber_plant,
             self.axis_plants,
             sample_rate_hz=sample_rate_hz,

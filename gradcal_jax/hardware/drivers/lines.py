@@ -307,7 +307,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         moving = self._moved = self._is("moving", texts)
         faults = (texts[self._protocol.state["fault"].field],) if self._is("fault", texts) else ()
         self._referenced = self._referenced and not faults
-        position = self._degrees(texts["position"])
+        position = self._degrees(float(texts["position"]))
         rate = self._rates.of(asked_s, time_s, position, moving=moving)
         return AxisReading(time_s, position, rate, moving, self._referenced, faults, ())
 
@@ -326,8 +326,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         self._require_ready(referenced=True)
         self._stop_if_moving()
         self._prepare(rate_dps, acceleration_dps2)
-        goal = units.convert(self._own_deg(position_deg), "deg", self._protocol.units.angle)
-        values = {"position": goal, **self._motion(rate_dps, acceleration_dps2)}
+        values = {"position": self._own(position_deg), **self._motion(rate_dps, acceleration_dps2)}
         near = limits.resolution_deg
         command_and_verify(
             lambda: self._tell("move", values),
@@ -390,8 +389,8 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         state = "; ".join(reading.faults) or "no faults"
         return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
 
-    def _degrees(self, text: str) -> float:
-        return self._rig_deg(units.convert(float(text), self._protocol.units.angle, "deg"))
+    def _per_turn(self) -> float:
+        return units.convert(360.0, "deg", self._protocol.units.angle)
 
     def _motion(self, rate_dps: float, acceleration_dps2: float) -> dict[str, float]:
         unit = self._protocol.units

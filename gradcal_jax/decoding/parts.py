@@ -168,7 +168,7 @@ def _seen(session: Session, rows: RowTimes) -> Seen:
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedPart:
     """A part on the clocks of the log: what is added to the device's and to the computer's times, s, and to rows and
     the numbers of standstills."""
 

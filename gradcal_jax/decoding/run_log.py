@@ -34,7 +34,7 @@ from ..hardware.roles import STANDARD_GRAVITY, ImuBatch
 from ..hardware.run_folder import SESSION, RunFolder, exit_status, rig_as_run
 from .alignment import Alignment, AngleTrack, align
 from .clockmap import ClockMap
-from .parts import Part, Placed, part_with_table, parts_of
+from .parts import Part, PlacedPart, part_with_table, parts_of
 from .sessions import Session, sessions_of
 from .spool import SampleSpool
 from .table_angles import MOVE_COMMANDS, SETTLED_S
@@ -303,7 +303,7 @@ def _joined(
     )
 
 
-def _blocks(placed: Sequence[Placed], table: bool, forced: bool) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+def _blocks(placed: Sequence[PlacedPart], table: bool, forced: bool) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
     """All rows, as columns of a `Log`."""
     spins = all(one.part.table.spins for one in placed)
     mounted = all(one.part.seen.mounted for one in placed)
@@ -330,7 +330,7 @@ def _blocks(placed: Sequence[Placed], table: bool, forced: bool) -> Iterator[tup
             yield one.first + first, columns
 
 
-def _placed(parts: Sequence[Part]) -> list[Placed]:
+def _placed(parts: Sequence[Part]) -> list[PlacedPart]:
     """All parts on the clocks of the first.
 
     The computer's clock continues in the next session, unless the computer was restarted or slept in between: the wall
@@ -338,7 +338,7 @@ def _placed(parts: Sequence[Part]) -> list[Placed]:
     and the distance between two parts.
     """
     first = parts[0]
-    placed = [Placed(first, first.rows.device_s(0), first.rows.host_s(0), 0.0, 0, 0)]
+    placed = [PlacedPart(first, first.rows.device_s(0), first.rows.host_s(0), 0.0, 0, 0)]
     shift_s = 0.0
     for before, part in itertools.pairwise(parts):
         last = len(before.rows) - 1
@@ -356,7 +356,7 @@ def _placed(parts: Sequence[Part]) -> list[Placed]:
         ended_s = float(placed[-1].stamps(np.array([before.rows.device_s(last)]))[0])
         begins_s = ended_s + (part.rows.host_s(0) + shift_s) - end_s
         row, standing = placed[-1].first + last + 1, placed[-1].standing + len(before.standing)
-        placed.append(Placed(part, device_s, begins_s, shift_s, row, standing))
+        placed.append(PlacedPart(part, device_s, begins_s, shift_s, row, standing))
     return placed
 
 

@@ -342,16 +342,9 @@ class LineProtocol(Section):
                     yield Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send)
         if "end_program" in self.tell and "program" not in self.state:
             yield Problem(("state", "program"), "this key is missing; nothing else shows what end_program did")
-        spoken = [
-            self.line.prefix,
-            *(q.send for q in self.ask.values()),
-            *(s for c in self.tell.values() for s in c.send),
-        ]
-        if any(
-            ord(letter) > 255
-            for text in (*spoken, self.line.prefix, self.line.ends, self.line.reply_ends)
-            for letter in text
-        ):
+        line = self.line
+        spoken = [*(q.send for q in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
+        if any(ord(letter) > 255 for text in (*spoken, line.prefix, line.ends, line.reply_ends) for letter in text):
             yield Problem((), "only characters of one byte can be sent")
 
 

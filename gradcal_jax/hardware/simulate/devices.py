@@ -159,7 +159,7 @@ class SimulatedAxis(Unwatched):
 
 
 @dataclass(frozen=True)
-class Hand:
+class SimulatedPerson:
     """A person who turns axes: reacts after a while, turns unevenly, misses the mark a little, and reads the dial, to
     its digits, when the axis stands."""
 
@@ -175,7 +175,7 @@ class Hand:
 class HandTurnedAxis(Unwatched):
     """Roles `MotionAxis` and `DrawnAxis`, on a plant that a person turns."""
 
-    def __init__(self, plant: AxisPlant, clock: Clock, limits: AxisLimits, hand: Hand, number: int) -> None:
+    def __init__(self, plant: AxisPlant, clock: Clock, limits: AxisLimits, hand: SimulatedPerson, number: int) -> None:
         self.plant, self._clock, self._limits, self._hand = plant, clock, limits, hand
         self.settings = KeptSettings()
         self._random = np.random.default_rng([hand.seed, 4, number])

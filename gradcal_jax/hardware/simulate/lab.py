@@ -25,7 +25,7 @@ from ..drivers.stim300 import Stim300Config
 from ..roles import STANDARD_GRAVITY, AxisLimits
 from ..setup import Bench
 from .datagrams import RATES_HZ
-from .devices import Hand, HandTurnedAxis, HangingOperator, SimulatedAxis, SimulatedChamber, SimulatedStream
+from .devices import HandTurnedAxis, HangingOperator, SimulatedAxis, SimulatedChamber, SimulatedPerson, SimulatedStream
 from .plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from .sensor import Process, SampledSensor, TruthBasis
 from .unit import EARTH_RATE, ErrorTerm, ScaleFactors, SimulatedUnit, TableTruth, TriadTruth, UnitTruth
@@ -191,7 +191,7 @@ class SimulatedDevices:
         for number, (name, says) in enumerate(axes.items()):
             plant, limits = self.axis_plants[number], _limits_of(says, by_hand)
             self.bench.axes[name] = (
-                HandTurnedAxis(plant, clock, limits, Hand(seed), number)
+                HandTurnedAxis(plant, clock, limits, SimulatedPerson(seed), number)
                 if by_hand
                 else SimulatedAxis(plant, clock, limits)
             )

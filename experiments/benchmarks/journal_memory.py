@@ -108,11 +108,10 @@ def _polled(journal: Any, now_s: float) -> None:
 def _datagrams() -> list[bytes]:
     """One round of the unit's counter."""
     from hardware_bench import sensor_on_table
+    from simulated_devices.line_clock import LineClock
+    from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 
-    from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
-    from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
-
-    clock = VirtualClock()
+    clock = LineClock()
     unit = SimulatedStim300(sensor_on_table(clock), clock, Stim300Options(rate_code=0, start_up_s=0.0))
     unit._waiting.clear()
     found: list[bytes] = []

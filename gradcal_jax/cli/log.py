@@ -93,30 +93,31 @@ def log(
     json
         Print the contents of the log as JSON.
     """
-    from gradcal_jax.decoding.run_log import log as log_of
+    from gradcal_jax.decoding.run_log import log_in_blocks
     from gradcal_jax.files.log import write_log
 
     if columns is not None and recording is None:
         raise ValueError("--columns says what a --recording's columns mean, and there is none")
     recorded = None if recording is None else load(recording, Recording(columns=columns), unit=unit)
-    result = log_of(run, unit, recording=recorded)
     target = output or run / "log.nc"
-    write_log(result, target)
-    used, standstills = result.counts()["used"], 0 if result.standstill is None else int(result.standstill.max() + 1)
+    # A day's samples lie on the disk that the log will be on.
+    with log_in_blocks(run, unit, recording=recorded, spool=target.parent) as result:
+        write_log(result, target)
+    about, counts, name = result.fields, result.counts(), result.fields["units"][0]
+    findings, provenance = about["findings"], about["provenance"]
     if json:
-        record = {"log": str(target), "unit": result.units[0], "duration_s": result.duration_s, "rows": result.counts()}
-        record |= {"standstills": standstills, "simulated": result.simulated, "provenance": dict(result.provenance)}
-        print(as_json(record | {"findings": [finding.message for finding in result.findings]}))
+        record = {"log": str(target), "unit": name, "duration_s": result.duration_s, "rows": counts}
+        record |= {"standstills": result.standstills, "simulated": about["simulated"], "provenance": dict(provenance)}
+        print(as_json(record | {"findings": [finding.message for finding in findings]}))
         return DONE
     print(
-        f"{time_text(result.duration_s)} of {result.units[0]}: {used} samples used of {result.rows_read}, "
-        f"{standstills} standstills" + (" (simulated devices)" if result.simulated else "")
+        f"{time_text(result.duration_s)} of {name}: {counts['used']} samples used of {about['rows_read']}, "
+        f"{result.standstills} standstills" + (" (simulated devices)" if about["simulated"] else "")
     )
-    for finding in result.findings:
+    for finding in findings:
         print(f"note: {finding.message}")
     rates, stds = (
-        [1e6 * float(word) for word in result.provenance[name].split(", ")]
-        for name in ("clock_rate_error", "clock_rate_std")
+        [1e6 * float(word) for word in provenance[key].split(", ")] for key in ("clock_rate_error", "clock_rate_std")
     )
     each = ", ".join(f"{rate:+.3f} ppm (1σ {std:.1g} ppm)" for rate, std in zip(rates, stds, strict=True))
     print(f"the unit's second is longer than the computer's by {each}")

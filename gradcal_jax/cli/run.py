@@ -47,8 +47,8 @@ def run(
     """Execute a recipe, and leave the rig safe in every case.
 
     Ctrl-C once pauses after the step; again, it makes everything safe and ends. --resume goes on with a run that was
-    ended or killed. With --simulate the same run goes through simulated devices on pseudo-terminals and is marked as
-    simulated everywhere. The exit status is 3 when a device or the run failed.
+    ended or killed. With --simulate the same run goes through simulated devices and is marked as simulated
+    everywhere. The exit status is 3 when a device or the run failed.
 
     Parameters
     ----------

@@ -12,14 +12,21 @@ bytes take no time).
 """
 
 import math
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .spool import Column
+
+Floats = NDArray[np.float64]
+_Spans = Callable[[], Iterable[tuple[Floats, Floats]]]
+
 _ARRIVALS_A_STRETCH: Final = 8
 _STRETCHES: Final = 128
+_SPAN: Final = 1 << 18  # arrivals in memory at once
 _ROUNDING_S: Final = 1e-9
 _CREDIBLE: Final = 0.01  # no unit's clock is off by more
 
@@ -57,41 +64,81 @@ def fit_clock(
     """
     # The last sample of a chunk waited least.
     last = np.append(np.diff(host_time_s) > 0.0, True)
-    device, host = device_time_s[last], host_time_s[last]
-    if device.size < 3 or np.any(np.diff(device) <= 0.0):
-        raise ValueError(
-            f"A clock map needs at least three arrivals with increasing device time; there are {device.size}."
-        )
-    middle = float(device.mean())
-    centred = device - middle
-    stretches = np.array_split(np.arange(device.size), min(max(3, device.size // _ARRIVALS_A_STRETCH), _STRETCHES))
-    offset, rate = _line(centred, host)
+    return fit_arrivals(device_time_s[last], host_time_s[last], resolution_s=resolution_s)
+
+
+def fit_arrivals(device: Column, host: Column, *, resolution_s: float = 0.0) -> ClockMap:
+    """As `fit_clock`, of the last samples of all chunks, which are read a span at a time."""
+    count = len(device)
+    if count < 3 or not _increasing(device):
+        raise ValueError(f"A clock map needs at least three arrivals with increasing device time; there are {count}.")
+    firsts = range(0, count, _SPAN)
+    middle = sum(float(device[first : first + _SPAN].sum()) for first in firsts) / count
+
+    def part(first: int, end: int) -> tuple[Floats, Floats]:
+        return device[first:end] - middle, host[first:end]
+
+    def spans() -> Iterator[tuple[Floats, Floats]]:
+        return (part(first, min(first + _SPAN, count)) for first in firsts)
+
+    offset, rate = _line(spans)
+    stretches = _split(count, min(max(3, count // _ARRIVALS_A_STRETCH), _STRETCHES))
     quickest = np.zeros(0, np.int64)
+    centred, stamps = np.zeros(0), np.zeros(0)
     for _ in range(20):
-        residual = host - offset - rate * centred
-        fresh = np.array([stretch[np.argmin(residual[stretch])] for stretch in stretches], np.int64)
-        fresh = fresh[_not_above(residual[fresh])]
-        if np.array_equal(fresh, quickest):
+        rows: list[tuple[int, float, float, float]] = []
+        for first, end in stretches:
+            x, y = part(first, end)
+            residual = y - offset - rate * x
+            least = int(np.argmin(residual))
+            rows.append((first + least, float(x[least]), float(y[least]), float(residual[least])))
+        fresh, *points = (np.array(column) for column in zip(*rows, strict=True))
+        bulk = _not_above(points[2])
+        if np.array_equal(fresh[bulk], quickest):
             break
-        quickest = fresh
-        offset, rate = _line(centred[quickest], host[quickest])
-    residual = host - offset - rate * centred
-    kept = residual <= max(float(residual[quickest].max()), _ROUNDING_S)
-    offset, rate = _line(centred[kept], host[kept])
-    residual = host - offset - rate * centred
+        quickest, centred, stamps = fresh[bulk], points[0][bulk], points[1][bulk]
+        offset, rate = _line(lambda at=(centred, stamps): [at])
+    most = max(float((stamps - offset - rate * centred).max()), _ROUNDING_S)
+    line = offset, rate
+
+    def kept() -> Iterator[tuple[Floats, Floats]]:
+        for x, y in spans():
+            near = y - line[0] - line[1] * x <= most
+            yield x[near], y[near]
+
+    offset, rate = _line(kept)
     unknown = 0.0
     if abs(rate - 1.0) > _CREDIBLE:
         # The stretch is too short and all arrivals are late: the slope is that of the delays.
-        unknown, rate, offset = _CREDIBLE, 1.0, float(np.min(host - centred))
-        residual = host - offset - centred
-        kept = residual <= float(np.sort(residual)[2])
-    used = residual[kept]
-    rms = float(np.sqrt(np.mean(used**2)))
-    lever = float(np.sqrt(np.sum((centred[kept] - centred[kept].mean()) ** 2)))
+        unknown, rate, offset = _CREDIBLE, 1.0, min(float(np.min(y - x)) for x, y in spans())
+        line = offset, rate
+        quick = np.concatenate([np.sort(y - offset - x)[:3] for x, y in spans()])
+        most = float(np.sort(quick)[2])
+    used, squares, largest, low, high = 0, 0.0, 0.0, math.inf, -math.inf
+    for x, y in kept():
+        if len(x):
+            residual = y - offset - rate * x
+            used, squares = used + len(x), squares + float((residual**2).sum())
+            largest = max(largest, float(np.max(np.abs(residual))))
+            low, high = min(low, float(x.min())), max(high, float(x.max()))
+    centre = sum(float(x.sum()) for x, _ in kept()) / used
+    lever = math.sqrt(sum(float(np.sum((x - centre) ** 2)) for x, _ in kept()))
+    rms = math.sqrt(squares / used)
     # An error anywhere within a step of the grid, at either end: √2 · resolution / √12.
-    grid = resolution_s / math.sqrt(6.0) / float(np.ptp(centred[kept]))
-    rate_std, largest = max(math.hypot(rms / lever, grid), unknown), float(np.max(np.abs(used)))
-    return ClockMap(offset - rate * middle, rate, rate_std, rms, largest, int(kept.sum()), int((~kept).sum()))
+    grid = resolution_s / math.sqrt(6.0) / (high - low)
+    rate_std = max(math.hypot(rms / lever, grid), unknown)
+    return ClockMap(offset - rate * middle, rate, rate_std, rms, largest, used, count - used)
+
+
+def _increasing(column: Column) -> bool:
+    """Whether every number is larger than the one before."""
+    return all(bool(np.all(np.diff(column[first : first + _SPAN + 1]) > 0.0)) for first in range(0, len(column), _SPAN))
+
+
+def _split(count: int, parts: int) -> list[tuple[int, int]]:
+    """First and end of `parts` pieces whose lengths differ by one at most, the longer ones first."""
+    ends = np.cumsum([count // parts + (number < count % parts) for number in range(parts)]).tolist()
+    return list(zip([0, *ends[:-1]], ends, strict=True))
 
 
 def _not_above(residual: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -102,8 +149,11 @@ def _not_above(residual: NDArray[np.float64]) -> NDArray[np.bool_]:
     return kept if kept.sum() >= 3 else np.ones(residual.size, bool)
 
 
-def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
+def _line(spans: _Spans) -> tuple[float, float]:
     """Least squares: value at x = 0, and slope."""
-    middle = float(x.mean())
-    slope = float((x - middle) @ (y - y.mean())) / float((x - middle) @ (x - middle))
-    return float(y.mean()) - slope * middle, slope
+    sums = [(len(x), float(x.sum()), float(y.sum())) for x, y in spans()]
+    count, *totals = (sum(column) for column in zip(*sums, strict=True))
+    x_mean, y_mean = (total / count for total in totals)
+    products = [(float((x - x_mean) @ (y - y_mean)), float((x - x_mean) @ (x - x_mean))) for x, y in spans()]
+    cross, own = (sum(column) for column in zip(*products, strict=True))
+    return y_mean - cross / own * x_mean, cross / own

@@ -21,13 +21,15 @@ The unit's clock may differ from the host's by some 0.05 %: a window then moves 
 """
 
 from collections import deque
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..hardware.roles import ImuBatch
+from . import spool
+from .spool import Rows, SampleSpool, Spool
 
 WINDOW_S: Final = 60.0
 _FEWEST_ARRIVALS: Final = 3
@@ -49,44 +51,97 @@ class Doubt:
     why: str
 
 
-@dataclass(frozen=True)
-class _Arrivals:
-    """Samples that arrived together, represented by the last, which waited least."""
+# Samples that arrived together, represented by the last, which waited least. `late_s`: host time less device time, up
+# to a constant how late; `traces` of a loss in them, the last before sample `trace`.
+_ARRIVALS: Final = [
+    ("last", np.int64),
+    ("host_s", np.float64),
+    ("late_s", np.float64),
+    ("traces", np.int64),
+    ("trace", np.int64),
+]
 
-    last: Whole
+
+@dataclass(frozen=True)
+class _Window:
+    """Arrivals in order, from one on, with what follows each within the window."""
+
     host_s: Floats
     late_s: Floats
-    """Host time less device time: up to a constant, how late."""
+    traces: Whole
     ahead_s: Floats
     """The smallest `late_s` of this arrival and of all later ones within the window."""
     follow: Whole
     """How many that are."""
 
 
-def wraps_resolved(samples: ImuBatch, round_samples: int, sample_s: float) -> tuple[ImuBatch, tuple[Doubt, ...]]:
-    """`samples` of one stream, from its first on, with `device_time_s` and `gap_before` from the whole stream.
+def resolve_wraps(samples: SampleSpool, first: int, end: int, round_samples: int, sample_s: float) -> tuple[Doubt, ...]:
+    """Correct the device's times and the gaps of the samples from `first` to before `end`: one stream, from its start.
 
     `round_samples`: the unit's counter wraps after so many samples (0: its stamps are absolute, and nothing changes);
     `sample_s`: the sampling interval by the unit's clock. The decoder's own number of rounds, from past samples only,
-    is dropped.
+    is dropped. Rows of doubts count from `first`.
     """
-    if not round_samples or len(samples) < 2:
-        return samples, ()
-    gaps = samples.gap_before % round_samples
-    gaps[0] = samples.gap_before[0]
-    since = np.concatenate(([0], np.cumsum(gaps[1:] + 1)))
-    last = np.flatnonzero(np.append(np.diff(samples.host_time_s) > 0.0, True))
-    host = samples.host_time_s[last]
-    late = host - (since * sample_s)[last]
-    follow = np.searchsorted(host, host + WINDOW_S, side="right") - np.arange(last.size)
-    arrivals = _Arrivals(last, host, late, _minima(late, follow), follow)
-    traces = np.flatnonzero((gaps > 0) | samples.disturbed)
-    lost, doubts = _lost_rounds(arrivals, traces[traces > 0], round_samples * sample_s)
-    for row, rounds in lost.items():
-        gaps[row] += rounds * round_samples
-    since = np.concatenate(([0], np.cumsum(gaps[1:] + 1)))
-    device = samples.device_time_s[0] + since * sample_s
-    return replace(samples, device_time_s=device, gap_before=gaps), doubts
+    if not round_samples or end - first < 2:
+        return ()
+    with Spool(_ARRIVALS, samples.folder) as arrivals:
+        _collect(samples, first, end, round_samples, sample_s, arrivals)
+        lost, doubts = _lost_rounds(arrivals, round_samples * sample_s)
+    places = np.array(sorted(lost), np.int64)
+    counted, device_s = -1, 0.0
+    for begin, block in samples.blocks(first, end):
+        if begin == first:
+            device_s = float(block["device_s"][0])
+        gaps = _gaps(block, begin == first, round_samples)
+        inside = places[(places >= begin - first) & (places < begin - first + len(block))]
+        gaps[inside - (begin - first)] += np.array([lost[place] for place in inside.tolist()], np.int64) * round_samples
+        since = _since(gaps, counted)
+        counted = int(since[-1])
+        block["gap"], block["device_s"] = gaps, device_s + since * sample_s
+        samples.write(begin, block)
+    return doubts
+
+
+def _gaps(block: Rows, first: bool, round_samples: int) -> Whole:
+    """The gaps that the counter shows; before the first sample of all that of the decoder."""
+    gaps: Whole = block["gap"] % round_samples
+    if first:
+        gaps[0] = block["gap"][0]
+    return gaps
+
+
+def _since(gaps: Whole, counted: int) -> Whole:
+    """The number of each sample in the unit's own count, where `counted` is that before; −1: there is none."""
+    steps = gaps + 1
+    if counted < 0:
+        steps[0] = 1
+    return counted + np.cumsum(steps)
+
+
+def _collect(samples: SampleSpool, first: int, end: int, round_samples: int, sample_s: float, arrivals: Spool) -> None:
+    """Fill `arrivals`."""
+    counted, traces, trace = -1, 0, -1
+    for begin, block in samples.blocks(first, end):
+        gaps = _gaps(block, begin == first, round_samples)
+        since = _since(gaps, counted)
+        counted = int(since[-1])
+        stop = begin + len(block)
+        after = samples.read(stop, stop + 1)["host_s"] if stop < end else np.array([np.inf])
+        last = np.flatnonzero(np.diff(block["host_s"], append=after) > 0.0)
+        marks = (gaps > 0) | block["disturbed"]
+        marks[0] &= begin > first
+        # Traces up to a row, and the last of them, from those of the arrival that an earlier block began.
+        upto = traces + np.cumsum(marks)
+        latest = np.maximum.accumulate(np.where(marks, np.arange(len(block)) + (begin - first), trace))
+        host = block["host_s"][last]
+        arrivals.append(
+            last=last + (begin - first),
+            host_s=host,
+            late_s=host - since[last] * sample_s,
+            traces=np.diff(upto[last], prepend=0),
+            trace=latest[last],
+        )
+        traces, trace = int(upto[-1]) - (int(upto[last[-1]]) if len(last) else 0), int(latest[-1])
 
 
 def _minima(values: Floats, counts: Whole) -> Floats:
@@ -102,64 +157,77 @@ def _minima(values: Floats, counts: Whole) -> Floats:
     return minima
 
 
-def _lost_rounds(arrivals: _Arrivals, traces: Whole, round_s: float) -> tuple[dict[int, int], tuple[Doubt, ...]]:
+def _windows(arrivals: Spool) -> Iterator[tuple[int, Whole, Whole, _Window]]:
+    """Blocks of arrivals and all that the window holds of what follows: how many they are, the last sample
+    and the trace of each."""
+    for first, block in arrivals.blocks():
+        count = len(block)
+        parts, ends = [block], first + count
+        while ends < len(arrivals) and parts[-1]["host_s"][-1] <= block["host_s"][-1] + WINDOW_S:
+            parts.append(arrivals.read(ends, ends + max(1, spool.BLOCK // 8)))
+            ends += len(parts[-1])
+        host, late, traces = (np.concatenate([part[name] for part in parts]) for name in ("host_s", "late_s", "traces"))
+        follow = np.searchsorted(host, host + WINDOW_S, side="right") - np.arange(host.size)
+        yield count, block["last"], block["trace"], _Window(host, late, traces, _minima(late, follow), follow)
+
+
+def _lost_rounds(arrivals: Spool, round_s: float) -> tuple[dict[int, int], tuple[Doubt, ...]]:
     """Rounds lost before rows, and the doubtful numbers."""
     lost: dict[int, int] = {}
     doubts: list[Doubt] = []
     quickest: deque[tuple[float, float]] = deque()
     # The step that was reported and not counted, and until when the window behind still shows it.
     reported: deque[tuple[float, int]] = deque()
-    shift_s = 0.0
-    arrival_of = np.append(np.searchsorted(arrivals.last, traces), arrivals.last.size)
-    bounds: list[int] = np.searchsorted(arrival_of, np.arange(arrivals.last.size + 1)).tolist()
-    for number in range(arrivals.last.size):
-        host_s = float(arrivals.host_s[number])
-        low, high = bounds[number], bounds[number + 1]
-        while len(quickest) > 1 and quickest[0][0] < host_s - WINDOW_S:
-            quickest.popleft()
-        while reported and reported[0][0] < host_s:
-            reported.popleft()
-        if quickest:
-            behind_s = shift_s + quickest[0][1]
-            step = (float(arrivals.ahead_s[number]) - behind_s) / round_s
-            rounds = max(0, round(step))
-            if high > low:
-                row = int(traces[high - 1])
-                if rounds:
-                    lost[row] = rounds
-                if why := _doubtful(arrivals, number, behind_s, step, round_s, high - low):
-                    doubts.append(Doubt(row, rounds, True, why))
-                shift_s += rounds * round_s
-            elif rounds > (before := sum(count for _, count in reported)):
-                # A trace that follows within the window is the place of the loss.
-                alone = int(arrival_of[low]) >= number + int(arrivals.follow[number])
-                if alone and _agree(arrivals, number, behind_s + rounds * round_s, round_s):
-                    why = f"all stamps after it are later by {step - before:.2f} rounds and nothing shows a loss"
-                    row = int(arrivals.last[number - 1]) + 1
-                    doubts.append(Doubt(row, rounds - before, False, why))
-                    reported.append((host_s + WINDOW_S, rounds - before))
-        elif high > low:
-            doubts.append(Doubt(int(traces[high - 1]), 0, True, "nothing came before it that stamps could tell it by"))
-        late_s = float(arrivals.late_s[number]) - shift_s
-        while quickest and quickest[-1][1] >= late_s:
-            quickest.pop()
-        quickest.append((host_s, late_s))
+    shift_s, before_row = 0.0, -1
+    for count, last, trace, window in _windows(arrivals):
+        for number in range(count):
+            host_s, traces = float(window.host_s[number]), int(window.traces[number])
+            while len(quickest) > 1 and quickest[0][0] < host_s - WINDOW_S:
+                quickest.popleft()
+            while reported and reported[0][0] < host_s:
+                reported.popleft()
+            if quickest:
+                behind_s = shift_s + quickest[0][1]
+                step = (float(window.ahead_s[number]) - behind_s) / round_s
+                rounds = max(0, round(step))
+                if traces:
+                    row = int(trace[number])
+                    if rounds:
+                        lost[row] = rounds
+                    if why := _doubtful(window, number, behind_s, step, round_s, traces):
+                        doubts.append(Doubt(row, rounds, True, why))
+                    shift_s += rounds * round_s
+                elif rounds > (before := sum(times for _, times in reported)):
+                    # A trace that follows within the window is the place of the loss.
+                    alone = not window.traces[number : number + int(window.follow[number])].any()
+                    if alone and _agree(window, number, behind_s + rounds * round_s, round_s):
+                        why = f"all stamps after it are later by {step - before:.2f} rounds and nothing shows a loss"
+                        doubts.append(Doubt(before_row + 1, rounds - before, False, why))
+                        reported.append((host_s + WINDOW_S, rounds - before))
+            elif traces:
+                why = "nothing came before it that stamps could tell it by"
+                doubts.append(Doubt(int(trace[number]), 0, True, why))
+            late_s = float(window.late_s[number]) - shift_s
+            while quickest and quickest[-1][1] >= late_s:
+                quickest.pop()
+            quickest.append((host_s, late_s))
+            before_row = int(last[number])
     return lost, tuple(doubts)
 
 
-def _doubtful(arrivals: _Arrivals, number: int, behind_s: float, step: float, round_s: float, traces: int) -> str:
+def _doubtful(window: _Window, number: int, behind_s: float, step: float, round_s: float, traces: int) -> str:
     """Why the number of rounds lost in an arrival is doubtful; empty where it is not."""
     rounds = max(0, round(step))
     if abs(step - rounds) > _SURE:
         return f"the quickest stamps after it are later by {step:.2f} rounds than those before"
-    if not _agree(arrivals, number, behind_s + rounds * round_s, round_s):
+    if not _agree(window, number, behind_s + rounds * round_s, round_s):
         return f"fewer than {_FEWEST_ARRIVALS} quick stamps after it agree"
     if rounds and traces > 1:
         return f"of {traces} losses that were read together the last is taken to be the long one"
     return ""
 
 
-def _agree(arrivals: _Arrivals, number: int, level_s: float, round_s: float) -> bool:
+def _agree(window: _Window, number: int, level_s: float, round_s: float) -> bool:
     """Whether more than one or two later arrivals are about as late."""
-    late = arrivals.late_s[number : number + int(arrivals.follow[number])]
+    late = window.late_s[number : number + int(window.follow[number])]
     return int(np.count_nonzero(late <= level_s + _SURE * round_s)) >= _FEWEST_ARRIVALS

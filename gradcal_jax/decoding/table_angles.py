@@ -1,10 +1,8 @@
 """The angles of a run's table, from the events of its journal: standstills, readings, and a course for pictures."""
 
-import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +11,7 @@ from ..files.log import AngleReadings, ReadingKind
 from ..hardware.journal import Event
 from ..hardware.stretches import breaks_off
 from ..hardware.track import AxisCommand
+from .row_times import RowTimes
 
 # Not "stopped": what stood stands on, and what moved was told to.
 MOVE_COMMANDS: Final = ("move", "homing")
@@ -25,31 +24,42 @@ _LATE_S: Final = 0.2
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
 class RunAngles:
-    """The axes of a table at the rows of a log: `course_deg` `(n, L)` for pictures, the `readings`, and the rates held
-    `(n, L)`, deg/s, where an axis spins."""
+    """The axes of a table at the rows of a log, of which `runs` (first, end) are standstills. A row may be `late_s`
+    earlier or later than its time.
 
-    course_deg: Floats
-    readings: AngleReadings
-    rates_dps: Floats | None
+    `readings` are small; the rest is made for a block of rows at a time.
+    """
 
+    def __init__(
+        self,
+        events: Sequence[Event],
+        axes: Sequence[str],
+        rows: RowTimes,
+        runs: Sequence[tuple[int, int]],
+        late_s: float,
+    ) -> None:
+        self._courses = [_Course(events, axis, rows, runs) for axis in axes]
+        self._rates = [_held_rates(events, axis, rows.host_s(len(rows) - 1)) for axis in axes]
+        self.readings = AngleReadings.in_order(
+            [_table_readings(events, axis, k, rows, late_s) for k, axis in enumerate(axes)]
+        )
+        self.spins = any(knots is not None for knots in self._rates)
+        """Whether the rates of an axis are known: where it spins."""
 
-def table_angles(
-    events: Sequence[Event], axes: Sequence[str], host: Floats, standstill: NDArray[np.int64], late_s: float
-) -> RunAngles:
-    """The angles of `axes` at the times `host` (s) of the rows, of which `standstill` is the number of the standstill.
-    A row may be `late_s` earlier or later than its time."""
-    nothing = np.zeros((len(host), 0))
-    courses = [_reconstructed_course(events, axis, host, standstill)[:, None] for axis in axes]
-    rates = [_held_rates(events, axis, host) for axis in axes]
-    readings = [_table_readings(events, axis, k, host, late_s) for k, axis in enumerate(axes)]
-    spun = [np.zeros(len(host)) if own is None else own for own in rates]
-    return RunAngles(
-        np.concatenate([nothing, *courses], axis=1),
-        AngleReadings.in_order(readings),
-        np.stack(spun, axis=1) if any(own is not None for own in rates) else None,
-    )
+    def known_in(self, run: int) -> bool:
+        """Whether the angles of all axes are known in the standstill of that number."""
+        return all(course.known_in(run) for course in self._courses)
+
+    def course_deg(self, first: int, host: Floats) -> Floats:
+        """The angles, for pictures, of the rows from `first` on, whose times are `host`. `(n, L)`, deg"""
+        courses = [course.at(first, host)[:, None] for course in self._courses]
+        return np.concatenate([np.zeros((len(host), 0)), *courses], axis=1)
+
+    def rates_dps(self, host: Floats) -> Floats:
+        """The rates held at times. `(n, L)`, deg/s"""
+        rates = [np.zeros(len(host)) if knots is None else np.interp(host, *knots) for knots in self._rates]
+        return np.stack(rates, axis=1)
 
 
 def standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[float, float]]:
@@ -80,7 +90,7 @@ def standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[floa
     return [(start, end) for start, end in intervals if end > start]
 
 
-def _table_readings(events: Sequence[Event], axis: str, number: int, host: Floats, late_s: float) -> AngleReadings:
+def _table_readings(events: Sequence[Event], axis: str, number: int, host: RowTimes, late_s: float) -> AngleReadings:
     """The readings of an axis, `number` of the log's, at the times `host` of its rows.
 
     A standing axis is at its angle from the first reading that shows it standing to its next command. Its row is the
@@ -101,12 +111,12 @@ def _table_readings(events: Sequence[Event], axis: str, number: int, host: Float
         next_row: bool = False,
         until_s: float | None = None,
     ) -> None:
-        row = int(np.searchsorted(host, at_s))
-        if not next_row and row > 0 and (row == len(host) or at_s - host[row - 1] < host[row] - at_s):
+        row = host.search(at_s)
+        if not next_row and row > 0 and (row == len(host) or at_s - host.host_s(row - 1) < host.host_s(row) - at_s):
             row -= 1
         # Where no samples are near, the reading has no row.
         near_s = SETTLED_S + late_s if until_s is None else until_s - at_s
-        if row < len(host) and abs(host[row] - at_s) <= near_s:
+        if row < len(host) and abs(host.host_s(row) - at_s) <= near_s:
             rows.append((time_s, row, math.radians(float(event.data["position_deg"])), kind))
 
     def close(until_s: float) -> None:
@@ -125,8 +135,8 @@ def _table_readings(events: Sequence[Event], axis: str, number: int, host: Float
                 add(time_s, event, min(at_s, end_s), kind, next_row=at_s < end_s)
         if stands and len(rows) == count and begin_s < end_s:
             time_s, event = stands[-1]
-            samples_s = host[np.searchsorted(host[:-1], max(time_s, begin_s))] + 2.0 * SETTLED_S
-            add(time_s, event, float(samples_s), kind, next_row=True, until_s=end_s)
+            samples_s = host.host_s(min(host.search(max(time_s, begin_s)), len(host) - 1)) + 2.0 * SETTLED_S
+            add(time_s, event, samples_s, kind, next_row=True, until_s=end_s)
         stands.clear()
 
     for event in events:
@@ -149,10 +159,9 @@ def _table_readings(events: Sequence[Event], axis: str, number: int, host: Float
     return AngleReadings(times, at.astype(whole), np.full(len(rows), number, whole), angles, none, kinds.astype(whole))
 
 
-def _held_rates(events: Sequence[Event], axis: str, host: Floats) -> Floats | None:
-    """The rate of an axis at the times `host`, deg/s: the commanded rate of its spins, the reference of the standard
-    method, zero where it stands, and straight lines in between. None for an axis
-    that never spins."""
+def _held_rates(events: Sequence[Event], axis: str, end_s: float) -> tuple[Floats, Floats] | None:
+    """Times up to `end_s`, and the rates of an axis between which straight lines are drawn, deg/s: the commanded rate
+    of its spins, the reference of the standard method, zero where it stands. None for an axis that never spins."""
     if not any(_spins(event, axis) for event in events):
         return None
     knots: list[tuple[float, float]] = []
@@ -173,72 +182,96 @@ def _held_rates(events: Sequence[Event], axis: str, host: Floats) -> Floats | No
             if _spins(event, axis):
                 rate = float(event.data["rate_dps"])
                 since_s = began_s + abs(rate - before) / float(event.data["acceleration_dps2"]) + _LATE_S
-    close(float(host[-1]))
+    close(end_s)
     times, rates = np.array(knots).reshape(-1, 2).T
-    return np.interp(host, times, rates) if len(knots) else None
+    return (times, rates) if len(knots) else None
 
 
 def _spins(event: Event, axis: str) -> bool:
     return event.name == "move" and event.data["axis"] == axis and event.data["kind"] == "spin"
 
 
-def _reconstructed_course(events: Sequence[Event], axis: str, host: Floats, standstill: NDArray[np.int64]) -> Floats:
-    """The axis's angle at every row, deg: in a standstill the nearest reading since the axis's last command of motion
+class _Piece(NamedTuple):
+    """How an axis's angle is made in rows: the nearest of `values` at `times`, or a turn from an angle at a time."""
+
+    first: int
+    end: int
+    times: Floats
+    values: Floats
+    turn: AxisCommand | None = None
+
+    def at(self, host: Floats) -> Floats:
+        if self.turn is not None:
+            return self.values[0] + _turned(self.turn, host - self.times[0])
+        if not len(self.times):
+            return np.full(len(host), np.nan)
+        # The nearest in time.
+        return self.values[np.searchsorted((self.times[1:] + self.times[:-1]) / 2.0, host)]
+
+
+class _Course:
+    """An axis's angle at every row, deg: in a standstill the nearest reading since the axis's last command of motion
     (a typed angle holds until the axis is turned again), else from its own moves."""
-    readings = [
-        e for e in events if e.name == "angle" and e.data["axis"] == axis and e.data["position_deg"] is not None
-    ]
-    if not readings:
-        return np.full(len(host), np.nan)
-    times = np.array([float(e.data["time_s"]) for e in readings])
-    values = np.array([float(e.data["position_deg"]) for e in readings])
-    still = np.array([not e.data["moving"] for e in readings])
-    moves = [e for e in events if e.name in MOVE_COMMANDS and e.data["axis"] == axis]
-    moved = np.array([float(e.data.get("began_s", e.time_s)) for e in moves])
-    result = _own_course(np.interp(host, times, values), host, moves, moved, times[still], values[still])
-    edges = np.flatnonzero(np.diff(standstill, prepend=-1, append=-1))
-    for begin, end in itertools.pairwise(edges):
-        if begin >= len(standstill) or standstill[begin] < 0:
-            continue
-        number = int(np.searchsorted(moved, float(host[begin])))
-        low, high = moved[number - 1] if number else -math.inf, host[end - 1] + 2.0 * MARGIN_S
-        inside = np.flatnonzero(still & (times >= low) & (times <= high))
-        if not len(inside):
-            result[begin:end] = np.nan
-            continue
-        result[begin:end] = _nearest(times[inside], values[inside], host[begin:end])
-    return result
+
+    def __init__(self, events: Sequence[Event], axis: str, rows: RowTimes, runs: Sequence[tuple[int, int]]) -> None:
+        read = [
+            e for e in events if e.name == "angle" and e.data["axis"] == axis and e.data["position_deg"] is not None
+        ]
+        self._times = times = np.array([float(e.data["time_s"]) for e in read])
+        self._values = values = np.array([float(e.data["position_deg"]) for e in read])
+        still = np.array([not e.data["moving"] for e in read], bool)
+        moves = [e for e in events if e.name in MOVE_COMMANDS and e.data["axis"] == axis]
+        moved = np.array([float(e.data.get("began_s", e.time_s)) for e in moves])
+        self._own = _own_pieces(rows, moves, moved, times[still], values[still]) if read else []
+        self._stands: list[_Piece] = []
+        for first, end in runs:
+            number = int(np.searchsorted(moved, rows.host_s(first)))
+            low, high = moved[number - 1] if number else -math.inf, rows.host_s(end - 1) + 2.0 * MARGIN_S
+            inside = np.flatnonzero(still & (times >= low) & (times <= high))
+            self._stands.append(_Piece(first, end, times[inside], values[inside]))
+        self._firsts = [np.array([piece.first for piece in pieces]) for pieces in (self._own, self._stands)]
+
+    def known_in(self, run: int) -> bool:
+        return bool(len(self._stands[run].times))
+
+    def at(self, first: int, host: Floats) -> Floats:
+        if not len(self._times):
+            return np.full(len(host), np.nan)
+        result = np.interp(host, self._times, self._values)
+        end = first + len(host)
+        for pieces, firsts in zip((self._own, self._stands), self._firsts, strict=True):
+            # Pieces follow each other: only the last that begins before the block may reach into it.
+            low, high = max(0, int(np.searchsorted(firsts, first, "right")) - 1), int(np.searchsorted(firsts, end))
+            for piece in pieces[low:high]:
+                here = slice(max(piece.first, first) - first, max(0, min(piece.end, end) - first))
+                result[here] = piece.at(host[here])
+        return result
 
 
-def _nearest(times: Floats, values: Floats, at: Floats) -> Floats:
-    """Of the `values` at increasing `times` the nearest to each time of `at`."""
-    return values[np.searchsorted((times[1:] + times[:-1]) / 2.0, at)]
-
-
-def _own_course(
-    straight: Floats, host: Floats, commands: Sequence[Event], moved: Floats, times: Floats, values: Floats
-) -> Floats:
-    """An axis's angle at every row, deg, independent of other axes: the nearest of its readings `values` at `times`
-    while it stands, and the commanded trapezoid from one to the next; `straight` where neither is known."""
-    result = straight.copy()
+def _own_pieces(
+    rows: RowTimes, commands: Sequence[Event], moved: Floats, times: Floats, values: Floats
+) -> list[_Piece]:
+    """An axis's angle independent of other axes: the nearest of its readings `values` at `times` while it stands, and
+    the commanded trapezoid from one to the next; nothing where neither is known."""
+    pieces: list[_Piece] = []
     for k in range(-1, len(commands)):
-        begin = moved[k] if k >= 0 else -math.inf
-        until = moved[k + 1] if k + 1 < len(commands) else math.inf
+        begin = float(moved[k]) if k >= 0 else -math.inf
+        until = float(moved[k + 1]) if k + 1 < len(commands) else math.inf
         # A reading at the time of a command belongs to the standstill before it.
         first, last = np.searchsorted(times, np.array([begin, until]), side="right")
         if first == last:
             continue
-        low, middle, high = np.searchsorted(host, np.array([begin, float(times[first]), until]))
-        result[middle:high] = _nearest(times[first:last], values[first:last], host[middle:high])
+        low, middle, high = (rows.search(at_s) for at_s in (begin, float(times[first]), until))
         move = commands[k].data if k >= 0 else {}
-        if first == 0 or move.get("kind") not in ("go", "turn") or not move.get("acceleration_dps2"):
-            continue
-        angle, rate = float(values[first] - values[first - 1]), float(move["rate_dps"])
-        turn = AxisCommand(0.0, "", "turn", rate_dps=rate, acceleration_dps2=move["acceleration_dps2"], angle_deg=angle)
-        # An operator, or a stage that was held up, does not follow the trapezoid.
-        if turn.duration_s + _LATE_S > times[first] - begin:
-            result[low:middle] = values[first - 1] + _turned(turn, host[low:middle] - begin)
-    return result
+        if first > 0 and move.get("kind") in ("go", "turn") and move.get("acceleration_dps2"):
+            angle, rate = float(values[first] - values[first - 1]), float(move["rate_dps"])
+            acceleration = move["acceleration_dps2"]
+            turn = AxisCommand(0.0, "", "turn", rate_dps=rate, acceleration_dps2=acceleration, angle_deg=angle)
+            # An operator, or a stage that was held up, does not follow the trapezoid.
+            if turn.duration_s + _LATE_S > times[first] - begin:
+                pieces.append(_Piece(low, middle, np.array([begin]), values[first - 1 : first], turn))
+        pieces.append(_Piece(middle, high, times[first:last], values[first:last]))
+    return [piece for piece in pieces if piece.end > piece.first]
 
 
 def _turned(turn: AxisCommand, since: Floats) -> Floats:

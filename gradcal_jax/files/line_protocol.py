@@ -81,6 +81,8 @@ class Line(Section):
     """"plain" lines, or frames of STX, address, text, checksum and ETX."""
     address: Annotated[int, Field(strict=True, ge=128, le=255)] = 129
     """Of the device, in such frames."""
+    prefix: Annotated[str, Field(strict=True, max_length=20)] = ""
+    """What begins a line that is sent, such as the device's address."""
     ends: Annotated[str, Field(strict=True, max_length=4)] = "\r\n"
     """What ends a line that is sent."""
     reply_ends: Annotated[str, Field(strict=True, max_length=4)] = ""
@@ -95,6 +97,8 @@ class Line(Section):
     """Time that a command is given before the next message."""
     refusal: Text | None = None
     """How a reply begins that refuses."""
+    hint: Text | None = None
+    """What to look at where nothing answers."""
 
 
 class DeviceUnits(Section):
@@ -151,7 +155,8 @@ class DeviceLimits(Section):
 
 
 class LineQuestion(Section):
-    """`[ask.NAME]`. `last`: the line that ends a reply of several; `bare`: nothing ends the question."""
+    """`[ask.NAME]`. `last`: the line that ends a reply of several; `bare`: nothing ends the question. Without `last`
+    several replies are other forms of one: a text that a form lacks is empty."""
 
     send: Text
     """The question."""
@@ -169,7 +174,9 @@ class LineQuestion(Section):
         return {match[1]: match[2] or "number" for match in fields if match[1]}
 
     def _problems(self) -> Iterator[Problem]:
-        if len(self.reply) > 1 and self.last is None:
+        fields = ((match for match in _FIELD.finditer(reply) if match[1]) for reply in self.reply)
+        forms = [sorted(match[1] for match in form if match[2] != "text") for form in fields]
+        if self.last is None and any(form != forms[0] for form in forms):
             yield Problem(("last",), "this key is missing; it ends a reply of several lines", kind="missing")
 
 
@@ -333,8 +340,11 @@ class LineProtocol(Section):
             for send in command.send:
                 if {"{", "}"} & set(_VALUE.sub("", send)):
                     yield Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send)
+        if "end_program" in self.tell and "program" not in self.state:
+            yield Problem(("state", "program"), "this key is missing; nothing else shows what end_program did")
+        line = self.line
         spoken = [*(q.send for q in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
-        if any(ord(letter) > 255 for text in (*spoken, self.line.ends, self.line.reply_ends) for letter in text):
+        if any(ord(letter) > 255 for text in (*spoken, line.prefix, line.ends, line.reply_ends) for letter in text):
             yield Problem((), "only characters of one byte can be sent")
 
 
@@ -348,7 +358,7 @@ _MOTION: Final = "position rate acceleration"
 _ROLES: Final[Mapping[str, _Role]] = {
     "chamber": _Role(
         "air setpoint", "conditioning", "lowest highest", "setpoint on off",
-        setpoint="setpoint", ramp="ramp", on="", off="",
+        setpoint="setpoint", ramp="ramp", on="", off="", end_program="",
     ),
     "axis": _Role(
         "position", "moving", "max_rate max_acceleration step", "home move stop",
@@ -382,8 +392,8 @@ def reply_pattern(template: str) -> re.Pattern[str]:
 
 
 def _literal(text: str) -> str:
-    """Any number of blanks: devices differ."""
-    return " +".join(re.escape(part) for part in text.split(" "))
+    """Any number of blanks, and any around commas and colons: devices differ."""
+    return re.sub(r"([,:])", r" *\1 *", " +".join(re.escape(part) for part in text.split(" ")))
 
 
 def formatted(template: str, values: Mapping[str, float]) -> tuple[str, dict[str, str]]:

@@ -15,11 +15,11 @@ A log never loses a row silently: `rows_read` counts the rows of the source, `ro
 
 import contextlib
 import hashlib
-import importlib
 import io
+import itertools
 import json
 import warnings
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from enum import IntEnum, IntFlag
 from pathlib import Path
@@ -28,7 +28,7 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.files.netcdf import NetcdfError, load_netcdf, save_netcdf
+from gradcal_jax.files.netcdf import NetcdfError, NetcdfVariable, load_netcdf, write_netcdf
 from gradcal_jax.files.problems import instead
 
 FORMAT: Final = "gradcal-log/1"
@@ -419,43 +419,110 @@ def part_of(
     )
 
 
-def write_log(log: Log, path: str | Path) -> None:
+Columns = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class LogInBlocks:
+    """A log whose rows are made as they are wanted, because all of them may take more memory than there is."""
+
+    rows: int
+    fields: Mapping[str, Any]
+    """The fields of `Log` that have no dimension [time]."""
+    blocks: Callable[[], Iterator[tuple[int, Columns]]]
+    """Makes all rows in order: the number of the first row of a block, and its columns, by the fields of `Log`."""
+    duration_s: float
+    standstills: int
+    masked: int
+    """Rows that the unit marked as bad."""
+
+    def checked(self) -> Iterator[tuple[int, Columns]]:
+        """The blocks. Errors: `LogError` where the times do not increase from one to the next."""
+        last_s = -np.inf
+        for first, columns in self.blocks():
+            stamps = columns["time_s"]
+            if not (np.isfinite(stamps).all() and np.all(np.diff(stamps, prepend=last_s) > 0.0)):
+                raise LogError("the times of a log must increase from row to row")
+            last_s = float(stamps[-1])
+            yield first, columns
+
+    def counts(self) -> dict[str, int]:
+        """As `Log.counts`."""
+        marked = {Reason.MARKED.words: self.masked} if self.masked else {}
+        return {"used": self.rows - self.masked, **self.fields["rows_removed"], **marked}
+
+    def whole(self) -> Log:
+        """All of it, in memory."""
+        arrays: dict[str, NDArray[Any]] = {}
+        for first, columns in self.blocks():
+            for name, values in columns.items():
+                at, count = _ROWS[name], values.shape[_ROWS[name]]
+                if name not in arrays:
+                    arrays[name] = np.empty((*values.shape[:at], self.rows, *values.shape[at + 1 :]), values.dtype)
+                arrays[name][(slice(None),) * at + (slice(first, first + count),)] = values
+        return Log(**arrays, **self.fields)
+
+
+_ROWS: Final[Mapping[str, int]] = {
+    variable.field: variable.dimensions.index("time")
+    for variable in _VARIABLES.values()
+    if "time" in variable.dimensions
+}
+"""Of the fields with rows, the number of the dimension [time]."""
+
+
+def write_log(log: Log | LogInBlocks, path: str | Path) -> None:
     """Write a log as netCDF (HDF5), each variable with its unit, for any program that reads labelled arrays.
 
     Errors: `LogError` where it cannot be written.
     """
-    xarray: Any = importlib.import_module("xarray")
+    if isinstance(log, LogInBlocks):
+        of, rows, blocks = log.fields, log.rows, log.checked()
+    else:
+        of, rows = {one.name: getattr(log, one.name) for one in fields(log)}, len(log.time_s)
+        blocks = iter([(0, {name: values for name in _ROWS if (values := of[name]) is not None})])
+    begins = next(blocks)
+    labels = {"unit": of["units"], "axis": of["axes"], "force_axis": of["force_axes"], "table_axis": of["table_axes"]}
+    labels = {name: np.array(words, object) for name, words in labels.items() if words or name == "axis"}
+    readings: AngleReadings | None = of["readings"]
+    whole_ones = {
+        name: (variable, of[variable.field]) for name, variable in _VARIABLES.items() if variable.field not in _ROWS
+    }
+    if readings is not None:
+        whole_ones |= {name: (variable, getattr(readings, variable.field)) for name, variable in _OF_READINGS.items()}
+    by_rows = {name: variable for name, variable in _VARIABLES.items() if variable.field in begins[1]}
+    variables = {**by_rows, **{name: variable for name, (variable, _) in whole_ones.items()}}
+    sizes = {"time": rows} | {name: len(words) for name, words in labels.items()}
+    sizes |= {variable.dimensions[0]: len(values) for variable, values in whole_ones.values()}
 
-    variables: dict[str, Any] = {
-        name: (variable.dimensions, values, _attributes(variable))
-        for name, variable in _VARIABLES.items()
-        if (values := getattr(log, variable.field)) is not None
-    }
-    if log.readings is not None:
-        variables |= {
-            name: (variable.dimensions, getattr(log.readings, variable.field), _attributes(variable))
-            for name, variable in _OF_READINGS.items()
-        }
-    labels = {"unit": log.units, "axis": log.axes, "force_axis": log.force_axes, "table_axis": log.table_axes}
-    coordinates: dict[str, Any] = {"time": variables.pop("time")}
-    coordinates |= {name: (name, list(of)) for name, of in labels.items() if of or name == "axis"}
-    attributes = {
+    def contents() -> Iterator[tuple[str, tuple[slice, ...], NDArray[Any]]]:
+        for name, words in labels.items():
+            yield name, (), words
+        for name, (_, values) in whole_ones.items():
+            yield name, (), values
+        for first, columns in itertools.chain([begins], blocks):
+            for name, variable in by_rows.items():
+                values, at = columns[variable.field], _ROWS[variable.field]
+                rows = slice(first, first + values.shape[at])
+                yield name, (*(slice(None),) * at, rows), values
+
+    attributes: dict[str, str | int] = {
         "format": FORMAT,
-        "rows_read": log.rows_read,
-        "rows_removed": json.dumps(dict(log.rows_removed)),
-        "findings": json.dumps([asdict(finding) for finding in log.findings], ensure_ascii=False),
-        "simulated": int(log.simulated),
-        "provenance": json.dumps(dict(log.provenance), ensure_ascii=False),
+        "rows_read": of["rows_read"],
+        "rows_removed": json.dumps(dict(of["rows_removed"])),
+        "findings": json.dumps([asdict(finding) for finding in of["findings"]], ensure_ascii=False),
+        "simulated": int(of["simulated"]),
+        "provenance": json.dumps(dict(of["provenance"]), ensure_ascii=False),
     }
-    dataset = xarray.Dataset(variables, coords=coordinates, attrs=attributes)
+    written = {
+        name: NetcdfVariable(variable.dimensions, variable.kind, {"units": variable.unit, "long_name": variable.words})
+        for name, variable in variables.items()
+    }
+    written |= {name: NetcdfVariable((name,), str, {}) for name in labels}
     try:
-        save_netcdf(dataset, path)
+        write_netcdf(path, sizes, written, attributes, contents())
     except OSError as error:
         raise LogError(f"{path} cannot be written: {error.strerror or error}") from None
-
-
-def _attributes(variable: _Variable) -> dict[str, str]:
-    return {"units": variable.unit, "long_name": variable.words}
 
 
 def read_log(path: str | Path) -> Log:

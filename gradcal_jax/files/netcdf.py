@@ -1,9 +1,13 @@
 """Writing netCDF (HDF5) files, and reading them, with a sentence where they cannot be read."""
 
 import warnings
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gradcal_jax.files.writing import whole
 
@@ -40,6 +44,94 @@ def save_netcdf(dataset: Any, path: str | Path) -> None:
     contents = dataset.to_netcdf(engine="h5netcdf")
     with whole(path) as passing, passing.open("wb") as opened:
         opened.write(contents)
+
+
+class NetcdfVariable(NamedTuple):
+    """A variable of a file that is written in blocks."""
+
+    dimensions: tuple[str, ...]
+    kind: type[np.generic] | type[str]
+    attributes: Mapping[str, str]
+
+
+def write_netcdf(
+    path: str | Path,
+    dimensions: Mapping[str, int],
+    variables: Mapping[str, NetcdfVariable],
+    attributes: Mapping[str, str | int],
+    contents: Iterable[tuple[str, tuple[slice, ...], NDArray[Any]]],
+) -> None:
+    """Write a file atomically whose `contents` come in blocks (variable, place, values), so that they are never in
+    memory together. The file is what xarray makes of the same variables. Errors: `OSError` that names the file.
+    """
+    h5py: Any = import_module("h5py")
+    with whole(path) as passing, passing.open("w+b", buffering=0) as opened:
+        growing = _Growing(opened)
+        try:
+            with import_module("h5netcdf").File(growing, "w") as file:
+                file.dimensions = dict(dimensions)
+                file.attrs.update(attributes)
+                for name, variable in variables.items():
+                    text, real = variable.kind is str, variable.kind is np.float64
+                    kind = h5py.string_dtype() if text else variable.kind
+                    # Every value is written: HDF5 need not fill the file with NaN before.
+                    fill = {"fillvalue": np.nan, "fill_time": "never"} if real else {}
+                    made = file.create_variable(name, variable.dimensions, kind, **fill)
+                    made.attrs.update(variable.attributes)
+                for name, place, values in contents:
+                    file[name][place] = values
+                    if growing.problem is not None:
+                        break
+        except Exception:
+            if growing.problem is None:
+                raise
+        if growing.problem is not None:
+            raise growing.problem
+
+
+class _Growing:
+    """A file for HDF5, which crashes the program where a file cannot grow: it hears of no problem, this object keeps
+    it."""
+
+    def __init__(self, opened: Any) -> None:
+        self._opened = opened
+        self.problem: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        left = memoryview(data).cast("B")
+        size = len(left)
+        try:
+            while len(left) and self.problem is None:
+                left = left[self._opened.write(left) :]
+        except OSError as problem:
+            self.problem = problem
+        return size
+
+    def truncate(self, size: int) -> int:
+        try:
+            return self._opened.truncate(size)
+        except OSError as problem:
+            self.problem = self.problem or problem
+            return size
+
+    def readinto(self, buffer: Any) -> int:
+        # What could not be written is read as zeros.
+        view = memoryview(buffer).cast("B")
+        count = self._opened.readinto(view)
+        view[count:] = bytes(len(view) - count)
+        return len(view)
+
+    def read(self, size: int = -1) -> bytes:
+        return self._opened.read(size)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self._opened.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._opened.tell()
+
+    def flush(self) -> None:
+        """Nothing waits here."""
 
 
 def _signed(opened: BinaryIO) -> bool:

@@ -30,19 +30,15 @@ Tell = Callable[..., None]
 """Writes an event: its name and what belongs to it."""
 
 
-def rate_as_made(limits: ChamberLimits, way_k: float, rate_k_per_min: float) -> float:
-    """The rate of a ramp after rounding to the controller's steps, of rates or of whole times."""
-    if limits.ramp_step_s and way_k > 0.0:
-        minutes = limits.ramp_step_s / 60.0
-        return way_k / (minutes * max(1, round(way_k / rate_k_per_min / minutes)))
-    if step := limits.ramp_step_k_per_min:
-        return step * max(1, round(rate_k_per_min / step))
-    return rate_k_per_min
+def rate_as_made(limits: ChamberLimits, rate_k_per_min: float) -> float:
+    """The rate of a ramp after rounding to the controller's steps."""
+    step = limits.ramp_step_k_per_min
+    return step * max(1, round(rate_k_per_min / step)) if step else rate_k_per_min
 
 
-def ramps_alone(limits: ChamberLimits, way_k: float, rate_k_per_min: float) -> bool:
-    """Whether the controller makes a ramp as planned. A minute too much for a ramp of six is 7 % of all slopes."""
-    made = rate_as_made(limits, way_k, rate_k_per_min)
+def ramps_alone(limits: ChamberLimits, rate_k_per_min: float) -> bool:
+    """Whether the controller makes a ramp as planned: what it rounds changes all slopes."""
+    made = rate_as_made(limits, rate_k_per_min)
     return limits.hardware_ramp and abs(made - rate_k_per_min) <= _ROUNDED * rate_k_per_min
 
 
@@ -174,7 +170,7 @@ class ChamberControl:
             self._held_c = None
             command = {"ramp_to_c": course.temperature_c, "asked_k_per_min": course.ramp_k_per_min}
             limits, start_c = self.chamber.limits(), self.chamber.read().setpoint_c
-            if ramps_alone(limits, abs(course.temperature_c - start_c), course.ramp_k_per_min):
+            if ramps_alone(limits, course.ramp_k_per_min):
                 self._soft = None
                 rate = self.chamber.ramp(course.temperature_c, course.ramp_k_per_min)
                 self._conditioned()

@@ -47,22 +47,20 @@ def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, A
     """The commands of a track to devices with these limits."""
     steps: list[PlannedStep] = []
     rounded: list[str] = []
-    begins_s, here_c = 0.0, math.nan
+    begins_s = 0.0
     at = dict.fromkeys(axes, 0.0)
     for step in track.steps:
         commands: list[str] = []
         if step.ready is not None and step.begins_c is not None:
             commands.append(f"chamber: hold {step.begins_c:g} degC, until it is stable")
-            here_c = step.begins_c
         courses = [course for course in step.courses if step.follows or course.start_s > 0.0]
         if not step.follows and step.temperature_c is not None:
             courses.insert(0, Course(0.0, step.temperature_c, step.ramp_k_per_min))
         for course in courses:
-            command, rounding = _chamber_command(course, here_c, chamber)
+            command, rounding = _chamber_command(course, chamber)
             commands.append(f"chamber: {command}")
             if rounding:
                 rounded.append(f"step {step.name!r}: {rounding}")
-            here_c = course.temperature_c
         for name in dict.fromkeys(move.axis for move in step.moves):
             commands.append(_moves(name, [move for move in step.moves if move.axis == name], at))
         steps.append(PlannedStep(step.name, begins_s, step.duration_s, step.ready is not None, tuple(commands)))
@@ -71,18 +69,17 @@ def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, A
     return DryRun(tuple(steps), begins_s, tuple(dict.fromkeys(rounded)), tuple(problems))
 
 
-def _chamber_command(course: Course, here_c: float, limits: ChamberLimits | None) -> tuple[str, str]:
+def _chamber_command(course: Course, limits: ChamberLimits | None) -> tuple[str, str]:
     """The command to the chamber, and a sentence where the chamber would round its rate."""
     rate = course.ramp_k_per_min
     if rate is None:
         return f"hold {course.temperature_c:g} degC", ""
-    way_k = abs(course.temperature_c - here_c)
     command = f"ramp to {course.temperature_c:g} degC at {rate:.3g} K/min"
     if limits is None or not limits.hardware_ramp:
         return command + " (by steps of its set point, every 5 s)", ""
-    if ramps_alone(limits, way_k, rate):
+    if ramps_alone(limits, rate):
         return command, ""
-    rounded = f"{rate:.3g} K/min would become {rate_as_made(limits, way_k, rate):.3g} K/min in the chamber"
+    rounded = f"{rate:.3g} K/min would become {rate_as_made(limits, rate):.3g} K/min in the chamber"
     return command + " (by steps of its set point, every 5 s)", f"{rounded}: the run steps its set point"
 
 

@@ -1,10 +1,7 @@
 """Execution of a recipe, on a rig or on simulated devices (`gradcal run`)."""
 
 import json
-import os
-import sys
-from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, TypedDict, Unpack
 
@@ -13,12 +10,13 @@ from ..files.rig import OPERATOR, TERMINAL, RigFile
 from ..files.unit_spec import UnitSpec
 from ..files.writing import write_whole
 from .clock import RealClock
+from .journal import JournalContents
 from .run_folder import RunFolder, mounting_of, new_folder, prepare_resume
 from .runner import Runner
 from .session import run_session
 from .setup import configs_of
+from .simulate.datagrams import RATES_HZ
 from .simulate.lab import SimulatedLab
-from .simulate.stim300 import RATES_HZ
 from .simulate.unit_lab import SimulatedUnitLab
 from .simulate.virtual_clock import VirtualClock
 from .states import RunProgress, RunResult
@@ -73,7 +71,7 @@ def run(
     if rig is not None:
         configs_of(rig)
         _require_operator(rig, recipe, attended)
-        return _on_rig(new_folder(path, recipe, rig, about=about), 0, attended)
+        return run_session(new_folder(path, recipe, rig, about=about), rig, RealClock(), guard=True, **attended)
     if sample_rate_hz not in RATES_HZ:
         known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
         raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; it does at {known} Hz")
@@ -81,7 +79,10 @@ def run(
         most = f"1 to {_MOST_UNITS} units hang on the simulated table" if isinstance(recipe.spec, UnitSpec) else _ONE
         raise ValueError(f"{most}; expected another number than {units}")
     simulation = {"seed": seed, "speed": speed, "sample_rate_hz": sample_rate_hz, "units": units}
-    return _simulated(path, recipe, simulation, None, attended, about)
+    lab, clock = _laboratory(recipe, simulation)
+    made = new_folder(path, recipe, lab.rig, simulated=simulation, about=about)
+    write_whole(path / "hidden_truth.json", json.dumps(lab.truths(), indent=2) + "\n")
+    return run_session(made, lab.rig, clock, simulated=True, bench=lab.bench, **attended)
 
 
 def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack[Attended]) -> RunResult:
@@ -97,9 +98,10 @@ def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack
     first = prepare_resume(existing, rig)
     notes = existing.notes()
     if notes["simulated"]:
-        return _simulated(existing.path, existing.recipe(), notes["simulation"], first, attended)
+        lab, clock = _laboratory(existing.recipe(), notes["simulation"], existing.events())
+        return run_session(existing, lab.rig, clock, first_step=first, simulated=True, bench=lab.bench, **attended)
     _require_operator(existing.rig(), existing.recipe(), attended)
-    return _on_rig(existing, first, attended)
+    return run_session(existing, existing.rig(), RealClock(), first_step=first, guard=True, **attended)
 
 
 def _require_operator(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
@@ -119,48 +121,14 @@ def _require_operator(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
         )
 
 
-def _on_rig(folder: RunFolder, first_step: int, attended: Attended) -> RunResult:
-    return run_session(folder, folder.rig(), RealClock(), first_step=first_step, guard=True, **attended)
-
-
-def _simulated(
-    path: Path,
-    recipe: Recipe,
-    simulation: Mapping[str, Any],
-    resumed: int | None,
-    attended: Attended,
-    about: Mapping[str, str] | None = None,
-) -> RunResult:
-    folder = RunFolder(path)
-    latest = 0.0
-    if resumed is not None:
-        latest = folder.events().latest_s + _LATER_S
-    clock = VirtualClock(latest, speed=simulation["speed"])
+def _laboratory(
+    recipe: Recipe, simulation: Mapping[str, Any], before: JournalContents | None = None
+) -> tuple[SimulatedLab | SimulatedUnitLab, VirtualClock]:
+    """The simulated laboratory of a run and its clock, which goes on after the records `before`."""
+    clock = VirtualClock(0.0 if before is None else before.latest_s + _LATER_S, speed=simulation["speed"])
     settings: Any = {"seed": int(simulation["seed"]), "sample_rate_hz": float(simulation["sample_rate_hz"])}
     if isinstance(recipe.spec, UnitSpec):
-        mounting = 0 if resumed is None else max(mounting_of(folder.events()) - 1, 0)
-        simulated_lab = SimulatedUnitLab(
-            recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting
-        )
-    else:
-        simulated_lab = SimulatedLab(recipe.spec, clock, **settings)
-    with _on_one_core(), simulated_lab as lab:
-        if resumed is None:
-            folder = new_folder(path, recipe, lab.rig, simulated=dict(simulation), about=about)
-            write_whole(path / "hidden_truth.json", json.dumps(lab.truths(), indent=2) + "\n")
-        return run_session(folder, lab.rig, clock, first_step=resumed or 0, simulated=True, **attended)
-
-
-@contextmanager
-def _on_one_core() -> Generator[None, None, None]:
-    """Context whose threads stay on one core: the threads of a rehearsal take turns, and changing cores costs a quarter
-    of its time."""
-    if sys.platform != "linux":
-        yield
-        return
-    cores, core = os.sched_getaffinity(0), Path("/proc/thread-self/stat").read_text().rpartition(")")[2].split()[36]
-    os.sched_setaffinity(0, {int(core)})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, cores)
+        mounting = 0 if before is None else max(mounting_of(before) - 1, 0)
+        units = int(simulation["units"])
+        return SimulatedUnitLab(recipe.spec, clock, **settings, units=units, mounting=mounting), clock
+    return SimulatedLab(recipe.spec, clock, **settings), clock

@@ -8,11 +8,13 @@ run: while it homes axes, waits, is paused, or runs. A run that is paused can on
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from functools import partial
+from typing import Final, Literal
 
 from .axis_control import too_fast
 from .roles import AxisReading, ChamberReading
 
+Action = Literal["pause", "abort"]
 # A short opening of the door does not trip a rule.
 _PATIENCE_S = 30.0
 
@@ -45,7 +47,7 @@ class InterlockRule:
     """`look` returns a sentence when something is wrong, else an empty text."""
 
     name: str
-    action: Literal["pause", "abort"]
+    action: Action
     patience_s: float
     look: Callable[[Situation], str]
 
@@ -99,99 +101,94 @@ class Interlocks:
 def standard_rules(limits: InterlockLimits | None = None) -> Interlocks:
     """The rules of every run."""
     bounds = limits or InterlockLimits()
+    rules = (InterlockRule(name, action, borne_s, partial(look, bounds)) for name, action, borne_s, look in _RULES)
+    return Interlocks(tuple(rules), bounds)
 
-    def alarm(now: Situation) -> str:
-        if now.chamber is None or not now.chamber.alarms:
-            return ""
-        return f"the chamber reports alarm {', '.join(now.chamber.alarms)}: see its manual"
 
-    def faults(now: Situation) -> str:
-        texts = [f"axis {name}: {', '.join(reading.faults)}" for name, reading in now.axes.items() if reading.faults]
-        return "; ".join(texts)
+def _alarm(bounds: InterlockLimits, now: Situation) -> str:
+    alarms = () if now.chamber is None else now.chamber.alarms
+    return f"the chamber reports alarm {', '.join(alarms)}: see its manual" if alarms else ""
 
-    def over_speed(now: Situation) -> str:
-        texts = [
-            f"axis {name} turns at {now.axes[name].rate_dps:.1f} deg/s; it was told {allowed[0]:g} and the rig allows "
-            f"{allowed[1]:g}"
-            for name, allowed in now.allowed_dps.items()
-            if name in now.axes and too_fast(now.axes[name].rate_dps, allowed)
-        ]
-        return "; ".join(texts)
 
-    def stalled(now: Situation) -> str:
-        return "; ".join(now.stalled)
+def _faults(bounds: InterlockLimits, now: Situation) -> str:
+    return "; ".join(f"axis {name}: {', '.join(axis.faults)}" for name, axis in now.axes.items() if axis.faults)
 
-    def limit(now: Situation) -> str:
-        if now.chamber is None:
-            return ""
-        margin = bounds.temperature_band_k or 0.0
-        lowest = max(bounds.never_below_c, now.range_c[0] - margin)
-        highest = min(bounds.never_above_c, now.range_c[1] + margin)
-        for what, value in (("air", now.chamber.air_c), ("load", now.chamber.product_c)):
-            if value is not None and not lowest <= value <= highest:
-                return f"the {what} is at {value:.1f} degC; it is never to leave {lowest:g} to {highest:g} degC"
-        return ""
 
-    def course(now: Situation) -> str:
-        return "" if now.paused_s is not None else _off_course(now, bounds)
-
-    def course_in_a_pause(now: Situation) -> str:
-        return "" if now.paused_s is None else _off_course(now, bounds)
-
-    def idle_chamber(now: Situation) -> str:
-        if now.chamber is None or not now.conditions or now.chamber.conditioning:
-            return ""
-        return (
-            f"the chamber was commanded to condition and does not: mode {now.chamber.mode}, air at "
-            f"{now.chamber.air_c:.1f} degC. Look for a power cut, or a hand at its panel"
-        )
-
-    def long_pause(now: Situation) -> str:
-        if not now.by_itself or now.paused_s is None or now.paused_s < bounds.longest_pause_s:
-            return ""
-        return f"the run has been paused for {bounds.longest_pause_s / 60.0:g} min and nobody has resumed it"
-
-    def stale(now: Situation) -> str:
-        if bounds.imu_stale_s is None:
-            return ""
-        old = [f"{name} for {age:.1f} s" for name, age in now.imu_age_s.items() if age > bounds.imu_stale_s]
-        return f"no bytes from {', '.join(old)}" if old else ""
-
-    def disk(now: Situation) -> str:
-        if now.free_bytes >= bounds.free_bytes:
-            return ""
-        return f"only {now.free_bytes / 1e6:.0f} MB are free on the disk"
-
-    return Interlocks(
-        (
-            InterlockRule("chamber alarm", "abort", 0.0, alarm),
-            InterlockRule("axis fault", "abort", 0.0, faults),
-            InterlockRule("over-speed", "abort", 0.0, over_speed),
-            InterlockRule("stalled axis", "abort", 0.0, stalled),
-            InterlockRule("temperature limit", "abort", 0.0, limit),
-            InterlockRule("temperature in a pause", "abort", _PATIENCE_S, course_in_a_pause),
-            InterlockRule("longest pause", "abort", 0.0, long_pause),
-            InterlockRule("temperature course", "pause", _PATIENCE_S, course),
-            InterlockRule("idle chamber", "pause", _PATIENCE_S, idle_chamber),
-            InterlockRule("stale unit", "pause", 0.0, stale),
-            InterlockRule("disk space", "pause", 0.0, disk),
-        ),
-        bounds,
+def _over_speed(bounds: InterlockLimits, now: Situation) -> str:
+    return "; ".join(
+        f"axis {name} turns at {now.axes[name].rate_dps:.1f} deg/s; it was told {told:g} and the rig allows {most:g}"
+        for name, (told, most) in now.allowed_dps.items()
+        if name in now.axes and too_fast(now.axes[name].rate_dps, (told, most))
     )
 
 
-def _off_course(now: Situation, bounds: InterlockLimits) -> str:
+def _stalled(bounds: InterlockLimits, now: Situation) -> str:
+    return "; ".join(now.stalled)
+
+
+def _limit(bounds: InterlockLimits, now: Situation) -> str:
+    margin, chamber = bounds.temperature_band_k or 0.0, now.chamber
+    lowest, highest = now.range_c[0] - margin, now.range_c[1] + margin
+    lowest, highest = max(bounds.never_below_c, lowest), min(bounds.never_above_c, highest)
+    for what, value in () if chamber is None else (("air", chamber.air_c), ("load", chamber.product_c)):
+        if value is not None and not lowest <= value <= highest:
+            return f"the {what} is at {value:.1f} degC; it is never to leave {lowest:g} to {highest:g} degC"
+    return ""
+
+
+def _off_course(bounds: InterlockLimits, now: Situation, *, paused: bool) -> str:
     """A sentence where the air is off its course. A pause may open the door: then the room belongs to the course."""
     if now.chamber is None or bounds.temperature_band_k is None or now.course_c is None:
         return ""
     low, high = now.course_c
-    if now.paused_s is not None:
+    if paused:
         low, high = min(low, bounds.room_c), max(high, bounds.room_c)
     air = now.chamber.air_c
     away = min(air - low, 0.0) or max(air - high, 0.0)
-    if abs(away) <= bounds.temperature_band_k:
+    if (now.paused_s is not None) is not paused or abs(away) <= bounds.temperature_band_k:
         return ""
     return (
         f"the air is at {air:.1f} degC, {away:+.1f} K from the recipe's course of the last "
         f"{bounds.temperature_lag_s:g} s; the rig allows {bounds.temperature_band_k:g} K"
     )
+
+
+def _long_pause(bounds: InterlockLimits, now: Situation) -> str:
+    if not now.by_itself or now.paused_s is None or now.paused_s < bounds.longest_pause_s:
+        return ""
+    return f"the run has been paused for {bounds.longest_pause_s / 60.0:g} min and nobody has resumed it"
+
+
+def _idle_chamber(bounds: InterlockLimits, now: Situation) -> str:
+    if now.chamber is None or not now.conditions or now.chamber.conditioning:
+        return ""
+    return (
+        f"the chamber was commanded to condition and does not: mode {now.chamber.mode}, air at "
+        f"{now.chamber.air_c:.1f} degC. Look for a power cut, or a hand at its panel"
+    )
+
+
+def _stale(bounds: InterlockLimits, now: Situation) -> str:
+    longest_s = math.inf if bounds.imu_stale_s is None else bounds.imu_stale_s
+    old = ", ".join(f"{name} for {age:.1f} s" for name, age in now.imu_age_s.items() if age > longest_s)
+    return f"no bytes from {old}" if old else ""
+
+
+def _disk(bounds: InterlockLimits, now: Situation) -> str:
+    return f"only {now.free_bytes / 1e6:.0f} MB are free on the disk" if now.free_bytes < bounds.free_bytes else ""
+
+
+_RULES: Final[tuple[tuple[str, Action, float, Callable[[InterlockLimits, Situation], str]], ...]] = (
+    ("chamber alarm", "abort", 0.0, _alarm),
+    ("axis fault", "abort", 0.0, _faults),
+    ("over-speed", "abort", 0.0, _over_speed),
+    ("stalled axis", "abort", 0.0, _stalled),
+    ("temperature limit", "abort", 0.0, _limit),
+    ("temperature in a pause", "abort", _PATIENCE_S, partial(_off_course, paused=True)),
+    ("longest pause", "abort", 0.0, _long_pause),
+    ("temperature course", "pause", _PATIENCE_S, partial(_off_course, paused=False)),
+    ("idle chamber", "pause", _PATIENCE_S, _idle_chamber),
+    ("stale unit", "pause", 0.0, _stale),
+    ("disk space", "pause", 0.0, _disk),
+)
+"""Name, what happens, how long it is borne (s), and what is wrong."""

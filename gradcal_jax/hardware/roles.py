@@ -48,7 +48,7 @@ class AxisSafe(Enum):
 
 @dataclass(frozen=True)
 class ChamberLimits:
-    """The limits that the chamber reports. Ramps are rounded to steps of a rate, or of a whole time, where not 0."""
+    """The limits that the chamber reports. Ramps are rounded to steps of a rate, where not 0."""
 
     lowest_c: float
     highest_c: float
@@ -57,7 +57,6 @@ class ChamberLimits:
     slowest_ramp_k_per_min: float = 0.0
     fastest_ramp_k_per_min: float = float("inf")
     ramp_step_k_per_min: float = 0.0
-    ramp_step_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -178,6 +177,19 @@ class DrawnAxis(Protocol):
 
     def draw(self, drawing: str) -> None:
         """Show this with the next turn."""
+        ...
+
+
+class OperatorAsked(Protocol):
+    """A person at a terminal, who is asked one question at a time."""
+
+    def ask(self, question: str) -> None: ...
+    def answer(self) -> tuple[str, float] | None:
+        """The typed line and the time of its end; None until there is one."""
+        ...
+
+    def withdraw(self, why: str) -> None:
+        """Take back a question, if there is one."""
         ...
 
 

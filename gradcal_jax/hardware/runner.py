@@ -202,7 +202,7 @@ class Runner:
         for name in self.bench.imus:
             self.bench.imus[name].start()
             self._imu_heard_s[name] = self.clock.now()
-            start(self._carry_bytes, name)
+            start(self._carry_bytes if not self.bench.simulated else self._carry_simulated, name)
 
     def _feed_watchdogs(self, axes: list[MotionAxis]) -> None:
         with self.clock.party():
@@ -218,6 +218,11 @@ class Runner:
     def _fail(self, problem: str) -> None:
         """Called by a helper thread: its sentence ends the run."""
         self._problem = problem
+
+    def _carry_simulated(self, name: str) -> None:
+        """A simulated unit waits on the clock, not on a line."""
+        with self.clock.party():
+            self._carry_bytes(name)
 
     def _carry_bytes(self, name: str) -> None:
         """Write raw bytes to the journal first, then count the missing samples."""

@@ -25,7 +25,7 @@ from .journal import Journal, Recorder
 from .pose import drawn
 from .run_folder import RunFolder, begin_session, mounting_of, require_same_devices, sessions
 from .runner import Runner
-from .setup import open_rig
+from .setup import Bench, open_rig
 from .states import RunProgress, RunResult, RunState
 from .supervision import Knows, StatusFile, sound_alarm
 from .terminal import Terminal
@@ -41,6 +41,7 @@ def run_session(
     *,
     first_step: int = 0,
     simulated: bool = False,
+    bench: Bench | None = None,
     guard: bool = False,
     interlocks: Interlocks | None = None,
     on_progress: Callable[[RunProgress], None] | None = None,
@@ -53,11 +54,12 @@ def run_session(
 ) -> RunResult:
     """Execute a run's recipe from `first_step` on, and leave everything safe.
 
-    `guard`: a process beside this one makes the rig safe if this one is killed or broken off, and tries again where
-    this one ends with a device that is not verified safe. `with_runner` is called with the runner before it starts.
-    Without `wait_when_paused`, which needs an operator, a reason to pause ends the run, safe. `terminal` is where the
-    operator is asked to turn axes; `knows` gives the knowledge so far, for the status. Raises `HardwareError` where the
-    run cannot start; later problems are in the result.
+    `bench`: the open devices, where they are not at the ports of the rig file. `guard`: a process beside this one makes
+    the rig safe if this one is killed or broken off, and tries again where this one ends with a device that is not
+    verified safe. `with_runner` is called with the runner before it starts. Without `wait_when_paused`, which needs an
+    operator, a reason to pause ends the run, safe. `terminal` is where the operator is asked to turn axes; `knows`
+    gives the knowledge so far, for the status. Raises `HardwareError` where the run cannot start; later problems are in
+    the result.
     """
     recipe = folder.recipe()
     track = track_of(recipe, [axis.name for axis in rig.axis])
@@ -72,7 +74,7 @@ def run_session(
             # A unit's stream goes into the journal separately, under the unit's name.
             return None if url in units else journal.recorder(f"port {url}")
 
-        bench = stack.enter_context(open_rig(rig, clock, recorder_of, terminal=terminal))
+        bench = stack.enter_context(bench or open_rig(rig, clock, recorder_of, terminal=terminal))
         number = 0 if resumed is None else sessions(resumed)
         numbers, recipes = itertools.count(number), len(folder.recipes())
 

@@ -22,7 +22,16 @@ from .clock import Clock
 from .drivers.operator import Console, OperatorConfig
 from .errors import HardwareError, WrongIdentity
 from .journal import Recorder
-from .roles import AxisLimits, ChamberLimits, Identity, ImuSettings, ImuStream, MotionAxis, TemperatureChamber
+from .roles import (
+    AxisLimits,
+    ChamberLimits,
+    Identity,
+    ImuSettings,
+    ImuStream,
+    MotionAxis,
+    OperatorAsked,
+    TemperatureChamber,
+)
 from .settings import KeptSettings
 from .terminal import Terminal, TextLine
 from .transport import Transport, same_port
@@ -62,7 +71,7 @@ class Driver:
 
 _HERE: Final = f"{__package__}.drivers"
 DRIVERS: Final[Mapping[str, Driver]] = {
-    "espec": Driver("chamber", f"{_HERE}.espec", "EspecChamber", "EspecConfig"),
+    "espec": Driver("chamber", f"{_HERE}.lines", "lines_device", "EspecConfig"),
     "weiss": Driver("chamber", f"{_HERE}.weiss", "WeissChamber", "WeissConfig"),
     "registers": Driver("chamber", f"{_HERE}.registers", "RegistersChamber", "RegistersConfig", text=False),
     "lines": Driver(None, f"{_HERE}.lines", "lines_device", "LinesConfig", text=False),
@@ -258,10 +267,12 @@ class Bench(AbstractContextManager["Bench"]):
     chamber: TemperatureChamber | None = None
     axes: dict[str, MotionAxis] = field(default_factory=dict[str, MotionAxis])
     imus: dict[str, ImuStream] = field(default_factory=dict[str, ImuStream])
-    console: Console | None = None
+    console: OperatorAsked | None = None
     """Where the operator is asked to hang the units anew."""
     lines: dict[str, Transport] = field(default_factory=dict[str, Transport])
     """The open serial line of every device, by its name; absent for the terminal."""
+    simulated: bool = False
+    """Whether its devices are simulated and wait on the run's clock, instead of on lines."""
     _ports: ExitStack = field(default_factory=ExitStack)
 
     @property

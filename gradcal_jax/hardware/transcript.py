@@ -13,14 +13,13 @@ Bytes other than printable ASCII are written `\\xNN`, `\\r`, `\\n`, the backslas
 """
 
 import json
-import re
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 from ..files.rig import RigFile
 from .clock import Clock
@@ -31,45 +30,16 @@ from .safety import put_back
 from .setup import Bench, open_rig
 
 HEADER = "# gradcal-transcript/1"
-_RIG = "# rig: "
+RIG = "# rig: "
 _ENCODED = [chr(b) if 32 <= b < 127 else f"\\x{b:02x}" for b in range(256)]
 _ENCODED[ord("\r")], _ENCODED[ord("\n")], _ENCODED[ord("\\")] = "\\r", "\\n", "\\\\"
-_ESCAPE = re.compile(r"\\(x[0-9a-f]{2}|[rn\\])")
-_LINE = re.compile(r"(?P<time>-?\d+\.\d+) (?P<line>\S+) (?P<direction>[<>#]) (?P<text>.*)")
 _STREAM_S = 2.0
 # Of a move that shows that commands take effect: small, slow.
 _MOVE_DEG, _MOVE_DPS, _MOVE_DPS2 = 10.0, 10.0, 20.0
 
 
-@dataclass(frozen=True)
-class TranscriptEntry:
-    """One chunk of a transcript."""
-
-    time_s: float
-    direction: Direction
-    data: bytes
-    line: str = "line"
-
-
 def encode(data: bytes) -> str:
     return "".join([_ENCODED[byte] for byte in data])
-
-
-def decode(text: str) -> bytes:
-    """The bytes of an encoded text; a ValueError names what is no escape of this format."""
-    out = bytearray()
-    position = 0
-    while (backslash := text.find("\\", position)) >= 0:
-        escape = _ESCAPE.match(text, backslash)
-        if escape is None:
-            raise ValueError(
-                f"{text[backslash : backslash + 4]!r} is no escape of a transcript; use \\xNN, \\r, \\n, \\\\"
-            )
-        out += text[position:backslash].encode("latin-1")
-        word = escape.group(1)
-        out.append({"r": 13, "n": 10, "\\": 92}[word] if word[0] != "x" else int(word[1:], 16))
-        position = escape.end()
-    return bytes(out + text[position:].encode("latin-1"))
 
 
 class Transcript:
@@ -82,7 +52,7 @@ class Transcript:
         if fresh:
             self._file.write(HEADER + "\n")
         if rig is not None:
-            self._file.write(_RIG + json.dumps(rig.model_dump(mode="json", exclude_unset=True)) + "\n")
+            self._file.write(RIG + json.dumps(rig.model_dump(mode="json", exclude_unset=True)) + "\n")
         self._file.flush()
 
     def recorder(self, line: str) -> Recorder:
@@ -108,46 +78,6 @@ class Transcript:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def parse(lines: Iterable[str]) -> list[TranscriptEntry]:
-    """The chunks of a transcript; a last line that was torn by a crash is left out.
-
-    Raises ValueError for a line that no version of this format can have, with its number.
-    """
-    entries: list[TranscriptEntry] = []
-    numbered = [(number, line) for number, line in enumerate(lines, 1) if line.strip()]
-    if not numbered or numbered[0][1].rstrip("\n") != HEADER:
-        raise ValueError(f"This is no transcript: its first line must be {HEADER!r}.")
-    for number, line in numbered[1:]:
-        whole, text = line.endswith("\n"), line.rstrip("\n")
-        if text.startswith("#"):
-            continue
-        match = _LINE.fullmatch(text)
-        try:
-            if match is None:
-                raise ValueError("a line is `seconds line > bytes` or `seconds line < bytes`")
-            direction: Direction = ">" if match["direction"] == ">" else "<" if match["direction"] == "<" else "#"
-            entries.append(TranscriptEntry(float(match["time"]), direction, decode(match["text"]), match["line"]))
-        except ValueError as problem:
-            if not whole and number == numbered[-1][0]:
-                break
-            raise ValueError(f"Line {number} of the transcript cannot be read: {problem}.") from None
-    return entries
-
-
-def read(path: Path) -> list[TranscriptEntry]:
-    with path.open(encoding="ascii") as file:
-        return parse(file)
-
-
-def rig_in(path: Path) -> dict[str, Any]:
-    """The rig file's tables in a transcript. Raises `ValueError` where there are none."""
-    with path.open(encoding="ascii") as file:
-        for line in file:
-            if line.startswith(_RIG):
-                return json.loads(line.removeprefix(_RIG))
-    raise ValueError(f"{path} has no line {_RIG!r}: it was not made by `gradcal rig record`")
 
 
 def conversation(bench: Bench, clock: Clock, *, move: bool) -> Iterator[tuple[str, str, str]]:

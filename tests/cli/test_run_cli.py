@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.cli import main
 from gradcal_jax.files import Quantity, changed, parse_spec, presets, to_toml
@@ -18,7 +19,6 @@ from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.journal import read_journal
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
 
 CHANGES = {
     "plan.temperature": ["23 degC", "24 degC"],

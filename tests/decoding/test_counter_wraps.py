@@ -7,6 +7,7 @@ in pieces, and samples are lost between pieces, a few or many rounds of the coun
 
 import itertools
 from dataclasses import dataclass
+from unittest import mock
 
 import hardware_golden as golden
 import numpy as np
@@ -15,7 +16,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from gradcal_jax.decoding.counter_wraps import Doubt, wraps_resolved
+from gradcal_jax.decoding import spool as spool_module
+from gradcal_jax.decoding.counter_wraps import Doubt, resolve_wraps
+from gradcal_jax.decoding.spool import SampleSpool
 from gradcal_jax.hardware import checksums
 from gradcal_jax.hardware.drivers.stim300_datagrams import GapCounter, Stim300Decoder
 from gradcal_jax.hardware.roles import ImuBatch, join
@@ -87,9 +90,12 @@ def batch(pieces: list[Piece], clock_error: float = 0.0) -> tuple[ImuBatch, NDAr
 def resolved(pieces: list[Piece], clock_error: float = 0.0) -> tuple[NDArray[np.int64], tuple[Doubt, ...]]:
     """By how many samples each time is wrong (0: right), and the doubts."""
     samples, truth = batch(pieces, clock_error)
-    found, doubts = wraps_resolved(samples, ROUND, SAMPLE_S)
-    index = np.rint((found.device_time_s - found.device_time_s[0]) / SAMPLE_S).astype(np.int64)
-    assert np.array_equal(found.gap_before[1:], np.diff(index) - 1)
+    with SampleSpool() as spool:
+        spool.push(samples)
+        doubts = resolve_wraps(spool, 0, len(spool), ROUND, SAMPLE_S)
+        found = spool.read(0, len(spool))
+    index = np.rint((found["device_s"] - found["device_s"][0]) / SAMPLE_S).astype(np.int64)
+    assert np.array_equal(found["gap"][1:], np.diff(index) - 1)
     return index - (truth - truth[0]), doubts
 
 
@@ -245,11 +251,23 @@ def datagram(index: int) -> bytes:
     return body + checksums.crc32_mpeg2(body + bytes(2)).to_bytes(4, "big")
 
 
+@settings(max_examples=100, deadline=None)
+@given(streams(0.75, agreeing=3), st.sampled_from([3, 64, 1000]))
+def test_the_stream_is_read_in_blocks_of_any_size(pieces: list[Piece], rows: int) -> None:
+    """The windows reach over the edges of blocks."""
+    whole = resolved(pieces)
+    with mock.patch.object(spool_module, "BLOCK", rows):
+        wrong, doubts = resolved(pieces)
+    assert np.array_equal(wrong, whole[0])
+    assert doubts == whole[1]
+
+
 def test_absolute_stamps_are_left_alone() -> None:
     samples, _ = batch([Piece(16, 0.0), Piece(16, 5.0, lost=100)])
-    found, doubts = wraps_resolved(samples, 0, SAMPLE_S)
-    assert found is samples
-    assert doubts == ()
+    with SampleSpool() as spool:
+        spool.push(samples)
+        assert resolve_wraps(spool, 0, len(spool), 0, SAMPLE_S) == ()
+        assert np.array_equal(spool.read(0, len(spool))["device_s"], samples.device_time_s)
 
 
 # ----------------------------------------------------------------------------------------------- what the past can tell

@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from hardware_bench import sensor_on_table, short_recipe
+from simulated_devices.gyro import SensorTruth
+from simulated_devices.line_clock import LineClock
+from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 from simulated_devices.vectornav import SimulatedVectorNav
 
 from gradcal_jax.decoding.run_log import log_of
@@ -18,9 +21,6 @@ from gradcal_jax.files.log import Log
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents
 from gradcal_jax.hardware.simulate.plants import AxisPlant
-from gradcal_jax.hardware.simulate.sensor import SensorTruth
-from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 START_S = 1000.0
 RATE_DPS, ACCELERATION_DPS2 = 200.0, 300.0
@@ -96,7 +96,7 @@ def session(
 ) -> list[Event | Chunk]:
     """What the journal holds of it."""
     start_s = told.start_s
-    clock = VirtualClock(start_s)
+    clock = LineClock(start_s)
     plant = AxisPlant(None, start_s)
     truth = SensorTruth(clock_error=told.clock_error)
     sensor = sensor_on_table(clock, truth, axis=plant, sample_rate_hz=200.0 if vectornav else 125.0)

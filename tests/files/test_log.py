@@ -1,11 +1,18 @@
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pytest
+import xarray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gradcal_jax.files.log import Log, LogError, Reason, part_of, read_log, write_log
+from gradcal_jax.files.log import Log, LogError, LogInBlocks, Reason, part_of, read_log, write_log
 from gradcal_jax.files.log_faults import Columns, Policy, examine
+from gradcal_jax.files.netcdf import load_netcdf
+
+# Fields with rows that this log lacks.
+WITH_ROWS = ("table_angle_rad", "table_course_rad", "mounting", "specific_force_m_per_s2")
 
 
 def whole_log():
@@ -75,6 +82,40 @@ def test_the_file_carries_its_units_and_a_mismatch_is_refused(tmp_path):
         opened["rate"].attrs["units"] = "deg s-1"
     with pytest.raises(LogError, match="'rate' is in 'deg s-1', where a log holds 'rad s-1'"):
         read_log(path)
+
+
+def test_the_file_is_what_xarray_makes_of_the_same_variables(tmp_path):
+    """Whatever reads what xarray writes reads a log."""
+    write_log(whole_log(), tmp_path / "log.nc")
+    load_netcdf(tmp_path / "log.nc").to_netcdf(tmp_path / "theirs.nc", engine="h5netcdf")
+    with h5py.File(tmp_path / "log.nc") as ours, h5py.File(tmp_path / "theirs.nc") as theirs:
+        assert set(ours) == set(theirs)
+        for name, variable in theirs.items():
+            assert (ours[name].dtype, ours[name].shape, ours[name].chunks) == (variable.dtype, variable.shape, None)
+            assert set(ours[name].attrs) == set(variable.attrs), name
+    xarray.testing.assert_identical(load_netcdf(tmp_path / "log.nc"), load_netcdf(tmp_path / "theirs.nc"))
+
+
+def test_rows_that_come_in_blocks_are_the_same_file(tmp_path):
+    log = replace(whole_log(), table_angle_rad=None)
+    rows = {"time_s": 0, "rate_rad_per_s": 1, "temperature_c": 1, "table_rate_rad_per_s": 0, "standstill": 0}
+    rows |= {"host_time_s": 0, "status": 1}
+
+    def blocks():
+        for first, end in ((0, 7), (7, 8), (8, 60)):
+            cut = {at: (slice(None),) * at + (slice(first, end),) for at in (0, 1)}
+            yield first, {name: getattr(log, name)[cut[at]] for name, at in rows.items()}
+
+    others = {name: value for name, value in vars(log).items() if name not in rows}
+    others = {name: value for name, value in others.items() if name not in WITH_ROWS}
+    in_blocks = LogInBlocks(60, others, blocks, log.duration_s, 2, 0)
+    write_log(log, tmp_path / "log.nc")
+    write_log(in_blocks, tmp_path / "blocks.nc")
+    assert (tmp_path / "blocks.nc").read_bytes() == (tmp_path / "log.nc").read_bytes()
+    assert np.array_equal(in_blocks.whole().rate_rad_per_s, log.rate_rad_per_s)
+    late = replace(in_blocks, blocks=lambda: ((n, {**c, "time_s": c["time_s"] % 0.6}) for n, c in blocks()))
+    with pytest.raises(LogError, match="times of a log must increase"):
+        write_log(late, tmp_path / "late.nc")
 
 
 def test_other_files_get_a_sentence(tmp_path):

@@ -4,13 +4,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from simulated_devices.espec import EspecOptions, SimulatedEspec
+from simulated_devices.gyro import Mounting, SensorTruth, SimulatedSensor
 from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
+from simulated_devices.port import SimulatedPort
+from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 from simulated_devices.vectornav import SimulatedVectorNav, VectorNavOptions
 from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import SimulatedWeiss, WeissOptions
+from simulated_devices.zaber import SimulatedZaber, ZaberOptions
 
 from gradcal_jax.files import Quantity, Spec, changed, parse_spec, presets
 from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin
@@ -19,13 +24,8 @@ from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers import espec, lines, odrive, registers, stim300, vectornav, weiss, zaber
-from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
+from gradcal_jax.hardware.drivers import lines, odrive, registers, stim300, vectornav, weiss, zaber
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.sensor import Mounting, SensorTruth, SimulatedSensor
-from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
-from gradcal_jax.hardware.simulate.zaber import SimulatedZaber, ZaberOptions
 from gradcal_jax.hardware.transport import Transport
 
 
@@ -40,18 +40,25 @@ def served(device: Any, clock: Clock, baudrate: int, **options: Any) -> Iterator
             transport.close()
 
 
+def espec_config(
+    *, pause: str = "0.1 s", after: str = "1 s", reply_timeout_s: float = 0.3, **changes: Any
+) -> lines.EspecConfig:
+    line = {"pause": pause, "pause_after_command": after, **changes.pop("line", {})}
+    return lines.EspecConfig(changes={"line": line, **changes}, reply_timeout_s=reply_timeout_s)
+
+
 @contextmanager
 def espec_bench(
     clock: Clock,
     options: EspecOptions | None = None,
-    config: espec.EspecConfig | None = None,
+    config: lines.LinesConfig | None = None,
     truth: ChamberTruth | None = None,
     **port_options: Any,
-) -> Iterator[tuple[espec.EspecChamber, SimulatedEspec, SimulatedPort]]:
+) -> Iterator[tuple[lines.LinesChamber, SimulatedEspec, SimulatedPort]]:
     device = SimulatedEspec(ChamberPlant(truth or ChamberTruth(), clock.now()), clock, options)
-    config = config or espec.EspecConfig(reply_timeout_s=0.3)
+    config = config or espec_config()
     with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield espec.EspecChamber(espec.open_exchange(transport, clock, config), config), device, port
+        yield lines.LinesChamber(lines.open_exchange(transport, clock, config), config), device, port
 
 
 @contextmanager

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from simulated_devices.port_lab import SimulatedLab, SimulatedUnitLab
+
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.rig import read_rig
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -22,8 +24,6 @@ from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.interlocks import InterlockLimits, standard_rules
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder, prepare_resume
 from gradcal_jax.hardware.session import run_session
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
-from gradcal_jax.hardware.simulate.unit_lab import SimulatedUnitLab
 
 
 def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: float) -> None:

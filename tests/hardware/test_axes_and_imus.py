@@ -19,7 +19,11 @@ from hardware_bench import (
     zaber_bench,
 )
 from simulated_devices.faults import Faults
+from simulated_devices.line_clock import LineClock
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
+from simulated_devices.port import SimulatedPort
+from simulated_devices.stim300 import SimulatedStim300, Stim300Options
+from simulated_devices.zaber import SimulatedZaber, ZaberOptions
 
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers import odrive
@@ -42,10 +46,6 @@ from gradcal_jax.hardware.errors import (
 from gradcal_jax.hardware.roles import AxisSafe, ImuBatch, ImuStream, MotionAxis, join
 from gradcal_jax.hardware.setup import DRIVERS
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
-from gradcal_jax.hardware.simulate.zaber import SimulatedZaber, ZaberOptions
 
 AXES = {"zaber": zaber_bench, "odrive": odrive_bench, "grbl": grbl_bench, "aerosmith": aerosmith_bench}
 QUICK = {
@@ -68,7 +68,7 @@ def imu_bench(request: pytest.FixtureRequest):
     return IMUS[request.param]
 
 
-def wait_until_still(axis: MotionAxis, clock: VirtualClock) -> float:
+def wait_until_still(axis: MotionAxis, clock: LineClock) -> float:
     began = clock.now()
     while axis.read().moving:
         clock.sleep(0.05)
@@ -85,7 +85,7 @@ def plant_of(device: Any) -> AxisPlant:
 
 
 def test_every_axis_homes_moves_spins_and_stops(axis_bench) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with axis_bench(clock) as (axis, device, _):
         assert isinstance(axis, MotionAxis)
         assert axis.identify().driver in DRIVERS
@@ -115,7 +115,7 @@ def test_every_axis_homes_moves_spins_and_stops(axis_bench) -> None:
 
 
 def test_every_axis_refuses_what_it_cannot_do(axis_bench) -> None:
-    with axis_bench(VirtualClock()) as (axis, device, _):
+    with axis_bench(LineClock()) as (axis, device, _):
         axis.identify()
         axis.home()
         for rate, acceleration in ((1000.0, 100.0), (100.0, 1000.0), (100.0, 0.0)):
@@ -133,7 +133,7 @@ def test_every_command_of_an_axis_lost_doubled_damaged_or_late_once_is_noticed(a
     step = 11 if axis_bench is odrive_bench else 7
     refused = tried = 0
     for number in range(0, 100 if axis_bench is odrive_bench else 60, step):
-        clock, faults = VirtualClock(), Faults(seed=number, delay_s=0.08)
+        clock, faults = LineClock(), Faults(seed=number, delay_s=0.08)
         with axis_bench(clock, config=QUICK[axis_bench], commands=faults) as (axis, device, _):
             faults.once(*["split"] * number, fault)
             tried += 1
@@ -162,7 +162,7 @@ def test_every_command_of_an_axis_lost_doubled_damaged_or_late_once_is_noticed(a
 @pytest.mark.parametrize("way", ["faults", "commands"])
 def test_no_axis_is_put_off_by_a_bad_line(axis_bench, way: str) -> None:
     """Replies or commands dropped, flipped, doubled, cut: what the driver says it did, it did."""
-    clock = VirtualClock()
+    clock = LineClock()
     kinds = ("drop", "flip", "truncate", "duplicate", "split", "noise")
     faults = Faults(seed=8, probability=dict.fromkeys(kinds, 0.04 if way == "faults" else 0.02))
     with axis_bench(clock, config=QUICK[axis_bench], **{way: faults}) as (axis, device, _):
@@ -189,7 +189,7 @@ def test_no_axis_is_put_off_by_a_bad_line(axis_bench, way: str) -> None:
 
 
 def test_two_axes_share_a_port_and_stay_apart() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     plants = [AxisPlant(), AxisPlant()]
     with served(SimulatedODrive(plants, clock), clock, 115200) as (_, line):
         exchange = odrive.open_exchange(line, clock, ODriveConfig())
@@ -230,7 +230,7 @@ def test_simulated_stage_satisfies_the_vendors_client() -> None:
 
 
 def test_stage_with_chatter_check_sums_and_settings_for_a_run() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with zaber_bench(clock, ZaberOptions(chatter=True)) as (axis, device, port):
         assert axis.identify().details["replies"] == "with check sum"
         assert axis.reply_checksum
@@ -243,7 +243,7 @@ def test_stage_with_chatter_check_sums_and_settings_for_a_run() -> None:
 
 @pytest.mark.parametrize("firmware", [6, 7])
 def test_stage_of_either_firmware_and_its_settings_put_back(firmware: int) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with zaber_bench(clock, ZaberOptions(firmware=firmware)) as (axis, device, _):
         before = dict(device.stages[0].settings)
         assert axis.identify().model == "device 50081"
@@ -257,7 +257,7 @@ def test_stage_of_either_firmware_and_its_settings_put_back(firmware: int) -> No
 
 
 def test_vectornav_outputs_of_an_earlier_use_are_silent_and_put_back() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with vectornav_bench(clock) as (unit, device, _):
         device.registers |= {6: "14", 76: "1,2,01,0008", 77: "2,2,01,0008"}
         before = dict(device.registers)
@@ -276,7 +276,7 @@ def test_vectornav_outputs_of_an_earlier_use_are_silent_and_put_back() -> None:
 
 
 def test_stage_without_reference_or_with_a_fault_does_not_move() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with zaber_bench(clock) as (axis, device, _):
         axis.identify()
         with pytest.raises(DeviceFault, match="Home it first"):
@@ -298,9 +298,9 @@ def test_stage_without_reference_or_with_a_fault_does_not_move() -> None:
 
 def test_stage_that_does_not_tell_its_microsteps_needs_them_from_the_rig_file() -> None:
     options = ZaberOptions(tells_cycle=False, microsteps_per_turn=230400)
-    with zaber_bench(VirtualClock(), options) as (axis, _, _), pytest.raises(Rejected, match="microsteps_per_turn"):
+    with zaber_bench(LineClock(), options) as (axis, _, _), pytest.raises(Rejected, match="microsteps_per_turn"):
         axis.identify()
-    clock = VirtualClock()
+    clock = LineClock()
     config = ZaberConfig(microsteps_per_turn=230400, direction=-1, zero_deg=5.0)
     with zaber_bench(clock, options, config) as (axis, device, _):
         axis.identify()
@@ -312,7 +312,7 @@ def test_stage_that_does_not_tell_its_microsteps_needs_them_from_the_rig_file() 
 
 
 def test_stage_with_limited_travel() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     truth = AxisTruth(lowest_deg=0.0, highest_deg=360.0)
     with zaber_bench(clock, ZaberOptions(endless=False), truth=truth) as (axis, _, _):
         axis.identify()
@@ -329,7 +329,7 @@ def test_stage_with_limited_travel() -> None:
 
 
 def test_watchdog_stops_the_motor_when_the_host_falls_silent_and_not_before() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock) as (axis, device, _):
         axis.spin(90.0, 300.0)
         axis.arm_watchdog()
@@ -345,7 +345,7 @@ def test_watchdog_stops_the_motor_when_the_host_falls_silent_and_not_before() ->
 
 
 def test_safe_hold_leaves_the_motor_powered_after_the_host_is_gone() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock) as (axis, device, _):
         axis.spin(90.0, 300.0)
         axis.arm_watchdog()
@@ -357,7 +357,7 @@ def test_safe_hold_leaves_the_motor_powered_after_the_host_is_gone() -> None:
 
 
 def test_odrive_lost_encoder_is_never_a_position_of_zero() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock) as (axis, device, _):
         axis.move_to(100.0, 100.0, 100.0)
         wait_until_still(axis, clock)
@@ -369,7 +369,7 @@ def test_odrive_lost_encoder_is_never_a_position_of_zero() -> None:
 
 
 def test_odrive_lost_command_is_sent_again_and_a_reboot_is_noticed() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock) as (axis, device, _):
         axis.spin(30.0, 100.0)
         receive, swallowed = device.receive, []
@@ -393,7 +393,7 @@ def test_odrive_lost_command_is_sent_again_and_a_reboot_is_noticed() -> None:
 
 
 def test_odrive_of_generation_06_with_gear() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     options = ODriveOptions(generation="0.6", turns_per_table_turn=10.0, max_turns_per_s=20.0)
     config = ODriveConfig(generation="0.6", turns_per_table_turn=10.0, ready_property="", reply_timeout_s=0.2)
     with odrive_bench(clock, options, config) as (axis, device, _):
@@ -407,7 +407,7 @@ def test_odrive_of_generation_06_with_gear() -> None:
 # --- IMUs -------------------------------------------------------------------------------------------------------------
 
 
-def stream(unit: ImuStream, clock: VirtualClock, duration_s: float) -> ImuBatch:
+def stream(unit: ImuStream, clock: LineClock, duration_s: float) -> ImuBatch:
     decoder = unit.decoder()
     unit.start()
     end = clock.now() + duration_s
@@ -419,7 +419,7 @@ def stream(unit: ImuStream, clock: VirtualClock, duration_s: float) -> ImuBatch:
 
 
 def test_every_imu_streams_configured_samples_without_a_gap(imu_bench) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with imu_bench(clock) as (unit, _, port):
         assert isinstance(unit, ImuStream)
         identity = unit.identify()
@@ -438,7 +438,7 @@ def test_every_imu_streams_configured_samples_without_a_gap(imu_bench) -> None:
 
 
 def test_damaged_datagrams_are_counted_as_gaps_and_never_decoded(imu_bench) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     faults = Faults(seed=2)
     with imu_bench(clock, faults=faults) as (unit, device, _):
         unit.configure()
@@ -458,7 +458,7 @@ def test_damaged_datagrams_are_counted_as_gaps_and_never_decoded(imu_bench) -> N
 def test_a_command_of_an_imu_lost_doubled_or_damaged_once_is_noticed(imu_bench, fault) -> None:
     refused = 0
     for number in range(1, 22, 4):
-        clock, faults = VirtualClock(), Faults(seed=number)
+        clock, faults = LineClock(), Faults(seed=number)
         with imu_bench(clock, commands=faults) as (unit, _, _):
             faults.once(*["split"] * number, fault)
             try:
@@ -479,7 +479,7 @@ def read_for_ever(unit: ImuStream) -> None:
 
 
 def test_unplugged_imu_raises(imu_bench) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with imu_bench(clock) as (unit, _, port):
         unit.configure()
         unit.start()
@@ -489,7 +489,7 @@ def test_unplugged_imu_raises(imu_bench) -> None:
 
 
 def test_stim300_start_up_special_datagrams_and_reboot() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with stim300_bench(clock) as (unit, device, _):
         unit.configure()
         decoder = unit.decoder()
@@ -510,7 +510,7 @@ def test_stim300_start_up_special_datagrams_and_reboot() -> None:
 
 
 def test_stim300_settings_are_read_back_and_never_saved() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     config = Stim300Config(sample_rate_hz=500.0, datagram=7, increments=True, reply_timeout_s=0.3)
     sensor = sensor_on_table(clock)
     with stim300_bench(clock, Stim300Options(range_g=30), config, sensor) as (unit, device, _):
@@ -525,7 +525,7 @@ def test_stim300_settings_are_read_back_and_never_saved() -> None:
 
 
 def test_stim300_on_a_line_that_is_too_slow_loses_datagrams_and_the_host_sees_it() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     options = Stim300Options(baudrate=40_000)
     with stim300_bench(clock, options) as (unit, device, _):
         unit.configure()
@@ -537,7 +537,7 @@ def test_stim300_on_a_line_that_is_too_slow_loses_datagrams_and_the_host_sees_it
 
 
 def test_stim300_port_that_is_something_else() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     config = Stim300Config(mode_timeout_s=0.2)
     with served(SimulatedZaber([AxisPlant()], clock), clock, 921600) as (_, line), pytest.raises(ReplyTimeout):
         Stim300Stream(line, clock, config).identify()
@@ -551,7 +551,7 @@ def test_stim300_port_that_is_something_else() -> None:
 
 
 def test_vectornav_ascii_output_and_a_line_too_slow() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     config = VectorNavConfig(output="ascii", sample_rate_hz=50.0, reply_timeout_s=0.3)
     with vectornav_bench(clock, config=config) as (unit, device, _):
         unit.configure()
@@ -569,7 +569,7 @@ def test_vectornav_ascii_output_and_a_line_too_slow() -> None:
 
 
 def test_vectornav_register_that_does_not_take_is_noticed() -> None:
-    with vectornav_bench(VirtualClock()) as (unit, device, _):
+    with vectornav_bench(LineClock()) as (unit, device, _):
         unit.configure()
         device._write_binary = lambda fields: 0  # it says yes and keeps its old output
         with pytest.raises(NotVerified, match="Register 75"):
@@ -577,7 +577,7 @@ def test_vectornav_register_that_does_not_take_is_noticed() -> None:
 
 
 def test_transport_is_named_in_every_message_about_silence() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with zaber_bench(clock) as (axis, _, port):
         port.faults = Faults(mute=True)
         with pytest.raises(ReplyTimeout) as caught:

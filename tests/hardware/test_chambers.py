@@ -15,6 +15,7 @@ import serial
 from hardware_bench import (
     cts_bench,
     espec_bench,
+    espec_config,
     f4_bench,
     f4_config,
     f4t_bench,
@@ -24,14 +25,16 @@ from hardware_bench import (
     thermotron_bench,
     weiss_bench,
 )
+from simulated_devices.espec import EspecOptions, SimulatedEspec
 from simulated_devices.faults import Faults
+from simulated_devices.line_clock import LineClock
+from simulated_devices.port import SimulatedPort
 from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import WeissOptions
 
 from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers.espec import EspecConfig
 from gradcal_jax.hardware.drivers.registers import RegistersChamber, RegistersConfig, open_exchange
 from gradcal_jax.hardware.drivers.weiss import WeissConfig
 from gradcal_jax.hardware.errors import (
@@ -47,10 +50,7 @@ from gradcal_jax.hardware.modbus import Tcp, parse_words, parse_written, read_bo
 from gradcal_jax.hardware.request_reply import NotThisReply
 from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
 from gradcal_jax.hardware.setup import DRIVERS
-from gradcal_jax.hardware.simulate.espec import EspecOptions, SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.track import Course
 from gradcal_jax.hardware.transport import Transport
 
@@ -72,7 +72,7 @@ def bench(request: pytest.FixtureRequest):
 
 
 def test_every_chamber_holds_settles_and_goes_safe(bench) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with bench(clock) as (chamber, _, port):
         assert isinstance(chamber, TemperatureChamber)
         assert chamber.identify().driver in DRIVERS
@@ -99,9 +99,9 @@ def test_every_chamber_holds_settles_and_goes_safe(bench) -> None:
         assert port.lost_bytes == 0
 
 
-@pytest.mark.parametrize("make", [espec_bench, weiss_bench, thermotron_bench, cts_bench, f4t_bench])
+@pytest.mark.parametrize("make", [weiss_bench, thermotron_bench, cts_bench, f4t_bench])
 def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(make) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with make(clock) as (chamber, device, _):
         chamber.hold(-20.0)
         clock.sleep(5400.0)
@@ -121,11 +121,10 @@ def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(make) -> None:
         assert chamber.read().setpoint_c == -40.0
 
 
-@pytest.mark.parametrize("make", [espec_bench, weiss_bench])
-def test_a_ramp_that_the_controller_would_round_is_made_by_set_points(make) -> None:
-    """The ESPEC's six minutes for 5.6 would be 7 % of the slope; the Weiss's 2.2 K/min for 2.16, 2 %."""
-    clock = VirtualClock()
-    with make(clock) as (chamber, device, _):
+def test_a_ramp_that_the_controller_would_round_is_made_by_set_points() -> None:
+    """The Weiss's 2.2 K/min for 2.16 would be 2 % of the slope."""
+    clock = LineClock()
+    with weiss_bench(clock) as (chamber, device, _):
         chamber.hold(14.8)
         clock.sleep(5400.0)
         told: list[dict] = []
@@ -145,7 +144,7 @@ def test_a_ramp_that_the_controller_would_round_is_made_by_set_points(make) -> N
 
 
 def test_every_chamber_refuses_what_lies_outside_its_own_limits(bench) -> None:
-    with bench(VirtualClock()) as (chamber, _, _):
+    with bench(LineClock()) as (chamber, _, _):
         before = chamber.read().setpoint_c
         for wrong in (chamber.limits().highest_c + 1.0, chamber.limits().lowest_c - 1.0):
             with pytest.raises(LimitExceeded, match="outside"):
@@ -156,7 +155,7 @@ def test_every_chamber_refuses_what_lies_outside_its_own_limits(bench) -> None:
 @pytest.mark.parametrize("way", ["faults", "commands"])
 def test_no_chamber_is_put_off_by_a_bad_line(bench, way: str) -> None:
     """Drops, noise, duplicates, truncated and split replies or commands: what takes effect is verified."""
-    clock = VirtualClock()
+    clock = LineClock()
     share, said = 0.06, (ReplyTimeout, FramingError) if way == "faults" else (HardwareError,)
     faults = Faults(
         seed=4, probability={"drop": share, "truncate": share, "duplicate": share, "split": share, "noise": share}
@@ -178,7 +177,7 @@ def test_no_chamber_is_put_off_by_a_bad_line(bench, way: str) -> None:
 @pytest.mark.parametrize("fault", ["drop", "duplicate", "flip", "delay"])
 def test_every_command_lost_doubled_damaged_or_late_once_is_noticed(bench, fault) -> None:
     """Each line of a session in its turn: what returns without an exception has taken effect."""
-    clock = VirtualClock()
+    clock = LineClock()
     faults = Faults(seed=5, delay_s=0.15)
     with bench(clock, commands=faults) as (chamber, device, _):
         ramps = chamber.limits().hardware_ramp
@@ -207,7 +206,7 @@ def test_every_command_lost_doubled_damaged_or_late_once_is_noticed(bench, fault
 
 
 def test_late_and_double_replies_are_not_taken_for_the_next_answer(bench) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     faults = Faults(delay_s=0.45)
     with bench(clock, faults=faults) as (chamber, _, _):
         chamber.identify()
@@ -220,7 +219,7 @@ def test_late_and_double_replies_are_not_taken_for_the_next_answer(bench) -> Non
 
 
 def test_silent_chamber_and_pulled_cable_are_told_apart(bench) -> None:
-    with bench(VirtualClock()) as (chamber, _, port):
+    with bench(LineClock()) as (chamber, _, port):
         chamber.identify()
         port.faults = Faults(mute=True)
         with pytest.raises(ReplyTimeout, match="did not answer"):
@@ -233,7 +232,7 @@ def test_silent_chamber_and_pulled_cable_are_told_apart(bench) -> None:
 
 
 def test_reboot_in_a_run_shows_in_the_reading(bench) -> None:
-    with bench(VirtualClock()) as (chamber, device, _):
+    with bench(LineClock()) as (chamber, device, _):
         chamber.hold(50.0)
         assert chamber.read().conditioning
         device.reboot()
@@ -242,7 +241,7 @@ def test_reboot_in_a_run_shows_in_the_reading(bench) -> None:
 
 def test_every_chamber_ends_its_lines_as_the_device_is_set(bench) -> None:
     """The rig file's `terminator` is what is written, and any end of a reply is understood."""
-    with bench(VirtualClock()) as (chamber, device, _):
+    with bench(LineClock()) as (chamber, device, _):
         if bench not in (espec_bench, weiss_bench):
             return  # binary, or its protocol says so
         chamber._exchange.transport._terminator = b"\n"
@@ -262,9 +261,9 @@ def test_every_chamber_ends_its_lines_as_the_device_is_set(bench) -> None:
 @pytest.mark.parametrize("decimals", [0, 1, 2])
 @pytest.mark.parametrize("blanks", [True, False])
 def test_espec_replies_with_any_number_of_decimals_and_with_blanks(decimals: int, blanks: bool) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with espec_bench(clock, EspecOptions(decimals=decimals, blanks=blanks)) as (chamber, device, _):
-        assert chamber.identify().model == "P300"
+        assert chamber.identify().model == "ESPEC P300"
         chamber.hold(30.0)
         clock.sleep(3600.0)
         assert chamber.read().air_c == pytest.approx(30.0, abs=0.6 * 10.0**-decimals)
@@ -277,7 +276,7 @@ def test_espec_replies_with_any_number_of_decimals_and_with_blanks(decimals: int
 
 def test_espec_simulator_speaks_the_golden_vectors() -> None:
     device = SimulatedEspec(
-        ChamberPlant(ChamberTruth(start_c=26.4)), VirtualClock(), EspecOptions(high_c=140.0, low_c=-50.0)
+        ChamberPlant(ChamberTruth(start_c=26.4)), LineClock(), EspecOptions(high_c=140.0, low_c=-50.0)
     )
     assert device.receive(b"TEMP?") == []
     assert device.receive(b"\r\n") == [b"26.4,23.0,140.0,-50.0\r\n"]
@@ -289,27 +288,32 @@ def test_espec_simulator_speaks_the_golden_vectors() -> None:
 
 
 def test_espec_alarm_address_and_old_controller() -> None:
-    clock = VirtualClock()
-    config = EspecConfig(address=3, detailed_mode=False, reply_timeout_s=0.3)
+    clock = LineClock()
+    config = espec_config(line={"prefix": "3,"}, ask={"mode": {"send": "MODE?"}})
     with espec_bench(clock, EspecOptions(address=3, knows_detail=False), config) as (chamber, device, _):
         chamber.hold(30.0)
         clock.sleep(3600.0)
-        assert chamber.ramp(40.0, 2.0) == 2.0
-        assert chamber.read().mode == "RUN"
+        # Somebody starts a program at the panel: a set point ends it.
+        assert device._command("RUN PRGM, TEMP30.0 TIME1:00 GOTEMP60.0") == ""
+        assert (chamber.read().mode, chamber.read().conditioning) == ("RUN", True)
+        chamber.hold(40.0)
+        assert (chamber.read().mode, device.plant.set_point_c(clock.now())) == ("CONSTANT", 40.0)
+        with pytest.raises(Rejected, match="steps of its set point"):
+            chamber.ramp(50.0, 1.0)
         device.raise_alarm(18)
         reading = chamber.read()
         assert (reading.alarms, reading.conditioning) == (("18",), False)
 
 
 def test_espec_with_its_echo_off_names_the_setting() -> None:
-    bench = espec_bench(VirtualClock(), EspecOptions(echo_off=True))
+    bench = espec_bench(LineClock(), EspecOptions(echo_off=True))
     with bench as (chamber, _, _), pytest.raises(ReplyTimeout, match="echo back"):
         chamber.identify()
 
 
 def test_espec_lost_acknowledgement_repeats_nothing() -> None:
     faults = Faults()
-    with espec_bench(VirtualClock(), faults=faults) as (chamber, device, _):
+    with espec_bench(LineClock(), faults=faults) as (chamber, device, _):
         chamber.hold(20.0)
         device.commands.clear()
         # Questions before the command: limits, mode; the third message is the acknowledgement.
@@ -319,7 +323,7 @@ def test_espec_lost_acknowledgement_repeats_nothing() -> None:
 
 
 def test_chamber_that_acknowledges_and_does_nothing_is_noticed() -> None:
-    with espec_bench(VirtualClock()) as (chamber, device, _):
+    with espec_bench(LineClock()) as (chamber, device, _):
         device._enter = lambda mode: None  # local mode at the panel: it says OK and stays as it is
         with pytest.raises(NotVerified, match="read-back"):
             chamber.hold(30.0)
@@ -331,7 +335,7 @@ def test_chamber_that_acknowledges_and_does_nothing_is_noticed() -> None:
 @pytest.mark.parametrize("numbers", [14, 16, 11])
 @pytest.mark.parametrize("acknowledges", [True, False])
 def test_weiss_layouts_acknowledgements_and_options_left_alone(numbers: int, acknowledges: bool) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     options = WeissOptions(
         numbers=numbers,
         acknowledges=acknowledges,
@@ -351,7 +355,7 @@ def test_weiss_layouts_acknowledgements_and_options_left_alone(numbers: int, ack
 
 
 def test_weiss_that_does_not_describe_itself_needs_its_layout_from_the_rig_file() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     options = WeissOptions(numbers=11, describes_itself=False)
     with weiss_bench(clock, options) as (chamber, _, _), pytest.raises(ReplyTimeout, match="read_layout"):
         chamber.identify()
@@ -371,7 +375,7 @@ def test_weiss_that_does_not_describe_itself_needs_its_layout_from_the_rig_file(
 
 
 def test_weiss_error_text_is_a_refusal() -> None:
-    with weiss_bench(VirtualClock()) as (chamber, device, _):
+    with weiss_bench(LineClock()) as (chamber, device, _):
         chamber.identify()
         device.options.highest_c = 50.0  # the chamber now knows a narrower limit than it described
         with pytest.raises(Rejected, match="CV01 out of range"):
@@ -401,17 +405,17 @@ def test_simulated_f4_satisfies_an_independent_modbus_client() -> None:
 
 
 def test_f4_in_fahrenheit_without_standby_and_with_a_tripped_limit() -> None:
-    wrong_unit = f4_bench(VirtualClock(), WatlowF4Options(fahrenheit=True))
+    wrong_unit = f4_bench(LineClock(), WatlowF4Options(fahrenheit=True))
     with wrong_unit as (chamber, _, _), pytest.raises(Rejected, match="Fahrenheit"):
         chamber.identify()
     changes = {"tell": {"on": False, "off": False}, "state": {"conditioning": False}}
-    unswitched = f4_bench(VirtualClock(), WatlowF4Options(conditioning_event=0), f4_config(changes=changes))
+    unswitched = f4_bench(LineClock(), WatlowF4Options(conditioning_event=0), f4_config(changes=changes))
     with unswitched as (chamber, _, _):
         with pytest.raises(Rejected, match="no \\[tell\\] off"):
             chamber.safe(ChamberSafe.STANDBY)
         with pytest.raises(Rejected, match="steps"):
             chamber.ramp(50.0, 1.0)
-    with f4_bench(VirtualClock()) as (chamber, device, _):
+    with f4_bench(LineClock()) as (chamber, device, _):
         chamber.hold(60.0)
         device.trip_limit()
         assert chamber.read().alarms == ("limit input 1",)
@@ -419,7 +423,7 @@ def test_f4_in_fahrenheit_without_standby_and_with_a_tripped_limit() -> None:
 
 @pytest.mark.parametrize("decimals", [0, 1, 2])
 def test_f4_scales_by_its_own_decimals(decimals: int) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with f4_bench(clock, WatlowF4Options(decimals=decimals)) as (chamber, _, _):
         chamber.hold(-40.0)
         clock.sleep(7200.0)
@@ -428,7 +432,7 @@ def test_f4_scales_by_its_own_decimals(decimals: int) -> None:
 
 
 def test_f4_flipped_bits_on_the_line_never_give_a_wrong_reading() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     faults = Faults(seed=11, probability={"flip": 0.25})
     config = f4_config(0.03, {})
     with f4_bench(clock, config=config, faults=faults) as (chamber, _, _):
@@ -549,7 +553,7 @@ def test_f4t_driver_speaks_with_an_independent_server() -> None:
 
 
 def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on_first() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with f4t_bench(clock) as (chamber, device, _):
         # Somebody wrote a set point beforehand, to a loop that is off.
         device.memory.put(2782, -30.0)

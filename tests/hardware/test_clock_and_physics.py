@@ -6,20 +6,21 @@ import time
 import numpy as np
 import pytest
 from hardware_bench import sensor_on_table, stim300_bench
+from simulated_devices.gyro import EARTH_RATE_DPS, Mounting, SensorTruth
+from simulated_devices.line_clock import LineClock
+from simulated_devices.stim300 import Stim300Options
 
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.roles import join
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, Mounting, Process, SensorTruth, TruthBasis
-from gradcal_jax.hardware.simulate.stim300 import Stim300Options
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
+from gradcal_jax.hardware.simulate.sensor import Process, TruthBasis
 
 # --- clock ------------------------------------------------------------------------------------------------------------
 
 
 def test_virtual_sleep_takes_no_time_and_wakes_in_order() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     order: list[tuple[float, str]] = []
     ready = threading.Barrier(3)
 
@@ -44,7 +45,7 @@ def test_virtual_sleep_takes_no_time_and_wakes_in_order() -> None:
 
 
 def test_virtual_time_stands_still_while_a_party_works() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     other = threading.Thread(target=clock.sleep_until, args=(10.0,))
     with clock.party():
         other.start()
@@ -56,7 +57,7 @@ def test_virtual_time_stands_still_while_a_party_works() -> None:
 
 
 def test_virtual_time_waits_for_bytes_on_their_way_but_not_for_ever() -> None:
-    clock = VirtualClock(patience_s=0.2)
+    clock = LineClock(patience_s=0.2)
     line = clock.link("line")
     line.change(attached=True)
     line.change(to_device=5, host_is_there=True)
@@ -74,7 +75,7 @@ def test_virtual_time_waits_for_bytes_on_their_way_but_not_for_ever() -> None:
 
 
 def test_virtual_time_keeps_real_pace_while_somebody_waits_on_a_silent_line() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     woken: list[float] = []
 
     def sleeper() -> None:
@@ -106,13 +107,13 @@ def test_virtual_time_keeps_real_pace_while_somebody_waits_on_a_silent_line() ->
 
 
 def test_virtual_clock_keeps_the_pace_that_was_asked_for() -> None:
-    clock = VirtualClock(speed=100.0)
+    clock = LineClock(speed=100.0)
     started = time.monotonic()
     for _ in range(5):
         clock.sleep(4.0)
     assert 0.18 < time.monotonic() - started < 1.0
     with pytest.raises(ValueError, match="above zero"):
-        VirtualClock(speed=0.0)
+        LineClock(speed=0.0)
 
 
 def test_real_clock_follows_the_monotonic_clock_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,7 +150,7 @@ def test_load_trails_a_ramp_by_its_time_constants() -> None:
     now = 3000.0
     assert plant.set_point_c(now) == pytest.approx(50.0, abs=1e-9)
     assert plant.set_point_c(now) - plant.air_c(now) == pytest.approx(40.0 / 60.0, rel=0.02)
-    assert plant.air_c(now) - plant.load_c(now) == pytest.approx(240.0 / 60.0, rel=0.01)
+    assert plant.air_c(now) - plant._load_c == pytest.approx(240.0 / 60.0, rel=0.01)
     before, after = plant.load_at(np.array([now - 60.0, now]))
     assert after - before == pytest.approx(1.0, rel=0.01)
 
@@ -221,7 +222,7 @@ def test_encoder_errors_are_of_the_kind_that_was_asked_for() -> None:
 
 
 def test_sensor_error_is_bias_and_scale_factor_of_temperature_and_rate() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     truth = SensorTruth(
         bias_dps=((0.01, 0.002, 0.0, 0.0),) * 3,
         scale_factor=(((1e-3, 2e-4), (5e-4, 0.0)),) * 3,
@@ -241,7 +242,7 @@ def test_sensor_error_is_bias_and_scale_factor_of_temperature_and_rate() -> None
 
 
 def test_sensor_sees_the_earth_and_gravity_in_its_attitude() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     axis = AxisPlant()
     axis.set_zero(0.0, 90.0)
     mounting = Mounting(axes=((1.0, 0.0, 0.0),), latitude_deg=0.0)
@@ -252,7 +253,7 @@ def test_sensor_sees_the_earth_and_gravity_in_its_attitude() -> None:
 
 
 def test_sensor_noise_has_the_stated_size_and_correlation() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     walk = SensorTruth(angle_random_walk_deg_sqrt_s=0.1 / 60.0)
     white = sensor_on_table(clock, walk, seed=5).take(50_000).rate_dps
     angle = np.diff(np.cumsum(white, axis=0)[::125] / 125.0, axis=0)
@@ -271,7 +272,7 @@ def test_sensor_samples_do_not_depend_on_how_many_are_taken_at_once() -> None:
         angle_random_walk_deg_sqrt_s=0.01,
         turn_on_dps=0.1,
     )
-    one, many = (sensor_on_table(VirtualClock(), truth, seed=9) for _ in range(2))
+    one, many = (sensor_on_table(LineClock(), truth, seed=9) for _ in range(2))
     whole = one.take(400).rate_dps
     parts = np.concatenate([many.take(count).rate_dps for count in (1, 2, 16, 31, 50, 300)])
     np.testing.assert_allclose(parts, whole, rtol=0, atol=1e-12)
@@ -282,7 +283,7 @@ def test_sensor_samples_do_not_depend_on_how_many_are_taken_at_once() -> None:
 
 def test_a_turn_read_through_the_line_is_the_turn_that_was_made() -> None:
     """Angle by STIM300 datagrams over a pseudo-terminal against the plant's true angle, with exact host stamps."""
-    clock = VirtualClock()
+    clock = LineClock()
     axis = AxisPlant()
     axis.move_to(20.0, 720.0, 150.0, 300.0)
     sensor = sensor_on_table(clock, SensorTruth(clock_error=50e-6), axis=axis)

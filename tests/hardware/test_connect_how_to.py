@@ -10,13 +10,13 @@ import pytest
 from hardware_bench import sensor_on_table
 from simulated_devices.line_chambers import SimulatedCts
 from simulated_devices.line_tables import SimulatedGrbl
+from simulated_devices.port import SimulatedPort
 from simulated_devices.text_unit import SimulatedTextUnit, TextUnitOptions
 
 from gradcal_jax.cli import main
 from gradcal_jax.hardware.checksums import crc16_modbus
 from gradcal_jax.hardware.clock import Clock, RealClock
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 
 TEXT = (Path(__file__).parents[2] / "docs" / "how-to" / "connect.md").read_text(encoding="utf-8")
 BLOCKS = dict(re.findall(r"```toml\n# (\w+)\.toml\n(.+?)```", TEXT, flags=re.S))

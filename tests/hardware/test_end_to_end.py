@@ -13,6 +13,8 @@ import pytest
 from hardware_bench import short_recipe
 from hardware_evidence import record
 from scipy.stats import chi2
+from simulated_devices.line_clock import LineClock
+from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.api import predict
 from gradcal_jax.decoding.run_log import log_of
@@ -24,9 +26,7 @@ from gradcal_jax.files.spec import Spec
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate import lab
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
 from gradcal_jax.hardware.simulate.plants import ChamberTruth
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 SMALL = {
     "sensor.scale_factor.temperature.degree": 1,
@@ -38,7 +38,7 @@ SMALL = {
 
 def rehearsed(made: Recipe, folder: Path, seed: int) -> tuple[Log, dict[str, Any]]:
     """The log of a simulated run, and the hidden truth."""
-    clock = VirtualClock()
+    clock = LineClock()
     with SimulatedLab(made.spec, clock, seed=seed) as lab:
         run = new_folder(folder, made, lab.rig, simulated={"seed": seed})
         result = run_session(run, lab.rig, clock, simulated=True)
@@ -225,8 +225,8 @@ def test_without_noise_the_standard_method_leaves_nothing(tmp_path: Path, monkey
 
     def still(spec: Spec, seed: int) -> lab.HiddenTruth:
         drawn = draw_truth(spec, seed)
-        sensor = replace(drawn.sensor, processes=(), angle_random_walk_deg_sqrt_s=0.0)
-        return lab.HiddenTruth(sensor, replace(drawn.axis, rate_accuracy=0.0))
+        quiet = {kind: replace(triad, white=0.0, drifts=()) for kind, triad in drawn.sensor.triads.items()}
+        return replace(drawn, sensor=replace(drawn.sensor, triads=quiet), axis=replace(drawn.axis, rate_accuracy=0.0))
 
     draw_truth = lab.draw_truth
     monkeypatch.setattr(lab, "draw_truth", still)

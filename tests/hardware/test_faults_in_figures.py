@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hardware_bench import (
     espec_bench,
+    espec_config,
     f4_bench,
     f4_config,
     odrive_bench,
@@ -23,16 +24,17 @@ from hardware_bench import (
 )
 from hardware_evidence import record
 from simulated_devices.faults import FAULTS, Faults
+from simulated_devices.line_clock import LineClock
+from test_codecs import espec_temperatures
 
 from gradcal_jax.hardware import checksums
-from gradcal_jax.hardware.drivers import espec, odrive, stim300, vectornav, weiss, zaber
+from gradcal_jax.hardware.drivers import odrive, stim300, vectornav, weiss, zaber
 from gradcal_jax.hardware.drivers.stim300_datagrams import Stim300Decoder
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, NotVerified
 from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer
 from gradcal_jax.hardware.modbus import Rtu, parse_words, read_body
 from gradcal_jax.hardware.request_reply import NotThisReply
 from gradcal_jax.hardware.roles import join
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 HERE = "tests/hardware/test_faults_in_figures.py"
 
@@ -63,7 +65,7 @@ def believed(protocol: str, stream: bytes) -> list[object]:
     if protocol == "VectorNav binary":
         return list(vectornav.VectorNavFramer().push(stream + bytes(600)))
     ways: dict[str, tuple[Any, Callable[[bytes], object]]] = {
-        "ESPEC": (LineFramer(b"\r\n"), espec.parse_temperatures),
+        "ESPEC": (LineFramer(b"\r\n"), espec_temperatures),
         "Weiss": (LineFramer(b"\r"), lambda frame: weiss.parse_record(frame, WEISS_LAYOUT)),
         "Watlow F4": (
             ModbusReplyFramer(1),
@@ -150,7 +152,7 @@ def test_streams_cut_disturbed_and_shortened() -> None:
 
 
 ASKED: dict[str, Any] = {
-    "ESPEC": (espec_bench, espec.EspecConfig(reply_timeout_s=0.05)),
+    "ESPEC": (espec_bench, espec_config(reply_timeout_s=0.05)),
     "Weiss": (
         weiss_bench,
         weiss.WeissConfig(
@@ -166,7 +168,7 @@ ASKED: dict[str, Any] = {
 @contextmanager
 def asked(protocol: str, faults: Faults) -> Iterator[tuple[Any, Any]]:
     make, config = ASKED[protocol]
-    with make(VirtualClock(), config=config, faults=faults) as (device, _, port):
+    with make(LineClock(), config=config, faults=faults) as (device, _, port):
         shares, faults.probability = faults.probability, {}
         device.identify()
         if protocol in ("Zaber", "ODrive"):
@@ -205,7 +207,7 @@ def test_readings_over_a_bad_line() -> None:
         assert good > 100
         said.append(f"{protocol}: {good} right, {refused} refused after retries, {wrong} wrong, of {count} faults")
     for name, bench in (("STIM300", stim300_bench), ("VectorNav", vectornav_bench)):
-        clock = VirtualClock()
+        clock = LineClock()
         with bench(clock) as (unit, _, port):
             unit.configure()
             unit.start()

@@ -23,7 +23,10 @@ from hardware_bench import sensor_on_table
 from hardware_evidence import record
 from hardware_processes import laboratory, start_run
 from scipy.stats import chi2
+from simulated_devices.espec import SimulatedEspec
 from simulated_devices.odrive import SimulatedODrive
+from simulated_devices.port import SimulatedPort
+from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 from unit_bench import estimated, made, short
 
 from gradcal_jax.decoding.run_log import log as log_of_run
@@ -37,10 +40,7 @@ from gradcal_jax.hardware.roles import join
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import DRIVERS, config_of, open_rig
-from gradcal_jax.hardware.simulate.espec import SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300, Stim300Options
 from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep
 
 RATE_HZ, BAUDRATE = 2000.0, 1_843_200

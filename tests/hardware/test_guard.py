@@ -22,6 +22,7 @@ import serial
 from hardware_bench import Rig, short_recipe
 from hardware_processes import laboratory, start_run
 from simulated_devices.faults import Faults
+from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.files.rig import TEMPLATE
 from gradcal_jax.files.writing import write_toml
@@ -35,7 +36,6 @@ from gradcal_jax.hardware.runner import RunProgress, RunResult
 from gradcal_jax.hardware.safety import SafeOutcome
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import only_of, open_rig
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
 
 SPEED = 20.0
 

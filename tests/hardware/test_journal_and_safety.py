@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hardware_bench import Rig
 from simulated_devices.faults import Faults
+from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.hardware import journal as journal_module
@@ -26,7 +27,6 @@ from gradcal_jax.hardware.journal import (
 )
 from gradcal_jax.hardware.safety import make_safe
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 # --- journal ----------------------------------------------------------------------------------------------------------
 
@@ -226,7 +226,7 @@ def test_a_line_too_many_is_a_problem_and_what_was_written_stays(tmp_path: Path)
 
 def test_abort_at_random_instants_leaves_everything_verified_safe() -> None:
     generator = np.random.default_rng(12)
-    clock = VirtualClock()
+    clock = LineClock()
     with Rig(clock) as rig, open_rig(rig.rig, clock) as bench, clock.party():
         assert bench.chamber is not None
         axis = bench.axes["table"]
@@ -258,7 +258,7 @@ def test_a_device_that_never_answers_keeps_nobody_else_waiting() -> None:
 
 
 def test_a_bad_line_is_tried_again_until_the_device_is_safe() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with Rig(clock) as rig, open_rig(rig.rig, clock) as bench, clock.party():
         assert bench.chamber is not None
         bench.chamber.hold(40.0)

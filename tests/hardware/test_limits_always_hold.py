@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from hardware_bench import Rig, short_recipe
+from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.cli import main
 from gradcal_jax.files.problems import SpecError
@@ -21,7 +22,6 @@ from gradcal_jax.hardware.roles import ChamberReading
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
 from gradcal_jax.hardware.session import limits_of
 from gradcal_jax.hardware.setup import configs_of, only_of, open_rig
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.track import AxisCommand, Stable, Track, TrackStep
 
 READY = Stable(0.5, 20.0, 7200.0)
@@ -33,7 +33,7 @@ STANDS = Track((TrackStep("stand", 600.0),))
 def lab(
     folder: Path, track: Track, limits: InterlockLimits | None = None, *, stage: bool = True, attended: bool = False
 ) -> Iterator[tuple[Rig, Runner]]:
-    clock = VirtualClock()
+    clock = LineClock()
     with Rig(clock, stage=stage) as rig, Journal(folder / "journal") as journal:
         rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"
         # Hours of pause go by: without the unit's stream, which has no part in any of this.

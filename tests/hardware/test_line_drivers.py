@@ -24,7 +24,9 @@ from hardware_bench import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
+from simulated_devices.line_clock import LineClock
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
+from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files.line_protocol import formatted, protocol_of, protocol_text, reply_pattern, shipped, shows
@@ -43,8 +45,6 @@ from gradcal_jax.hardware.roles import AxisSafe, ChamberSafe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import configs_of
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 # Question or command -> its bytes, and the bytes of a reply with the values in it.
 ASKED: dict[str, dict[str, tuple[bytes, bytes, dict[str, str]]]] = {
@@ -213,7 +213,7 @@ def test_a_value_that_was_written_is_shown_by_itself_alone(value: float, spec: s
     [("thermotron-3800", "grbl"), ("cts", "aerosmith-like"), ("julabo", "grbl"), ("watlow-f4t-scpi", "aerosmith-like")],
 )
 def test_a_run_on_devices_that_are_described_alone(chamber: str, table: str, tmp_path: Path) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     simulated = {"thermotron-3800": SimulatedThermotron, "cts": SimulatedCts, "julabo": SimulatedJulabo}
     simulated["watlow-f4t-scpi"] = SimulatedF4TScpi
     tables = {"grbl": SimulatedGrbl, "aerosmith-like": SimulatedAerosmith}
@@ -243,7 +243,7 @@ def test_a_run_on_devices_that_are_described_alone(chamber: str, table: str, tmp
 
 
 def test_a_set_point_counts_only_once_the_thermotron_was_told_to_run() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with thermotron_bench(clock) as (chamber, device, _):
         chamber.hold(40.0)
         device._obeys, obeys = (lambda text, now: text != "RUNM" and obeys(text, now)), device._obeys
@@ -253,7 +253,7 @@ def test_a_set_point_counts_only_once_the_thermotron_was_told_to_run() -> None:
 
 
 def test_a_ramp_is_shown_before_the_target_is_told_and_taken_off_at_the_end() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     for bench in (thermotron_bench, cts_bench):
         with bench(clock) as (chamber, device, _):
             chamber.hold(20.0)
@@ -275,7 +275,7 @@ def test_a_ramp_is_shown_before_the_target_is_told_and_taken_off_at_the_end() ->
 
 
 def test_a_bath_in_local_mode_or_on_another_set_point_is_noticed() -> None:
-    with julabo_bench(VirtualClock(), {"first_is_lost": True}) as (bath, device, _):
+    with julabo_bench(LineClock(), {"first_is_lost": True}) as (bath, device, _):
         assert bath.identify().model == "Julabo HIGHTECH FL HL/SL VERSION 4.0"
         device.remote = False
         with pytest.raises(NotVerified, match="local mode"):
@@ -286,7 +286,7 @@ def test_a_bath_in_local_mode_or_on_another_set_point_is_noticed() -> None:
 
 
 def test_set_points_that_an_f4t_ignores_while_its_loop_is_off_are_noticed() -> None:
-    with f4t_scpi_bench(VirtualClock()) as (chamber, device, _):
+    with f4t_scpi_bench(LineClock()) as (chamber, device, _):
         device.receive(b":SOURCE:CLOOP1:SPOINT 60\n")
         assert device.ignored == [":SOURCE:CLOOP1:SPOINT 60"]
         chamber.hold(60.0)
@@ -298,7 +298,7 @@ def test_set_points_that_an_f4t_ignores_while_its_loop_is_off_are_noticed() -> N
 
 
 def test_an_f4t_that_was_left_ramping_or_in_fahrenheit() -> None:
-    with f4t_scpi_bench(VirtualClock()) as (chamber, device, _):
+    with f4t_scpi_bench(LineClock()) as (chamber, device, _):
         device.action = "BOTH"
         chamber.hold(60.0)
         assert (device.action, chamber.read().setpoint_c) == ("OFF", 60.0)
@@ -309,7 +309,7 @@ def test_an_f4t_that_was_left_ramping_or_in_fahrenheit() -> None:
 
 @pytest.mark.parametrize("bench", [thermotron_bench, cts_bench, julabo_bench, f4t_scpi_bench])
 def test_an_alarm_is_in_the_reading(bench: Any) -> None:
-    with bench(VirtualClock()) as (chamber, device, _):
+    with bench(LineClock()) as (chamber, device, _):
         chamber.hold(30.0)
         assert chamber.read().alarms == ()
         device.raise_alarm()
@@ -318,7 +318,7 @@ def test_an_alarm_is_in_the_reading(bench: Any) -> None:
 
 
 def test_grbl_that_restarted_has_no_reference_and_does_not_move() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with grbl_bench(clock) as (axis, device, _):
         with pytest.raises(DeviceFault, match="Alarm"):
             axis.move_to(10.0, 50.0, 100.0)
@@ -337,7 +337,7 @@ def test_grbl_that_restarted_has_no_reference_and_does_not_move() -> None:
 
 
 def test_grbl_that_finds_no_switch_or_hits_a_limit() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with grbl_bench(clock) as (axis, device, port):
         device.finds_switch = False
         with pytest.raises((DeviceFault, FramingError)):
@@ -354,7 +354,7 @@ def test_grbl_that_finds_no_switch_or_hits_a_limit() -> None:
 
 def test_grbl_stops_where_it_stands_and_can_go_on() -> None:
     """A feed hold where nothing moves would lock the board; a cancelled jog does not."""
-    clock = VirtualClock()
+    clock = LineClock()
     with grbl_bench(clock) as (axis, device, _):
         axis.home()
         assert axis.safe(AxisSafe.HOLD).verified
@@ -372,7 +372,7 @@ def test_grbl_stops_where_it_stands_and_can_go_on() -> None:
 
 
 def test_a_rate_that_was_lost_lets_no_table_go() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with aerosmith_bench(clock) as (axis, device, _):
         axis.home()
         receive = device.receive

@@ -3,15 +3,14 @@
 from typing import Any
 
 import pytest
+from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import rig_of
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers.espec import EspecChamber
 from gradcal_jax.hardware.drivers.lines import LinesChamber
 from gradcal_jax.hardware.errors import ReplyTimeout
 from gradcal_jax.hardware.setup import DRIVERS, configs_of, open_rig
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 
 
 def rig_with(driver: str, options: dict[str, Any], port: str = "COM1") -> Any:
@@ -54,7 +53,7 @@ def test_they_reach_the_port() -> None:
         SimulatedPort(Listener(), RealClock()) as port,
         open_rig(rig_with("espec", options, port.url), RealClock()) as bench,
     ):
-        assert isinstance(bench.chamber, EspecChamber)
+        assert isinstance(bench.chamber, LinesChamber)
         settings = bench.chamber._exchange.transport.settings
         assert (settings["bytesize"], settings["stopbits"], settings["parity"]) == (8, 2, "N")
         with pytest.raises(ReplyTimeout):

@@ -11,19 +11,19 @@ import pytest
 from hardware_bench import Rig, short_recipe
 from hardware_evidence import record
 from simulated_devices.faults import Faults
+from simulated_devices.line_clock import LineClock
+from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.interlocks import InterlockLimits, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 
 @contextmanager
 def lab(folder: Path, *, stage: bool = False, limits: InterlockLimits | None = None) -> Iterator[tuple[Rig, Runner]]:
-    clock = VirtualClock()
+    clock = LineClock()
     folder.mkdir(exist_ok=True)
     with Rig(clock, stage=stage) as rig, Journal(folder / "journal") as journal:
         rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"

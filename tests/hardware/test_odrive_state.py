@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 from hardware_bench import odrive_bench
+from simulated_devices.line_clock import LineClock
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
 
 from gradcal_jax.hardware.drivers.odrive import CLOSED_LOOP, IDLE, ODriveAxis, ODriveConfig
 from gradcal_jax.hardware.errors import DeviceFault
 from gradcal_jax.hardware.roles import AxisSafe
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 
-def travelled(device: SimulatedODrive, clock: VirtualClock, duration_s: float) -> tuple[float, float]:
+def travelled(device: SimulatedODrive, clock: LineClock, duration_s: float) -> tuple[float, float]:
     """The fastest rate (deg/s) and the whole way (deg) of the axis in the time that now passes."""
     began = clock.now()
     clock.sleep(duration_s)
@@ -23,7 +23,7 @@ def travelled(device: SimulatedODrive, clock: VirtualClock, duration_s: float) -
 
 @pytest.mark.parametrize("ends_by", ["stop", "safe", "another move", "a new driver after a kill"])
 def test_a_move_after_a_spin_goes_straight_there_at_the_rate_that_was_asked_for(ends_by: str) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock) as (axis, device, _):
         axis.move_to(90.0, 60.0, 100.0)
         clock.sleep(5.0)
@@ -48,7 +48,7 @@ def test_a_move_after_a_spin_goes_straight_there_at_the_rate_that_was_asked_for(
 
 @pytest.mark.parametrize("by", ["stop", "safe"])
 def test_what_stands_is_held_at_an_angle_under_an_unbalanced_load(by: str) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock, ODriveOptions(unbalanced_dps=0.2)) as (axis, device, _):
         axis.spin(100.0, 200.0)
         clock.sleep(3.0)
@@ -65,7 +65,7 @@ def test_what_stands_is_held_at_an_angle_under_an_unbalanced_load(by: str) -> No
 
 
 def test_an_old_velocity_and_an_old_mode_do_not_turn_the_axis_when_the_loop_closes() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock) as (axis, device, _):
         values = device.axes[0].values
         values["controller.input_vel"] = 1.0
@@ -77,7 +77,7 @@ def test_an_old_velocity_and_an_old_mode_do_not_turn_the_axis_when_the_loop_clos
 
 
 def test_the_errors_of_before_are_shown_and_cleared_and_those_that_come_back_are_faults() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock) as (axis, device, _):
         axis.spin(50.0, 100.0)
         axis.arm_watchdog()
@@ -98,7 +98,7 @@ def test_the_errors_of_before_are_shown_and_cleared_and_those_that_come_back_are
 
 
 def test_a_run_that_was_killed_is_taken_under_control_again() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock) as (axis, device, _):
         axis.spin(50.0, 100.0)
         axis.arm_watchdog()
@@ -114,7 +114,7 @@ def test_a_run_that_was_killed_is_taken_under_control_again() -> None:
 
 @pytest.mark.parametrize("policy", list(AxisSafe))
 def test_no_watchdog_is_left_behind(policy: AxisSafe) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock) as (axis, device, _):
         axis.spin(50.0, 100.0)
         axis.arm_watchdog()
@@ -124,14 +124,14 @@ def test_no_watchdog_is_left_behind(policy: AxisSafe) -> None:
 
 
 def test_an_axis_that_was_never_powered_is_left_idle() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock) as (axis, device, _):
         assert axis.safe(AxisSafe.HOLD).verified
         assert device.axes[0].state == IDLE
 
 
 def test_generation_06_reads_with_its_defaults() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     options, config = ODriveOptions(generation="0.6"), ODriveConfig(generation="0.6", reply_timeout_s=0.2)
     with odrive_bench(clock, options, config) as (axis, _, _):
         assert axis.read().referenced
@@ -142,7 +142,7 @@ def test_generation_06_reads_with_its_defaults() -> None:
 
 
 def test_the_resolution_is_what_float32_leaves_of_the_angle() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock) as (axis, device, _):
         assert axis.limits().resolution_deg == pytest.approx(360e-6)
         device.axes[0].plant.set_zero(clock.now(), 440.0 * 360.0)
@@ -153,7 +153,7 @@ def test_the_resolution_is_what_float32_leaves_of_the_angle() -> None:
 
 
 def test_modes_and_limits_of_the_controller_are_put_back() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with odrive_bench(clock) as (axis, device, _):
         before = dict(device.axes[0].values)
         axis.home()

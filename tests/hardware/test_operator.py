@@ -14,7 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hardware_bench import served, unpredicted
+from simulated_devices.line_clock import LineClock
+from simulated_devices.operator import OperatorOptions, SimulatedOperator
+from simulated_devices.port_lab import SimulatedLab
+from simulated_devices.zaber import SimulatedZaber
 
+from gradcal_jax.decoding import run_log
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import Quantity, changed, parse_spec, presets
 from gradcal_jax.files.problems import SpecError
@@ -27,13 +32,10 @@ from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceed
 from gradcal_jax.hardware.execute import run
 from gradcal_jax.hardware.journal import Chunk, read_journal
 from gradcal_jax.hardware.roles import AxisSafe
-from gradcal_jax.hardware.run_folder import RunFolder
+from gradcal_jax.hardware.run_folder import RunFolder, new_folder
+from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
-from gradcal_jax.hardware.simulate.operator import OperatorOptions, SimulatedOperator
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
-from gradcal_jax.hardware.simulate.zaber import SimulatedZaber
 from gradcal_jax.hardware.terminal import Terminal
 from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, beyond_limits
 from gradcal_jax.units import UnitError
@@ -95,7 +97,7 @@ def settled(axis: operator.OperatorAxis, clock: Clock) -> float:
 
 
 def test_a_person_turns_and_types_what_the_dial_shows() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with gimbal(clock) as (axis, person, plant):
         axis.home()
         assert settled(axis, clock) == pytest.approx(plant.state(clock.now())[0], abs=0.05)
@@ -116,7 +118,7 @@ def test_a_person_turns_and_types_what_the_dial_shows() -> None:
 
 
 def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with gimbal(clock, OperatorOptions(slips=0.6, seed=3)) as (axis, person, plant):
         axis.home()
         settled(axis, clock)
@@ -138,7 +140,7 @@ def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more(
 
 
 def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with gimbal(clock, travel_deg=400.0) as (axis, person, _):
         axis.home()
         settled(axis, clock)
@@ -160,7 +162,7 @@ def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
 
 
 def test_who_is_late_is_rung_for_and_a_port_that_is_gone_is_said() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     bells: list[bytes] = []
     with gimbal(clock, OperatorOptions(reading_s=100.0), remind_s=30.0) as (axis, person, _):
         listen = person.receive
@@ -177,7 +179,7 @@ def test_who_is_late_is_rung_for_and_a_port_that_is_gone_is_said() -> None:
 
 
 def test_an_encoder_is_read_and_its_motor_is_left_alone() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     # The encoder's zero lies two turns away from where the gimbal's mark is.
     plant = AxisPlant(AxisTruth(reading_noise_deg=0.001), clock.now())
     plant.set_zero(clock.now(), 720.0)
@@ -233,7 +235,7 @@ def test_the_templates_gimbal_is_a_rig() -> None:
     rig = parse_rig('format = "gradcal-rig/1"\n' + written)
     assert rig.axis[0].encoder is not None
     with pytest.raises(HardwareError, match="ttyUSB3 cannot be opened"):
-        open_rig(rig, VirtualClock())
+        open_rig(rig, LineClock())
 
 
 @pytest.mark.parametrize(
@@ -265,7 +267,7 @@ def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
         run(hand_recipe(), tmp_path / "run", rig=rig)
     assert not (tmp_path / "run").exists()
     # Asked what it is, it answers; making it safe asks nobody.
-    with open_rig(rig, VirtualClock()) as bench:
+    with open_rig(rig, LineClock()) as bench:
         axis = bench.axes["x"]
         assert axis.identify().driver == "operator"
         assert axis.safe(AxisSafe.HOLD).verified
@@ -299,11 +301,27 @@ def hand_recipe(**more: object) -> Recipe:
     return unpredicted(changed(parse_spec(presets.text("rig-hand")), keys | more))
 
 
-def test_a_rehearsed_run_by_hand_from_recipe_to_log(tmp_path: Path) -> None:
+def test_a_rehearsal_turns_by_hand_too(tmp_path: Path) -> None:
     made = hand_recipe()
     result = run(made, tmp_path / "run", simulate=True, seed=3)
     assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
-    folder = RunFolder(tmp_path / "run")
+    log = run_log.log(tmp_path / "run")
+    assert log.standstill is not None
+    assert log.table_course_rad is not None
+    for number in range(2 * made.motion[0].repeat + 1):
+        rows = log.standstill == number
+        # Every rest keeps its length, however late somebody was; nobody hits the mark exactly.
+        assert np.count_nonzero(rows) >= 5.8 * 125.0
+        (angle,) = set(np.degrees(log.table_course_rad[rows, 0]))
+        assert 0.0 < abs((angle + 180.0) % 360.0 - 180.0) < 2.0
+
+
+def test_a_run_by_hand_from_recipe_to_log(tmp_path: Path) -> None:
+    made = hand_recipe()
+    with SimulatedLab(made.spec, clock := LineClock(), seed=3) as lab:
+        folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
+        result = run_session(folder, lab.rig, clock, simulated=True)
+    assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
     contents = folder.contents()
     repeats = made.motion[0].repeat
     moves = [event for event in contents.events if event.name == "move"]

@@ -11,6 +11,8 @@ from pathlib import Path
 import jsonschema
 import pytest
 from hardware_bench import Rig, short_recipe
+from simulated_devices.line_clock import LineClock
+from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
 from gradcal_jax.decoding.run_log import log_of
@@ -23,8 +25,6 @@ from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import configs_of, driver_names, driver_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 HERE = Path(__file__).parent / "outside_driver"
 
@@ -114,7 +114,7 @@ def test_the_guards_own_process_knows_it(site: Path, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("installed")
 def test_run_and_log_know_it(tmp_path: Path) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     made = short_recipe(changes={"rig.table.max_acceleration": "300 deg/s^2"})
     with Rig(clock, stage=True) as lab:
         acme = SimulatedAcme(lab.chamber.plant, clock)

@@ -11,6 +11,8 @@ from hardware_bench import short_recipe, unpredicted
 from hardware_evidence import record
 from hardware_processes import laboratory, start_run
 from simulated_devices.faults import Faults
+from simulated_devices.line_clock import LineClock
+from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import changed, parse_spec, presets
@@ -30,8 +32,6 @@ from gradcal_jax.hardware.run_folder import (
 )
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 from gradcal_jax.hardware.session import run_session
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.track import Track
 
 SPEED = 20.0
@@ -151,7 +151,7 @@ def test_axes_that_the_rig_does_not_have_are_named() -> None:
 
 def executed(folder: RunFolder, seed: int, *, stop_at_step: int | None = None, begins_s: float = 0.0) -> RunResult:
     """A session on a fresh simulated laboratory; it is asked to stop in the middle of a step."""
-    clock = VirtualClock(begins_s)
+    clock = LineClock(begins_s)
     made = read_recipe(folder.path / "recipe.toml")
     first = prepare_resume(folder) if folder.journal_path.exists() else 0
     runners: list[Runner] = []
@@ -169,7 +169,7 @@ def executed(folder: RunFolder, seed: int, *, stop_at_step: int | None = None, b
 
 def test_a_resumed_run_gives_the_same_data_with_a_seam(tmp_path: Path) -> None:
     made = short_recipe(2.0)
-    with SimulatedLab(made.spec, VirtualClock()) as lab:
+    with SimulatedLab(made.spec, LineClock()) as lab:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
         whole = new_folder(tmp_path / "whole", made, lab.rig, simulated={})
     assert executed(whole, 4).exit_status == "success"
@@ -201,14 +201,14 @@ def test_a_resumed_run_gives_the_same_data_with_a_seam(tmp_path: Path) -> None:
 
 def test_resuming_refuses_another_recipe_another_version_and_another_device(tmp_path: Path) -> None:
     made = short_recipe()
-    with SimulatedLab(made.spec, VirtualClock()) as lab:
+    with SimulatedLab(made.spec, LineClock()) as lab:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
         with pytest.raises(RunFolderError, match="name a new folder"):
             new_folder(tmp_path / "run", made, lab.rig)
     assert executed(folder, 4, stop_at_step=1).exit_status == "stopped"
     with pytest.raises(RunFolderError, match="gradcal run --resume"):
         new_folder(tmp_path / "run", made, folder.rig())
-    clock = VirtualClock(1e4)
+    clock = LineClock(1e4)
     with SimulatedLab(made.spec, clock) as lab:
         lab.imu.options.serial = "N1"
         with pytest.raises(HardwareError, match=r"unit1 at .* N1 .*the run began with .*N25582405002002"):
@@ -253,7 +253,7 @@ def _bytes(path: Path) -> bytes:
 
 def aborted(folder: Path, after_s: float, *, mute: int | None) -> RunResult:
     """A whole run that is aborted at an instant of its clock, with one device silent from then on."""
-    clock = VirtualClock()
+    clock = LineClock()
     made = short_recipe(2.0)
     with SimulatedLab(made.spec, clock) as lab:
         run = new_folder(folder, made, lab.rig, simulated={})

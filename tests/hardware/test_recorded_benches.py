@@ -9,16 +9,17 @@ from typing import Any
 
 import pytest
 from hardware_bench import Rig
+from simulated_devices.line_clock import LineClock
+from simulated_devices.port import SimulatedPort
 from simulated_devices.replay import ReplayedDevice
+from simulated_devices.transcripts import read, rig_in
 
 from gradcal_jax.cli import main
 from gradcal_jax.files.rig import rig_of
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
-from gradcal_jax.hardware.transcript import conversation, read, record_bench, rig_in
+from gradcal_jax.hardware.transcript import conversation, record_bench
 
 RECORDINGS = sorted((Path(__file__).parent / "recordings").glob("*.txt"))
 
@@ -32,7 +33,7 @@ def with_ports(tables: Any, ports: dict[str, str]) -> Any:
 
 def replayed(path: Path) -> tuple[list[str], list[str], list[bytes]]:
     """What the drivers found then, what they find now, and what they said that they did not say then."""
-    entries, tables, clock = read(path), rig_in(path), VirtualClock()
+    entries, tables, clock = read(path), rig_in(path), LineClock()
     then = [e.data.decode() for e in entries if e.direction == "#" and not e.data.startswith(b"settings")]
     urls = list(dict.fromkeys(e.line for e in entries if e.direction != "#"))
     devices = {url: ReplayedDevice([e for e in entries if e.line == url]) for url in urls}
@@ -59,7 +60,7 @@ def same(path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path, clock = tmp_path_factory.mktemp("bench") / "bench.txt", VirtualClock()
+    path, clock = tmp_path_factory.mktemp("bench") / "bench.txt", LineClock()
     with Rig(clock, stage=True) as rig:
         rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"
         record_bench(rig.rig, path, clock, move=True)

@@ -8,6 +8,8 @@ import pytest
 from hardware_bench import Rig, short_recipe
 from hardware_evidence import record
 from scipy.stats import chi2
+from simulated_devices.line_clock import LineClock
+from simulated_devices.port_lab import SimulatedLab
 from test_end_to_end import SMALL, distance
 
 from gradcal_jax.api.calibration import estimate_calibration
@@ -19,10 +21,8 @@ from gradcal_jax.files.log import Log, read_log
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.hardware.simulate.sensor import SensorSamples
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 MAP = """\
 format = "gradcal-columns/1"
@@ -45,7 +45,7 @@ SLOWER = {"rig.table.max_acceleration": "300 deg/s^2"}
 
 
 def run_without_a_unit(folder: Path, made: Recipe) -> RememberingPlant:
-    clock = VirtualClock()
+    clock = LineClock()
     with Rig(clock, stage=True) as lab:
         plant = RememberingPlant(None, clock.now())
         lab.table.stages[0].plant = plant
@@ -141,7 +141,7 @@ UNSURE_CLOCK = SLOWER | SMALL | {"sensor.sample_clock_error": "50 ppm"}
 def recorded_run(folder: Path, made: Recipe, seed: int) -> tuple[Log, dict[str, Any]]:
     """The log of a run without a unit and of what a logger kept of the lab's unit, by a clock of which nobody knows
     the start nor, but for its 50 ppm, the rate; and the hidden truth."""
-    clock, kept = VirtualClock(), list[SensorSamples]()
+    clock, kept = LineClock(), list[SensorSamples]()
     with SimulatedLab(made.spec, clock, seed=seed) as lab:
         take = lab.sensor.take
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from hardware_bench import served
+from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.files.line_protocol import shipped
 from gradcal_jax.files.problems import SpecError
@@ -14,7 +15,6 @@ from gradcal_jax.hardware.checksums import crc16_modbus
 from gradcal_jax.hardware.drivers.registers import RegistersChamber, RegistersConfig, open_exchange
 from gradcal_jax.hardware.errors import LimitExceeded, NotVerified, Rejected
 from gradcal_jax.hardware.roles import ChamberSafe
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 OVEN: dict[str, Any] = {
     "format": FORMAT,
@@ -78,7 +78,7 @@ def test_an_eurotherm_cannot_be_put_into_standby() -> None:
 
 
 def test_a_chamber_from_its_description_alone() -> None:
-    clock, device, config = VirtualClock(), Slave(), RegistersConfig(OVEN, reply_timeout_s=0.2)
+    clock, device, config = LineClock(), Slave(), RegistersConfig(OVEN, reply_timeout_s=0.2)
     with served(device, clock, 9600) as (_, transport):
         chamber = RegistersChamber(open_exchange(transport, clock, config), config)
         assert (chamber.read().air_c, chamber.read().mode, chamber.read().conditioning) == (23.5, "OFF", False)
@@ -102,7 +102,7 @@ def test_a_chamber_from_its_description_alone() -> None:
 def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) -> None:
     entry = {"address": 40, "type": kind, "decimals": 0 if kind == "float32" else 2}
     tables = changed(registers={"setpoint": entry}) | {"line": {"low_word_first": low_first}}
-    clock, device, config = VirtualClock(), Slave(), RegistersConfig(tables, reply_timeout_s=0.2)
+    clock, device, config = LineClock(), Slave(), RegistersConfig(tables, reply_timeout_s=0.2)
     device.words |= {(3, 40): 0, (3, 41): 0}
     with served(device, clock, 9600) as (_, transport):
         chamber = RegistersChamber(open_exchange(transport, clock, config), config)

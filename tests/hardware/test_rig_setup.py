@@ -5,21 +5,21 @@ from pathlib import Path
 
 import pytest
 from hardware_bench import sensor_on_table
+from simulated_devices.espec import SimulatedEspec
+from simulated_devices.line_clock import LineClock
+from simulated_devices.port import SimulatedPort
+from simulated_devices.stim300 import SimulatedStim300
+from simulated_devices.zaber import SimulatedZaber
 
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import TEMPLATE, parse_rig, read_rig
-from gradcal_jax.hardware.drivers.espec import EspecConfig
+from gradcal_jax.hardware.drivers.lines import EspecConfig
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.drivers.zaber import ZaberConfig
 from gradcal_jax.hardware.errors import PortRefused
 from gradcal_jax.hardware.journal import Direction
 from gradcal_jax.hardware.setup import DRIVERS, check_rig, configs_of, open_rig, option_names
-from gradcal_jax.hardware.simulate.espec import SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.stim300 import SimulatedStim300
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
-from gradcal_jax.hardware.simulate.zaber import SimulatedZaber
 
 
 def test_template_is_a_rig_and_its_options_reach_the_drivers() -> None:
@@ -114,7 +114,7 @@ class Remember:
 
 
 def test_a_rig_is_opened_checked_and_closed(tmp_path: Path) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     plants = [AxisPlant(), AxisPlant()]
     with (
         SimulatedPort(SimulatedEspec(ChamberPlant(ChamberTruth()), clock), clock) as chamber,

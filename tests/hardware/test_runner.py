@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from hardware_bench import Rig
 from simulated_devices.faults import Faults
+from simulated_devices.gyro import EARTH_RATE_DPS, SensorTruth
+from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation, standard_rules
@@ -21,8 +23,6 @@ from gradcal_jax.hardware.roles import ChamberLimits, join
 from gradcal_jax.hardware.runner import WAYS, Runner, RunProgress, RunState
 from gradcal_jax.hardware.session import signals_to
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.sensor import EARTH_RATE_DPS, SensorTruth
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep, beyond_limits
 
 TURN = AxisCommand(2.0, "table", "go", position_deg=360.0, rate_dps=120.0, acceleration_dps2=240.0)
@@ -39,7 +39,7 @@ TRACK = Track(
 
 @contextmanager
 def lab(folder: Path, truth: SensorTruth | None = None) -> Iterator[tuple[Rig, Runner]]:
-    clock = VirtualClock()
+    clock = LineClock()
     with Rig(clock, truth) as rig, open_rig(rig.rig, clock) as bench, Journal(folder / "journal") as journal:
         yield rig, Runner(TRACK, bench, journal, clock, safe_deadline_s=10.0)
 

@@ -16,14 +16,14 @@ from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.hardware.simulate.lab import draw_truth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.sensor import Mounting, SimulatedSensor
+from gradcal_jax.hardware.simulate.unit import SimulatedUnit, TableTruth
 from gradcal_jax.information import noise_steps
 from gradcal_jax.trajectory import gauss_nodes, held
 
 SEEDS, RATE_HZ = 50, 4.0
 SETTLED_S, SPINNING_S = 1800.0, 2.0
 # An east-pointing axis, where the Earth's rate has no component.
-EAST = Mounting(axes=((1.0, 0.0, 0.0),))
+EAST = TableTruth(((1.0, 0.0, 0.0),), np.radians(45.0), 9.8)
 
 
 def recorded(spec: Spec, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, float]]:
@@ -31,7 +31,7 @@ def recorded(spec: Spec, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     plan, truth = spec.schedule, draw_truth(spec, seed)
     chamber = ChamberPlant(ChamberTruth(start_c=float(plan.temperatures[0]), load_time_constant_s=1.0))
     axis = AxisPlant(replace(truth.axis, seed=16 * truth.axis.seed + 1))
-    sensor = SimulatedSensor(truth.sensor, EAST, chamber, [axis], sample_rate_hz=RATE_HZ, seed=seed + 1)
+    sensor = SimulatedUnit(truth.sensor, EAST, chamber, [axis], sample_rate_hz=RATE_HZ, seed=seed + 1)
     now, rows = 0.0, []
 
     def last(time_s: float):

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from hardware_bench import Rig, short_recipe
+from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.cli import main
 from gradcal_jax.decoding.run_log import log
@@ -22,7 +23,6 @@ from gradcal_jax.hardware.dry_run import dry_run_of, rate_as_made
 from gradcal_jax.hardware.roles import ChamberLimits
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.supervision import read_status
 
 SLOWER = {"rig.table.max_acceleration": "300 deg/s^2"}
@@ -66,27 +66,24 @@ def test_a_dry_run_says_what_every_device_is_told_and_tells_them_nothing(made: P
 
 
 def test_slopes_are_said_as_the_chamber_makes_them() -> None:
-    whole = ChamberLimits(-50.0, 150.0, 0.1, True, ramp_step_s=60.0)
     tenths = ChamberLimits(-50.0, 150.0, 0.1, True, ramp_step_k_per_min=0.1)
-    # The ESPEC's whole minutes: 1 K at 2 K/min becomes 1 K/min.
-    assert rate_as_made(whole, 1.0, 2.0) == 1.0
-    assert rate_as_made(whole, 40.0, 1.5) == pytest.approx(40.0 / 27.0)
-    assert rate_as_made(tenths, 40.0, 0.26) == pytest.approx(0.3)
+    assert rate_as_made(tenths, 0.26) == pytest.approx(0.3)
     track = track_of(short_recipe(ramp_k=1.0, changes=SLOWER), ["x"])
-    assert "2 K/min would become 1 K/min" in dry_run_of(track, whole, {}).rounded[0]
+    coarse = ChamberLimits(-50.0, 150.0, 0.1, True, ramp_step_k_per_min=1.5)
+    assert "2 K/min would become 1.5 K/min" in dry_run_of(track, coarse, {}).rounded[0]
     assert dry_run_of(track, tenths, {}).rounded == ()
 
 
 def test_what_is_said_of_a_slope_is_what_the_driver_makes_of_it() -> None:
-    from hardware_bench import cts_bench, espec_bench, thermotron_bench, weiss_bench
+    from hardware_bench import cts_bench, thermotron_bench, weiss_bench
 
-    for bench in (espec_bench, weiss_bench, thermotron_bench, cts_bench):
-        clock = VirtualClock()
+    for bench in (weiss_bench, thermotron_bench, cts_bench):
+        clock = LineClock()
         with bench(clock) as (chamber, _, _):
             chamber.hold(20.0)
             clock.sleep(3600.0)
             limits = chamber.limits()
-            assert chamber.ramp(37.0, 1.26) == pytest.approx(rate_as_made(limits, 17.0, 1.26), abs=1e-6)
+            assert chamber.ramp(37.0, 1.26) == pytest.approx(rate_as_made(limits, 1.26), abs=1e-6)
 
 
 def test_a_rig_is_tried_for_a_recipe_and_moves_only_where_it_is_said(made: Path, tmp_path: Path, capsys) -> None:
@@ -139,7 +136,7 @@ def test_the_list_is_confirmed_or_nothing_begins(made: Path, tmp_path: Path, cap
 
 
 def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: Path, capsys) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     seen: list[dict[str, Any]] = []
     with Rig(clock, stage=True) as lab:
         about = {"operator": "A. Person", "note": "second try"}
@@ -175,7 +172,7 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: P
 
 
 def test_an_alarm_of_the_chamber_calls_the_command_of_the_rig_file(tmp_path: Path) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with Rig(clock, stage=True) as lab:
         rig = with_alarm(lab.rig, tmp_path / "heard")
         run = new_folder(tmp_path / "run", short_recipe(changes=SLOWER), rig, simulated={})

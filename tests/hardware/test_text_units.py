@@ -10,6 +10,8 @@ import pytest
 from hardware_bench import Rig, sensor_on_table, short_recipe
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from simulated_devices.line_clock import LineClock
+from simulated_devices.port import SimulatedPort
 from simulated_devices.text_unit import SimulatedTextUnit, TextUnitOptions
 
 from gradcal_jax.decoding.run_log import log as log_of_run
@@ -22,8 +24,6 @@ from gradcal_jax.hardware.roles import ImuBatch, join
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import check_each, configs_of
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 BOARD: dict[str, Any] = {
     "format": "gradcal-text/1",
@@ -149,7 +149,7 @@ def board(rig: Rig, clock: Any, **options: Any) -> SimulatedPort:
 
 
 def test_a_run_with_a_board_that_prints_text(tmp_path: Path) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with Rig(clock, stage=True) as rig, board(rig, clock) as port:
         described = with_board(rig.rig, port.url)
         run = new_folder(tmp_path / "run", short_recipe(2.0), described, simulated={})

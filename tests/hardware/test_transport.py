@@ -12,19 +12,20 @@ import time
 from pathlib import Path
 
 import pytest
-from hardware_bench import espec_bench, served
+from hardware_bench import espec_bench, espec_config, served
 from hypothesis import given
 from hypothesis import strategies as st
+from simulated_devices import transcripts
+from simulated_devices.espec import SimulatedEspec
+from simulated_devices.line_clock import LineClock
+from simulated_devices.port import SimulatedPort
 from simulated_devices.replay import ReplayedDevice
 
 from gradcal_jax.hardware import transcript
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers import espec
+from gradcal_jax.hardware.drivers import lines
 from gradcal_jax.hardware.errors import Disconnected, PortRefused
-from gradcal_jax.hardware.simulate.espec import SimulatedEspec
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.transport import PortLock, Transport
 
 
@@ -131,7 +132,7 @@ def test_bytes_go_round_and_are_recorded(on_socket: bool, tmp_path: Path) -> Non
         started = time.monotonic()
         assert line.read(0.2) == b""
         assert 0.15 < time.monotonic() - started < 1.0
-    entries = transcript.read(tmp_path / "line.txt")
+    entries = transcripts.read(tmp_path / "line.txt")
     assert entries[0].direction == ">"
     assert entries[0].data == message
     assert b"".join(entry.data for entry in entries[1:]) == message
@@ -185,7 +186,7 @@ def test_transcript_text_keeps_every_byte(data: bytes) -> None:
     text = transcript.encode(data)
     assert text.isascii()
     assert "\n" not in text
-    assert transcript.decode(text) == data
+    assert transcripts.decode(text) == data
 
 
 def test_transcript_opens_however_it_was_torn(tmp_path: Path) -> None:
@@ -196,25 +197,25 @@ def test_transcript_opens_however_it_was_torn(tmp_path: Path) -> None:
         record.recorder("line")(index + 0.75, "<", b"\x80\\26.4\r\n")
     record.close()
     whole = path.read_text()
-    entries = transcript.read(path)
+    entries = transcripts.read(path)
     assert len(entries) == 10
     for length in range(len(transcript.HEADER) + 1, len(whole)):
-        torn = transcript.parse(whole[:length].splitlines(keepends=True))
+        torn = transcripts.parse(whole[:length].splitlines(keepends=True))
         assert torn[:-1] == entries[: max(len(torn) - 1, 0)]
     with pytest.raises(ValueError, match="first line"):
-        transcript.parse(["hello\n"])
+        transcripts.parse(["hello\n"])
     with pytest.raises(ValueError, match="Line 2"):
-        transcript.parse([transcript.HEADER + "\n", "nonsense\n", "1.0 line > x\n"])
+        transcripts.parse([transcript.HEADER + "\n", "nonsense\n", "1.0 line > x\n"])
 
 
 def test_recorded_conversation_becomes_a_device(tmp_path: Path) -> None:
     """Record a driver against a simulated chamber, then run the same driver against the record alone."""
     path = tmp_path / "field.txt"
-    clock = VirtualClock()
-    config = espec.EspecConfig(reply_timeout_s=0.3)
+    clock = LineClock()
+    config = espec_config()
 
     def conversation(transport: Transport) -> tuple[object, ...]:
-        chamber = espec.EspecChamber(espec.open_exchange(transport, clock, config), config)
+        chamber = lines.LinesChamber(lines.open_exchange(transport, clock, config), config)
         chamber.hold(40.0)
         return chamber.identify(), chamber.limits(), chamber.read().setpoint_c
 
@@ -226,7 +227,7 @@ def test_recorded_conversation_becomes_a_device(tmp_path: Path) -> None:
         clock.party(),
     ):
         live = conversation(line)
-    replayed = ReplayedDevice(transcript.read(path))
+    replayed = ReplayedDevice(transcripts.read(path))
     with served(replayed, clock, 9600) as (_, line):
         assert conversation(line) == live
     assert replayed.finished
@@ -235,7 +236,7 @@ def test_recorded_conversation_becomes_a_device(tmp_path: Path) -> None:
 
 def test_replay_names_what_the_driver_says_differently(tmp_path: Path) -> None:
     replayed = ReplayedDevice(
-        [transcript.TranscriptEntry(0.0, ">", b"TEMP?\r\n"), transcript.TranscriptEntry(0.1, "<", b"20.0\r\n")]
+        [transcripts.TranscriptEntry(0.0, ">", b"TEMP?\r\n"), transcripts.TranscriptEntry(0.1, "<", b"20.0\r\n")]
     )
     assert replayed.receive(b"ROM?\r\n") == []
     assert replayed.unexpected == [b"ROM?\r\n"]
@@ -244,8 +245,8 @@ def test_replay_names_what_the_driver_says_differently(tmp_path: Path) -> None:
 
 def test_importing_the_room_needs_no_jax() -> None:
     names = (
-        "import sys; import gradcal_jax.hardware.drivers.stim300, gradcal_jax.hardware.simulate.stim300, "
-        "gradcal_jax.hardware.drivers.espec; print([m for m in ('jax', 'equinox', 'xarray', 'matplotlib', 'scipy') "
+        "import sys; import gradcal_jax.hardware.drivers.stim300, gradcal_jax.hardware.simulate.lab, "
+        "gradcal_jax.hardware.drivers.lines; print([m for m in ('jax', 'equinox', 'xarray', 'matplotlib', 'scipy') "
         "if m in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", names], capture_output=True, text=True, check=True).stdout == "[]\n"
@@ -253,20 +254,20 @@ def test_importing_the_room_needs_no_jax() -> None:
 
 def test_driver_on_a_line_that_is_no_such_device_says_what_it_heard() -> None:
     clock = RealClock()
-    config = espec.EspecConfig(reply_timeout_s=0.1)
+    config = espec_config(reply_timeout_s=0.1)
     with served(Echo(), clock, 9600) as (_, line):
-        chamber = espec.EspecChamber(espec.open_exchange(line, clock, config), config)
+        chamber = lines.LinesChamber(lines.open_exchange(line, clock, config), config)
         with pytest.raises(Exception, match=r"TYPE\?") as caught:
             chamber.identify()
-        assert "expected" in str(caught.value) or "no complete reply" in str(caught.value)
+        assert "Is it that device?" in str(caught.value) or "no complete reply" in str(caught.value)
     with served(Deaf(), clock, 9600) as (_, line):
-        chamber = espec.EspecChamber(espec.open_exchange(line, clock, config), config)
+        chamber = lines.LinesChamber(lines.open_exchange(line, clock, config), config)
         with pytest.raises(Exception, match=r"did not answer in 0.1 s.*echo back"):
             chamber.identify()
 
 
 def test_driver_over_a_socket() -> None:
-    with espec_bench(VirtualClock(), on_socket=True) as (chamber, _, port):
+    with espec_bench(LineClock(), on_socket=True) as (chamber, _, port):
         assert port.url.startswith("socket://")
         chamber.hold(30.0)
         assert chamber.read().setpoint_c == 30.0

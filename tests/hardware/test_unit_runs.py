@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hardware_evidence import record
 from scipy.stats import chi2
+from simulated_devices.line_clock import LineClock
 from unit_bench import estimated, hand, made, short, stopped_in_its_second_cycle
 
 from gradcal_jax.decoding import run_log
@@ -27,7 +28,6 @@ from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.settings import KeptSettings
 from gradcal_jax.hardware.simulate.plants import AxisPlant
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.track import AxisCommand
 
 
@@ -62,7 +62,7 @@ def test_one_axis_turns_at_a_time(ran: tuple[Path, Log]) -> None:
 class SlowStage:
     """A stage that turns at half the rate that it is told."""
 
-    def __init__(self, clock: VirtualClock) -> None:
+    def __init__(self, clock: LineClock) -> None:
         self.plant, self.clock, self.settings = AxisPlant(None, clock.now()), clock, KeptSettings()
 
     def not_asked(self, *said: Any) -> Any:
@@ -83,7 +83,7 @@ class SlowStage:
 
 
 def test_a_turn_waits_for_the_one_of_another_axis() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     stages: dict[str, Any] = {"tilt": SlowStage(clock), "spin": SlowStage(clock)}
     moving: list[bool] = []
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hardware_bench import Rig, short_recipe
+from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.drivers.vectornav import VectorNavConfig, decoder_of, request
@@ -15,12 +16,11 @@ from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.losses import ExecutedStep, SampleLosses
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 
 @contextmanager
 def lab(folder: Path) -> Iterator[tuple[Rig, Runner]]:
-    clock = VirtualClock()
+    clock = LineClock()
     with Rig(clock, stage=True) as rig, Journal(folder / "journal") as journal:
         rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"
         track = track_of(short_recipe(2.0), ["table"])

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
 from gradcal_jax.files.problems import SpecError
@@ -16,7 +17,6 @@ from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused
 from gradcal_jax.hardware.journal import parse_journal
 from gradcal_jax.hardware.run_folder import sessions, steps_done
-from gradcal_jax.hardware.simulate.port import SimulatedPort
 from gradcal_jax.hardware.transport import Transport
 
 

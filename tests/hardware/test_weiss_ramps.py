@@ -5,12 +5,12 @@ from collections.abc import Callable
 
 import pytest
 from hardware_bench import weiss_bench
+from simulated_devices.line_clock import LineClock
 from simulated_devices.weiss import SimulatedWeiss, WeissOptions
 
 from gradcal_jax.hardware.drivers.weiss import WeissConfig, parse_description
 from gradcal_jax.hardware.errors import NotVerified
 from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 CONFIG = WeissConfig(reply_timeout_s=0.3, acknowledge_timeout_s=0.1, description_silence_s=0.1, product_channel="MV01")
 
@@ -29,7 +29,7 @@ def harmed(device: SimulatedWeiss, letter: str, change: Callable[[bytes], bytes]
     return hit
 
 
-def slope_k_per_min(chamber: TemperatureChamber, clock: VirtualClock) -> float:
+def slope_k_per_min(chamber: TemperatureChamber, clock: LineClock) -> float:
     clock.sleep(60.0)
     before = chamber.read()
     clock.sleep(300.0)
@@ -52,7 +52,7 @@ def slope_k_per_min(chamber: TemperatureChamber, clock: VirtualClock) -> float:
 def test_a_ramp_whose_commands_do_not_arrive_is_told_again(
     acknowledges: bool, letter: str, change: Callable[[bytes], bytes], target_c: float, runs: bool
 ) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with weiss_bench(clock, WeissOptions(acknowledges=acknowledges, strict=True), CONFIG) as (chamber, device, _):
         chamber.hold(24.0)
         clock.sleep(1800.0)
@@ -67,7 +67,7 @@ def test_a_ramp_whose_commands_do_not_arrive_is_told_again(
 
 
 def test_a_chamber_that_takes_no_ramp_is_a_sentence() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with weiss_bench(clock, config=CONFIG) as (chamber, device, _):
         chamber.hold(24.0)
         harmed(device, "U", lambda data: re.sub(rb"\d{4}\.\d", b"0000.0", data), times=100)
@@ -76,7 +76,7 @@ def test_a_chamber_that_takes_no_ramp_is_a_sentence() -> None:
 
 
 def test_a_lost_end_of_a_gradient_does_not_slow_the_hold_that_follows() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with weiss_bench(clock, WeissOptions(acknowledges=False), CONFIG) as (chamber, device, _):
         chamber.hold(24.0)
         chamber.ramp(60.0, 1.0)
@@ -89,7 +89,7 @@ def test_a_lost_end_of_a_gradient_does_not_slow_the_hold_that_follows() -> None:
 @pytest.mark.parametrize("acknowledges", [True, False])
 @pytest.mark.parametrize("policy", list(ChamberSafe))
 def test_safe_takes_the_gradient_off(policy: ChamberSafe, acknowledges: bool) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with weiss_bench(clock, WeissOptions(acknowledges=acknowledges), CONFIG) as (chamber, device, _):
         chamber.ramp(60.0, 1.0)
         assert device.gradients == (1.0, 0.0)
@@ -99,7 +99,7 @@ def test_safe_takes_the_gradient_off(policy: ChamberSafe, acknowledges: bool) ->
 
 
 def test_a_description_in_capital_letters_is_understood() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     with weiss_bench(clock, config=CONFIG) as (_, device, _):
         text = device._description()
         shouted = text.replace("E-String", "E-STRING").replace("I-String", "I-STRING").replace("value min", "VALUE MIN")

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hardware_bench import Rig, cts_bench, espec_bench, grbl_bench, short_recipe, zaber_bench
+from hardware_bench import Rig, cts_bench, espec_bench, espec_config, grbl_bench, short_recipe, zaber_bench
 from simulated_devices.faults import Faults
+from simulated_devices.line_clock import LineClock
+from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
 from gradcal_jax.cli.run import progress_text
@@ -21,7 +23,6 @@ from gradcal_jax.files.rig import rig_of
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware import guard
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers.espec import EspecConfig
 from gradcal_jax.hardware.drivers.lines import LinesConfig
 from gradcal_jax.hardware.errors import Disconnected, PortTaken, Rejected, ReplyTimeout
 from gradcal_jax.hardware.guard import Guard
@@ -31,8 +32,6 @@ from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
 from gradcal_jax.hardware.safety import make_safe
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import check_each, open_rig
-from gradcal_jax.hardware.simulate.port import SimulatedPort
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.supervision import read_status
 from gradcal_jax.hardware.transport import Transport
 
@@ -139,7 +138,7 @@ def test_two_names_of_one_adapter_are_one_port(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("long", [False, True])
 def test_a_cts_chamber_may_acknowledge_either_way(long: bool) -> None:
-    with cts_bench(VirtualClock()) as (chamber, device, _):
+    with cts_bench(LineClock()) as (chamber, device, _):
         answer = device._answer
 
         def acknowledges(text: str) -> str:
@@ -153,18 +152,18 @@ def test_a_cts_chamber_may_acknowledge_either_way(long: bool) -> None:
 
 
 def test_a_grbl_board_that_reports_inches_is_refused_unless_that_is_left_out() -> None:
-    with grbl_bench(VirtualClock()) as (axis, device, _):
+    with grbl_bench(LineClock()) as (axis, device, _):
         device.settings[13] = 1.0
         with pytest.raises(Rejected, match=r"with \$13=1 the board reports inches"):
             axis.identify()
     config = LinesConfig(protocol="grbl", reply_timeout_s=0.2, require=False)
-    with grbl_bench(VirtualClock(), config=config) as (axis, device, _):
+    with grbl_bench(LineClock(), config=config) as (axis, device, _):
         device.settings[13] = 1.0
         axis.identify()
 
 
 def test_a_board_that_restarts_when_its_port_is_opened_is_given_its_time() -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     began = clock.now()
     with grbl_bench(clock) as (axis, device, _):
         receive, heard = device.receive, list[float]()
@@ -214,7 +213,7 @@ def test_a_run_that_never_began_is_not_called_sound(tmp_path: Path, capsys: pyte
 
 
 def test_a_pause_states_its_reason(tmp_path: Path) -> None:
-    clock = VirtualClock()
+    clock = LineClock()
     runners: list[Runner] = []
     seen: list[str] = []
 
@@ -253,11 +252,11 @@ def test_a_cable_that_is_in_again_is_used_to_make_safe() -> None:
 
 
 def test_a_refusal_names_device_and_port() -> None:
-    with espec_bench(VirtualClock()) as (chamber, device, port):
+    with espec_bench(LineClock()) as (chamber, device, port):
         device._command = lambda text: "PROTECT ON"
-        with pytest.raises(Rejected, match=f"The ESPEC chamber at {port.url} was sent 'TEMP, S40.0.*PROTECT ON"):
+        with pytest.raises(Rejected, match=f"ESPEC at {port.url} was sent 'TEMP, S40.0.*PROTECT ON"):
             chamber.hold(40.0)
-    with zaber_bench(VirtualClock()) as (axis, device, port):
+    with zaber_bench(LineClock()) as (axis, device, port):
         device._move = lambda *_: (False, "BADDATA")
         with pytest.raises(Rejected, match=f"The Zaber stage at {port.url} refuses"):
             axis.spin(10.0, 100.0)
@@ -285,7 +284,7 @@ def port_of(device: Any) -> Transport:
 @pytest.mark.parametrize("delay_s", [0.4, 0.55, 1.15])
 def test_a_reply_that_comes_after_its_time_out_is_said_to_be_late(delay_s: float) -> None:
     """Of the first to the last try: the query succeeds by an earlier try's reply, or fails and is answered then."""
-    with espec_bench(RealClock(), config=EspecConfig(reply_timeout_s=0.3, query_pause_s=0.0)) as (chamber, _, port):
+    with espec_bench(RealClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
         port.faults = Slow(port, delay_s)
         if delay_s < 0.9:
             chamber._air_c()
@@ -296,13 +295,13 @@ def test_a_reply_that_comes_after_its_time_out_is_said_to_be_late(delay_s: float
             with pytest.raises(ReplyTimeout, match="raise reply_timeout"):
                 chamber._air_c()
         late = port_of(chamber).late
-        assert f"The ESPEC chamber at {port.url} was sent 'TEMP?" in late
+        assert f"ESPEC at {port.url} was sent 'TEMP?" in late
         assert "s late: raise reply_timeout" in late
         assert float(late.partition("answered ")[2].partition(" s late")[0]) == pytest.approx(delay_s - 0.3, abs=0.2)
 
 
 def test_an_acknowledgement_that_comes_too_late_is_said() -> None:
-    with espec_bench(RealClock(), config=EspecConfig(reply_timeout_s=0.3, set_pause_s=0.0)) as (chamber, _, port):
+    with espec_bench(RealClock(), config=espec_config(after="0 s")) as (chamber, _, port):
         slow = Slow(port, 0.5)
         port.faults = lambda message: slow(message) if message.startswith(b"OK:TEMP") else [message]
         chamber.hold(40.0)
@@ -312,7 +311,7 @@ def test_an_acknowledgement_that_comes_too_late_is_said() -> None:
 
 
 def test_replies_in_time_are_not_called_late_though_some_are_lost() -> None:
-    with espec_bench(RealClock(), config=EspecConfig(reply_timeout_s=0.3, query_pause_s=0.0)) as (chamber, _, port):
+    with espec_bench(RealClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
         port.faults = Faults(probability={"drop": 0.3}, seed=3)
         for _ in range(20):
             chamber._air_c()
@@ -322,7 +321,7 @@ def test_replies_in_time_are_not_called_late_though_some_are_lost() -> None:
 def test_a_late_reply_is_not_taken_for_the_answer_to_the_next_question() -> None:
     """To "TYPE?" it comes in the second try; the second try's own reply arrives while "ROM?" is waited for, whose
     answer may be any text."""
-    with espec_bench(RealClock(), config=EspecConfig(reply_timeout_s=0.3, query_pause_s=0.0)) as (chamber, _, port):
+    with espec_bench(RealClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
         port.faults = Slow(port, 0.45)
         assert chamber.identify().firmware == "P3S1.10"
 
@@ -347,7 +346,7 @@ def test_late_replies_are_said_by_check_and_run(tmp_path: Path, capsys: pytest.C
         runners: list[Runner] = []
         result = run_session(run, rig_of(tables), RealClock(), on_progress=look, with_runner=runners.append)
         assert seen, result.reason
-    assert "The ESPEC chamber at" in seen[0]
+    assert "ESPEC at" in seen[0]
     assert "late: raise reply_timeout" in seen[0]
     (event,) = (one for one in read_journal(run.journal_path).events if one.name == "late reply")
     assert event.data["device"] == "chamber"

@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from simulated_devices.line_clock import LineClock
+from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax import api
 from gradcal_jax.files import Spec, changed, parse_spec, presets
@@ -12,8 +14,6 @@ from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session
-from gradcal_jax.hardware.simulate.lab import SimulatedLab
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 TURN = {"turn": "720 deg", "peak_rate": "200 deg/s", "shape": "cosine ramps"}
 BACK = {"turn": "-720 deg", "peak_rate": "100 deg/s", "shape": "cosine ramps"}
@@ -68,7 +68,7 @@ def recipe() -> Recipe:
 
 def rehearse(made: Recipe, folder: Path, seed: int = 3) -> dict[str, Any]:
     """Run a recipe on simulated devices into a folder; the hidden truth."""
-    clock = VirtualClock()
+    clock = LineClock()
     with SimulatedLab(made.spec, clock, seed=seed) as lab:
         run = new_folder(folder, made, lab.rig, simulated={"seed": seed, "speed": None, "sample_rate_hz": 125.0})
         truth = lab.truth.tables(lab.axes)

@@ -96,13 +96,21 @@ class AxisDriver(ExchangeDriver[Place], ABC):
     @abstractmethod
     def read(self) -> AxisReading: ...
 
-    def _own_deg(self, position_deg: float) -> float:
-        """The device's angle at an angle of the rig."""
-        return (position_deg - self._config.zero_deg) * self._config.direction
+    @abstractmethod
+    def _per_turn(self) -> float:
+        """How many of the device's units a turn of the table has."""
 
-    def _rig_deg(self, own_deg: float) -> float:
-        """The rig's angle at an angle of the device."""
-        return self._config.zero_deg + self._config.direction * own_deg
+    def _units(self, angle_deg: float) -> float:
+        """An angle, a rate or an acceleration in the device's units."""
+        return angle_deg / 360.0 * self._per_turn()
+
+    def _own(self, position_deg: float) -> float:
+        """The device's position at an angle of the rig."""
+        return self._units((position_deg - self._config.zero_deg) * self._config.direction)
+
+    def _degrees(self, own: float) -> float:
+        """The rig's angle at a position of the device."""
+        return self._config.zero_deg + self._config.direction * (own * 360.0 / self._per_turn())
 
     def _require_travel(self, position_deg: float, travel_deg: tuple[float, float]) -> None:
         lowest, highest = travel_deg

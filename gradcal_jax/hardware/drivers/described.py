@@ -195,8 +195,8 @@ class DescribedChamber(DescribedDevice[Options], ChamberDriver[Options]):
     def _alarms(self, texts: Texts) -> tuple[str, ...]:
         if not self._is("alarm", texts):
             return ()
-        named = [name for name in ("code", "message", self._description.state["alarm"].field) if name in texts]
-        return (" ".join(dict.fromkeys(texts[name] for name in named)),)
+        named = [texts[name] for name in ("code", "message") if texts.get(name)]
+        return (" ".join(named) or texts[self._description.state["alarm"].field],)
 
     def _mode(self, texts: Texts) -> str:
         return texts[self._description.state["conditioning"].field]

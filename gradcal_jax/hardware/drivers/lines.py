@@ -35,7 +35,7 @@ from ..errors import (
 )
 from ..framing import LineFramer
 from ..request_reply import Exchange, NotThisReply, command_and_verify
-from ..roles import AxisLimits, AxisReading, AxisSafe, SafeReport
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
 from .base import AxisDriver, MeanRate, Unwatched
@@ -93,6 +93,13 @@ class LinesConfig:
         return {"bytesize": line.bytesize, "parity": line.parity, "stopbits": line.stopbits}
 
 
+@dataclass(frozen=True)
+class EspecConfig(LinesConfig):
+    """Of the driver "espec": the protocol of that name."""
+
+    protocol: Any = "espec"
+
+
 class Codec:
     """Codec between lines of one protocol and bytes: pure."""
 
@@ -105,7 +112,7 @@ class Codec:
         return LineFramer(ends or None, keep_empty=bool(ends))
 
     def message(self, text: str, *, bare: bool = False) -> bytes:
-        body = text.encode("latin-1")
+        body = (self._protocol.line.prefix + text).encode("latin-1")
         if not self._framed:
             return body if bare else body + self._protocol.line.ends.encode("latin-1")
         body = bytes([self._protocol.line.address]) + bytes(byte | 0x80 for byte in body)
@@ -149,6 +156,14 @@ class _Spoken(DescribedDevice[LinesConfig]):
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         super().__init__(exchange, config, config.described, require=config.require)
         self._protocol, self._codec = config.described, Codec(config.described)
+        replies = (reply for command in self._protocol.tell.values() for reply in command.reply)
+        self._acknowledgements = [_pattern(reply) for reply in replies]
+
+    def identify(self) -> Identity:
+        try:
+            return super().identify()
+        except ReplyTimeout as silence:
+            raise ReplyTimeout(f"{silence} {self._protocol.line.hint or ''}".strip()) from None
 
     def _read(self, *names: str) -> Texts:
         """The fields of these names, each query sent once, in this order; fields without a query are absent."""
@@ -167,9 +182,12 @@ class _Spoken(DescribedDevice[LinesConfig]):
             except Rejected as refused:
                 # Devices do not refuse queries: it was damaged on its way, and is repeated.
                 raise FramingError(str(refused)) from None
+            if question.last is None and any(known.fullmatch(text) for known in self._acknowledgements):
+                # The late acknowledgement of a command is no answer to a question.
+                raise NotThisReply
             for reply in question.reply:
                 if (match := _pattern(reply).fullmatch(text)) is not None:
-                    fields.update(match.groupdict())
+                    fields.update({} if question.last else dict.fromkeys(question.fields, ""), **match.groupdict())
                     break
             else:
                 if question.last is None:
@@ -289,7 +307,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         moving = self._moved = self._is("moving", texts)
         faults = (texts[self._protocol.state["fault"].field],) if self._is("fault", texts) else ()
         self._referenced = self._referenced and not faults
-        position = self._degrees(texts["position"])
+        position = self._degrees(float(texts["position"]))
         rate = self._rates.of(asked_s, time_s, position, moving=moving)
         return AxisReading(time_s, position, rate, moving, self._referenced, faults, ())
 
@@ -308,8 +326,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         self._require_ready(referenced=True)
         self._stop_if_moving()
         self._prepare(rate_dps, acceleration_dps2)
-        goal = units.convert(self._own_deg(position_deg), "deg", self._protocol.units.angle)
-        values = {"position": goal, **self._motion(rate_dps, acceleration_dps2)}
+        values = {"position": self._own(position_deg), **self._motion(rate_dps, acceleration_dps2)}
         near = limits.resolution_deg
         command_and_verify(
             lambda: self._tell("move", values),
@@ -372,8 +389,8 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         state = "; ".join(reading.faults) or "no faults"
         return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
 
-    def _degrees(self, text: str) -> float:
-        return self._rig_deg(units.convert(float(text), self._protocol.units.angle, "deg"))
+    def _per_turn(self) -> float:
+        return units.convert(360.0, "deg", self._protocol.units.angle)
 
     def _motion(self, rate_dps: float, acceleration_dps2: float) -> dict[str, float]:
         unit = self._protocol.units

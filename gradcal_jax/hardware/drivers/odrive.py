@@ -198,7 +198,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
     def limits(self) -> AxisLimits:
         config = self._config
         fastest = abs(self._property("controller.config.vel_limit")) * 360.0 / config.turns_per_table_turn
-        ends = [abs(self._target(end)) for end in (config.lowest_deg, config.highest_deg) if end is not None]
+        ends = [abs(self._own(end)) for end in (config.lowest_deg, config.highest_deg) if end is not None]
         farthest = max([abs(self._feedback()[0]), *ends])
         most = min(config.max_rate_dps, fastest), config.max_acceleration_dps2
         step_deg = max(1e-6, _spacing(farthest)) * 360.0 / config.turns_per_table_turn
@@ -211,7 +211,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         errors = self._faults()
         ready = self._property(config.ready_in) != 0.0 if config.ready_in else True
         slow = abs(turns_per_s) < _STANDING_TURNS_PER_S
-        arrived = self._target_turns is None or abs(turns - self._target_turns) < self._turns(config.in_position_deg)
+        arrived = self._target_turns is None or abs(turns - self._target_turns) < self._units(config.in_position_deg)
         moving = not slow or self._spinning or not arrived
         if errors:
             # A controller with an error does not drive the motor: no move is under way any more.
@@ -241,7 +241,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         self.settings.change("trap_traj.config.vel_limit", decimal(rate))
         self.settings.change("trap_traj.config.accel_limit", decimal(acceleration))
         self.settings.change("trap_traj.config.decel_limit", decimal(acceleration))
-        turns = self._target(position_deg)
+        turns = self._own(position_deg)
         self._spinning, self._target_turns = False, turns
         self.settings.note(_INPUT_MODE, str(TRAPEZOID))
         self._shown(f"t {config.motor} {decimal(turns)}", config.input_position_property, turns)
@@ -384,7 +384,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
     def _hold_here(self) -> None:
         """Hold the axis where it stands by the position loop. Raises where mode and set point are not verified."""
-        path, tolerance = self._config.setpoint_property, self._turns(_SYNCHRONISED_DEG)
+        path, tolerance = self._config.setpoint_property, self._units(_SYNCHRONISED_DEG)
 
         def astray() -> tuple[float, float]:
             return self._property(_CONTROL_MODE), self._property(path) - self._feedback()[0]
@@ -402,7 +402,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         """Stop, and hold the axis if the motor has power."""
         closed = self._state() == CLOSED_LOOP
         if closed:
-            self._velocity(0.0, self._turns(self._config.max_acceleration_dps2))
+            self._velocity(0.0, self._units(self._config.max_acceleration_dps2))
         self._spinning, self._target_turns = False, None
         reading = self._until_still(self._config.stop_timeout_s, "stopping", raise_faults=False)
         if closed and not reading.faults:
@@ -412,16 +412,10 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
     def _checked(self, rate_dps: float, acceleration_dps2: float) -> tuple[float, float]:
         config = self._config
         self._require_motion(rate_dps, config.max_rate_dps, acceleration_dps2, config.max_acceleration_dps2)
-        return self._turns(rate_dps), self._turns(acceleration_dps2)
+        return self._units(rate_dps), self._units(acceleration_dps2)
 
-    def _turns(self, degrees: float) -> float:
-        return degrees / 360.0 * self._config.turns_per_table_turn
-
-    def _target(self, position_deg: float) -> float:
-        return self._turns(self._own_deg(position_deg))
-
-    def _degrees(self, turns: float) -> float:
-        return self._rig_deg(turns * 360.0 / self._config.turns_per_table_turn)
+    def _per_turn(self) -> float:
+        return self._config.turns_per_table_turn
 
 
 def _spacing(value: float) -> float:

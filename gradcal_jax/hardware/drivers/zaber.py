@@ -160,11 +160,11 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
         self.reply_checksum = self._ask("get system.serial", axis=0).checked
         serial, firmware = self._setting("system.serial"), self._setting("version")
         replies = "with check sum" if self.reply_checksum else "without check sum"
-        details = {"microsteps a turn": f"{self._turn():g}", "replies": replies}
+        details = {"microsteps a turn": f"{self._per_turn():g}", "replies": replies}
         return Identity("zaber", f"device {model}", serial, firmware, details)
 
     def limits(self) -> AxisLimits:
-        turn = self._turn()
+        turn = self._per_turn()
         low, high = (float(self._setting(name)) for name in ("limit.min", "limit.max"))
         ends = sorted((self._degrees(low), self._degrees(high)))
         # Limits as wide as the integers that hold them are no limits.
@@ -204,7 +204,7 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
             )
         self._prepare(rate_dps, acceleration_dps2)
         self.settings.change("maxspeed", str(round(rate_dps * self._velocity_data())))
-        steps = round(self._own_deg(position_deg) / 360.0 * self._turn())
+        steps = round(self._own(position_deg))
         self._start(f"move abs {steps}")
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
@@ -269,10 +269,10 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
     def _prepare(self, rate_dps: float, acceleration_dps2: float) -> None:
         config = self._config
         self._require_motion(rate_dps, config.max_rate_dps, acceleration_dps2, config.max_acceleration_dps2)
-        data = round(acceleration_dps2 / 360.0 * self._turn() * self._config.acceleration_factor)
+        data = round(self._units(acceleration_dps2) * self._config.acceleration_factor)
         self.settings.change("accel", str(max(1, data)))
 
-    def _turn(self) -> float:
+    def _per_turn(self) -> float:
         if not self._steps_per_turn:
             try:
                 self._steps_per_turn = _number(self._ask("get limit.cycle.dist"))
@@ -285,10 +285,7 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
 
     def _velocity_data(self) -> float:
         """Data value of 1 deg/s."""
-        return self._turn() / 360.0 * self._config.velocity_factor
-
-    def _degrees(self, steps: float) -> float:
-        return self._rig_deg(steps * 360.0 / self._turn())
+        return self._units(1.0) * self._config.velocity_factor
 
 
 def _axis_of(setting: str) -> int | None:

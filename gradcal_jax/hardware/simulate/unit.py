@@ -8,7 +8,7 @@ The unit turns at the Earth's rate and at those of the axes, and senses the reac
 accelerometers are off the intersection of the axes, some millimetres apart, so that they also sense the acceleration by
 rotation. Each sample is the mean over its interval, with the sensors' own errors (IEEE 1431, 1293):
 
-    gyro           ω_i + B(T) + M(T, ω_i)ω_i + Σ m_ij(T)ω_j + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + drift + walks
+    gyro           ω_i + B(T) + M(T, ω_i)ω_i + Σ m_ij(T)ω_j + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + k dT/dt + drift + walks
     accelerometer  f_i + b(T) + s(T)f_i + Σ m_ij(T)f_j + k(T)f_i² + h(T)f_i³ + a(T)|f_i| + Σ c_jl(T)f_j f_l + drift
                    + walk
 
@@ -77,12 +77,14 @@ class ScaleFactors:
 
 @dataclass(frozen=True)
 class TriadTruth:
-    """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s."""
+    """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s;
+    `gradient`: of the output for each K/s."""
 
     errors: tuple[ErrorTerm | ScaleFactors, ...]
     white: float
     walk: float = 0.0
     drifts: tuple[Process, ...] = ()
+    gradient: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ class TableTruth:
     base: tuple[float, float, float] = (0.0, 0.0, 0.0)
     orthogonality: tuple[float, ...] = ()
     mountings: tuple[Matrix, ...] = (np.eye(3),)
+    earth_rate: float = EARTH_RATE
 
 
 @dataclass(frozen=True)
@@ -154,6 +157,9 @@ class SimulatedUnit(SampledSensor):
             for error in triad.errors:
                 sensed = sensed + error(own, felt, temperature)
             output[kind] = sensed.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
+            if any(triad.gradient):
+                change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
+                output[kind] = output[kind] + change[:, None] * np.array(triad.gradient)
         return SensorSamples(
             ends[1:],
             np.degrees(output["gyro"]),
@@ -185,7 +191,7 @@ class SimulatedUnit(SampledSensor):
                 off = table.orthogonality[l] * np.cross(np.array(table.axes[l + 1]), direction)
                 attitude = attitude @ turn_by(off)
         attitude = attitude @ table.mountings[self.mounting]
-        earth = EARTH_RATE * np.array([0.0, np.cos(table.latitude), np.sin(table.latitude)])
+        earth = table.earth_rate * np.array([0.0, np.cos(table.latitude), np.sin(table.latitude)])
         return np.einsum("nij,ni->nj", attitude, turning + earth), table.gravity * attitude[:, 2]
 
 

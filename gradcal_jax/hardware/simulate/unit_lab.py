@@ -17,7 +17,6 @@ from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from ..pose import turn_by
 from .lab import SimulatedDevices, basis_truth, processes_of
-from .operator import OperatorOptions, SimulatedOperator
 from .plants import AxisPlant, AxisTruth
 from .sensor import TruthBasis
 from .unit import ErrorTerm, Kind, Matrix, ScaleFactors, SimulatedUnit, TableTruth, TriadTruth, UnitTruth
@@ -175,7 +174,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
 
 
 class SimulatedUnitLab(SimulatedDevices):
-    """The laboratory for one recipe's spec, with `units` units on the table. A context manager; `rig` is its rig file.
+    """The laboratory for one recipe's spec, with `units` units on the table.
 
     `mounting`: the first mounting, from 0. `burst_s` is the time between bursts of a unit's bytes to the computer.
     """
@@ -209,15 +208,12 @@ class SimulatedUnitLab(SimulatedDevices):
             )
             for number in range(1, units + 1)
         }
-        axes = {axis.name: axis for axis in table.axis}
-        plants = dict(zip(axes, self.axis_plants, strict=True))
-        operator = SimulatedOperator(plants, clock, OperatorOptions(seed=seed), hang=self._hang)
         self._connect(
-            axes,
-            operator,
+            {axis.name: axis for axis in table.axis},
             self.units,
             by_hand=any(step.move.shape == "hand" for step in spec.schedule.steps),
-            hangs=len(table.mounting) > 1,
+            hang=self._hang if len(table.mounting) > 1 else None,
+            seed=seed,
             sample_rate_hz=sample_rate_hz,
             burst_s=burst_s,
         )

@@ -5,11 +5,11 @@ What the host says must come in the recorded order; bytes may be cut differently
 
 from collections.abc import Sequence
 
-from gradcal_jax.hardware.transcript import TranscriptEntry
+from simulated_devices.transcripts import TranscriptEntry
 
 
 class ReplayedDevice:
-    """Give the entries of one line (`transcript.read`). `unexpected` collects what the host says otherwise."""
+    """Give the entries of one line (`transcripts.read`). `unexpected` collects what the host says otherwise."""
 
     def __init__(self, entries: Sequence[TranscriptEntry]) -> None:
         # Consecutive chunks of one direction are one turn of the conversation.

@@ -7,8 +7,8 @@ program runs, and changes its state only after its `OK`. With `echo_off` it is s
 import re
 from dataclasses import dataclass
 
-from ..clock import Clock
-from .plants import ChamberPlant
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.simulate.plants import ChamberPlant
 
 
 @dataclass

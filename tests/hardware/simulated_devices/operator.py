@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..clock import Clock
-from .plants import AxisPlant
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.simulate.plants import AxisPlant
 
 _TURN = re.compile(r"([\w-]+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
 _ZERO = re.compile(r"([\w-]+): bring it to its zero mark")

@@ -14,23 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checksums import crc8_stim300, crc32_mpeg2, crc32_mpeg2_of_rows
-from ..clock import Clock
-from .sensor import SampledSensor, SensorSamples
-
-RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
-# Identifier, and number of bytes that the CRC includes and the line does not, by the code of `$sd`, which also gives
-# the contents.
-_KINDS = {
-    0: (0x90, 2, ""),
-    1: (0x91, 0, "a"),
-    2: (0x92, 0, "i"),
-    3: (0x93, 2, "ai"),
-    4: (0x94, 3, "t"),
-    5: (0xA5, 2, "at"),
-    6: (0xA6, 2, "it"),
-    7: (0xA7, 1, "ait"),
-}
+from gradcal_jax.hardware.checksums import crc8_stim300, crc32_mpeg2
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.simulate.datagrams import RATES_HZ, datagrams
+from gradcal_jax.hardware.simulate.sensor import SampledSensor, SensorSamples
 
 
 @dataclass
@@ -106,35 +93,22 @@ class SimulatedStim300:
         self.sensor.restart(self._clock.now(), self._rate_hz())
 
     def _datagrams(self, first: int, samples: SensorSamples) -> list[bytes]:
-        identifier, unsent, contents = _KINDS[int(self._registers["id"])]
         count = samples.time_s.shape[0]
-        step = round(2000.0 / self._rate_hz())
         starting = samples.time_s - self._booted_s < self.options.start_up_s
-        status = np.where(starting, 0x40, 0).astype(np.uint8)[:, None]
-        increments = self._registers["igu"] == "1"
-        gyro = samples.rate_dps / (self._rate_hz() if increments else 1.0) * 2.0 ** (21 if increments else 14)
-        parts = [np.full((count, 1), identifier, np.uint8), _int24(gyro), status | _overload(gyro)]
-        acceleration_bits = {5: 20, 10: 19, 30: 18, 80: 16}[self.options.range_g]
-        force, scale = samples.acceleration_g, 2.0**acceleration_bits
-        if self._registers["iau"] == "1":
-            scale = 2.0 ** {5: 23, 10: 22, 30: 21, 80: 19}[self.options.range_g]
-            force = force * 9.80665 / self._rate_hz()
-        if "a" in contents:
-            parts += [_int24(force * scale), status]
-        if "i" in contents:
-            parts += [_int24(samples.acceleration_g * 2.0**22), status]
-        if "t" in contents:
-            raw = np.clip(np.rint(samples.temperature_c * 256.0), -32768, 32767).astype(">i2")
-            sensors = np.ascontiguousarray(np.repeat(raw[:, None], 3, axis=1)).view(np.uint8).reshape(count, 6)
-            parts += [part for _ in contents for part in (sensors, status)]
+        bodies = datagrams(
+            samples,
+            first,
+            starting,
+            rate_hz=self._rate_hz(),
+            kind=int(self._registers["id"]),
+            range_g=self.options.range_g,
+            rate_increments=self._registers["igu"] == "1",
+            force_increments=self._registers["iau"] == "1",
+            latency_us=self.options.latency_us,
+        )
         number: NDArray[np.int64] = first + np.arange(count, dtype=np.int64)
-        counter = ((number + 1) * step % 256).astype(np.uint8)[:, None]
-        latency = np.frombuffer(self.options.latency_us.to_bytes(2, "big"), np.uint8)
-        parts += [counter, np.tile(latency, (count, 1))]
-        bodies = np.concatenate(parts, axis=1)
-        crc = crc32_mpeg2_of_rows(np.hstack([bodies, np.zeros((count, unsent), np.uint8)]))
         end = np.frombuffer(b"\r\n" if self.options.line_end else b"", np.uint8)
-        rows = np.hstack([bodies, crc.astype(">u4")[:, None].view(np.uint8), np.tile(end, (count, 1))])
+        rows = np.hstack([bodies, np.tile(end, (count, 1))])
         data, length = rows.tobytes(), rows.shape[1]
         messages: list[bytes] = []
         for index in np.flatnonzero(self._fit_line(number, length)).tolist():
@@ -205,17 +179,3 @@ class SimulatedStim300:
 def _reply(name: str, status: int, data: str = "") -> bytes:
     body = f"#{name},{status}," + (f"{data}," if data else "")
     return f"{body}{crc8_stim300(body.encode())}\r".encode("ascii")
-
-
-def _int24(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """(n, 3) numbers -> (n, 9) big-endian bytes of the nearest 24-bit integers, clipped to the range."""
-    # A sensor that the unit lacks has no number: zero.
-    whole = np.clip(np.rint(np.nan_to_num(values)), -(2**23), 2**23 - 1).astype(">i4")
-    return np.ascontiguousarray(whole).view(np.uint8).reshape(-1, 3, 4)[:, :, 1:].reshape(-1, 9)
-
-
-def _overload(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Status bit 4 and the channel's bit where a value is beyond the 24 bits."""
-    beyond = np.abs(values) >= 2**23 - 1
-    bits = (beyond * np.array([1, 2, 4])).sum(axis=1)
-    return np.where(bits, 0x10 | bits, 0).astype(np.uint8)[:, None]

@@ -8,9 +8,9 @@ refused while `FF` or `FH` is up, and infos or alerts may come between (`chatter
 import re
 from dataclasses import dataclass, field
 
-from ..checksums import lrc_zaber
-from ..clock import Clock
-from .plants import AxisPlant
+from gradcal_jax.hardware.checksums import lrc_zaber
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.simulate.plants import AxisPlant
 
 _COMMAND = re.compile(r"/(?:(\d+) ?)?(?:(\d+) ?)?(?:(\d+) ?)?(.*)")
 

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from ..clock import Clock
+from gradcal_jax.hardware.clock import Clock
 
 if sys.platform != "win32":
     import pty

@@ -1,0 +1,146 @@
+"""The sessions of a run from its journal: events in memory, samples decoded into a spool."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..files.rig import ImuDevice
+from ..hardware.journal import Chunk, Event
+from ..hardware.roles import ImuBatch, ImuDecoder, join
+from ..hardware.run_folder import SESSION
+from ..hardware.setup import config_of, driver_of
+from ..hardware.stretches import breaks_off
+from .spool import SampleSpool
+
+Floats = NDArray[np.float64]
+# Batches, and samples, that are joined at once.
+_BATCHES, _SAMPLES = 4096, 1 << 15
+
+
+@dataclass
+class Session:
+    """One part of a run: its records in order. It began at `begun_s` of the run's clock, in the `mounting` of that
+    number, from 1; 0: the operator was never asked to mount the units."""
+
+    number: int
+    simulated: bool
+    wall_clock_s: float
+    begun_s: float
+    mounting: int
+    events: list[Event] = field(default_factory=list[Event])
+    stream: "Stream | None" = None
+    """The unit's own samples."""
+
+    @property
+    def origin_s(self) -> float:
+        """The wall clock's time at zero of the run's clock."""
+        return self.wall_clock_s - self.begun_s
+
+    def stretches(self) -> list[tuple[float, float]]:
+        """From the beginning of a step with data to its end, or to the end of the run or session."""
+        intervals: list[tuple[float, float]] = []
+        open_since: float | None = None
+        latest = 0.0
+        for event in self.events:
+            latest = max(latest, event.time_s)
+            if event.name == "step begins" and event.data.get("data"):
+                begin = float(event.data["begins_s"])
+                if open_since is None:
+                    open_since = begin
+            elif open_since is not None and (event.name == "step" or breaks_off(event)):
+                # A step that follows at once continues the stretch: its "step begins" has the same time.
+                intervals.append((open_since, event.time_s))
+                open_since = None
+        if open_since is not None:
+            intervals.append((open_since, latest))
+        merged: list[tuple[float, float]] = []
+        for start, end in intervals:
+            joins = bool(merged) and start - merged[-1][1] < 1e-3
+            merged.append((merged.pop()[0], end) if joins else (start, end))
+        return merged
+
+    def mountings(self, host: Floats) -> NDArray[np.int64]:
+        """The number of the mounting at times, from 1; 0 where the operator was never asked to mount the units."""
+        hung = [(event.time_s, int(event.data["mounting"])) for event in self.events if event.name == "hung"]
+        numbers = np.array([self.mounting, *(number for _, number in hung)], np.int64)
+        return numbers[np.searchsorted(np.array([time for time, _ in hung]), host, side="right")]
+
+
+def sessions_of(
+    records: Iterable[Event | Chunk], device: ImuDevice | None = None, samples: SampleSpool | None = None
+) -> list[Session]:
+    """The sessions of a run; with a `device`, a unit, its `samples` are decoded as they are read."""
+    sessions: list[Session] = []
+    mounting = 0
+    for record in records:
+        if isinstance(record, Event):
+            if record.name == SESSION:
+                data = record.data
+                wall_clock_s, simulated = float(data["wall_clock_s"]), bool(data["simulated"])
+                _end(sessions)
+                sessions.append(Session(int(data["number"]), simulated, wall_clock_s, record.time_s, mounting))
+                if device is not None and samples is not None:
+                    sessions[-1].stream = Stream(device, samples)
+            elif record.name == "hung":
+                mounting = int(record.data["mounting"])
+            # Where the unit measures its own temperature, the chamber's many readings are not needed.
+            if sessions and (device is None or record.name != "chamber"):
+                sessions[-1].events.append(record)
+                if (stream := sessions[-1].stream) is not None and record.name == "configuration":
+                    stream.configure(record)
+        elif sessions and record.received and (stream := sessions[-1].stream) is not None:
+            stream.push(record)
+    _end(sessions)
+    return sessions
+
+
+def _end(sessions: Sequence[Session]) -> None:
+    if sessions and (stream := sessions[-1].stream) is not None:
+        stream.flush()
+
+
+class Stream:
+    """The samples of a unit in a session: rows of a spool."""
+
+    def __init__(self, device: ImuDevice, samples: SampleSpool) -> None:
+        self._device, self.samples = device, samples
+        self._early: list[Chunk] = []
+        self._waiting: list[ImuBatch] = []
+        self._waiting_samples = 0
+        self.first = self.end = len(samples)
+        self.restarts: list[int] = []
+        """Rows before which the unit began anew."""
+        self.decoder: ImuDecoder | None = None
+
+    def configure(self, event: Event) -> None:
+        """The decoder is that of the unit's first configuration in the session."""
+        if event.data["device"] != self._device.name or self.decoder is not None:
+            return
+        config = config_of(self._device, "imu", ("imu", self._device.name))
+        driver = driver_of(self._device.driver)
+        assert driver is not None
+        self.decoder = driver.load().decoder_of(config, event.data["registers"])
+        for chunk in self._early:
+            self.push(chunk)
+        self._early.clear()
+
+    def push(self, chunk: Chunk) -> None:
+        if chunk.line != self._device.name:
+            return
+        if self.decoder is None:
+            self._early.append(chunk)
+            return
+        self._waiting.append(self.decoder.push(chunk.data, chunk.time_s))
+        self._waiting_samples += len(self._waiting[-1])
+        if len(self._waiting) == _BATCHES or self._waiting_samples >= _SAMPLES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Move all samples so far to the spool."""
+        batch, self._waiting, self._waiting_samples = join(self._waiting), [], 0
+        rows = self.end + np.flatnonzero(batch.restarted)
+        self.restarts += rows[rows > self.first].tolist()
+        self.samples.push(batch)
+        self.end = len(self.samples)

@@ -1,0 +1,299 @@
+"""Simulated devices with the methods of their roles: for rehearsals, whose devices have no lines.
+
+They wait on the run's clock alone, so that a run in virtual time takes as long as its computation. A unit gives the raw
+bytes of a STIM300, which go into the journal and are decoded from it as a real one's. The tests run every driver
+against devices that answer byte for byte.
+"""
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from ..clock import Clock
+from ..drivers.base import Unwatched
+from ..drivers.operator import nearest_turn_deg
+from ..drivers.stim300 import Stim300Config, decoder_of
+from ..drivers.stim300_datagrams import INTERNAL_RATE_HZ, Stim300Decoder
+from ..errors import LimitExceeded, Rejected
+from ..roles import (
+    AxisLimits,
+    AxisReading,
+    AxisSafe,
+    ChamberLimits,
+    ChamberReading,
+    ChamberSafe,
+    Identity,
+    ImuSettings,
+    SafeReport,
+)
+from ..settings import KeptSettings
+from .datagrams import datagrams
+from .plants import AxisPlant, ChamberPlant
+from .sensor import SampledSensor
+
+_HANG: Final = re.compile(r"hang the units so: mounting (\d+)")
+_HOME_S, _HANGS_S, _HOMES_AT_DPS = 5.0, 120.0, 30.0
+_RANGES: Final = "400,400,400,10,10,10,1.7,1.7,1.7,NA"
+
+
+class SimulatedChamber:
+    """Role `TemperatureChamber`, on a plant: from `lowest_c` to `highest_c`, ramps of any rate."""
+
+    def __init__(self, plant: ChamberPlant, clock: Clock, lowest_c: float, highest_c: float) -> None:
+        self.plant, self._clock = plant, clock
+        self._limits = ChamberLimits(lowest_c, highest_c, 0.1, hardware_ramp=True)
+        self.alarms: tuple[str, ...] = ()
+
+    def identify(self) -> Identity:
+        return Identity("simulated", "chamber")
+
+    def limits(self) -> ChamberLimits:
+        return self._limits
+
+    def read(self) -> ChamberReading:
+        now, plant = self._clock.now(), self.plant
+        air_c, mode = round(plant.air_c(now), 1), "CONSTANT" if plant.conditioning else "STANDBY"
+        return ChamberReading(now, air_c, None, plant.set_point_c(now), mode, plant.conditioning, self.alarms)
+
+    def hold(self, temperature_c: float) -> None:
+        now = self._clock.now()
+        self.plant.command(now, target_c=self._allowed(temperature_c))
+        self.plant.switch(now, True)
+
+    def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
+        now, plant, target_c = self._clock.now(), self.plant, self._allowed(temperature_c)
+        if not plant.conditioning or abs(plant.set_point_c(now) - plant.air_c(now)) >= 2.0:
+            plant.move_set_point(now, plant.air_c(now))
+        plant.command(now, target_c=target_c, gradient_k_per_min=rate_k_per_min)
+        plant.switch(now, True)
+        return rate_k_per_min
+
+    def standby(self) -> None:
+        self.plant.switch(self._clock.now(), False)
+
+    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
+        if policy is ChamberSafe.STANDBY:
+            self.standby()
+        else:
+            wanted_c = self.read().air_c if policy is ChamberSafe.HOLD else ambient_c
+            self.hold(min(max(wanted_c, self._limits.lowest_c), self._limits.highest_c))
+        reading = self.read()
+        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
+        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c:g} degC")
+
+    def close(self) -> None: ...
+
+    def _allowed(self, temperature_c: float) -> float:
+        if not self._limits.lowest_c <= temperature_c <= self._limits.highest_c:
+            raise LimitExceeded(f"{temperature_c:.1f} degC lies outside the simulated chamber's limits.")
+        return round(temperature_c, 1)
+
+
+class SimulatedAxis(Unwatched):
+    """Role `MotionAxis`, on a plant, driven by a motor."""
+
+    def __init__(self, plant: AxisPlant, clock: Clock, limits: AxisLimits) -> None:
+        self.plant, self._clock, self._limits = plant, clock, limits
+        self.settings = KeptSettings()
+        self._referenced = False
+        self._acceleration_dps2 = limits.max_acceleration_dps2
+
+    def identify(self) -> Identity:
+        return Identity("simulated", "axis")
+
+    def limits(self) -> AxisLimits:
+        return self._limits
+
+    def read(self) -> AxisReading:
+        now = self._clock.now()
+        angle, rate = self._on_grid(self.plant.reading(now)), self.plant.state(now)[1]
+        return AxisReading(now, angle, rate, self.plant.moving(now), self._referenced, (), ())
+
+    def home(self) -> None:
+        now = self._clock.now()
+        angle, _ = self.plant.state(now)
+        away = (angle + 180.0) % 360.0 - 180.0
+        self.plant.move_to(now, angle - away, _HOMES_AT_DPS, self._acceleration_dps2)
+        self._clock.sleep(abs(away) / _HOMES_AT_DPS + 1.0)
+        self.plant.set_zero(self._clock.now())
+        self._referenced = True
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        self._require(position_deg, rate_dps, acceleration_dps2)
+        goal_deg = self._on_grid(position_deg)
+        self.plant.move_to(self._clock.now(), goal_deg, rate_dps, acceleration_dps2)
+
+    def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
+        self._require(0.0, abs(rate_dps), acceleration_dps2)
+        self.plant.spin(self._clock.now(), rate_dps, acceleration_dps2)
+
+    def stop(self) -> None:
+        self.plant.spin(self._clock.now(), 0.0, self._acceleration_dps2)
+        self._clock.sleep_until(self.plant.ends_s)
+
+    def safe(self, policy: AxisSafe) -> SafeReport:
+        self.stop()
+        reading = self.read()
+        return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg")
+
+    def close(self) -> None: ...
+
+    def _on_grid(self, angle_deg: float) -> float:
+        step = self._limits.resolution_deg
+        return step * round(angle_deg / step)
+
+    def _require(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        lowest, highest = self._limits.travel_deg
+        within = rate_dps <= self._limits.max_rate_dps * (1.0 + 1e-9)
+        within = within and acceleration_dps2 <= self._limits.max_acceleration_dps2 * (1.0 + 1e-9)
+        if not (within and lowest - 1e-9 <= position_deg <= highest + 1e-9):
+            raise LimitExceeded(
+                f"{position_deg:g} deg at {rate_dps:g} deg/s and {acceleration_dps2:g} deg/s² lie outside the limits "
+                "of the simulated axis."
+            )
+        self._acceleration_dps2 = acceleration_dps2
+
+
+@dataclass(frozen=True)
+class SimulatedPerson:
+    """A person who turns axes: reacts after a while, turns unevenly, misses the mark a little, and reads the dial, to
+    its digits, when the axis stands."""
+
+    seed: int = 0
+    reaction_s: float = 1.5
+    reading_s: float = 2.0
+    miss_deg: float = 0.3
+    pace_spread: float = 0.1
+    unevenness: float = 0.3
+    digits: int = 3
+
+
+class HandTurnedAxis(Unwatched):
+    """Roles `MotionAxis` and `DrawnAxis`, on a plant that a person turns."""
+
+    def __init__(self, plant: AxisPlant, clock: Clock, limits: AxisLimits, hand: SimulatedPerson, number: int) -> None:
+        self.plant, self._clock, self._limits, self._hand = plant, clock, limits, hand
+        self.settings = KeptSettings()
+        self._random = np.random.default_rng([hand.seed, 4, number])
+        self._goal_deg, self._answers_s = 0.0, math.inf
+        self._stands: AxisReading | None = None
+
+    def identify(self) -> Identity:
+        return Identity("simulated", "turned by hand, angles typed")
+
+    def limits(self) -> AxisLimits:
+        return self._limits
+
+    def read(self) -> AxisReading:
+        now = self._clock.now()
+        if now >= self._answers_s:
+            shown = round(self.plant.reading(self._answers_s) % 360.0, self._hand.digits)
+            angle = nearest_turn_deg(shown, self._goal_deg)
+            self._stands = AxisReading(self._answers_s, angle, 0.0, False, True, (), ())
+            self._answers_s = math.inf
+        return self._stands or AxisReading(now, math.nan, 0.0, True, False, (), ())
+
+    def home(self) -> None:
+        """Asks for the zero mark and returns at once."""
+        now = self._clock.now()
+        angle, _ = self.plant.state(now)
+        self.plant.set_zero(now, angle - 360.0 * round(angle / 360.0))
+        self._turn(0.0, now + self._hand.reaction_s, _HOME_S)
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        size = abs(position_deg - self._goal_deg)
+        peak = min(rate_dps, math.sqrt(size * acceleration_dps2)) or 1.0
+        random, hand = self._random, self._hand
+        begins_s = self._clock.now() + hand.reaction_s * float(random.lognormal(0.0, 0.3))
+        pace = max(0.5, 1.0 + hand.pace_spread * float(random.standard_normal()))
+        planned_s = _HOME_S if self._stands is None else size / peak + peak / acceleration_dps2
+        self._turn(position_deg, begins_s, planned_s * pace)
+
+    def draw(self, drawing: str) -> None:
+        """Nobody looks."""
+
+    def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
+        raise Rejected("The simulated axis is turned by hand, and nobody turns at a constant rate for long.")
+
+    def stop(self) -> None:
+        """The question is withdrawn: the angle is unknown until the next answer."""
+        if self._answers_s < math.inf:
+            self._answers_s, self._stands = math.inf, None
+
+    def safe(self, policy: AxisSafe) -> SafeReport:
+        self.stop()
+        return SafeReport(policy.value, True, "nothing drives it: it stands where it was left")
+
+    def close(self) -> None: ...
+
+    def _turn(self, goal_deg: float, begins_s: float, lasts_s: float) -> None:
+        miss = self._hand.miss_deg * float(self._random.standard_normal())
+        self.plant.turn_by_hand(begins_s, goal_deg + miss, lasts_s, self._hand.unevenness)
+        self._goal_deg, self._stands = goal_deg, None
+        self._answers_s = begins_s + lasts_s + self._hand.reading_s
+
+
+class HangingOperator:
+    """Role `OperatorAsked`: hangs the units anew when asked, by `hang` with the number of the mounting."""
+
+    def __init__(self, clock: Clock, hang: Callable[[int], None]) -> None:
+        self._clock, self._hang = clock, hang
+        self._mounting, self._answers_s = 0, math.inf
+
+    def ask(self, question: str) -> None:
+        if (asked := _HANG.search(question)) is not None:
+            self._mounting, self._answers_s = int(asked[1]), self._clock.now() + _HANGS_S
+
+    def answer(self) -> tuple[str, float] | None:
+        if self._clock.now() < self._answers_s:
+            return None
+        at_s, self._answers_s = self._answers_s, math.inf
+        self._hang(self._mounting)
+        return "", at_s
+
+    def withdraw(self, why: str) -> None:
+        self._answers_s = math.inf
+
+
+class SimulatedStream:
+    """Role `ImuStream`: a STIM300 whose bytes reach the computer every `burst_s`."""
+
+    def __init__(self, sensor: SampledSensor, clock: Clock, config: Stim300Config, burst_s: float, serial: str) -> None:
+        self.sensor, self._clock, self._config, self._burst_s = sensor, clock, config, burst_s
+        self.serial = serial
+        self.settings = KeptSettings()
+        self._registers = {"irng": _RANGES, "it": f"{config.baudrate},1,N,1,0,0"}
+
+    def identify(self) -> Identity:
+        return Identity("stim300", "simulated", self.serial)
+
+    def configure(self) -> ImuSettings:
+        rate_hz = self._config.sample_rate_hz
+        return ImuSettings(rate_hz, round(256 * rate_hz / INTERNAL_RATE_HZ), self._registers)
+
+    def start(self) -> None:
+        self.sensor.restart(self._clock.now(), self._config.sample_rate_hz)
+
+    def stop(self) -> None: ...
+
+    def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
+        """The next burst, however long that takes."""
+        ahead = max(1, round(self._burst_s / self.sensor.true_period_s))
+        self._clock.sleep_until(self.sensor.next_time_s(ahead))
+        now = self._clock.now()
+        first, samples = self.sensor.taken, self.sensor.take(self.sensor.due(now))
+        starting = np.zeros(len(samples.time_s), np.bool_)
+        rate_hz, kind = self._config.sample_rate_hz, self._config.datagram
+        return datagrams(samples, first, starting, rate_hz=rate_hz, kind=kind).tobytes(), now
+
+    def decoder(self) -> Stim300Decoder:
+        return decoder_of(self._config, self._registers)
+
+    def safe(self) -> SafeReport:
+        return SafeReport("left streaming", True, "a simulated unit has nothing that can be unsafe")
+
+    def close(self) -> None: ...

@@ -32,6 +32,7 @@ from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, Map, Sen
 from gradcal_jax.trajectory import EARTH_RATE, Trajectory
 
 TURN_ON: Final = "turn-on bias"
+BESIDE_THE_AXIS: Final = "input axis beside the table's axis"
 UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
 # Temperatures at which the slope of a map is taken, and the step of the difference, K.
 _AT: Final = 64
@@ -81,25 +82,28 @@ def systematic_figures(spec: Spec | UnitSpec) -> SystematicFigures:
     sensor = spec.sensor
     common = {"offset": float(sensor.temperature_offset or 0.0), "lag": float(sensor.temperature_lag or 0.0)}
     if isinstance(spec, UnitSpec):
-        gyro, force = spec.sensor.gyro, spec.sensor.accelerometer
-        scales = [float(axis.angle.scale_error or 0.0) for axis in spec.rig.table.axis]
-        triads = {"gyro": gyro, "accelerometer": force}
+        gyro, table = spec.sensor.gyro, spec.rig.table
+        scales = [float(axis.angle.scale_error or 0.0) for axis in table.axis]
+        triads = {"gyro": gyro, "accelerometer": spec.sensor.accelerometer}
+        # A table of several axes sees the directions of the input axes.
+        seen = len(table.axis) > 1 or (gyro is not None and gyro.misalignment is not None)
+        mounting = 0.0 if seen else float(table.mounting[0].accuracy)
         return SystematicFigures(
-            scale={"scale of the table's angle": max(scales)},
-            bias={},
-            gradient=0.0 if gyro is None else float(gyro.bias_temperature_gradient or 0.0),
+            scale={BESIDE_THE_AXIS: 2.0**0.5 * mounting**2, "scale of the table's angle": max(scales)},
+            bias={"Earth's rate": UNKNOWN_EARTH_RATE if spec.rig.site.is_unknown else 0.0},
+            gradient=0.0 if gyro is None else gyro.gradient_std,
             turn_on={kind: float(triad.turn_on_bias or 0.0) for kind, triad in triads.items() if triad is not None},
             slopes={kind: slopes_of(spec.sensor, kind) for kind, triad in triads.items() if triad is not None},
             **common,
         )
-    table, of = spec.rig.table, spec.sensor.gradient_sensitivity
+    table = spec.rig.table
     return SystematicFigures(
         scale={
-            "input axis beside the table's axis": 2.0**0.5 * float(table.mounting_accuracy or 0.0) ** 2,
+            BESIDE_THE_AXIS: 2.0**0.5 * float(table.mounting_accuracy or 0.0) ** 2,
             "scale of the table's angle": float(table.angle.scale_error or 0.0),
         },
         bias={"Earth's rate": UNKNOWN_EARTH_RATE if spec.rig.earth_rate == np.inf else 0.0},
-        gradient=0.0 if of is None else float(of.prior or 0.0),
+        gradient=spec.sensor.gradient_std,
         turn_on={"gyro": float(spec.sensor.turn_on_bias or 0.0)},
         slopes={"gyro": slopes_of(spec.sensor)},
         **common,
@@ -255,26 +259,28 @@ def _planned(known: Posterior, named, complete, fit: Posterior, every, turn_on) 
 
 def columns_of_plan(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
     """Columns of what no residual of a plan's run shows, as far as the spec names it."""
-    figures = _without_fitted(systematic_figures(built.spec), built.model)
+    figures = _without_fitted(systematic_figures(built.spec), [built.model])
     return columns_of(figures, terms_of_axis(built.model), built.model.size, ramp_of([built.trajectory(channel)]))
 
 
 def columns_of_unit_plan(built: AssembledUnit) -> dict[str, np.ndarray]:
     """The same of a whole unit."""
     ramp = ramp_of([motion.line for motion in (*built.past, built.motion)])
-    return columns_of(systematic_figures(built.spec), terms_of_unit(built), built.model.size, ramp)
+    figures = _without_fitted(systematic_figures(built.spec), [c.model for c in built.model.channels])
+    return columns_of(figures, terms_of_unit(built), built.model.size, ramp)
 
 
-def _without_fitted(figures: SystematicFigures, model: SensorModel) -> SystematicFigures:
+def _without_fitted(figures: SystematicFigures, models: Sequence[SensorModel]) -> SystematicFigures:
     """A sensitivity to dT/dt that the model estimates is in its covariance."""
-    return figures if model.term(TEMPERATURE_GRADIENT) is None else figures._replace(gradient=0.0)
+    fitted = any(model.term(TEMPERATURE_GRADIENT) is not None for model in models)
+    return figures._replace(gradient=0.0) if fitted else figures
 
 
 def budget_of_estimate(
     built: Assembled, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
 ) -> CountedPosteriors:
     """The posteriors of an estimate of one axis. `noise`: of `omitted_noise`."""
-    figures = (_without_fitted(systematic_figures(s), built.model) for s in (built.spec, with_typical(built.spec)))
+    figures = (_without_fitted(systematic_figures(s), [built.model]) for s in (built.spec, with_typical(built.spec)))
     return _estimated(built, known, done, noise, terms_of_axis(built.model), *figures)
 
 
@@ -282,7 +288,8 @@ def budget_of_unit_estimate(
     built: AssembledUnit, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
 ) -> CountedPosteriors:
     """The same of a whole unit."""
-    figures = (systematic_figures(s) for s in (built.spec, with_typical(built.spec)))
+    models = [c.model for c in built.model.channels]
+    figures = (_without_fitted(systematic_figures(s), models) for s in (built.spec, with_typical(built.spec)))
     return _estimated(built, known, done, noise, terms_of_unit(built), *figures)
 
 

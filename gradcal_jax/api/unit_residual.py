@@ -217,7 +217,7 @@ def _navigation(built: AssembledUnit, requirement, temperatures: np.ndarray):
     """
     model, site = built.model, built.spec.rig.site
     g = site.gravity_m_per_s2
-    earth = EARTH_RATE * np.array([0.0, np.cos(float(site.latitude)), np.sin(float(site.latitude))])
+    earth = EARTH_RATE * np.array([0.0, np.cos(site.latitude_rad), np.sin(site.latitude_rad)])
 
     def force(i: int) -> np.ndarray:
         rows = _row(model, "accelerometer", i, SPECIFIC_FORCE_BIAS, temperatures)

@@ -130,9 +130,9 @@ def sensor_grade(sensor: Sensor | UnitSensor) -> Grade:
             return accelerometer_grade(sensor)
         gyro = sensor.gyro
     else:
-        if sensor.grade is not None:
-            return Grade(sensor.grade, str(_row("sensor", sensor.grade)["like"]), "sensor.grade")
         gyro = sensor
+    if sensor.grade is not None:
+        return Grade(sensor.grade, str(_row("sensor", sensor.grade)["like"]), "sensor.grade")
     walk = float(gyro.angle_random_walk), "angle random walk", "its angle random walk"
     return _by_noise("sensor", gyro.drift, "angular rate", walk)
 
@@ -161,7 +161,8 @@ def slopes_of(sensor: Sensor | UnitSensor, kind: str = "gyro") -> tuple[float, f
     typical = next(t.value for t in terms_of("sensor", sensor_grade(sensor).name) if t.key == "temperature_error")
     bias = units.parse(typical["bias_slope"], "bias slope")
     scale = units.parse(typical["scale_factor_slope"], "scale factor slope")
-    own = None if isinstance(sensor, UnitSensor) else sensor.temperature_error
+    gyro = sensor.gyro if isinstance(sensor, UnitSensor) else sensor
+    own = None if gyro is None else gyro.temperature_error
     if own is None:
         return bias, scale
     stated = own.bias_slope, own.scale_factor_slope

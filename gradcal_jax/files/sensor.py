@@ -1,6 +1,6 @@
 """`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or a unit."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -11,6 +11,7 @@ from gradcal_jax.files.quantity import (
     AngleRandomWalk,
     BiasSlope,
     Margin,
+    Of,
     PositiveAccelerationSensitivity,
     PositiveAngle,
     PositiveLength,
@@ -212,23 +213,21 @@ class _Instrument(Section):
         return None if self.sample_clock_error is None else str(self.sample_clock_error)
 
 
-class Sensor(UncertainSection, _Instrument):
-    """A gyro axis: every term of the error model (paper, eq. 1). An absent term counts with a figure typical of the
-    sensor's class; zero, or an empty list, is the user's word that there is none."""
+def _gradient_of_bias(value: object) -> object:
+    """A table is estimated; a figure alone is not."""
+    if isinstance(value, Mapping):
+        return BiasTemperatureGradient.model_validate(value)
+    return value if isinstance(value, Section) else _NOT_ESTIMATED.read(value)
 
-    FIGURES: ClassVar[tuple[str, ...]] = (
-        "angle_random_walk",
-        "rate_random_walk",
-        "turn_on_bias",
-        "sample_clock_error",
-    )
 
-    name: Text | None = None
-    """A name for people."""
-    grade: Literal["consumer", "tactical", "navigation"] | None = None
-    """Class that gives typical figures for absent terms; absent: by drift or random walk."""
-    quantity: Annotated[Literal["gyro"], BeforeValidator(_gyro)]
-    """What the sensor measures."""
+_NOT_ESTIMATED: Final = Of("bias temperature-gradient sensitivity", at_least="0 deg/h/(K/min)")
+
+
+class _Gyro(UncertainSection):
+    """Noise and error functions of a gyro: every term of the error model (paper, eq. 1)."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk", "turn_on_bias")
+
     angle_random_walk: AngleRandomWalk
     """White noise of the rate, as the angle's growth with the square root of time."""
     rate_random_walk: RateRandomWalk | None = None
@@ -236,7 +235,7 @@ class Sensor(UncertainSection, _Instrument):
     turn_on_bias: SizeOfRate | None = None
     """Standard deviation of the bias that is new at every power-on and not part of the map."""
     full_scale: PositiveRate | None = None
-    """Largest rate that the sensor measures."""
+    """Largest rate that a gyro measures."""
     full_scale_margin: Margin = Quantity(0.05, "5 %", "scale factor")
     """Share of the full scale that plans keep away from."""
     drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
@@ -245,28 +244,27 @@ class Sensor(UncertainSection, _Instrument):
     """In-run instabilities of the scale factor, which add."""
     temperature_error: TemperatureError | None = None
     """Error of the measured temperature."""
-    bias_temperature_gradient: BiasTemperatureGradient | None = None
-    """Bias in proportion to dT/dt, estimated."""
+    bias_temperature_gradient: Annotated[
+        BiasTemperatureGradient | SizeOfGradientSensitivity | None, BeforeValidator(_gradient_of_bias)
+    ] = None
+    """Bias in proportion to dT/dt: a table, of a coefficient that is estimated, or its standard deviation, which counts
+    and is not estimated."""
     bias: Bias | None = None
     """The bias over temperature, estimated; absent: known."""
     scale_factor: ScaleFactor | None = None
     """The scale factor over temperature and rate, estimated; absent: known."""
 
-    @model_validator(mode="after")
-    def _something_to_find(self) -> "Sensor":
-        if self.bias is None and self.scale_factor is None:
-            refuse(Problem((), "there is nothing to calibrate; add [sensor.bias], [sensor.scale_factor] or both"))
-        return self
-
-    def uncertain_figures(self) -> dict[str, tuple[Quantity, Quantity]]:
-        """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
-        return figures_of("sensor", self)
-
     @property
     def gradient_sensitivity(self) -> BiasTemperatureGradient | None:
         """The sensitivity to dT/dt, where one is estimated."""
         of = self.bias_temperature_gradient
-        return None if of is None or of.prior == 0.0 else of
+        return of if isinstance(of, BiasTemperatureGradient) and of.prior != 0.0 else None
+
+    @property
+    def gradient_std(self) -> float:
+        """Standard deviation of the sensitivity to dT/dt before any estimate, rad/s/(K/s); 0: none, or unknown."""
+        of = self.bias_temperature_gradient
+        return float((of.prior if isinstance(of, BiasTemperatureGradient) else of) or 0.0)
 
     @property
     def thermometer_noise(self) -> TemperatureError | None:
@@ -278,6 +276,33 @@ class Sensor(UncertainSection, _Instrument):
     def usable_rate(self) -> float | None:
         """Full scale less its margin (rad/s); None where the sheet gives no full scale."""
         return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)
+
+
+Grade = Literal["consumer", "tactical", "navigation"]
+
+
+class Sensor(_Gyro, _Instrument):
+    """A gyro axis. An absent term counts with a figure typical of the sensor's class; zero, or an empty list, is the
+    user's word that there is none."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = (*_Gyro.FIGURES, "sample_clock_error")
+
+    name: Text | None = None
+    """A name for people."""
+    grade: Grade | None = None
+    """Class that gives typical figures for absent terms; absent: by drift or random walk."""
+    quantity: Annotated[Literal["gyro"], BeforeValidator(_gyro)]
+    """What the sensor measures."""
+
+    @model_validator(mode="after")
+    def _something_to_find(self) -> "Sensor":
+        if self.bias is None and self.scale_factor is None:
+            refuse(Problem((), "there is nothing to calibrate; add [sensor.bias], [sensor.scale_factor] or both"))
+        return self
+
+    def uncertain_figures(self) -> dict[str, tuple[Quantity, Quantity]]:
+        """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
+        return figures_of("sensor", self)
 
 
 BodyAxis = Literal["x", "y", "z"]
@@ -347,33 +372,11 @@ class LeverArm(Section):
     """Standard deviation of each of three coordinates before the calibration; absent: unknown."""
 
 
-class GyroTriad(UncertainSection):
-    """`[sensor.gyro]`: common properties of the unit's gyros. An absent table is not estimated: known."""
-
-    FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk")
+class GyroTriad(_Gyro):
+    """`[sensor.gyro]`: common properties of the IMU's gyros. An absent table is not estimated: known."""
 
     axes: BodyAxes = ("x", "y", "z")
     """Which gyros the unit has."""
-    angle_random_walk: AngleRandomWalk
-    """White noise of the rate, as the angle's growth with the square root of time."""
-    rate_random_walk: RateRandomWalk | None = None
-    """Random walk of the rate."""
-    full_scale: PositiveRate | None = None
-    """Largest rate that a gyro measures."""
-    full_scale_margin: Margin = Quantity(0.05, "5 %", "scale factor")
-    """Share of the full scale that plans keep away from."""
-    drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
-    """In-run bias instabilities, which add."""
-    scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
-    """In-run instabilities of the scale factor, which add."""
-    turn_on_bias: SizeOfRate | None = None
-    """Standard deviation of the bias that is new at every power-on and not part of the map."""
-    bias_temperature_gradient: SizeOfGradientSensitivity | None = None
-    """Standard deviation of the bias in proportion to dT/dt, which is not estimated."""
-    bias: Bias
-    """Bias over temperature."""
-    scale_factor: ScaleFactor | None = None
-    """Scale factor over temperature and rate."""
     misalignment: Misalignment | None = None
     """Directions of the input axes."""
     g_sensitivity: AccelerationSensitivity | None = None
@@ -381,10 +384,12 @@ class GyroTriad(UncertainSection):
     g_squared: SquaredSensitivity | None = None
     """Drift in proportion to the square of the specific force."""
 
-    @property
-    def usable_rate(self) -> float | None:
-        """Full scale less its margin (rad/s); None where the sheet gives no full scale."""
-        return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)
+    @model_validator(mode="after")
+    def _something_to_find(self) -> "GyroTriad":
+        sections = (self.bias, self.scale_factor, self.misalignment, self.g_sensitivity, self.g_squared)
+        if all(section is None for section in sections):
+            refuse(Problem((), "there is nothing to calibrate; add [sensor.gyro.bias], [sensor.gyro.scale_factor] or both"))
+        return self
 
 
 class AccelerometerTriad(UncertainSection):
@@ -442,11 +447,15 @@ class UnitFrame(Section):
     accuracy."""
 
 
-class UnitSensor(_Instrument):
+class UnitSensor(UncertainSection, _Instrument):
     """A whole unit: gyros, accelerometers, or both."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ("sample_clock_error",)
 
     name: Text | None = None
     """A name for people."""
+    grade: Grade | None = None
+    """Class that gives typical figures for the gyros' absent terms; absent: by drift or random walk."""
     gyro: GyroTriad | None = None
     """Common properties of the gyros."""
     accelerometer: AccelerometerTriad | None = None

@@ -8,10 +8,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from gradcal_jax.files.bench import UnitRig
-from gradcal_jax.files.checks import course_within
+from gradcal_jax.files.bench import Rig, Table, UnitRig
+from gradcal_jax.files.checks import course_within, standard_within
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
 from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
+from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, hint, one_of
 from gradcal_jax.files.quantity import SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import (
@@ -22,10 +23,11 @@ from gradcal_jax.files.requirement import (
     UnitRequirement,
     UnitRequirements,
 )
+from gradcal_jax.files.schedule import StandardSchedule, standard_schedule
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import UnitSensor
 from gradcal_jax.files.spec import FORMAT
-from gradcal_jax.files.unit_plan import UnitPlan, UnitSchedule, cycles_between, unit_schedule
+from gradcal_jax.files.unit_plan import AnyUnitPlan, UnitPlan, UnitSchedule, cycles_between, unit_schedule
 
 
 class CyclesDone(Section):
@@ -55,7 +57,7 @@ class UnitSpec(TitledFile):
     """Site, table and chamber."""
     requirement: UnitRequirements = ()
     """Requirements on the calibration."""
-    plan: UnitPlan
+    plan: AnyUnitPlan
     """Course of the chamber, and motion of the table."""
     done: Annotated[tuple[CyclesDone, ...], Field(max_length=1000)] = ()
     """The parts executed before the plan begins, in the same run; every prediction includes them, with independent
@@ -65,11 +67,18 @@ class UnitSpec(TitledFile):
 
     def _problems(self) -> Iterator[Problem]:
         try:
-            segments = self.schedule.segments
+            steps = () if isinstance(self.schedule, StandardSchedule) else self.schedule.steps
         except SpecError as error:
             yield from (p.under("plan") for p in error.problems)
             return
-        yield from (p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments))
+        if isinstance(self.plan, StandardPlan):
+            yield from (p.under("plan") for p in _standard(self.plan, self.rig))
+            if self.done:
+                yield Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone')
+        else:
+            segments = self.gradient_schedule.segments
+            yield from (p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments))
+        yield from self._site()
         for number, part in enumerate(self.done):
             try:
                 several = len(unit_schedule(part.plan, self.rig).stretches) > 1
@@ -78,6 +87,8 @@ class UnitSpec(TitledFile):
                 continue
             if several:
                 yield Problem(("done", number, "plan"), "expected one stretch of used data, in one mounting")
+            if part.plan.cycle is None:
+                yield Problem(("done", number, "plan", "cycle"), "this key is missing: whole cycles count")
             if part.end <= part.start:
                 yield Problem(("done", number, "end"), "expected a time after its start", part.end.text)
         names = [r.name for r in self.requirement]
@@ -99,11 +110,11 @@ class UnitSpec(TitledFile):
                     yield Problem(("requirement", i, "axis"), "the unit has no such axis", requirement.axis)
         accelerometer, frame = self.sensor.accelerometer, self.sensor.frame
         slow = 0.0 if accelerometer is None else float(accelerometer.read_on_moves_below or 0.0)
-        read = any(step.axis < 0 or step.move.fastest <= slow for step in self.schedule.steps)
+        read = not steps or any(step.axis < 0 or step.move.fastest <= slow for step in steps)
         if accelerometer is not None and not read:
             message = "never rests, where accelerometers are read; add { rest = … }"
             yield Problem(("plan", "cycle", "moves"), message)
-        turning = [float(step.move.fastest) for step in self.schedule.steps if step.axis >= 0]
+        turning = [float(step.move.fastest) for step in steps if step.axis >= 0]
         if accelerometer is not None and slow and turning and min(turning) > slow:
             message = f"has no effect: the slowest move reaches {math.degrees(min(turning)):.4g} deg/s; raise it, or "
             key = ("sensor", "accelerometer", "read_on_moves_below")
@@ -123,6 +134,19 @@ class UnitSpec(TitledFile):
                     message = 'must be above zero: the frame is the case\'s (sensor.frame.fixed_by = "case")'
                     yield Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg")
 
+    def _site(self) -> Iterator[Problem]:
+        """The latitude may be absent where the Earth's rate is the same all the time."""
+        table, gyro = self.rig.table, self.sensor.gyro
+        if self.rig.site.latitude is not None and not self.rig.site.is_unknown:
+            return
+        along = [abs(d) for d in table.axis[0].unit_vector]
+        seen = [("xyz"[k], along["xyz".index(getattr(table.mounting[0], "xyz"[k])[1])]) for k in range(3)]
+        plain = len(table.axis) == len(table.mounting) == 1 and table.mounting[0].rotation is None
+        axes = () if gyro is None else gyro.axes
+        if self.sensor.accelerometer is not None or not plain or any(dict(seen)[a] < 1.0 for a in axes):
+            message = "must be known: the Earth's rate and gravity change with the table's angles"
+            yield Problem(("rig", "site", "latitude"), message, str(self.rig.site.latitude or "absent"))
+
     def _axes_of(self, kind: str) -> tuple[str, ...]:
         triad = getattr(self.sensor, kind)
         return () if triad is None else triad.axes
@@ -136,15 +160,33 @@ class UnitSpec(TitledFile):
         return False
 
     @cached_property
-    def schedule(self) -> UnitSchedule:
+    def schedule(self) -> UnitSchedule | StandardSchedule:
         """The plan in SI."""
+        if isinstance(self.plan, StandardPlan):
+            return standard_schedule(self.plan)
         return unit_schedule(self.plan, self.rig)
+
+    @property
+    def gradient_schedule(self) -> UnitSchedule:
+        """The schedule of a gradient plan. Raises `ValueError` for a standard one."""
+        if isinstance(self.schedule, StandardSchedule):
+            raise ValueError('this needs a plan of method = "gradient"')
+        return self.schedule
 
     @property
     def past(self) -> tuple[UnitSchedule, ...]:
         """The parts executed before the plan begins: their whole cycles."""
         parts = (cycles_between(unit_schedule(p.plan, self.rig), float(p.start), float(p.end)) for p in self.done)
         return tuple(part for part in parts if part is not None)
+
+
+def _standard(plan: StandardPlan, rig: UnitRig) -> Iterator[Problem]:
+    """Problems of the standard method, keys relative to the plan: as of one axis, about the table's only axis."""
+    if len(rig.table.axis) > 1:
+        yield Problem(("method",), "the standard method holds the rate of a table of one axis", "standard")
+    axis = rig.table.axis[0]
+    same = {name: getattr(axis, name) for name in ("max_rate", "max_acceleration", "travel")}
+    yield from standard_within(plan, Rig(table=Table(**same), chamber=rig.chamber), None)
 
 
 def _needed_axes(requirement: UnitRequirement) -> list[tuple[str, str]]:

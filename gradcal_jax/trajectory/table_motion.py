@@ -18,8 +18,6 @@ from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
 _LEAST_NODES = 12
 _FEWEST = 16
 _NODES_PER_RAD = 0.75
-# Fastest wave in a column, in cycles a turn: squares of the force's components, or harmonics times a direction.
-_WAVES = 3
 # Angles that differ by less (rad) are the same pose.
 _SAME_POSE = 1e-9
 # Bisections that locate a crossing, to 2^-45 of the distance of two nodes.
@@ -62,9 +60,11 @@ def table_motion(
     mounting: Int[np.ndarray, " P"],
     geometry: Geometry,
     start_angles: Float[np.ndarray, " L"],
-    harmonics: int = 0,
+    waves: int = 3,
+    least: int = _FEWEST,
 ) -> TableMotion:
-    """A motion whose numbers are known. `harmonics`: the highest order of an encoder's error."""
+    """A motion whose numbers are known. `waves`: the fastest wave in a column, in cycles a turn; 0: no column depends
+    on an angle. `least`: nodes of a turning piece without waves."""
     each = np.arange(line.piece_count)
     before, after = TableMotion(line, axis, mounting, geometry, start_angles, each, each, each).angles()
     pose = np.round(np.mod(before, 2.0 * np.pi) / _SAME_POSE) % np.round(2.0 * np.pi / _SAME_POSE)
@@ -76,14 +76,14 @@ def table_motion(
     of_move = np.round(
         np.column_stack([before - before[first][segment], (after[ends] - before[first])[segment]]) / _SAME_POSE
     )
-    key = np.column_stack([axis, mounting, line.moving, pose, of_motion, of_move])
+    of_angles = [pose, of_move] if waves else []
+    key = np.column_stack([axis, mounting, line.moving, of_motion, *of_angles])
     _, example, kind = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    waves = max(_WAVES, harmonics + 1)
     turned = np.abs(line.turned()[example])
     nodes = _LEAST_NODES + np.ceil(_NODES_PER_RAD * turned * waves).astype(int)
     # A standing piece has a constant attitude and one node. Few sizes: each costs more than some additional nodes.
-    sizes = np.array([_FEWEST, *(size_class(4 * _FEWEST * 2**k) for k in range(12))])
-    nodes = np.where(axis[example] < 0, 1, sizes[np.searchsorted(sizes, nodes)])
+    sizes = np.array([least, *(size_class(4 * least * 2**k) for k in range(12))])
+    nodes = np.where(axis[example] < 0, 1, sizes[np.searchsorted(sizes, nodes)] if waves else least)
     return TableMotion(line, axis, mounting, geometry, start_angles, np.reshape(kind, -1), example, nodes)
 
 
@@ -91,12 +91,13 @@ def divided_motion(
     motion: TableMotion,
     temperature_breaks: tuple[float, ...],
     rate_breaks: dict[int, tuple[float, ...]],
-    harmonics: int = 0,
+    waves: int = 3,
+    least: int = _FEWEST,
 ) -> TableMotion:
     """The motion with its pieces divided where functions of temperature or rate are not smooth (bins, B-splines).
 
     `temperature_breaks` °C; `rate_breaks` rad/s of the gyro along each of the body's axes, against the stars: the
-    Earth's rate belongs to what it measures. `harmonics`: as for `table_motion`. Numbers must be known.
+    Earth's rate belongs to what it measures. `waves`, `least`: as for `table_motion`. Numbers must be known.
     """
     pieces, at = temperature_crossings(motion.line, temperature_breaks)
     kinds, of_kinds = _rate_crossings(motion, rate_breaks)
@@ -111,7 +112,7 @@ def divided_motion(
     apart = (np.diff(pieces, prepend=-1) != 0) | (np.diff(at, prepend=-1.0) > EDGE)
     line, source = motion.line.divided(pieces[apart], at[apart])
     return table_motion(
-        line, motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles, harmonics
+        line, motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles, waves, least
     )
 
 

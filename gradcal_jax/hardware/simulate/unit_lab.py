@@ -165,7 +165,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
         mountings.append(np.array(mounting.columns).T @ turn_by([float(angle) for angle in drawn]) @ turn_by(off))
     truth = TableTruth(
         axes=tuple(axis.unit_vector for axis in table.axis),
-        latitude=float(site.latitude),
+        latitude=site.latitude_rad,
         gravity=site.gravity_m_per_s2 + draw(float(site.gravity_accuracy), "gravity"),
         base=(*base, azimuth),
         orthogonality=leans,

@@ -68,6 +68,8 @@ def placed(shape: tuple[int, ...], *parts: tuple[Any, Any]) -> Any:
 
 def summed(values: Any, first: np.ndarray) -> Any:
     """Sums of the rows from each index in `first` (the first is 0) to the next one."""
+    if len(first) == values.shape[0]:
+        return values
     if namespace(values) is np:
         return np.add.reduceat(values, first, axis=0)
     number = np.repeat(np.arange(len(first)), np.diff(first, append=values.shape[0]))

@@ -182,10 +182,13 @@ def ramp_of(lines: Sequence[Trajectory]) -> float:
     """Root mean square of dT/dt over the data that are used, K/s."""
     total, time = 0.0, 0.0
     for line in lines:
-        begin, end = (np.asarray(of)[~np.asarray(line.gap)] for of in line.ends())
-        lasting = np.asarray(line.duration)[~np.asarray(line.gap)]
-        lasts = lasting > 0.0
-        total += float(np.sum((end - begin)[lasts] ** 2 / lasting[lasts]))
+        kept = ~np.asarray(line.gap)
+        lasting, slope, excess = (np.asarray(of)[kept] for of in (line.duration, line.slope, line.excess))
+        # ∫(slope − a·e^(−λt))² dt over each piece, a = λ·excess
+        rate = float(line.lag_rate)
+        faded = -np.expm1(-rate * lasting)
+        square = slope**2 * lasting - 2.0 * slope * excess * faded + 0.5 * rate * excess**2 * faded * (2.0 - faded)
+        total += float(np.sum(square))
         time += float(np.sum(lasting))
     return (total / time) ** 0.5 if time else 0.0
 

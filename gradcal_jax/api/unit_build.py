@@ -334,7 +334,9 @@ def _fineness(spec: UnitSpec, of: UnitModel, line: trajectory.Trajectory) -> tup
         and all(isinstance(term, model.AxisHarmonics | model.CommonScale) for term in of.installation)
     )
     rated = (c.model for c in of.channels if any(isinstance(t, Map) for t in c.model.terms))
+    # A single node is that of a standing piece.
     nodes = max((trajectory.rule_of(one, line).moving for one in rated), default=_FEWEST)
+    nodes = max(nodes, 2)
     return (max(orders, default=0), nodes) if plain else (max(_WAVES, max(orders, default=0) + 1), max(nodes, _FEWEST))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gradcal_jax.api.unit_build import AssembledUnit, rest_poses
-from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.information import Posterior, posterior, square_root
 from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.trajectory import frames
@@ -11,6 +11,8 @@ from gradcal_jax.units import G
 
 # A parameter counts as not observed where its standard deviation is more than this share of its prior's.
 NOT_OBSERVED = 0.9
+# Points a side of the grid on which a residual is compared with that of the priors.
+_FEW = 11
 # Cosine of the angle between directions that count as opposite.
 _ALONG = 0.9
 # Share of a turn's rate that a gyro must see.
@@ -111,7 +113,8 @@ def _as_before(built: AssembledUnit, known: Posterior) -> list[str]:
     """Sentences on requirements whose residual the plan hardly reduces."""
     before, sentences = _prior(built), []
     for requirement in built.spec.requirement:
-        then, now = (unit_residual(built, k, requirement).statistic() for k in (before, known))
+        quantity = quantity_of(built, requirement, _FEW)
+        then, now = (quantity.residual(k).statistic() for k in (before, known))
         if then is not None and now is not None and now > NOT_OBSERVED * then:
             sentences.append(
                 f"requirement '{requirement.name}' stays as it was by the priors: the plan says nothing of it"

@@ -136,16 +136,20 @@ class UnitSpec(TitledFile):
 
     def _site(self) -> Iterator[Problem]:
         """The latitude may be absent where the Earth's rate is the same all the time."""
-        table, gyro = self.rig.table, self.sensor.gyro
-        if self.rig.site.latitude is not None and not self.rig.site.is_unknown:
-            return
-        along = [abs(d) for d in table.axis[0].unit_vector]
-        seen = [("xyz"[k], along["xyz".index(getattr(table.mounting[0], "xyz"[k])[1])]) for k in range(3)]
-        plain = len(table.axis) == len(table.mounting) == 1 and table.mounting[0].rotation is None
-        axes = () if gyro is None else gyro.axes
-        if self.sensor.accelerometer is not None or not plain or any(dict(seen)[a] < 1.0 for a in axes):
-            message = "must be known: the Earth's rate and gravity change with the table's angles"
-            yield Problem(("rig", "site", "latitude"), message, str(self.rig.site.latitude or "absent"))
+        if (self.rig.site.latitude is None or self.rig.site.is_unknown) and not self.is_one_axis:
+            message = "this key is missing: the Earth's rate and gravity change with the table's angles"
+            yield Problem(("rig", "site", "latitude"), message, kind="missing")
+
+    @property
+    def is_one_axis(self) -> bool:
+        """Whether there is nothing but a gyro along the only axis of a table: its rate and bias are all that counts."""
+        gyro, table = self.sensor.gyro, self.rig.table
+        (first, *more), (hung, *others) = table.axis, table.mounting
+        if gyro is None or self.sensor.accelerometer is not None or more or others or hung.rotation is not None:
+            return False
+        signals = (gyro.misalignment, gyro.g_sensitivity, gyro.g_squared)
+        along = {a: abs(first.unit_vector["xyz".index(getattr(hung, a)[1])]) for a in gyro.axes}
+        return all(signal is None for signal in signals) and all(part == 1.0 for part in along.values())
 
     def _axes_of(self, kind: str) -> tuple[str, ...]:
         triad = getattr(self.sensor, kind)

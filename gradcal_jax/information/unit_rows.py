@@ -107,8 +107,8 @@ def unweighted_of_unit(motion: TableMotion, model: UnitModel, nodes: BodyNodes) 
     errors are noise: nothing is known of them but their priors, which such an estimate does not use."""
     steps, columns = unit_system(motion, model, nodes)
     at, own = segments_of(motion, model), model.calibrated
-    duration = np.ones(len(columns))
-    duration[(of := row_of_steps(motion, model)) >= 0] = at.sums(motion.line.duration)[at.row_segment[of[of >= 0]]]
+    row = row_of_steps(motion, model)
+    duration = at.sums(motion.line.duration)[at.row_segment[np.maximum(row, 0)]]
     estimator = least_squares_of_means(columns[:, :own], np.asarray(steps.used), duration)
     stds = [term.stds for term in model.installation]
     shared = (estimator.weights.T @ columns[:, own:]) * np.concatenate([*stds, np.zeros(0)])

@@ -68,7 +68,9 @@ def table_motion(
     each = np.arange(line.piece_count)
     before, after = TableMotion(line, axis, mounting, geometry, start_angles, each, each, each).angles()
     pose = np.round(np.mod(before, 2.0 * np.pi) / _SAME_POSE) % np.round(2.0 * np.pi / _SAME_POSE)
-    of_motion = np.round(np.column_stack([line.duration, line.u_start, line.u_end, line.terms]) / _SAME_POSE)
+    # Standing pieces are alike wherever they lie in their rest.
+    within = np.where(np.any(line.terms, axis=1), [line.u_start, line.u_end], 0.0).T
+    of_motion = np.round(np.column_stack([line.duration, within, line.terms]) / _SAME_POSE)
     # The encoder's error is interpolated between standstills over the whole move of a piece.
     first = np.flatnonzero(np.diff(line.segment, prepend=line.segment[0] - 1))
     segment = np.repeat(np.arange(len(first)), np.diff(first, append=line.piece_count))
@@ -78,13 +80,26 @@ def table_motion(
     )
     of_angles = [pose, of_move] if waves else []
     key = np.column_stack([axis, mounting, line.moving, of_motion, *of_angles])
-    _, example, kind = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    example, kind = _alike(key)
     turned = np.abs(line.turned()[example])
     nodes = _LEAST_NODES + np.ceil(_NODES_PER_RAD * turned * waves).astype(int)
     # A standing piece has a constant attitude and one node. Few sizes: each costs more than some additional nodes.
     sizes = np.array([least, *(size_class(4 * least * 2**k) for k in range(12))])
     nodes = np.where(axis[example] < 0, 1, sizes[np.searchsorted(sizes, nodes)] if waves else least)
-    return TableMotion(line, axis, mounting, geometry, start_angles, np.reshape(kind, -1), example, nodes)
+    return TableMotion(line, axis, mounting, geometry, start_angles, kind, example, nodes)
+
+
+def _alike(key: Float[np.ndarray, "P c"]) -> tuple[np.ndarray, np.ndarray]:
+    """The first row of each kind of equal rows, and the kind of every row. (Sorting rows of floats takes ten times as
+    long as sorting a number for each; unequal rows with equal numbers would be seen.)"""
+    bits = np.ascontiguousarray(key + 0.0).view(np.uint64)
+    odd = np.random.default_rng(0).integers(2**63, size=key.shape[1], dtype=np.uint64) * np.uint64(2) + np.uint64(1)
+    mixed = (bits ^ (bits >> np.uint64(31))) * odd
+    number = np.bitwise_xor.reduce(mixed ^ (mixed >> np.uint64(29)), axis=1)
+    _, example, kind = np.unique(number, return_index=True, return_inverse=True)
+    if np.any(key[example][kind] != key):
+        _, example, kind = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    return example, np.reshape(kind, -1)
 
 
 def divided_motion(

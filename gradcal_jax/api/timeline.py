@@ -294,7 +294,7 @@ def _installation_row(term: model.InstallationTerm) -> unit_rows.InstallationRow
 
 
 def _unit_rows(built: AssembledUnit) -> list[unit_rows.UnitSegmentRow]:
-    motion, plan = built.motion, built.spec.schedule
+    motion, plan = built.motion, built.spec.plain_schedule
     line, at = motion.line, segments_of(motion, built.model)
     before, after = (np.asarray(a) for a in motion.angles())
     attitude = np.asarray(frames(motion.geometry, before[at.first], motion.mounting[at.first]).attitude)

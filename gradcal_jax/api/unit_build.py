@@ -301,7 +301,10 @@ def _schedule(plan: UnitSchedule, spec: UnitSpec) -> tuple[trajectory.Schedule, 
     def moves(steps: Iterable[UnitStep]) -> tuple[trajectory.Move, ...]:
         each = [step.move for step in steps for _ in range(step.move.repeat)]
         # A rest that does not say when it is read is read as the table is.
-        plain = (replace(m, axis="x", read_every=every) if m.is_rest and m.read_every is None and m.read_end else m for m in each)
+        plain = (
+            replace(m, axis="x", read_every=every) if m.is_rest and m.read_every is None and m.read_end else m
+            for m in each
+        )
         return tuple(move_of(replace(m, axis="x"), None, longest) for m in plain)
 
     steps, after = moves(plan.steps), moves(plan.after)

@@ -56,7 +56,7 @@ from gradcal_jax.files.unit_calibration import (
 from gradcal_jax.files.unit_correction import correct_unit, triad_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, segments_of
-from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, Map, SignalMap
+from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, GradientOfBias, Map, SignalMap
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
 _REHUNG_S = 6 * 3600.0
@@ -287,7 +287,7 @@ def planned_moves(built: AssembledUnit) -> list[list[PlannedMove]]:
     """The moves of a plan's cycle between its rests."""
     groups: list[list[PlannedMove]] = [[]]
     places = np.linspace(0.0, 1.0, _PROFILE + 1)
-    for step in built.spec.schedule.steps:
+    for step in built.spec.gradient_schedule.steps:
         for _ in range(step.move.repeat):
             if step.axis < 0:
                 groups.append([])
@@ -550,7 +550,8 @@ def _channel(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Calibrated
     triad = getattr(spec.sensor, channel.kind)
     terms, axis = [], AXIS_NAMES[channel.axis]
     for term in channel.model.terms:
-        if isinstance(term, Discrepancy):
+        # A sensitivity to dT/dt is estimated beside the calibration and is no part of it.
+        if isinstance(term, Discrepancy | GradientOfBias):
             continue
         own = values[channel.model.where(term.name)]
         coefficients = {name: float(v) for name, v in zip(term.names(), own, strict=True)}

@@ -121,7 +121,7 @@ class CycleValue:
         coarse = tuple(
             r.model_copy(update={"grid": tuple(min(g, _SEARCH_GRID) for g in r.grid)}) for r in spec.requirement
         )
-        self.built, self.schedule, self.design = assemble_unit(spec), spec.schedule, design
+        self.built, self.schedule, self.design = assemble_unit(spec), spec.plain_schedule, design
         scenarios = scenario_specs(spec)
         self.models = tuple(assemble_unit(one).model if one is not spec else self.built.model for one, _ in scenarios)
         self.over_scenarios = max if design.robust == "worst" else fmean
@@ -133,8 +133,8 @@ class CycleValue:
         self.known = [rows.T @ rows + self._past(model) for model in self.models]
         # Whether cycles differ only in temperature, which is linear in time; see `information.repeated`.
         self.repeats = (
-            len(spec.schedule.stretches) == 1
-            and sum(segment.used for segment in spec.schedule.segments) == 1
+            len(spec.plain_schedule.stretches) == 1
+            and sum(segment.used for segment in spec.plain_schedule.segments) == 1
             and spec.rig.table.standing == "held"
             and spec.sensor.thermal_lag is None
             and not any(np.any(c.model.processes.rate_gain) for c in self.built.model.channels)
@@ -285,7 +285,7 @@ def _limits(spec: UnitSpec, design: UnitDesign) -> PoseLimits:
 def _items(spec: UnitSpec, design: UnitDesign) -> PoseCycle:
     """The spec's own cycle, as the start of the search."""
     step, items = float(design.angle_step), []
-    for s in spec.schedule.steps:
+    for s in spec.plain_schedule.steps:
         for _ in range(s.move.repeat):
             if s.axis < 0:
                 rest = round(s.move.duration, 1)

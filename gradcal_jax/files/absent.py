@@ -63,8 +63,7 @@ _NORMAL_GRAVITY: Final = AbsentTerm(
 
 def absent_terms(spec: Spec | UnitSpec) -> list[AbsentTerm]:
     """Every term of the error budget that the file does not name and that affects its plan. Errors: none."""
-    whole = isinstance(spec, UnitSpec) and not spec.is_one_axis
-    return list(_of_unit(spec) if whole else _of_axis(spec))
+    return list(_of_unit(spec) if isinstance(spec, UnitSpec) and not spec.is_one_axis else _of_axis(spec))
 
 
 def _of_axis(spec: Spec | UnitSpec) -> Iterator[AbsentTerm]:
@@ -243,7 +242,7 @@ def _matters_of_table(spec: Spec | UnitSpec, gyro: Sensor | GyroTriad) -> set[st
         moves = [step.move for step in spec.gradient_schedule.steps]
     else:
         cycle = spec.gradient_schedule.cycle
-        moves = [] if cycle is None else cycle.moves
+        moves = [] if cycle is None else list(cycle.moves)
     if not moves:
         # A standing axis is read at one angle: only errors that change between readings have an effect.
         return {"angle.reading_noise"}

@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, cast
 
 from pydantic import TypeAdapter
@@ -62,10 +62,10 @@ def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables
     return result
 
 
-def turned_axes(document: Mapping[str, Any]) -> tuple[Axis, ...]:
+def turned_axes(document: Mapping[str, Any]) -> Sequence[Axis]:
     """The sensor axes that a spec's plan turns, in order; x for one that stands."""
     moves = document["plan"].get("cycle", {}).get("moves", ())
-    return tuple(dict.fromkeys(move.get("axis", "x") for move in moves if "rest" not in move)) or ("x",)
+    return tuple(dict.fromkeys(move.get("axis", AXES[0]) for move in moves if "rest" not in move)) or AXES[:1]
 
 
 def _sensor(sensor: Tables, axis: Axis) -> Tables:

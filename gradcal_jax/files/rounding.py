@@ -202,7 +202,7 @@ def _keep_cycles(spec: AnySpec, tables: Table, rounder: _Rounder) -> AnySpec:
 
 def _cycles(spec: Spec | UnitSpec) -> int:
     if isinstance(spec, UnitSpec):
-        return sum(stretch.cycles for stretch in spec.schedule.stretches)
+        return sum(stretch.cycles for stretch in spec.gradient_schedule.stretches)
     return spec.gradient_schedule.cycles
 
 
@@ -231,7 +231,7 @@ def _cycle(spec: Spec, cycle: Table, schedule: GradientSchedule, planned: Resolv
 
 def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder) -> None:
     """Every rest and turn of a unit's cycle in full, and the axes' first angles."""
-    schedule, axes = spec.schedule, spec.rig.table.axis
+    schedule, axes = spec.plain_schedule, spec.rig.table.axis
     gyro = spec.sensor.gyro
     usable = math.inf if gyro is None else gyro.usable_rate or math.inf
     moves_of_file = tables_of(spec)["plan"]["cycle"]["moves"]

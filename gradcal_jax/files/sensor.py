@@ -388,7 +388,9 @@ class GyroTriad(_Gyro):
     def _something_to_find(self) -> "GyroTriad":
         sections = (self.bias, self.scale_factor, self.misalignment, self.g_sensitivity, self.g_squared)
         if all(section is None for section in sections):
-            refuse(Problem((), "there is nothing to calibrate; add [sensor.gyro.bias], [sensor.gyro.scale_factor] or both"))
+            refuse(
+                Problem((), "there is nothing to calibrate; add [sensor.gyro.bias], [sensor.gyro.scale_factor] or both")
+            )
         return self
 
 

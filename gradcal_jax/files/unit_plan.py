@@ -159,9 +159,7 @@ class UnitPlan(ChamberCourse):
         return self.course_problems(with_cycle=self.cycle is not None)
 
 
-AnyUnitPlan = Annotated[
-    UnitPlan | StandardPlan, chosen_by("method", {"gradient": UnitPlan, "standard": StandardPlan})
-]
+AnyUnitPlan = Annotated[UnitPlan | StandardPlan, chosen_by("method", {"gradient": UnitPlan, "standard": StandardPlan})]
 
 
 @dataclass(frozen=True)
@@ -191,6 +189,12 @@ class UnitSchedule(CourseTimes):
     def period(self) -> float:
         """Of one cycle (s)."""
         return duration_of((*self.steps, *self.after))
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether there is a cycle, all of whose rests and moves are read as the table is."""
+        own = (not s.move.read_end or s.move.read_every is not None for s in self.steps)
+        return bool(self.steps) and not self.after and not any(own)
 
 
 def duration_of(steps: Iterable[UnitStep]) -> float:
@@ -267,8 +271,10 @@ def _after(cycle: UnitCycle, moving: float, rig: UnitRig) -> tuple[UnitStep, ...
         refuse(*([] if read else [Problem(("cycle", "other_axes"), _HELD)]))
         other, every = float(cycle.other_axes.duration), cycle.other_axes.read_every
         spacing = float(rig.table.axis[0].angle.read_every if every is None else every)
-        reads = {"read_end": math.isinf(spacing), "read_every": spacing} if cycle.other_axes.read else {"read_end": False}
-        rests.append(UnitStep(-1, ResolvedMove("rest", "x", other, **reads), -1))
+        move = ResolvedMove("rest", "x", other, read_end=False)
+        if cycle.other_axes.read:
+            move = replace(move, read_end=math.isinf(spacing), read_every=spacing)
+        rests.append(UnitStep(-1, move, -1))
     if cycle.duration is not None:
         idle = cycle.duration - moving - other
         if idle < -_SLACK * cycle.duration:

@@ -144,8 +144,9 @@ class UnitSpec(TitledFile):
     def is_one_axis(self) -> bool:
         """Whether there is nothing but a gyro along the only axis of a table: its rate and bias are all that counts."""
         gyro, table = self.sensor.gyro, self.rig.table
-        (first, *more), (hung, *others) = table.axis, table.mounting
-        if gyro is None or self.sensor.accelerometer is not None or more or others or hung.rotation is not None:
+        first, hung = table.axis[0], table.mounting[0]
+        several = len(table.axis) > 1 or len(table.mounting) > 1 or hung.rotation is not None
+        if gyro is None or self.sensor.accelerometer is not None or several:
             return False
         signals = (gyro.misalignment, gyro.g_sensitivity, gyro.g_squared)
         along = {a: abs(first.unit_vector["xyz".index(getattr(hung, a)[1])]) for a in gyro.axes}
@@ -178,6 +179,16 @@ class UnitSpec(TitledFile):
         return self.schedule
 
     @property
+    def plain_schedule(self) -> UnitSchedule:
+        """A schedule of nothing but a cycle that is read as the table is. Raises `ValueError` for any other."""
+        if not (schedule := self.gradient_schedule).is_plain:
+            raise ValueError(
+                "for an IMU this needs a plan with a cycle that leaves out read, read_every, other_axes and duration: "
+                "all else can be predicted, and not be executed yet"
+            )
+        return schedule
+
+    @property
     def past(self) -> tuple[UnitSchedule, ...]:
         """The parts executed before the plan begins: their whole cycles."""
         parts = (cycles_between(unit_schedule(p.plan, self.rig), float(p.start), float(p.end)) for p in self.done)
@@ -186,9 +197,9 @@ class UnitSpec(TitledFile):
 
 def _standard(plan: StandardPlan, rig: UnitRig) -> Iterator[Problem]:
     """Problems of the standard method, keys relative to the plan: as of one axis, about the table's only axis."""
-    if len(rig.table.axis) > 1:
+    axis, *others = rig.table.axis
+    if others:
         yield Problem(("method",), "the standard method holds the rate of a table of one axis", "standard")
-    axis = rig.table.axis[0]
     same = {name: getattr(axis, name) for name in ("max_rate", "max_acceleration", "travel")}
     yield from standard_within(plan, Rig(table=Table(**same), chamber=rig.chamber), None)
 

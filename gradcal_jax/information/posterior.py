@@ -132,8 +132,8 @@ def least_squares(line: Trajectory, model: SensorModel, columns: np.ndarray | No
     """
     if not line.rates:
         raise ValueError("unweighted least squares on rates is for the standard method: a gradient plan reads angles")
-    columns = at_readings(line, model) if columns is None else columns
-    return least_squares_of_means(columns, np.asarray(line.read), line.duration)
+    rows = at_readings(line, model) if columns is None else columns
+    return least_squares_of_means(rows, np.asarray(line.read), line.duration)
 
 
 def least_squares_of_means(

@@ -170,7 +170,7 @@ def _joint_steps(
     line, channels = motion.line, len(model.channels)
     m = sum(c.model.processes.count for c in model.channels)
     errors = _encoder_errors(motion, model, at)
-    n = channels + m + errors.count
+    n = channels + m + len(errors.initial)
     # One step for each segment, or for each piece.
     by_pieces = _by_pieces(model)
     duration = line.duration if by_pieces else at.sums(line.duration)
@@ -232,15 +232,16 @@ def _joint_steps(
     # No step lies between rows of one segment; steps within a segment have no row.
     source, row = _order(at, by_pieces)
     fresh = np.flatnonzero(np.diff(source, prepend=-1))
-    steps = [placed((count, n, n), *parts) for parts in (transition, covariance)]
+    through, noise = (placed((count, n, n), *parts) for parts in (transition, covariance))
     stays = np.ones(len(row), bool)
     stays[fresh] = False
     if len(fresh) < len(row):
         still = np.broadcast_to(np.eye(n), (len(row), n, n))
-        steps = [put(still, fresh, steps[0]), put(np.zeros(still.shape), fresh, steps[1])]
+        through, noise = put(still, fresh, through), put(np.zeros(still.shape), fresh, noise)
     observed = observation if len(row) == len(observation) else xp.where((row >= 0)[:, None], observation[row], 0.0)
     used = at.used[row] & (row >= 0)
-    return NoiseSteps(*steps, observed, xp.zeros(len(row)), used, placed((n, n), *initial), stays), row
+    whole = placed((n, n), *initial)
+    return NoiseSteps(through, noise, observed, xp.zeros(len(row)), used, whole, stays), row
 
 
 def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -261,10 +262,6 @@ class _EncoderErrors(NamedTuple):
     transition: AnyArray
     covariance: AnyArray
     initial: AnyArray
-
-    @property
-    def count(self) -> int:
-        return self.initial.shape[0]
 
 
 def _encoder_errors(motion: TableMotion, model: UnitModel, at: Segments) -> _EncoderErrors:
@@ -306,7 +303,11 @@ def _encoder_errors(motion: TableMotion, model: UnitModel, at: Segments) -> _Enc
         if kinds == 3:
             both = stands * moved * drawn
             transition += [((every, now, still), stands * (1.0 - moved)), ((every, still, still), 1.0 - moved)]
-            covariance += [((every, still, still), moved * drawn), ((every, now, still), both), ((every, still, now), both)]
+            covariance += [
+                ((every, still, still), moved * drawn),
+                ((every, now, still), both),
+                ((every, still, now), both),
+            ]
             initial += [(at_, drawn) for at_ in ((now, still), (still, now), (still, still))]
     size = kinds * axes
     shapes = (count, size, size), (count, size, size), (size, size)

@@ -7,6 +7,7 @@ from gradcal_jax.api.contract_rows import coefficient_rows, versions_of
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import UNITS_OF_TERMS, unit_residual
 from gradcal_jax.files.contracts import Prediction, RequirementRow
+from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_calibration import UnitCalibration, UnitResult
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -186,8 +187,10 @@ def _plan_words(spec: UnitSpec | None) -> dict[str, Any]:
     if spec is None:
         return {"times": "", "moves": [], "more": ""}
     schedule = spec.schedule
-    cycles = sum(stretch.cycles for stretch in schedule.stretches)
     lasts = times_text(schedule.duration, schedule.soak, schedule.motion)
+    if isinstance(schedule, StandardSchedule):
+        return {"times": f"{lasts}. {len(schedule.points)} points.", "moves": [], "more": ""}
+    cycles = sum(stretch.cycles for stretch in schedule.stretches)
     rows = [
         (
             spec.rig.table.axis[step.axis].name if step.axis >= 0 else "",

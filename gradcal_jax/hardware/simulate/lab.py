@@ -85,9 +85,9 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
         size = _TYPICAL_SCALE if section.prior is None else float(section.prior)
         scale = size * random.standard_normal((3, section.temperature.size, section.rate.size))
     gradient = np.zeros(3)
-    if (slope := sensor.bias_temperature_gradient) is not None:
-        gradient = (np.radians(1.0) / 60.0 if slope.prior is None else float(slope.prior)) * deg * np.ones(3)
-        gradient *= random.standard_normal(3)
+    if sensor.bias_temperature_gradient is not None:
+        unknown = np.radians(1.0) / 60.0 if sensor.gradient_sensitivity is not None else 0.0
+        gradient = (sensor.gradient_std or unknown) * deg * random.standard_normal(3)
     truth = SensorTruth(
         bias_dps=tuple(tuple(float(v) for v in row) for row in bias),
         scale_factor=tuple(tuple(tuple(float(v) for v in line) for line in row) for row in scale),

@@ -216,7 +216,7 @@ class SimulatedUnitLab(SimulatedDevices):
             axes,
             operator,
             self.units,
-            by_hand=any(step.move.shape == "hand" for step in spec.schedule.steps),
+            by_hand=any(step.move.shape == "hand" for step in spec.gradient_schedule.steps),
             hangs=len(table.mounting) > 1,
             sample_rate_hz=sample_rate_hz,
             burst_s=burst_s,

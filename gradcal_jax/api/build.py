@@ -97,9 +97,7 @@ def named_processes(
     is no common parameter of all channels, and the Earth's rate where no bias is estimated that includes it."""
     figures = lambda d: (float(d.standard_deviation), float(d.correlation_time))  # noqa: E731
     parts = [("bias instability", model.gauss_markov(*figures(d))) for d in sensor.drift]
-    if isinstance(sensor, AccelerometerTriad):
-        return parts
-    if sensor.rate_random_walk:
+    if not isinstance(sensor, AccelerometerTriad) and sensor.rate_random_walk:
         parts.append(("rate random walk", model.rate_random_walk(float(sensor.rate_random_walk))))
     for d in sensor.scale_factor_instability:
         process = model.gauss_markov(*figures(d), bias_gain=0.0, rate_gain=1.0)

@@ -207,7 +207,12 @@ def _signal_maps(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[Signa
     """The terms of a channel's signals."""
     return [
         _signal_map(
-            section, tuple(s.format(*of, own=axis) for s in signals), name.format(*of), symbol.format(*of), unit
+            section,
+            tuple(s.format(*of, own=axis) for s in signals),
+            name.format(*of),
+            symbol.format(*of),
+            unit,
+            float(triad.turn_on_bias or 0.0) if key == "bias" else 0.0,
         )
         for key, over, signals, name, symbol, unit in (_OF_GYRO if isinstance(triad, GyroTriad) else _OF_ACCELEROMETER)
         if (section := getattr(triad, key)) is not None
@@ -217,16 +222,21 @@ def _signal_maps(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[Signa
 
 def _accelerometer(triad: AccelerometerTriad, axis: str) -> model.SensorModel:
     processes, _ = processes_of(named_processes(triad))
-    white = np.asarray(float(triad.velocity_random_walk))
-    return model.SensorModel(tuple(_signal_maps(triad, axis)), white, processes, model.angle_reference())
+    white, terms = np.asarray(float(triad.velocity_random_walk)), list[Term](_signal_maps(triad, axis))
+    if (gradient := triad.gradient_sensitivity) is not None:
+        std = np.asarray(or_infinite(gradient.prior))
+        terms.append(GradientOfBias(std=std, has_prior=bool(np.isfinite(std)), si_unit="m/s/K"))
+    return model.SensorModel(tuple(terms), white, processes, model.angle_reference())
 
 
-def _signal_map(section, signals: tuple[str, ...], name: str, symbol: str, unit: str) -> SignalMap:
+def _signal_map(
+    section, signals: tuple[str, ...], name: str, symbol: str, unit: str, common_std: float = 0.0
+) -> SignalMap:
     over = getattr(section, "temperature", None)
     of_temperature: Basis = _CONSTANT if over is None else basis(over)
     std = or_infinite(section.prior)
     fields = {"signals": signals, "name": name, "symbol": symbol, "si_unit": unit, "has_prior": bool(np.isfinite(std))}
-    return SignalMap(temperature=of_temperature, std=np.asarray(std), **fields)
+    return SignalMap(temperature=of_temperature, std=np.asarray(std), common_std=common_std, **fields)
 
 
 def geometry(rig: UnitRig) -> Geometry:

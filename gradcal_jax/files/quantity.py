@@ -144,6 +144,10 @@ PositiveAngle = Annotated[Quantity, Of("angle", above="0 deg")]
 PositiveLength = Annotated[Quantity, Of("length", above="0 m")]
 Latitude = Annotated[Quantity, Of("angle", at_least="-90 deg", at_most="90 deg", infinite="unknown")]
 Frequency = Annotated[Quantity, Of("frequency", above="0 Hz")]
+AccelerationSlope = Annotated[Quantity, Of("acceleration slope")]
+ForceGradientSensitivity = Annotated[
+    Quantity, Of("acceleration temperature-gradient sensitivity", at_least="0 ug/(K/min)")
+]
 SizeOfGradientSensitivity = Annotated[Quantity, Of("bias temperature-gradient sensitivity", at_least="0 deg/h/(K/min)")]
 
 Whole = Annotated[int, Strict(), Field(ge=0, le=10**9)]

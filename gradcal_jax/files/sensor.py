@@ -8,8 +8,10 @@ from pydantic import BeforeValidator, Field, model_validator
 from gradcal_jax.files.bases import Degree, RateBasis, TemperatureBasis
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
+    AccelerationSlope,
     AngleRandomWalk,
     BiasSlope,
+    ForceGradientSensitivity,
     Margin,
     Of,
     PositiveAccelerationSensitivity,
@@ -55,7 +57,7 @@ class Drift(_Process):
 
 
 class ScaleFactorInstability(_Process):
-    """Residual scale-factor instability: a first-order Gauss–Markov process multiplied by the rate."""
+    """Residual scale-factor instability: a first-order Gauss–Markov process multiplied by the rate, or the force."""
 
     standard_deviation: PositiveScaleFactor
     """Stationary standard deviation of the scale factor's error, a ratio."""
@@ -89,6 +91,29 @@ class BiasTemperatureGradient(Section):
 
     prior: SizeOfGradientSensitivity | None = None
     """Standard deviation of the coefficient before the calibration; absent: unknown; 0: there is none to estimate."""
+
+
+class ForceTemperatureError(TemperatureError):
+    """As of a gyro, of an accelerometer."""
+
+    bias_slope: AccelerationSlope | None = None
+
+
+class ForceTemperatureGradient(BiasTemperatureGradient):
+    """As of a gyro, of an accelerometer."""
+
+    prior: ForceGradientSensitivity | None = None
+
+
+def _gradient_of_bias(table: type[BiasTemperatureGradient], dimension: str, least: str) -> BeforeValidator:
+    """Marks a sensitivity to dT/dt: a table is estimated, a figure alone is not."""
+
+    def read(value: object) -> object:
+        if isinstance(value, Mapping):
+            return table.model_validate(value)
+        return value if value is None or isinstance(value, Section) else Of(dimension, at_least=least).read(value)
+
+    return BeforeValidator(read)
 
 
 class BiasDiscrepancy(Section):
@@ -213,46 +238,18 @@ class _Instrument(Section):
         return None if self.sample_clock_error is None else str(self.sample_clock_error)
 
 
-def _gradient_of_bias(value: object) -> object:
-    """A table is estimated; a figure alone is not."""
-    if isinstance(value, Mapping):
-        return BiasTemperatureGradient.model_validate(value)
-    return value if isinstance(value, Section) else _NOT_ESTIMATED.read(value)
+class _Channel(UncertainSection):
+    """What every channel may have beside its own terms."""
 
-
-_NOT_ESTIMATED: Final = Of("bias temperature-gradient sensitivity", at_least="0 deg/h/(K/min)")
-
-
-class _Gyro(UncertainSection):
-    """Noise and error functions of a gyro: every term of the error model (paper, eq. 1)."""
-
-    FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk", "turn_on_bias")
-
-    angle_random_walk: AngleRandomWalk
-    """White noise of the rate, as the angle's growth with the square root of time."""
-    rate_random_walk: RateRandomWalk | None = None
-    """Random walk of the rate."""
-    turn_on_bias: SizeOfRate | None = None
+    turn_on_bias: Quantity | None = None
     """Standard deviation of the bias that is new at every power-on and not part of the map."""
-    full_scale: PositiveRate | None = None
-    """Largest rate that a gyro measures."""
-    full_scale_margin: Margin = Quantity(0.05, "5 %", "scale factor")
-    """Share of the full scale that plans keep away from."""
-    drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
-    """In-run bias instabilities, which add."""
     scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
     """In-run instabilities of the scale factor, which add."""
     temperature_error: TemperatureError | None = None
     """Error of the measured temperature."""
-    bias_temperature_gradient: Annotated[
-        BiasTemperatureGradient | SizeOfGradientSensitivity | None, BeforeValidator(_gradient_of_bias)
-    ] = None
+    bias_temperature_gradient: BiasTemperatureGradient | Quantity | None = None
     """Bias in proportion to dT/dt: a table, of a coefficient that is estimated, or its standard deviation, which counts
     and is not estimated."""
-    bias: Bias | None = None
-    """The bias over temperature, estimated; absent: known."""
-    scale_factor: ScaleFactor | None = None
-    """The scale factor over temperature and rate, estimated; absent: known."""
 
     @property
     def gradient_sensitivity(self) -> BiasTemperatureGradient | None:
@@ -262,7 +259,8 @@ class _Gyro(UncertainSection):
 
     @property
     def gradient_std(self) -> float:
-        """Standard deviation of the sensitivity to dT/dt before any estimate, rad/s/(K/s); 0: none, or unknown."""
+        """Standard deviation of the sensitivity to dT/dt before any estimate, of the bias for K/s; 0: none, or
+        unknown."""
         of = self.bias_temperature_gradient
         return float((of.prior if isinstance(of, BiasTemperatureGradient) else of) or 0.0)
 
@@ -271,6 +269,32 @@ class _Gyro(UncertainSection):
         """The error of the measured temperature, where there is one."""
         of = self.temperature_error
         return None if of is None or of.standard_deviation == 0.0 else of
+
+
+class _Gyro(_Channel):
+    """Noise and error functions of a gyro: every term of the error model (paper, eq. 1)."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk", "turn_on_bias")
+
+    angle_random_walk: AngleRandomWalk
+    """White noise of the rate, as the angle's growth with the square root of time."""
+    rate_random_walk: RateRandomWalk | None = None
+    """Random walk of the rate."""
+    turn_on_bias: SizeOfRate | None = None
+    full_scale: PositiveRate | None = None
+    """Largest rate that a gyro measures."""
+    full_scale_margin: Margin = Quantity(0.05, "5 %", "scale factor")
+    """Share of the full scale that plans keep away from."""
+    drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
+    """In-run bias instabilities, which add."""
+    bias_temperature_gradient: Annotated[
+        BiasTemperatureGradient | SizeOfGradientSensitivity | None,
+        _gradient_of_bias(BiasTemperatureGradient, "bias temperature-gradient sensitivity", "0 deg/h/(K/min)"),
+    ] = None
+    bias: Bias | None = None
+    """The bias over temperature, estimated; absent: known."""
+    scale_factor: ScaleFactor | None = None
+    """The scale factor over temperature and rate, estimated; absent: known."""
 
     @property
     def usable_rate(self) -> float | None:
@@ -394,11 +418,11 @@ class GyroTriad(_Gyro):
         return self
 
 
-class AccelerometerTriad(UncertainSection):
+class AccelerometerTriad(_Channel):
     """`[sensor.accelerometer]`: common properties of the unit's accelerometers. Read where the table stands, and on
     moves no faster than `read_on_moves_below`."""
 
-    FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk",)
+    FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk", "turn_on_bias")
 
     axes: BodyAxes = ("x", "y", "z")
     """Which accelerometers the unit has."""
@@ -407,7 +431,11 @@ class AccelerometerTriad(UncertainSection):
     drift: Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)] = ()
     """In-run bias instabilities, which add."""
     turn_on_bias: SizeOfSpecificForce | None = None
-    """Standard deviation of the bias that is new at every power-on and not part of the map."""
+    temperature_error: ForceTemperatureError | None = None
+    bias_temperature_gradient: Annotated[
+        ForceTemperatureGradient | ForceGradientSensitivity | None,
+        _gradient_of_bias(ForceTemperatureGradient, "acceleration temperature-gradient sensitivity", "0 ug/(K/min)"),
+    ] = None
     velocity_increments: bool = False
     """Whether the output is an increment of velocity for each sample, so that the sample clock acts as a scale factor;
     a specific force does not depend on the clock."""

@@ -184,14 +184,19 @@ def _joint_steps(
     initial: list[tuple] = []
     # The direction about which each piece turns.
     along = xp.sum(xp.where(motion.turns[..., None], nodes.axes_before[nodes.kind], 0.0), axis=1)
+    if by_pieces and any(c.kind == "accelerometer" for c in model.channels):
+        force = nodes.integrals(lambda g: xp.mean(g.force, axis=1), (3,))[nodes.kind]
     state = channels
     for i, c in enumerate(model.channels):
         p = c.model.processes
         states = np.arange(state, state + p.count)
         state += p.count
-        rates = along[:, c.axis] * line.end_rate() if by_pieces else xp.zeros(count)
+        # What a gain multiplies: the rate along a gyro, the mean force along an accelerometer.
+        rates = xp.zeros(count)
+        if by_pieces:
+            rates = along[:, c.axis] * line.end_rate() if c.kind == "gyro" else force[:, c.axis]
         to_integral, q_integral, q_cross, q_self = constant_drive(p, duration, rates)
-        if by_pieces and (varying := line.varying_pieces).shape[0]:
+        if by_pieces and c.kind == "gyro" and (varying := line.varying_pieces).shape[0]:
             driven = varying_drive(p, duration[varying], drive_rates(line, varying) * along[varying, c.axis][:, None])
             by_rate = (p.rate_gain != 0.0)[None, :]
             to_integral, q_integral, q_cross = (

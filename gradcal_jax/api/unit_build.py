@@ -96,7 +96,7 @@ def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
     return AssembledUnit(spec, model_, motion, points, rough, past, until_s)
 
 
-def _broken_off(motion: TableMotion, until_s: float, fine: tuple[int, int]) -> TableMotion:
+def _broken_off(motion: TableMotion, until_s: float, fine: tuple[int | None, int]) -> TableMotion:
     """The motion up to a time: of a move nothing, of a rest what lies before it, with a reading at its end."""
     line, source = motion.line, np.arange(len(motion.axis))
     parts = (until_s - line.start) / np.where(line.duration > 0.0, line.duration, 1.0)
@@ -333,9 +333,9 @@ def _divisions_by_lag(line: trajectory.Trajectory) -> tuple[np.ndarray, np.ndarr
     return pieces, 0.5**order
 
 
-def _fineness(spec: UnitSpec, of: UnitModel, line: trajectory.Trajectory) -> tuple[int, int]:
+def _fineness(spec: UnitSpec, of: UnitModel, line: trajectory.Trajectory) -> tuple[int | None, int]:
     """The fastest wave in a column, in cycles a turn, and the number of nodes of a turning piece without waves. No
-    column has waves if every gyro lies along the only axis of a table."""
+    column has waves if every gyro lies along the only axis of a table, whose encoder's error counts at the readings."""
     orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
     own = (Map, Discrepancy, GradientOfBias)
     frame = geometry(spec.rig)
@@ -350,7 +350,7 @@ def _fineness(spec: UnitSpec, of: UnitModel, line: trajectory.Trajectory) -> tup
     # A single node is that of a standing piece.
     nodes = max((trajectory.rule_of(one, line).moving for one in rated), default=_FEWEST)
     nodes = max(nodes, 2)
-    return (max(orders, default=0), nodes) if plain else (max(_WAVES, max(orders, default=0) + 1), max(nodes, _FEWEST))
+    return (0 if orders else None, nodes) if plain else (max(_WAVES, max(orders, default=0) + 1), max(nodes, _FEWEST))
 
 
 def _breaks(of: UnitModel) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:

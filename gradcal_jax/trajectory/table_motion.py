@@ -60,17 +60,18 @@ def table_motion(
     mounting: Int[np.ndarray, " P"],
     geometry: Geometry,
     start_angles: Float[np.ndarray, " L"],
-    waves: int = 3,
+    waves: int | None = 3,
     least: int = _FEWEST,
 ) -> TableMotion:
-    """A motion whose numbers are known. `waves`: the fastest wave in a column, in cycles a turn; 0: no column depends
-    on an angle. `least`: nodes of a turning piece without waves."""
+    """A motion whose numbers are known. `waves`: the fastest wave in a column, in cycles a turn; 0: columns depend on
+    the angles at the ends of pieces alone; None: on none. `least`: nodes of a turning piece without waves."""
     each = np.arange(line.piece_count)
     before, after = TableMotion(line, axis, mounting, geometry, start_angles, each, each, each).angles()
     pose = np.round(np.mod(before, 2.0 * np.pi) / _SAME_POSE) % np.round(2.0 * np.pi / _SAME_POSE)
     # Standing pieces are alike wherever they lie in their rest.
     within = np.where(np.any(line.terms, axis=1), [line.u_start, line.u_end], 0.0).T
-    of_motion = np.round(np.column_stack([line.duration, within, line.terms]) / _SAME_POSE)
+    terms = line.terms[:, np.any(line.terms, axis=0)]
+    of_motion = np.round(np.column_stack([line.duration, within, terms]) / _SAME_POSE)
     # The encoder's error is interpolated between standstills over the whole move of a piece.
     first = np.flatnonzero(np.diff(line.segment, prepend=line.segment[0] - 1))
     segment = np.repeat(np.arange(len(first)), np.diff(first, append=line.piece_count))
@@ -78,11 +79,11 @@ def table_motion(
     of_move = np.round(
         np.column_stack([before - before[first][segment], (after[ends] - before[first])[segment]]) / _SAME_POSE
     )
-    of_angles = [pose, of_move] if waves else []
+    of_angles = [] if waves is None else [pose, of_move]
     key = np.column_stack([axis, mounting, line.moving, of_motion, *of_angles])
     example, kind = _alike(key)
     turned = np.abs(line.turned()[example])
-    nodes = _LEAST_NODES + np.ceil(_NODES_PER_RAD * turned * waves).astype(int)
+    nodes = _LEAST_NODES + np.ceil(_NODES_PER_RAD * turned * (waves or 0)).astype(int)
     # A standing piece has a constant attitude and one node. Few sizes: each costs more than some additional nodes.
     sizes = np.array([least, *(size_class(4 * least * 2**k) for k in range(12))])
     nodes = np.where(axis[example] < 0, 1, sizes[np.searchsorted(sizes, nodes)] if waves else least)
@@ -106,7 +107,7 @@ def divided_motion(
     motion: TableMotion,
     temperature_breaks: tuple[float, ...],
     rate_breaks: dict[int, tuple[float, ...]],
-    waves: int = 3,
+    waves: int | None = 3,
     least: int = _FEWEST,
 ) -> TableMotion:
     """The motion with its pieces divided where functions of temperature or rate are not smooth (bins, B-splines).

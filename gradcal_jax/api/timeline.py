@@ -32,7 +32,7 @@ from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy, Sensor
 from gradcal_jax.files.spec import expect_whole, goes_on
-from gradcal_jax.files.unit_plan import UnitStep
+from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import AXIS_NAMES, Channel, Map, SignalMap
@@ -210,7 +210,7 @@ def unit_timeline(spec: UnitSpec) -> unit_rows.UnitTimeline:
     for a spec with [[done]]."""
     if spec.done:
         raise goes_on("a timeline")
-    built = assemble_unit(spec)
+    built, plan = assemble_unit(spec), spec.plain_schedule
     geometry, sensor, table = built.motion.geometry, spec.sensor, spec.rig.table
     return unit_rows.UnitTimeline(
         title=spec.title,
@@ -241,7 +241,7 @@ def unit_timeline(spec: UnitSpec) -> unit_rows.UnitTimeline:
             _channel_row(c, sensor.gyro if c.kind == "gyro" else sensor.accelerometer) for c in built.model.channels
         ),
         installation=tuple(_installation_row(term) for term in built.model.installation),
-        segments=tuple(_unit_rows(built)),
+        segments=tuple(_unit_rows(built, plan)),
     )
 
 
@@ -305,8 +305,8 @@ def _installation_row(term: model.InstallationTerm) -> unit_rows.InstallationRow
     )
 
 
-def _unit_rows(built: AssembledUnit) -> list[unit_rows.UnitSegmentRow]:
-    motion, plan = built.motion, built.spec.plain_schedule
+def _unit_rows(built: AssembledUnit, plan: UnitSchedule) -> list[unit_rows.UnitSegmentRow]:
+    motion = built.motion
     line, at = motion.line, segments_of(motion, built.model)
     before, after = (np.asarray(a) for a in motion.angles())
     attitude = np.asarray(frames(motion.geometry, before[at.first], motion.mounting[at.first]).attitude)

@@ -181,10 +181,11 @@ class UnitSpec(TitledFile):
     @property
     def plain_schedule(self) -> UnitSchedule:
         """A schedule of nothing but a cycle that is read as the table is. Raises `ValueError` for any other."""
-        if not (schedule := self.gradient_schedule).is_plain:
+        spaced = all(math.isfinite(axis.angle.read_every) for axis in self.rig.table.axis)
+        if not ((schedule := self.gradient_schedule).is_plain and spaced):
             raise ValueError(
-                "for an IMU this needs a plan with a cycle that leaves out read, read_every, other_axes and duration: "
-                "all else can be predicted, and not be executed yet"
+                "for an IMU this needs a plan with a cycle that leaves out read, read_every, other_axes and duration, "
+                'on a table whose read_every is a time and not "rest"; all else is predicted, and not executed yet'
             )
         return schedule
 

@@ -11,8 +11,11 @@ import pytest
 import recorded
 
 from gradcal_jax.api import predict
+from gradcal_jax.api.timeline import unit_timeline
 from gradcal_jax.files import SpecError, spec_of
 from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
+from gradcal_jax.files.rounding import rounded
+from gradcal_jax.files.tracks import tracks_of
 from gradcal_jax.files.unit_spec import unit_spec_of
 
 KEPT = recorded.read("predictions")
@@ -73,6 +76,14 @@ def test_an_axis_is_judged_the_same_as_an_imu(name):
         assert one.verdict == other.verdict
         for field in ("with_typical", "another_run", "worst", "specific_risk"):
             _same(getattr(other, field), getattr(one, field), 1e-12)
+
+
+@pytest.mark.parametrize("name", ["static standard 1", "preset paper-static-gradient", "tactical 3"])
+def test_what_is_predicted_alone_is_not_made_a_recipe(name):
+    spec = unit_spec_of(axis_as_imu(KEPT[name]["tables"]))
+    for command in (rounded, tracks_of, unit_timeline):
+        with pytest.raises(ValueError, match=r"needs a plan (of method|with a cycle)"):
+            command(spec)
 
 
 def test_several_axes_that_turn_alone_are_no_table():

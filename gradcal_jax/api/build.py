@@ -103,6 +103,7 @@ def named_processes(
         process = model.gauss_markov(*figures(d), bias_gain=0.0, rate_gain=1.0)
         parts.append(("scale-factor instability", process))
     if (error := sensor.thermometer_noise) is not None:
+        # All channels share a thermometer, but the signs of their slopes are unknown: their errors are uncorrelated.
         gains = {"bias_gain": float(error.bias_slope or 0.0), "rate_gain": float(error.scale_factor_slope or 0.0)}
         deviation = float(error.standard_deviation)
         process = model.constant(deviation, **gains)

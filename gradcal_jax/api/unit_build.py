@@ -21,10 +21,11 @@ from gradcal_jax.api.build import (
     processes_of,
 )
 from gradcal_jax.files.bench import UnitRig
+from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
-from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
+from gradcal_jax.files.unit_plan import UnitSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, posterior, segments_of, unit_information, unweighted_of_unit
 from gradcal_jax.model import (
@@ -127,9 +128,8 @@ def unit_model(spec: UnitSpec) -> UnitModel:
     """The channels of a unit, the errors of its installation, and the encoders' noise."""
     sensor, channels = spec.sensor, []
     if (gyro := sensor.gyro) is not None:
-        own = {"clock": 0.0 if _has_common_clock(spec) else sensor.clock_error}
-        named = named_processes(gyro, **own, earth_is_unknown=spec.rig.site.is_unknown)
-        processes, _ = processes_of(named)
+        clock = 0.0 if _has_common_clock(spec) else sensor.clock_error
+        processes, _ = processes_of(named_processes(gyro, clock=clock, earth_is_unknown=spec.rig.site.is_unknown))
         channels += [
             Channel(gyro_channel(gyro, processes, signals=_signal_maps(gyro, axis)), "gyro", AXIS_NAMES.index(axis))
             for axis in gyro.axes
@@ -279,16 +279,10 @@ def rest_poses(built: AssembledUnit) -> RestPoses:
 
 def motion_of(plan: UnitSchedule | StandardSchedule, spec: UnitSpec, of: UnitModel) -> TableMotion:
     """The motion of a plan on a spec's rig, in pieces on which all functions of the model `of` are smooth."""
-    start, axes = np.zeros(len(spec.rig.table.axis)), [0]
-    if isinstance(plan, StandardSchedule):
-        schedule = held_rates(plan)
-    else:
-        schedule, axes, start = *_schedule(plan, spec), np.array(plan.start)
+    schedule, axes, start = _schedule(plan, spec)
     line = schedule.trajectory(spec.sensor.lag)
-    moving = np.asarray(line.moving)
-    axis = np.where(moving, np.array([*axes, -1])[np.minimum(np.asarray(schedule.pieces.move), len(axes))], -1)
-    if isinstance(plan, StandardSchedule):
-        axis = np.where(moving, 0, -1)
+    # What fills a stretch stands.
+    axis = np.array([*axes, -1])[np.minimum(np.asarray(schedule.pieces.move), len(axes))]
     if spec.sensor.lag is not None:
         line, source = line.divided(*_divisions_by_lag(line))
         axis = axis[source]
@@ -300,27 +294,28 @@ def motion_of(plan: UnitSchedule | StandardSchedule, spec: UnitSpec, of: UnitMod
     return trajectory.divided_motion(whole, *_breaks(of), *fine)
 
 
-def _schedule(plan: UnitSchedule, spec: UnitSpec) -> tuple[trajectory.Schedule, list[int]]:
-    """The schedule of a plan as a channel sees it that every axis turns, and the axis of each of its moves (−1: a
-    rest)."""
-    course, used = chamber_programme(plan)
+def _schedule(
+    plan: UnitSchedule | StandardSchedule, spec: UnitSpec
+) -> tuple[trajectory.Schedule, list[int], np.ndarray]:
+    """The schedule of a plan as a channel sees it that every axis turns, the axis of each of its moves (−1: a rest),
+    and the axes' angles (rad) at its begin."""
     table, gyro = spec.rig.table, spec.sensor.gyro
+    if isinstance(plan, StandardSchedule):
+        return held_rates(plan), [-1] + [0] * len(plan.rates), np.zeros(len(table.axis))
+    course, used = chamber_programme(plan)
     every = float(table.axis[0].angle.read_every) if table.standing == "read" else None
     longest = np.inf if gyro is None else longest_piece(gyro)
 
-    def moves(steps: Iterable[UnitStep]) -> tuple[trajectory.Move, ...]:
-        each = [step.move for step in steps for _ in range(step.move.repeat)]
+    def move(of: ResolvedMove) -> trajectory.Move:
         # A rest that does not say when it is read is read as the table is.
-        plain = (
-            replace(m, axis="x", read_every=every) if m.is_rest and m.read_every is None and m.read_end else m
-            for m in each
-        )
-        return tuple(move_of(replace(m, axis="x"), None, longest) for m in plain)
+        plain = of.is_rest and of.read_every is None and of.read_end
+        return move_of(replace(of, axis="x", read_every=every if plain else of.read_every), None, longest)
 
-    steps, after = moves(plan.steps), moves(plan.after)
-    axes = [step.axis for step in plan.steps for _ in range(step.move.repeat)] + [-1] * len(after)
+    steps, after = ([s for s in part for _ in range(s.move.repeat)] for part in (plan.steps, plan.after))
+    moves = (tuple(move(s.move) for s in part) for part in (steps, after))
     left = None if every is None or np.isinf(every) else every
-    return trajectory.gradient_plan(course, steps, after, used=used, read_every=left), axes
+    schedule = trajectory.gradient_plan(course, *moves, used=used, read_every=left)
+    return schedule, [s.axis for s in (*steps, *after)], np.array(plan.start)
 
 
 def _divisions_by_lag(line: trajectory.Trajectory) -> tuple[np.ndarray, np.ndarray]:

@@ -70,8 +70,7 @@ def segments_of(motion: TableMotion, model: UnitModel) -> Segments:
     line, number = motion.line, np.asarray(motion.line.segment)
     begins, gap = np.diff(number, prepend=number[0] - 1) != 0, np.asarray(line.gap)
     if between_readings := line.rates or not model.encoder.held:
-        begins[1:] = np.where(gap[1:] | gap[:-1], begins[1:], False) | np.asarray(line.read)[:-1]
-        begins[1:] |= gap[1:] != gap[:-1]
+        begins[1:] = np.asarray(line.read)[:-1] | (begins[1:] & (gap[1:] | gap[:-1]))
     first = np.flatnonzero(begins)
     last = np.append(first[1:], len(number)) - 1
     axis = np.maximum.reduceat(np.asarray(motion.axis), first)

@@ -19,7 +19,8 @@ from gradcal_jax.files.tracks import tracks_of
 from gradcal_jax.files.unit_spec import unit_spec_of
 
 KEPT = recorded.read("predictions")
-# Their information is nearly singular: both programs' numbers move by as much where a plan's times move by rounding.
+# Apart by 2e-12. The program of one axis shifts the edges of bins in rate by a hundred rounding errors; and unweighted
+# least squares with a nearly singular fit moves by as much where a noise figure changes in its last digit.
 ROUNDED = {"tactical 1", "any 5"}
 ALWAYS = {
     "static gradient 2",  # bins, turn-on bias

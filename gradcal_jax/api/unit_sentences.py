@@ -50,8 +50,8 @@ def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
     """A sentence for each thing that the plan cannot observe, remedies first; and for requirements beyond the plan's
     temperatures."""
     names = unobserved_parameters(built, known)
-    motion = built.motion
-    axes = frames(motion.geometry, motion.angles()[0], motion.mounting).axes
+    motion, example = built.motion, built.motion.example
+    axes = frames(motion.geometry, motion.angles()[0][example], motion.mounting[example]).axes[motion.kind]
     sentences = _cures(built, axes, set(names))
     if any(".m_" in name for name in names) or _orthogonality_is_hidden(built, known):
         sentences += _reversals(built, axes)

@@ -431,8 +431,8 @@ class AccelerometerTriad(_Channel):
     drift: Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)] = ()
     """In-run bias instabilities, which add."""
     turn_on_bias: SizeOfSpecificForce | None = None
-    temperature_error: ForceTemperatureError | None = None
-    bias_temperature_gradient: Annotated[
+    temperature_error: ForceTemperatureError | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    bias_temperature_gradient: Annotated[  # pyright: ignore[reportIncompatibleVariableOverride]
         ForceTemperatureGradient | ForceGradientSensitivity | None,
         _gradient_of_bias(ForceTemperatureGradient, "acceleration temperature-gradient sensitivity", "0 ug/(K/min)"),
     ] = None

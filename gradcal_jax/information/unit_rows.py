@@ -183,17 +183,16 @@ def _joint_steps(
     initial: list[tuple] = []
     # The direction about which each piece turns.
     along = xp.sum(xp.where(motion.turns[..., None], nodes.axes_before[nodes.kind], 0.0), axis=1)
+    # What a gain multiplies: the rate along a gyro, the mean force along an accelerometer.
+    drives = {"gyro": along * line.end_rate()[:, None]}
     if by_pieces and any(c.kind == "accelerometer" for c in model.channels):
-        force = nodes.integrals(lambda g: xp.mean(g.force, axis=1), (3,))[nodes.kind]
+        drives["accelerometer"] = nodes.integrals(lambda g: xp.mean(g.force, axis=1), (3,))[nodes.kind]
     state = channels
     for i, c in enumerate(model.channels):
         p = c.model.processes
         states = np.arange(state, state + p.count)
         state += p.count
-        # What a gain multiplies: the rate along a gyro, the mean force along an accelerometer.
-        rates = xp.zeros(count)
-        if by_pieces:
-            rates = along[:, c.axis] * line.end_rate() if c.kind == "gyro" else force[:, c.axis]
+        rates = drives[c.kind][:, c.axis] if by_pieces else xp.zeros(count)
         to_integral, q_integral, q_cross, q_self = constant_drive(p, duration, rates)
         if by_pieces and c.kind == "gyro" and (varying := line.varying_pieces).shape[0]:
             driven = varying_drive(p, duration[varying], drive_rates(line, varying) * along[varying, c.axis][:, None])

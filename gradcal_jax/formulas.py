@@ -16,6 +16,8 @@ from math import exp, expm1, floor, pi
 from typing import Any
 
 Array = Any
+EARTH_RATE = 7.292115e-5
+"""rad/s, of the Earth against the stars (WGS 84)."""
 
 # --- bases ------------------------------------------------------------------------------------------------------------
 

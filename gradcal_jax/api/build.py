@@ -1,5 +1,6 @@
 """A spec in the core's terms: its error model and its plan."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -13,7 +14,7 @@ from gradcal_jax.files.schedule import GradientSchedule, StandardSchedule, gradi
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, Sensor
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_plan import UnitSchedule
-from gradcal_jax.model import Map, Processes, SensorModel
+from gradcal_jax.model import Map, Processes, Reference, SensorModel, SignalMap
 from gradcal_jax.trajectory import Move, Past, Schedule
 
 # A varying rate is integrated on the nodes of a piece, against exponentials of at most this many correlation times.
@@ -59,10 +60,12 @@ def assemble(spec: Spec, until_s: float = np.inf) -> Assembled:
     expect_spec(spec)
     if too := too_large(spec):
         raise MemoryError(too)
-    processes, sources = _processes(spec)
-    lag = spec.sensor.lag
-    plans = _schedules(spec.schedule, spec.sensor)
-    return Assembled(spec, _model(spec, processes), *plans, lag, sources, _past(spec, lag), until_s)
+    sensor, lag = spec.sensor, spec.sensor.lag
+    unknown = spec.rig.earth_rate == np.inf
+    processes, sources = processes_of(named_processes(sensor, clock=sensor.clock_error, earth_is_unknown=unknown))
+    harmonics = {h.order: float(h.amplitude) for h in spec.rig.table.angle.harmonics}
+    channel = gyro_channel(sensor, processes, _reference(spec), harmonics=harmonics)
+    return Assembled(spec, channel, *_schedules(spec.schedule, sensor), lag, sources, _past(spec, lag), until_s)
 
 
 def _past(spec: Spec, lag: float | None) -> dict[Axis, Past]:
@@ -77,23 +80,8 @@ def _past(spec: Spec, lag: float | None) -> dict[Axis, Past]:
     return pasts
 
 
-def _processes(spec: Spec) -> tuple[Processes, dict[str, tuple[int, ...]]]:
-    """All noise processes of a sensor, and their indices by error source."""
-    sensor, parts = spec.sensor, slow_processes(spec.sensor)
-    if (error := sensor.thermometer_noise) is not None:
-        gains = {"bias_gain": float(error.bias_slope or 0.0), "rate_gain": float(error.scale_factor_slope or 0.0)}
-        deviation = float(error.standard_deviation)
-        process = model.constant(deviation, **gains)
-        if error.correlation_time is not None:
-            process = model.gauss_markov(deviation, float(error.correlation_time), **gains)
-        parts.append(("temperature measurement", process))
-    if sensor.clock_error:
-        parts.append(("sample clock", model.constant(sensor.clock_error, rate_gain=1.0)))
-    if sensor.turn_on_bias and sensor.bias is None:
-        parts.append(("turn-on bias", model.constant(float(sensor.turn_on_bias), bias_gain=1.0)))
-    if spec.rig.earth_rate == np.inf and sensor.bias is None:
-        # Rectangular within the whole rate.
-        parts.append(("Earth's rate", model.constant(trajectory.EARTH_RATE / 3.0**0.5, bias_gain=1.0)))
+def processes_of(parts: list[tuple[str, Processes]]) -> tuple[Processes, dict[str, tuple[int, ...]]]:
+    """All noise processes of a channel, and their indices by error source."""
     total = model.no_processes()
     sources: dict[str, tuple[int, ...]] = {}
     for name, part in parts:
@@ -102,29 +90,46 @@ def _processes(spec: Spec) -> tuple[Processes, dict[str, tuple[int, ...]]]:
     return total, sources
 
 
-def slow_processes(sensor: Sensor | GyroTriad | AccelerometerTriad) -> list[tuple[str, Processes]]:
-    """The sensor's drifts, rate random walk and scale-factor instabilities, with their names."""
+def named_processes(
+    sensor: Sensor | GyroTriad | AccelerometerTriad, *, clock: float = 0.0, earth_is_unknown: bool = False
+) -> list[tuple[str, Processes]]:
+    """The noise processes of a channel with the names of their error sources: its own, the `clock` (a ratio) where it
+    is no common parameter of all channels, and the Earth's rate where no bias is estimated that includes it."""
     figures = lambda d: (float(d.standard_deviation), float(d.correlation_time))  # noqa: E731
     parts = [("bias instability", model.gauss_markov(*figures(d))) for d in sensor.drift]
-    if isinstance(sensor, AccelerometerTriad):
-        return parts
-    if sensor.rate_random_walk:
+    if not isinstance(sensor, AccelerometerTriad) and sensor.rate_random_walk:
         parts.append(("rate random walk", model.rate_random_walk(float(sensor.rate_random_walk))))
     for d in sensor.scale_factor_instability:
         process = model.gauss_markov(*figures(d), bias_gain=0.0, rate_gain=1.0)
         parts.append(("scale-factor instability", process))
+    if (error := sensor.thermometer_noise) is not None:
+        # All channels share a thermometer, but the signs of their slopes are unknown: their errors are uncorrelated.
+        gains = {"bias_gain": float(error.bias_slope or 0.0), "rate_gain": float(error.scale_factor_slope or 0.0)}
+        deviation = float(error.standard_deviation)
+        process = model.constant(deviation, **gains)
+        if error.correlation_time is not None:
+            process = model.gauss_markov(deviation, float(error.correlation_time), **gains)
+        parts.append(("temperature measurement", process))
+    if clock:
+        parts.append(("sample clock", model.constant(clock, rate_gain=1.0)))
+    if sensor.turn_on_bias and sensor.bias is None:
+        parts.append(("turn-on bias", model.constant(float(sensor.turn_on_bias), bias_gain=1.0)))
+    if earth_is_unknown and sensor.bias is None:
+        # Rectangular within the whole rate.
+        parts.append(("Earth's rate", model.constant(trajectory.EARTH_RATE / 3.0**0.5, bias_gain=1.0)))
     return parts
 
 
-def _model(spec: Spec, processes: Processes) -> SensorModel:
-    sensor, table = spec.sensor, spec.rig.table
-    gradient, angle = sensor.gradient_sensitivity, table.angle
-    reference = model.angle_reference(
-        float(angle.reading_noise),
-        float(angle.standstill_offset),
-        float(angle.timing_error),
-        float(table.rate_accuracy or 0.0),
-    )
+def gyro_channel(
+    sensor: Sensor | GyroTriad,
+    processes: Processes,
+    reference: Reference | None = None,
+    *,
+    harmonics: dict[int, float] | None = None,
+    signals: Sequence[SignalMap] = (),
+) -> SensorModel:
+    """The model of a gyro: its maps, the terms of its other `signals`, and its noise."""
+    gradient = sensor.gradient_sensitivity
     return model.gyro_model(
         None if sensor.bias is None else section_map(sensor.bias, float(sensor.turn_on_bias or 0.0)),
         None if sensor.scale_factor is None else section_map(sensor.scale_factor),
@@ -132,7 +137,18 @@ def _model(spec: Spec, processes: Processes) -> SensorModel:
         processes,
         reference,
         temperature_gradient_std=None if gradient is None else or_infinite(gradient.prior),
-        harmonics={h.order: float(h.amplitude) for h in angle.harmonics},
+        harmonics=harmonics,
+        signals=signals,
+    )
+
+
+def _reference(spec: Spec) -> Reference:
+    table, angle = spec.rig.table, spec.rig.table.angle
+    return model.angle_reference(
+        float(angle.reading_noise),
+        float(angle.standstill_offset),
+        float(angle.timing_error),
+        float(table.rate_accuracy or 0.0),
     )
 
 
@@ -170,13 +186,12 @@ def _schedules(
     schedule: GradientSchedule | StandardSchedule, sensor: Sensor
 ) -> tuple[dict[Axis, Schedule], tuple[Move, ...]]:
     if isinstance(schedule, StandardSchedule):
-        points = (schedule.temperatures, schedule.soak_each, schedule.integration, schedule.rates)
-        return {"x": trajectory.standard_plan(*points, points=schedule.shared)}, ()
+        return {"x": held_rates(schedule)}, ()
     programme, used = chamber_programme(schedule)
     cycle = schedule.cycle
     if cycle is None:
         return {"x": trajectory.gradient_plan(programme, used=used, read_every=schedule.read_every)}, ()
-    longest = _CORRELATION_TIMES_A_PIECE * shortest_correlation_time(sensor)
+    longest = longest_piece(sensor)
     moves = tuple(move_of(move, cycle.other_read_every, longest) for move in cycle.moves for _ in range(move.repeat))
     after = []
     if cycle.other > 0.0:
@@ -192,6 +207,12 @@ def _schedules(
     return plans, (*moves, *after)
 
 
+def held_rates(schedule: StandardSchedule) -> Schedule:
+    """The plan of the standard method in the core's terms."""
+    points = (schedule.temperatures, schedule.soak_each, schedule.integration, schedule.rates)
+    return trajectory.standard_plan(*points, points=schedule.shared)
+
+
 def chamber_programme(
     plan: GradientSchedule | UnitSchedule,
 ) -> tuple[trajectory.Programme, tuple[tuple[int, int], ...]]:
@@ -203,12 +224,12 @@ def chamber_programme(
     return trajectory.programme(segments[0].temperature_start, [(s.duration, s.slope) for s in segments]), used
 
 
-def shortest_correlation_time(sensor: Sensor) -> float:
-    """The shortest correlation time of the processes driven by the rate (s); `inf` without any."""
+def longest_piece(sensor: Sensor | GyroTriad) -> float:
+    """Duration (s) of the longest piece of a varying rate: a few of the shortest correlation time of what it drives."""
     times = [float(d.correlation_time) for d in sensor.scale_factor_instability]
     if (error := sensor.thermometer_noise) is not None and error.correlation_time is not None:
         times.append(float(error.correlation_time))
-    return min(times, default=np.inf)
+    return _CORRELATION_TIMES_A_PIECE * min(times, default=np.inf)
 
 
 def move_of(move: ResolvedMove, others_read_every: float | None, longest_piece: float) -> Move:

@@ -82,7 +82,7 @@ def known_so_far(spec: Spec | UnitSpec, done: Sequence[Span], goes_on_s: float) 
 
 def _known_of_unit(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
     _one_stretch(spec, "what is known by now is not worked out yet")
-    built, plan = assemble_unit(spec), spec.schedule
+    built, plan = assemble_unit(spec), spec.plain_schedule
     rest = [*done, (goes_on_s, plan.duration)]
     if done and abs(goes_on_s - done[-1][1]) < _BRIEF_S:
         # The current cycle continues.
@@ -99,7 +99,7 @@ def _known_of_unit(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> li
 
 
 def _one_stretch(spec: UnitSpec, what: str) -> None:
-    if len(spec.schedule.stretches) > 1:
+    if len(spec.plain_schedule.stretches) > 1:
         raise ValueError(f"of a plan of several stretches of used data {what}")
 
 
@@ -112,7 +112,7 @@ def rest_of(spec: AnySpec, done: Sequence[Span], *, left_s: float | None = None,
     """
     if isinstance(spec, UnitSpec):
         _one_stretch(spec, f"the rest is not planned anew: {_GO_ON}")
-        schedule, cycle = spec.schedule, spec.plan.cycle
+        schedule = cycle = spec.plain_schedule
     else:
         schedule = spec.gradient_schedule
         cycle = schedule.cycle

@@ -251,7 +251,7 @@ def sensitive_figures(spec: UnitSpec) -> dict[str, dict[str, int]]:
             time[key] = _POWERS[dimension_of(unit_of(text))]
             if not re.fullmatch(_PLAN, key) and not key.endswith(".rest") and "chamber" not in key:
                 rates[key] = -time[key]
-    moving = any(step.axis >= 0 for step in spec.schedule.steps)
+    moving = any(step.axis >= 0 for step in spec.gradient_schedule.steps)
     return figures | {UNIT_TIME: time} | ({RATES: rates} if moving else {})
 
 
@@ -272,7 +272,7 @@ def _number(text: str) -> float:
 
 def _elasticity(spec: UnitSpec, powers: Mapping[str, int], nominal: np.ndarray) -> np.ndarray | None:
     """d ln(residuals)/d ln(figure), by a central difference where both sides have the plan's number of cycles."""
-    texts, cycles = dict(_texts(tables_of(spec), "")), [stretch.cycles for stretch in spec.schedule.stretches]
+    texts, cycles = dict(_texts(tables_of(spec), "")), [stretch.cycles for stretch in spec.gradient_schedule.stretches]
     for k, axis in enumerate(spec.rig.table.axis):
         texts.setdefault(f"rig.table.axis[{k}].angle.read_every", str(axis.angle.read_every))
     logs: list[np.ndarray] = []
@@ -283,7 +283,7 @@ def _elasticity(spec: UnitSpec, powers: Mapping[str, int], nominal: np.ndarray) 
             for key, power in powers.items()
         }
         other = changed(spec, scaled)
-        if [stretch.cycles for stretch in other.schedule.stretches] == cycles:
+        if [stretch.cycles for stretch in other.gradient_schedule.stretches] == cycles:
             logs.append(np.log(_residuals(other)))
             places.append(np.log1p(step))
     if not logs:

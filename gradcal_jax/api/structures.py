@@ -9,7 +9,7 @@ from typing import Final, NamedTuple, cast
 
 import numpy as np
 
-from gradcal_jax.api.build import shortest_correlation_time
+from gradcal_jax.api.build import longest_piece
 from gradcal_jax.design import (
     AnyCoordinates,
     Coordinates,
@@ -245,7 +245,7 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
             cycles=cycles,
             others_read=cycle.other_read_every is not None,
             free=free,
-            longest_piece=3.0 * min(shortest_correlation_time(s.sensor) for s in (spec, *scenarios)),
+            longest_piece=min(longest_piece(s.sensor) for s in (spec, *scenarios)),
         )
         kind = "the same moves in each" if alike else "moves of their own"
         of = "" if len(axes) == 1 else f" of each of {len(axes)} axes"
@@ -349,7 +349,7 @@ def _spec_cycle(
         others_read=cycle.other_read_every is not None,
         free=free,
         nominal=nominal,
-        longest_piece=3.0 * min(shortest_correlation_time(s.sensor) for s in (spec, *scenarios)),
+        longest_piece=min(longest_piece(s.sensor) for s in (spec, *scenarios)),
     )
     span = float(frame.temperature_end) - float(frame.temperature_start)
     begin = nominal._replace(steps=span * np.asarray(coordinates.lasting()) / time)

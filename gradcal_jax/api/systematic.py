@@ -10,7 +10,7 @@ column of the posterior's spread: the covariance is `C + Σ v vᵀ`, for predict
 rectangular within ±15.04 deg/h (GUM, 4.3.7).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -28,10 +28,11 @@ from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior
-from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, Map, SensorModel, SignalMap
+from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, Map, SensorModel, SignalMap, UnitModel
 from gradcal_jax.trajectory import EARTH_RATE, Trajectory
 
 TURN_ON: Final = "turn-on bias"
+BESIDE_THE_AXIS: Final = "input axis beside the table's axis"
 UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
 # Temperatures at which the slope of a map is taken, and the step of the difference, K.
 _AT: Final = 64
@@ -61,7 +62,7 @@ class SystematicFigures(NamedTuple):
     offset: float
     lag: float
     bias: Mapping[str, float]
-    gradient: float
+    gradient: Mapping[str, float]
     turn_on: Mapping[str, float]
     slopes: Mapping[str, tuple[float, float]]
 
@@ -81,25 +82,28 @@ def systematic_figures(spec: Spec | UnitSpec) -> SystematicFigures:
     sensor = spec.sensor
     common = {"offset": float(sensor.temperature_offset or 0.0), "lag": float(sensor.temperature_lag or 0.0)}
     if isinstance(spec, UnitSpec):
-        gyro, force = spec.sensor.gyro, spec.sensor.accelerometer
-        scales = [float(axis.angle.scale_error or 0.0) for axis in spec.rig.table.axis]
-        triads = {"gyro": gyro, "accelerometer": force}
+        gyro, table = spec.sensor.gyro, spec.rig.table
+        scales = [float(axis.angle.scale_error or 0.0) for axis in table.axis]
+        triads = {"gyro": gyro, "accelerometer": spec.sensor.accelerometer}
+        # A table of several axes sees the directions of the input axes.
+        seen = len(table.axis) > 1 or (gyro is not None and gyro.misalignment is not None)
+        mounting = 0.0 if seen else float(table.mounting[0].accuracy)
         return SystematicFigures(
-            scale={"scale of the table's angle": max(scales)},
-            bias={},
-            gradient=0.0 if gyro is None else float(gyro.bias_temperature_gradient or 0.0),
+            scale={BESIDE_THE_AXIS: 2.0**0.5 * mounting**2, "scale of the table's angle": max(scales)},
+            bias={"Earth's rate": UNKNOWN_EARTH_RATE if spec.rig.site.is_unknown else 0.0},
+            gradient={kind: triad.gradient_std for kind, triad in triads.items() if triad is not None},
             turn_on={kind: float(triad.turn_on_bias or 0.0) for kind, triad in triads.items() if triad is not None},
             slopes={kind: slopes_of(spec.sensor, kind) for kind, triad in triads.items() if triad is not None},
             **common,
         )
-    table, of = spec.rig.table, spec.sensor.gradient_sensitivity
+    table = spec.rig.table
     return SystematicFigures(
         scale={
-            "input axis beside the table's axis": 2.0**0.5 * float(table.mounting_accuracy or 0.0) ** 2,
+            BESIDE_THE_AXIS: 2.0**0.5 * float(table.mounting_accuracy or 0.0) ** 2,
             "scale of the table's angle": float(table.angle.scale_error or 0.0),
         },
         bias={"Earth's rate": UNKNOWN_EARTH_RATE if spec.rig.earth_rate == np.inf else 0.0},
-        gradient=0.0 if of is None else float(of.prior or 0.0),
+        gradient={"gyro": spec.sensor.gradient_std},
         turn_on={"gyro": float(spec.sensor.turn_on_bias or 0.0)},
         slopes={"gyro": slopes_of(spec.sensor)},
         **common,
@@ -127,7 +131,7 @@ def columns_of(
                 add(name, std * _constants(terms, size, SCALE_FACTOR))
             for name, std in figures.bias.items():
                 add(name, std * _constants(terms, size, BIAS))
-            add("bias from dT/dt", figures.gradient * ramp * _constants(terms, size, BIAS))
+        add("bias from dT/dt", figures.gradient[kind] * ramp * _constants(terms, size, BIAS))
         if done is None:
             by_name = dict(zip((BIAS, SCALE_FACTOR), figures.slopes[kind], strict=True))
             slope = sum((s * _constants(terms, size, name) for name, s in by_name.items()), np.zeros(size))
@@ -178,10 +182,13 @@ def ramp_of(lines: Sequence[Trajectory]) -> float:
     """Root mean square of dT/dt over the data that are used, K/s."""
     total, time = 0.0, 0.0
     for line in lines:
-        begin, end = (np.asarray(of)[~np.asarray(line.gap)] for of in line.ends())
-        lasting = np.asarray(line.duration)[~np.asarray(line.gap)]
-        lasts = lasting > 0.0
-        total += float(np.sum((end - begin)[lasts] ** 2 / lasting[lasts]))
+        kept = ~np.asarray(line.gap)
+        lasting, slope, excess = (np.asarray(of)[kept] for of in (line.duration, line.slope, line.excess))
+        # ∫(slope − a·e^(−λt))² dt over each piece, a = λ·excess
+        rate = float(line.lag_rate)
+        faded = -np.expm1(-rate * lasting)
+        square = slope**2 * lasting - 2.0 * slope * excess * faded + 0.5 * rate * excess**2 * faded * (2.0 - faded)
+        total += float(np.sum(square))
         time += float(np.sum(lasting))
     return (total / time) ** 0.5 if time else 0.0
 
@@ -255,26 +262,35 @@ def _planned(known: Posterior, named, complete, fit: Posterior, every, turn_on) 
 
 def columns_of_plan(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
     """Columns of what no residual of a plan's run shows, as far as the spec names it."""
-    figures = _without_fitted(systematic_figures(built.spec), built.model)
+    figures = _without_fitted(systematic_figures(built.spec), _fitted(built.model))
     return columns_of(figures, terms_of_axis(built.model), built.model.size, ramp_of([built.trajectory(channel)]))
 
 
 def columns_of_unit_plan(built: AssembledUnit) -> dict[str, np.ndarray]:
     """The same of a whole unit."""
     ramp = ramp_of([motion.line for motion in (*built.past, built.motion)])
-    return columns_of(systematic_figures(built.spec), terms_of_unit(built), built.model.size, ramp)
+    figures = _without_fitted(systematic_figures(built.spec), _fitted(built.model))
+    return columns_of(figures, terms_of_unit(built), built.model.size, ramp)
 
 
-def _without_fitted(figures: SystematicFigures, model: SensorModel) -> SystematicFigures:
+def _without_fitted(figures: SystematicFigures, fitted: Container[str]) -> SystematicFigures:
     """A sensitivity to dT/dt that the model estimates is in its covariance."""
-    return figures if model.term(TEMPERATURE_GRADIENT) is None else figures._replace(gradient=0.0)
+    return figures._replace(gradient={k: 0.0 if k in fitted else std for k, std in figures.gradient.items()})
+
+
+def _fitted(of: SensorModel | UnitModel) -> set[str]:
+    """The kinds of channels whose sensitivity to dT/dt is estimated."""
+    channels = [("gyro", of)] if isinstance(of, SensorModel) else [(c.kind, c.model) for c in of.channels]
+    return {kind for kind, model in channels if model.term(TEMPERATURE_GRADIENT) is not None}
 
 
 def budget_of_estimate(
     built: Assembled, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
 ) -> CountedPosteriors:
     """The posteriors of an estimate of one axis. `noise`: of `omitted_noise`."""
-    figures = (_without_fitted(systematic_figures(s), built.model) for s in (built.spec, with_typical(built.spec)))
+    figures = (
+        _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
+    )
     return _estimated(built, known, done, noise, terms_of_axis(built.model), *figures)
 
 
@@ -282,7 +298,9 @@ def budget_of_unit_estimate(
     built: AssembledUnit, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
 ) -> CountedPosteriors:
     """The same of a whole unit."""
-    figures = (systematic_figures(s) for s in (built.spec, with_typical(built.spec)))
+    figures = (
+        _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
+    )
     return _estimated(built, known, done, noise, terms_of_unit(built), *figures)
 
 

@@ -32,7 +32,7 @@ from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy, Sensor
 from gradcal_jax.files.spec import expect_whole, goes_on
-from gradcal_jax.files.unit_plan import UnitStep
+from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import AXIS_NAMES, Channel, Map, SignalMap
@@ -159,7 +159,6 @@ def _standard_rows(built: Assembled, plan: StandardSchedule) -> tuple[list[Segme
 
 def _sensor_row(spec: Spec) -> SensorRow:
     sensor = spec.sensor
-    error, gradient = sensor.thermometer_noise, sensor.gradient_sensitivity
     return SensorRow(
         arw=sensor.angle_random_walk,
         rate_random_walk=sensor.rate_random_walk or 0.0,
@@ -169,7 +168,17 @@ def _sensor_row(spec: Spec) -> SensorRow:
         thermal_lag=sensor.lag,
         sample_clock_error=sensor.clock_error or None,
         starts=_starts_row(spec.sensor),
-        temperature_error=None
+        **_of_temperature(sensor),
+        bias=None if sensor.bias is None else _map_row(sensor.bias),
+        scale_factor=None if sensor.scale_factor is None else _map_row(sensor.scale_factor),
+    )
+
+
+def _of_temperature(sensor: Sensor | GyroTriad | AccelerometerTriad) -> dict[str, Any]:
+    """The rows of a channel's errors by temperature and its slope."""
+    error, gradient = sensor.thermometer_noise, sensor.gradient_sensitivity
+    return {
+        "temperature_error": None
         if error is None
         else TemperatureErrorRow(
             sigma=error.standard_deviation,
@@ -177,10 +186,8 @@ def _sensor_row(spec: Spec) -> SensorRow:
             bias_slope=error.bias_slope,
             scale_factor_slope=error.scale_factor_slope,
         ),
-        bias_temperature_gradient=None if gradient is None else GradientSensitivityRow(prior=gradient.prior),
-        bias=None if sensor.bias is None else _map_row(sensor.bias),
-        scale_factor=None if sensor.scale_factor is None else _map_row(sensor.scale_factor),
-    )
+        "bias_temperature_gradient": None if gradient is None else GradientSensitivityRow(prior=gradient.prior),
+    }
 
 
 def _starts_row(sensor: Sensor) -> StartsRow:
@@ -203,7 +210,7 @@ def unit_timeline(spec: UnitSpec) -> unit_rows.UnitTimeline:
     for a spec with [[done]]."""
     if spec.done:
         raise goes_on("a timeline")
-    built = assemble_unit(spec)
+    built, plan = assemble_unit(spec), spec.plain_schedule
     geometry, sensor, table = built.motion.geometry, spec.sensor, spec.rig.table
     return unit_rows.UnitTimeline(
         title=spec.title,
@@ -234,7 +241,7 @@ def unit_timeline(spec: UnitSpec) -> unit_rows.UnitTimeline:
             _channel_row(c, sensor.gyro if c.kind == "gyro" else sensor.accelerometer) for c in built.model.channels
         ),
         installation=tuple(_installation_row(term) for term in built.model.installation),
-        segments=tuple(_unit_rows(built)),
+        segments=tuple(_unit_rows(built, plan)),
     )
 
 
@@ -248,10 +255,15 @@ def _matrix(values) -> unit_rows.Matrix3:
 
 def _channel_row(channel: Channel, triad: GyroTriad | AccelerometerTriad | None) -> unit_rows.ChannelRow:
     assert triad is not None
-    own: dict[str, Any] = {"white": float(channel.model.angle_random_walk), "drift": _process_rows(triad.drift)}
+    own: dict[str, Any] = {
+        "white": float(channel.model.angle_random_walk),
+        "drift": _process_rows(triad.drift),
+        "scale_factor_instability": _process_rows(triad.scale_factor_instability),
+        "turn_on_bias": triad.turn_on_bias or None,
+        **_of_temperature(triad),
+    }
     if isinstance(triad, GyroTriad):
         own["rate_random_walk"] = triad.rate_random_walk or 0.0
-        own["scale_factor_instability"] = _process_rows(triad.scale_factor_instability)
     terms = [_term_row(channel, term, triad) for term in channel.model.terms if isinstance(term, Map | SignalMap)]
     axis = AXIS_NAMES[channel.axis]
     return unit_rows.ChannelRow(name=channel.name, kind=channel.kind, axis=cast("Any", axis), terms=tuple(terms), **own)
@@ -293,8 +305,8 @@ def _installation_row(term: model.InstallationTerm) -> unit_rows.InstallationRow
     )
 
 
-def _unit_rows(built: AssembledUnit) -> list[unit_rows.UnitSegmentRow]:
-    motion, plan = built.motion, built.spec.schedule
+def _unit_rows(built: AssembledUnit, plan: UnitSchedule) -> list[unit_rows.UnitSegmentRow]:
+    motion = built.motion
     line, at = motion.line, segments_of(motion, built.model)
     before, after = (np.asarray(a) for a in motion.angles())
     attitude = np.asarray(frames(motion.geometry, before[at.first], motion.mounting[at.first]).attitude)

@@ -9,18 +9,34 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax import model, trajectory
-from gradcal_jax.api.build import basis, chamber_programme, move_of, or_infinite, section_map, slow_processes
+from gradcal_jax.api.build import (
+    basis,
+    chamber_programme,
+    gyro_channel,
+    held_rates,
+    longest_piece,
+    move_of,
+    named_processes,
+    or_infinite,
+    processes_of,
+)
 from gradcal_jax.files.bench import UnitRig
+from gradcal_jax.files.moves import ResolvedMove
+from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_plan import UnitSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information import Posterior, posterior, segments_of, unit_information
+from gradcal_jax.information import Posterior, posterior, segments_of, unit_information, unweighted_of_unit
 from gradcal_jax.model import (
     AXIS_NAMES,
     Basis,
     BodyNodes,
     BSpline,
     Channel,
+    Discrepancy,
+    GradientOfBias,
+    HigherPolynomials,
     Map,
     Polynomial,
     SignalMap,
@@ -36,6 +52,11 @@ SPECIFIC_FORCE_BIAS = "bias"
 SECOND_ORDER = "second_order"
 _CONSTANT = Polynomial(0, 0.0, 1.0)
 _LAGGED = 16
+_LAG_TIMES = 8.0
+# Fastest wave of a body whose attitude matters, in cycles a turn: squares of the force's components, or harmonics times
+# a direction.
+_WAVES = 3
+_FEWEST = 16
 # Standard deviation of an angle that is known exactly, rad: far below any encoder's.
 _EXACT = 1e-12
 # Rounding of a move's rate, at the rate up to which accelerometers are read.
@@ -63,19 +84,20 @@ class AssembledUnit(NamedTuple):
 def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
     """Model and motion of a unit's spec, whose plan is broken off at `until_s` of its clock."""
     model_ = unit_model(spec)
-    bases = [t.temperature for c in model_.channels for t in c.model.terms if isinstance(t, Map | SignalMap)]
-    degree = max(b.degree if isinstance(b, Polynomial | BSpline) else 0 for b in bases)
+    terms = (t for c in model_.channels for t in c.model.terms)
+    bases = [t.temperature for t in terms if isinstance(t, Map | SignalMap | Discrepancy)]
+    degree = max(b.degree if isinstance(b, Polynomial | BSpline | HigherPolynomials) else 0 for b in bases)
     # A lagging unit's exponentials are no polynomials.
     points = max(degree + 1, _LAGGED if spec.sensor.lag is not None else 1)
     past = tuple(motion_of(part, spec, model_) for part in spec.past)
     rough = any(b.breaks for b in bases)
     motion = motion_of(spec.schedule, spec, model_)
     if until_s < np.inf:
-        motion = _broken_off(motion, until_s, highest_order(spec))
+        motion = _broken_off(motion, until_s, _fineness(spec, model_, motion.line))
     return AssembledUnit(spec, model_, motion, points, rough, past, until_s)
 
 
-def _broken_off(motion: TableMotion, until_s: float, harmonics: int) -> TableMotion:
+def _broken_off(motion: TableMotion, until_s: float, fine: tuple[int | None, int]) -> TableMotion:
     """The motion up to a time: of a move nothing, of a rest what lies before it, with a reading at its end."""
     line, source = motion.line, np.arange(len(motion.axis))
     parts = (until_s - line.start) / np.where(line.duration > 0.0, line.duration, 1.0)
@@ -85,12 +107,15 @@ def _broken_off(motion: TableMotion, until_s: float, harmonics: int) -> TableMot
     line = line.between(-np.inf, until_s)
     source = source[: line.piece_count]
     return trajectory.table_motion(
-        line, motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles, harmonics
+        line, motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles, *fine
     )
 
 
 def posterior_of_unit(built: AssembledUnit) -> Posterior:
-    """The posterior of a unit after its plan and the motions before it."""
+    """The posterior of a unit after its plan and the motions before it, by the estimator that the spec names."""
+    plan = built.spec.plan
+    if isinstance(plan, StandardPlan) and plan.estimator == "least squares":
+        return unweighted_of_unit(built.motion, built.model, built.body_nodes())
     return known_of_motions(built, (*built.past, built.motion))
 
 
@@ -103,20 +128,29 @@ def unit_model(spec: UnitSpec) -> UnitModel:
     """The channels of a unit, the errors of its installation, and the encoders' noise."""
     sensor, channels = spec.sensor, []
     if (gyro := sensor.gyro) is not None:
-        channels += [Channel(_sensor_model(gyro, axis), "gyro", AXIS_NAMES.index(axis)) for axis in gyro.axes]
+        clock = 0.0 if _has_common_clock(spec) else sensor.clock_error
+        processes, _ = processes_of(named_processes(gyro, clock=clock, earth_is_unknown=spec.rig.site.is_unknown))
+        channels += [
+            Channel(gyro_channel(gyro, processes, signals=_signal_maps(gyro, axis)), "gyro", AXIS_NAMES.index(axis))
+            for axis in gyro.axes
+        ]
     if (force := sensor.accelerometer) is not None:
         slow = 0.0 if force.read_on_moves_below is None else float(force.read_on_moves_below) * (1.0 + _SLACK)
         channels += [
-            Channel(_sensor_model(force, axis), "accelerometer", AXIS_NAMES.index(axis), slow) for axis in force.axes
+            Channel(_accelerometer(force, axis), "accelerometer", AXIS_NAMES.index(axis), slow) for axis in force.axes
         ]
-    angles = [axis.angle for axis in spec.rig.table.axis]
-    encoder = model.EncoderNoise(
-        np.array([float(a.standstill_offset) for a in angles]),
-        np.array([float(a.reading_noise) for a in angles]),
-        np.array([float(a.read_every) for a in angles]),
-        spec.rig.table.standing == "held",
-    )
+    table, angles = spec.rig.table, [axis.angle for axis in spec.rig.table.axis]
+    numbers = ("standstill_offset", "reading_noise", "read_every", "timing_error")
+    offset, reading, every, timing = (np.array([float(getattr(a, name)) for a in angles]) for name in numbers)
+    rate = np.asarray(float(table.rate_accuracy or 0.0))
+    held = table.standing == "held"
+    encoder = model.EncoderNoise(offset, reading, every, held, timing, rate, held or bool(np.any(offset)))
     return UnitModel(tuple(channels), _installation(spec), encoder)
+
+
+def _has_common_clock(spec: UnitSpec) -> bool:
+    """Whether the sample clock is a parameter common to all channels; independent points each have their own."""
+    return not isinstance(spec.plan, StandardPlan) or spec.plan.points == "one run"
 
 
 def _installation(spec: UnitSpec) -> tuple[model.InstallationTerm, ...]:
@@ -139,7 +173,7 @@ def _installation(spec: UnitSpec) -> tuple[model.InstallationTerm, ...]:
         terms.append(model.CommonScale(np.array([float(site.gravity_accuracy)]), "gravity"))
     force = spec.sensor.accelerometer
     timed = force is not None and force.velocity_increments
-    if spec.sensor.clock_error and (timed or spec.sensor.gyro is not None):
+    if spec.sensor.clock_error and _has_common_clock(spec) and (timed or spec.sensor.gyro is not None):
         terms.append(model.CommonScale(np.array([spec.sensor.clock_error]), "sample_clock", forces=timed))
     return tuple(terms)
 
@@ -169,34 +203,40 @@ _OF_ACCELEROMETER = (
 )
 
 
-def _sensor_model(triad: GyroTriad | AccelerometerTriad, axis: str) -> model.SensorModel:
-    """A channel: a gyro's maps, the terms of its signals, and its maps' discrepancies."""
-    maps: list[Map] = []
-    if isinstance(triad, AccelerometerTriad):
-        rows, white = _OF_ACCELEROMETER, triad.velocity_random_walk
-    else:
-        rows, white = _OF_GYRO, triad.angle_random_walk
-        maps = [section_map(section) for section in (triad.bias, triad.scale_factor) if section is not None]
-    terms: list[Term] = list(maps)
-    for key, over, signals, name, symbol, unit in rows:
-        if (section := getattr(triad, key)) is not None:
-            terms += [
-                _signal_map(
-                    section, tuple(s.format(*of, own=axis) for s in signals), name.format(*of), symbol.format(*of), unit
-                )
-                for of in _OVER[over](axis)
-            ]
-    terms += [m.beyond for m in maps if m.beyond is not None]
-    processes = sum((part for _, part in slow_processes(triad)), model.no_processes())
-    return model.SensorModel(tuple(terms), np.asarray(float(white)), processes, model.angle_reference())
+def _signal_maps(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[SignalMap]:
+    """The terms of a channel's signals."""
+    return [
+        _signal_map(
+            section,
+            tuple(s.format(*of, own=axis) for s in signals),
+            name.format(*of),
+            symbol.format(*of),
+            unit,
+            float(triad.turn_on_bias or 0.0) if key == "bias" else 0.0,
+        )
+        for key, over, signals, name, symbol, unit in (_OF_GYRO if isinstance(triad, GyroTriad) else _OF_ACCELEROMETER)
+        if (section := getattr(triad, key)) is not None
+        for of in _OVER[over](axis)
+    ]
 
 
-def _signal_map(section, signals: tuple[str, ...], name: str, symbol: str, unit: str) -> SignalMap:
+def _accelerometer(triad: AccelerometerTriad, axis: str) -> model.SensorModel:
+    processes, _ = processes_of(named_processes(triad))
+    white, terms = np.asarray(float(triad.velocity_random_walk)), list[Term](_signal_maps(triad, axis))
+    if (gradient := triad.gradient_sensitivity) is not None:
+        std = np.asarray(or_infinite(gradient.prior))
+        terms.append(GradientOfBias(std=std, has_prior=bool(np.isfinite(std)), si_unit="m/s/K"))
+    return model.SensorModel(tuple(terms), white, processes, model.angle_reference())
+
+
+def _signal_map(
+    section, signals: tuple[str, ...], name: str, symbol: str, unit: str, common_std: float = 0.0
+) -> SignalMap:
     over = getattr(section, "temperature", None)
     of_temperature: Basis = _CONSTANT if over is None else basis(over)
     std = or_infinite(section.prior)
     fields = {"signals": signals, "name": name, "symbol": symbol, "si_unit": unit, "has_prior": bool(np.isfinite(std))}
-    return SignalMap(temperature=of_temperature, std=np.asarray(std), **fields)
+    return SignalMap(temperature=of_temperature, std=np.asarray(std), common_std=common_std, **fields)
 
 
 def geometry(rig: UnitRig) -> Geometry:
@@ -213,7 +253,7 @@ def geometry(rig: UnitRig) -> Geometry:
         np.array([axis.unit_vector for axis in rig.table.axis]),
         np.eye(3),
         np.array(mountings),
-        np.asarray(float(rig.site.latitude)),
+        np.asarray(rig.site.latitude_rad),
         np.asarray(rig.site.gravity_m_per_s2),
     )
 
@@ -237,30 +277,81 @@ def rest_poses(built: AssembledUnit) -> RestPoses:
     return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
 
 
-def motion_of(plan: UnitSchedule, spec: UnitSpec, of: UnitModel) -> TableMotion:
+def motion_of(plan: UnitSchedule | StandardSchedule, spec: UnitSpec, of: UnitModel) -> TableMotion:
     """The motion of a plan on a spec's rig, in pieces on which all functions of the model `of` are smooth."""
-    course, used = chamber_programme(plan)
-    steps = [step for step in plan.steps for _ in range(step.move.repeat)]
-    table = spec.rig.table
-    every = float(table.axis[0].angle.read_every) if table.standing == "read" else None
-    # The schedule is of the table: one channel, which every axis turns and whose rests are read as the axes' are.
-    own = (replace(s.move, axis="x", read_end=True, read_every=every if s.axis < 0 else None) for s in steps)
-    moves = tuple(move_of(move, None, np.inf) for move in own)
-    schedule = trajectory.gradient_plan(course, moves, used=used, read_every=every)
+    schedule, axes, start = _schedule(plan, spec)
     line = schedule.trajectory(spec.sensor.lag)
-    count = len(schedule.duration) - len(steps)
-    axis = np.array([step.axis for step in steps] + [-1] * count)[np.asarray(schedule.pieces.move)]
+    # What fills a stretch stands.
+    axis = np.array([*axes, -1])[np.minimum(np.asarray(schedule.pieces.move), len(axes))]
+    if spec.sensor.lag is not None:
+        line, source = line.divided(*_divisions_by_lag(line))
+        axis = axis[source]
     # Between two stretches the table stands where the cycle began, up to whole turns, and the mounting changes.
     stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
     mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
-    harmonics = highest_order(spec)
-    whole = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), np.array(plan.start), harmonics)
-    return trajectory.divided_motion(whole, *_breaks(of), harmonics)
+    fine = _fineness(spec, of, line)
+    whole = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), start, *fine)
+    return trajectory.divided_motion(whole, *_breaks(of), *fine)
 
 
-def highest_order(spec: UnitSpec) -> int:
-    """Of an encoder's error over the angle."""
-    return max((h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics), default=0)
+def _schedule(
+    plan: UnitSchedule | StandardSchedule, spec: UnitSpec
+) -> tuple[trajectory.Schedule, list[int], np.ndarray]:
+    """The schedule of a plan as a channel sees it that every axis turns, the axis of each of its moves (−1: a rest),
+    and the axes' angles (rad) at its begin."""
+    table, gyro = spec.rig.table, spec.sensor.gyro
+    if isinstance(plan, StandardSchedule):
+        return held_rates(plan), [-1] + [0] * len(plan.rates), np.zeros(len(table.axis))
+    course, used = chamber_programme(plan)
+    every = float(table.axis[0].angle.read_every) if table.standing == "read" else None
+    longest = np.inf if gyro is None else longest_piece(gyro)
+
+    def move(of: ResolvedMove) -> trajectory.Move:
+        # A rest that does not say when it is read is read as the table is.
+        plain = of.is_rest and of.read_every is None and of.read_end
+        return move_of(replace(of, axis="x", read_every=every if plain else of.read_every), None, longest)
+
+    steps, after = ([s for s in part for _ in range(s.move.repeat)] for part in (plan.steps, plan.after))
+    moves = (tuple(move(s.move) for s in part) for part in (steps, after))
+    left = None if every is None or np.isinf(every) else every
+    schedule = trajectory.gradient_plan(course, *moves, used=used, read_every=left)
+    return schedule, [s.axis for s in (*steps, *after)], np.array(plan.start)
+
+
+def _divisions_by_lag(line: trajectory.Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Pieces and fractions of them at which they are bisected towards their start, so that the exponential of a thermal
+    lag decays little in each part."""
+    decays = np.where(line.gap, 0.0, line.duration) * line.lag_rate
+    halves = np.ceil(np.log2(np.maximum(decays / _LAG_TIMES, 1.0))).astype(int)
+    pieces = np.repeat(np.arange(len(halves)), halves)
+    order = np.concatenate([np.arange(count, 0, -1) for count in halves]) if len(pieces) else np.zeros(0)
+    return pieces, 0.5**order
+
+
+def _fineness(spec: UnitSpec, of: UnitModel, line: trajectory.Trajectory) -> tuple[int | None, int]:
+    """The fastest wave in a column, in cycles a turn, and the number of nodes of a turning piece without waves. No
+    column has waves if every gyro lies along the only axis of a table, whose encoder's error counts at the readings."""
+    orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
+    own = (Map, Discrepancy, GradientOfBias)
+    frame = geometry(spec.rig)
+    along = [np.abs(frame.axes[0] @ mounting) for mounting in frame.mountings]
+    plain = (
+        len(frame.axes) == 1
+        and all(c.kind == "gyro" and all(np.all(a == np.eye(3)[c.axis]) for a in along) for c in of.channels)
+        and all(isinstance(term, own) for c in of.channels for term in c.model.terms)
+        and all(isinstance(term, model.AxisHarmonics | model.CommonScale) for term in of.installation)
+    )
+    rated = (c.model for c in of.channels if any(isinstance(t, Map) for t in c.model.terms))
+    # A single node is that of a standing piece.
+    nodes = max((trajectory.rule_of(one, line).moving for one in rated), default=_FEWEST)
+    nodes = max(nodes, 2)
+    return (0 if orders else None, nodes) if plain else (waves_of(spec), max(nodes, _FEWEST))
+
+
+def waves_of(spec: UnitSpec) -> int:
+    """The fastest wave in a column of an IMU, in cycles a turn."""
+    orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
+    return max(_WAVES, max(orders, default=0) + 1)
 
 
 def _breaks(of: UnitModel) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:

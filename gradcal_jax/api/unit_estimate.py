@@ -65,7 +65,7 @@ from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, segments_of
-from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, Map, SignalMap
+from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, GradientOfBias, Map, SignalMap
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
 _REHUNG_S = 6 * 3600.0
@@ -294,7 +294,7 @@ def planned_moves(built: AssembledUnit) -> list[list[PlannedMove]]:
     """The moves of a plan's cycle between its rests."""
     groups: list[list[PlannedMove]] = [[]]
     places = np.linspace(0.0, 1.0, _PROFILE + 1)
-    for step in built.spec.schedule.steps:
+    for step in built.spec.gradient_schedule.steps:
         for _ in range(step.move.repeat):
             if step.axis < 0:
                 groups.append([])
@@ -557,7 +557,8 @@ def _channels(
 def _terms(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Iterator[CalibratedTerm]:
     triad = getattr(spec.sensor, channel.kind)
     for term in channel.model.terms:
-        if isinstance(term, Discrepancy):
+        # A sensitivity to dT/dt is estimated beside the calibration and is no part of it.
+        if isinstance(term, Discrepancy | GradientOfBias):
             continue
         own = values[channel.model.where(term.name)]
         coefficients = {name: float(v) for name, v in zip(term.names(), own, strict=True)}

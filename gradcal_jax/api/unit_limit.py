@@ -102,7 +102,7 @@ class _Window(NamedTuple):
 
 
 def _window(built: AssembledUnit) -> _Window:
-    spec, schedule = built.spec, built.spec.schedule
+    spec, schedule = built.spec, built.spec.gradient_schedule
     chamber, _ = chamber_programme(schedule)
     lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
     spans = [(s.start, s.start + s.duration) for s in schedule.stretches]
@@ -175,7 +175,7 @@ def _has_the_table_alone(built: AssembledUnit, channel: Channel) -> bool:
 
 def _spacing(built: AssembledUnit) -> tuple[float, float]:
     """The least time between readings, and between standstills (s), of this plan and of any plan in a search."""
-    apart = min([LEAST_TURN, *(step.move.duration for step in built.spec.schedule.steps if step.axis >= 0)])
+    apart = min([LEAST_TURN, *(step.move.duration for step in built.spec.gradient_schedule.steps if step.axis >= 0)])
     return min([*np.asarray(built.model.encoder.every), apart, between_readings(built.motion.line)]), apart
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from gradcal_jax.api.optimise import BY_HAND, MARGIN
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.scenarios import scenario_specs
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, geometry, highest_order
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, geometry, waves_of
 from gradcal_jax.api.unit_residual import RequiredQuantity, quantity_of
 from gradcal_jax.design.cycle_moves import Cycle, Neighbourhood
 from gradcal_jax.design.descent import Descent
@@ -38,7 +38,7 @@ from gradcal_jax.design.pose_cycle import (
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
 from gradcal_jax.files.unit_plan import UnitSchedule, quickest_turn
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
-from gradcal_jax.information import Posterior, unit_system, whiten
+from gradcal_jax.information import Posterior, contrasts, unit_system, whiten
 from gradcal_jax.model import UnitModel
 
 EVALUATIONS, QUICK_EVALUATIONS = 12000, 800
@@ -227,7 +227,6 @@ class CyclePlan:
     def __init__(self, spec: UnitSpec) -> None:
         self.spec, self.design = spec, spec.design or UnitDesign()
         self.built = assemble_unit(spec)
-        coarse = [r.model_copy(update={"grid": tuple(min(g, _SEARCH_GRID) for g in r.grid)}) for r in spec.requirement]
         self._fine = tuple(quantity_of(self.built, r) for r in spec.requirement)
         scenarios = scenario_specs(spec)
         models = [assemble_unit(one).model if one is not spec else self.built.model for one, _ in scenarios]
@@ -235,9 +234,11 @@ class CyclePlan:
         self._known = [prior.T @ prior + _past(self.built, model) for model in models]
         self.worst = self.design.minimise == WORST
         counts = [self.worst or self.design.minimise in (ALL, r.name) for r in spec.requirement]
-        minimised = [quantity_of(self.built, r) for r, own in zip(coarse, counts, strict=True) if own]
+        minimised = [
+            quantity_of(self.built, r, _SEARCH_GRID) for r, own in zip(spec.requirement, counts, strict=True) if own
+        ]
         self._counted = tuple(counts)
-        turns, stretches = _cycle_of(spec), spec.schedule.stretches
+        turns, stretches = _cycle_of(spec), spec.plain_schedule.stretches
         self.start = RepeatedCycle(turns, max(1, stretches[0].cycles))
         self.closed = max(s.cycles for s in stretches) > 1 or len(stretches) > 1
         self.limits = _limits(spec, self.design, turns)
@@ -254,7 +255,7 @@ class CyclePlan:
             [_statistics_of(q) for q in minimised],
             window=self._window,
             points=self.built.points,
-            harmonics=highest_order(spec),
+            waves=waves_of(spec),
             worst=self.worst,
             worst_model=self.design.robust == "worst",
         )
@@ -265,8 +266,8 @@ class CyclePlan:
 
     def _cycles_together(self, models: Sequence[UnitModel]) -> int:
         """How many cycles are filtered together."""
-        stretches = self.spec.schedule.stretches
-        if not self.closed and len(_parts(self.spec.schedule, (1,) * len(stretches), 0.0)) == 1:
+        stretches = self.spec.plain_schedule.stretches
+        if not self.closed and len(_parts(self.spec.plain_schedule, (1,) * len(stretches), 0.0)) == 1:
             return 1
         decays = [d for m in models for c in m.channels for d in np.asarray(c.model.processes.decay) if d > 0.0]
         longest = max((1.0 / d for d in decays), default=0.0)
@@ -276,7 +277,7 @@ class CyclePlan:
     def course(self, count: int) -> "Course":
         """The course of the plan where its first stretch has `count` cycles."""
         if count not in self._courses:
-            stretches = self.spec.schedule.stretches
+            stretches = self.spec.plain_schedule.stretches
             period = min(stretches[0].duration / count, *(s.duration for s in stretches)) - _LEFT / count
             counts = tuple(max(1, int(s.duration / period)) for s in stretches)
             self._courses[count] = Course(period, self._ramps(counts, period))
@@ -292,7 +293,7 @@ class CyclePlan:
         model, lag = self.built.model, self.spec.sensor.lag or 0.0
         mountings = len(self.spec.rig.table.mounting)
         polynomials, ramps = model.shifts(np.zeros(1)) is not None, []
-        for part in _parts(self.spec.schedule, counts, period):
+        for part in _parts(self.spec.plain_schedule, counts, period):
             mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0] - part.slope * lag
             step, number = part.slope * period, len(part.temperatures)
             if not polynomials:
@@ -427,7 +428,7 @@ def _cycle_of(spec: UnitSpec) -> Cycle:
     """The spec's own cycle: a rest belongs to the turn before it, the first one to the last turn."""
     turns: list[Turn] = []
     begins = 0.0
-    for s in spec.schedule.steps:
+    for s in spec.plain_schedule.steps:
         for _ in range(s.move.repeat):
             if s.axis >= 0:
                 turns.append(Turn(s.axis, s.move.angle, s.move.fastest, 0.0))
@@ -435,7 +436,7 @@ def _cycle_of(spec: UnitSpec) -> Cycle:
                 turns[-1] = turns[-1]._replace(rest=turns[-1].rest + s.move.duration)
             else:
                 begins += s.move.duration
-    if begins and turns and max(x.cycles for x in spec.schedule.stretches) > 1:
+    if begins and turns and max(x.cycles for x in spec.plain_schedule.stretches) > 1:
         turns[-1] = turns[-1]._replace(rest=turns[-1].rest + begins)
     elif begins:
         turns.insert(0, Turn(-1, 0.0, 0.0, begins))
@@ -450,8 +451,8 @@ def _limits(spec: UnitSpec, design: UnitDesign, start: Cycle) -> TableLimits:
         np.array([min(float(a.max_rate), usable) for a in axes]),
         np.array([float(a.max_acceleration) for a in axes]),
         np.array([a.reach for a in axes], dtype=float),
-        np.array(spec.schedule.start, dtype=float),
-        largest_turn(max(_LARGEST, *(abs(t.angle) for t in start)), highest_order(spec)),
+        np.array(spec.plain_schedule.start, dtype=float),
+        largest_turn(max(_LARGEST, *(abs(t.angle) for t in start)), waves_of(spec)),
         float(design.shortest_rest),
         max(float(design.longest_rest), *(t.rest for t in start)),
         slow,
@@ -460,20 +461,18 @@ def _limits(spec: UnitSpec, design: UnitDesign, start: Cycle) -> TableLimits:
 
 def _statistics_of(quantity: RequiredQuantity) -> Statistics:
     """A requirement's statistic over its target, for the objective."""
-    requirement = quantity.requirement
-    elements = tuple(
-        Element(
-            e.where,
-            np.asarray(e.rows),
-            e.alone,
-            np.asarray(0.0 if e.variance is None else e.variance) + quantity.beside**2,
-        )
-        for e in quantity.elements
-    )
+    requirement, elements = quantity.requirement, []
+    for e in quantity.elements:
+        rows, alone, added = e.of, None, np.zeros(())
+        if isinstance(e.of, tuple):
+            model, term, *grid = e.of
+            rows, alone, added = contrasts(model, term, *(x.ravel() for x in np.meshgrid(*grid, indexing="ij")))
+        one = Element(e.where, np.asarray(rows), alone if np.any(alone) else None, added + quantity.beside**2)
+        elements.append(one)
     shape = len(quantity.temperatures), len(quantity.rates)
     target = requirement.target
     factor = UNIT_OF[requirement.quantity][1] if target is None else 1.0 / float(target)
-    return Statistics(elements, shape, requirement.statistic, requirement.axis == "all", factor)
+    return Statistics(tuple(elements), shape, requirement.statistic, requirement.axis == "all", factor)
 
 
 def _log(value: float | None, quantity: RequiredQuantity) -> float:

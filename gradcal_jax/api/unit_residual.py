@@ -1,7 +1,7 @@
 """Residuals of a unit's quantities after a plan: linear functions of its parameters, and statistics."""
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,9 +15,9 @@ from gradcal_jax.files.requirement import (
     TurnRequirement,
     UnitRequirement,
 )
-from gradcal_jax.information import Posterior, contrasts, statistic
+from gradcal_jax.information import Posterior, residual, statistic
 from gradcal_jax.information.residual import Statistic
-from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, Channel, ChannelKind, Map, SignalMap, UnitModel
+from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, Channel, ChannelKind, Map, SensorModel, SignalMap, UnitModel
 from gradcal_jax.trajectory import EARTH_RATE
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
@@ -66,23 +66,17 @@ class UnitResidual(NamedTuple):
 
 
 class QuantityElement(NamedTuple):
-    """A linear function of a unit's parameters on `g` points: `rows` `(g, k)` of those in `where`. `alone`, `variance`:
-    of the discrepancy, which is not in the calibration: its posterior variance is replaced by that of its prior
-    (None: no such part)."""
+    """A linear function of a unit's parameters on `g` points: `rows` `(g, k)` of those in `where`; or a map of a
+    channel, by the channel's model, the map's name and the temperatures and rates of a grid."""
 
     label: str
     where: slice
-    rows: np.ndarray
-    alone: np.ndarray | None = None
-    variance: np.ndarray | None = None
+    of: np.ndarray | tuple[SensorModel, Any, np.ndarray, np.ndarray]
 
     def deviations(self, known: Posterior) -> np.ndarray:
         """Standard deviation on the points."""
         part = Posterior(known.spread[self.where], known.hidden[self.where])
-        deviation = part.deviations(self.rows)
-        if self.alone is None:
-            return deviation
-        return np.sqrt(deviation**2 - part.deviations(self.alone) ** 2 + self.variance)
+        return residual(part, *self.of).ravel() if isinstance(self.of, tuple) else part.deviations(self.of)
 
 
 class RequiredQuantity(NamedTuple):
@@ -105,12 +99,14 @@ class RequiredQuantity(NamedTuple):
         return UnitResidual(self.requirement, labels, self.temperatures, self.rates, deviations * factor, unit, factor)
 
 
-def quantity_of(built: AssembledUnit, requirement: UnitRequirement) -> RequiredQuantity:
-    """A requirement's quantity. `beside`: the mounting's uncertainty, added to a misalignment relative to the case."""
+def quantity_of(built: AssembledUnit, requirement: UnitRequirement, most: int | None = None) -> RequiredQuantity:
+    """A requirement's quantity on its grid, or on one of at most `most` a side. `beside`: the mounting's uncertainty,
+    added to a misalignment relative to the case."""
     cold, warm = (float(t) for t in requirement.temperature)
-    temperatures, rates, beside = np.linspace(cold, warm, requirement.grid[0]), np.zeros(1), 0.0
+    counts = [min(count, most or count) for count in requirement.grid]
+    temperatures, rates, beside = np.linspace(cold, warm, counts[0]), np.zeros(1), 0.0
     if isinstance(requirement, GyroScaleFactorRequirement):
-        rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), requirement.grid[1])
+        rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), counts[1])
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "case":
         frame = built.spec.sensor.frame
         if frame is None or frame.fixed_by != "case":
@@ -169,9 +165,7 @@ def _of_term(
     """The linear function of one term of a channel on the grid."""
     of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
     if isinstance(of, Map):
-        points = (g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij"))
-        rows, alone, variance = contrasts(channel.model, cast("Any", term), *points)
-        return QuantityElement(label, own, rows, *(() if of.beyond is None else (alone, variance)))
+        return QuantityElement(label, own, (channel.model, term, temperatures, rates))
     return QuantityElement(label, own, _signal_rows(channel, term, temperatures))
 
 
@@ -218,7 +212,7 @@ def _navigation(built: AssembledUnit, requirement, temperatures: np.ndarray):
     """
     model, site = built.model, built.spec.rig.site
     g = site.gravity_m_per_s2
-    earth = EARTH_RATE * np.array([0.0, np.cos(float(site.latitude)), np.sin(float(site.latitude))])
+    earth = EARTH_RATE * np.array([0.0, np.cos(site.latitude_rad), np.sin(site.latitude_rad)])
 
     def force(i: int) -> np.ndarray:
         rows = _row(model, "accelerometer", i, SPECIFIC_FORCE_BIAS, temperatures)

@@ -3,14 +3,16 @@
 import numpy as np
 
 from gradcal_jax.api.unit_build import AssembledUnit, rest_poses
-from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.information import Posterior, posterior, square_root
-from gradcal_jax.model import AXIS_NAMES
+from gradcal_jax.model import AXIS_NAMES, Discrepancy
 from gradcal_jax.trajectory import frames
 from gradcal_jax.units import G
 
 # A parameter counts as not observed where its standard deviation is more than this share of its prior's.
 NOT_OBSERVED = 0.9
+# Points a side of the grid on which a residual is compared with that of the priors.
+_FEW = 11
 # Cosine of the angle between directions that count as opposite.
 _ALONG = 0.9
 # Share of a turn's rate that a gyro must see.
@@ -20,11 +22,18 @@ _FLAT = 0.05
 
 
 def unobserved_parameters(built: AssembledUnit, known: Posterior) -> list[str]:
-    """Names of the unit's own parameters that a plan, or data, do not observe."""
+    """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure left out."""
+    hidden = {
+        f"{c.name}.{name}"
+        for c in built.model.channels
+        for t in c.model.terms
+        if isinstance(t, Discrepancy)
+        for name in t.names()
+    }
     own = slice(built.model.calibrated)
     after, before = known.deviations(built.model.to_reported[own]), prior_deviations(built)[own]
     observed = np.isfinite(after) & ((after <= NOT_OBSERVED * before) | ~np.isfinite(before))
-    return [name for name, seen in zip(built.model.names(), observed, strict=False) if not seen]
+    return [name for name, seen in zip(built.model.names(), observed, strict=False) if not seen and name not in hidden]
 
 
 def prior_deviations(built: AssembledUnit) -> np.ndarray:
@@ -41,8 +50,8 @@ def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
     """A sentence for each thing that the plan cannot observe, remedies first; and for requirements beyond the plan's
     temperatures."""
     names = unobserved_parameters(built, known)
-    motion = built.motion
-    axes = frames(motion.geometry, motion.angles()[0], motion.mounting).axes
+    motion, example = built.motion, built.motion.example
+    axes = frames(motion.geometry, motion.angles()[0][example], motion.mounting[example]).axes[motion.kind]
     sentences = _cures(built, axes, set(names))
     if any(".m_" in name for name in names) or _orthogonality_is_hidden(built, known):
         sentences += _reversals(built, axes)
@@ -111,7 +120,8 @@ def _as_before(built: AssembledUnit, known: Posterior) -> list[str]:
     """Sentences on requirements whose residual the plan hardly reduces."""
     before, sentences = _prior(built), []
     for requirement in built.spec.requirement:
-        then, now = (unit_residual(built, k, requirement).statistic() for k in (before, known))
+        quantity = quantity_of(built, requirement, _FEW)
+        then, now = (quantity.residual(k).statistic() for k in (before, known))
         if then is not None and now is not None and now > NOT_OBSERVED * then:
             sentences.append(
                 f"requirement '{requirement.name}' stays as it was by the priors: the plan says nothing of it"

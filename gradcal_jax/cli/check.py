@@ -215,10 +215,11 @@ def notes(spec: "Spec") -> list[str]:
 
 def summary_of_unit(spec: "UnitSpec") -> str:
     """As `summary`, of a whole unit."""
+    from gradcal_jax.files.schedule import StandardSchedule
     from gradcal_jax.files.section import Section
 
     schedule, table = spec.schedule, spec.rig.table
-    skipped = {"axes", "drift", "scale_factor_instability"}
+    skipped = {"axes", "drift", "scale_factor_instability", "temperature_error"}
     lines: list[str] = []
     for name, triad in (("gyro", spec.sensor.gyro), ("accelerometer", spec.sensor.accelerometer)):
         if triad is not None:
@@ -232,6 +233,8 @@ def summary_of_unit(spec: "UnitSpec") -> str:
         f"table: {', '.join(axis.name for axis in table.axis)} (outermost first)"
         + (f"; {len(table.mounting)} mountings" if len(table.mounting) > 1 else "")
     )
+    if isinstance(schedule, StandardSchedule):
+        return "\n".join([*lines, *_standard(schedule)])
     lines.append("plan: " + times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion"))
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     lines.append(f"cycle: {time_text(schedule.period)}, made {cycles} times")

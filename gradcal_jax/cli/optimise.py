@@ -50,8 +50,8 @@ def optimise(
     plot
         Draw the residual before and after into this file (.png, .svg, .pdf).
     steps
-        Iterations of each start, by default 240; for a whole unit, evaluations of the gradient in all, by default 12000:
-        some minutes.
+        Iterations of each start, by default 240; for a whole unit, evaluations of the gradient in all, by default
+        12000: some minutes.
     quick
         Few starts, or evaluations: within some per cent of the best, in seconds.
     until_met

@@ -45,7 +45,7 @@ _SOFT, _SPARE = 0.5, 1e-3
 # Penalty on missing time, as the square of its share of a tenth of the period; on longer turns and rests alike.
 _PENALTY = 10.0
 # Quadrature nodes: see `trajectory.table_motion`.
-_LEAST_NODES, _NODES_PER_RAD, _WAVES = 12, 0.75, 3
+_LEAST_NODES, _NODES_PER_RAD = 12, 0.75
 _NODES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 # Sizes of a coordinate's unit, so that the objective's curvature is alike in all: of a pose (rad), of the logits of a
 # rate's share of its limit, and of a rest's share of the time.
@@ -68,8 +68,8 @@ class Turn(NamedTuple):
 class TableLimits(NamedTuple):
     """Limits of the table's `L` axes and of a cycle.
 
-    `rates` rad/s, `accelerations` rad/s², `reach` `(L, 2)` rad: lowest and highest angle. `start` rad: angles at which a
-    cycle begins. `largest` rad: of one turn. `shortest`, `longest` s: rests. `slow` rad/s: up to which accelerometers
+    `rates` rad/s, `accelerations` rad/s², `reach` `(L, 2)` rad: lowest and highest angle. `start` rad: angles at which
+    a cycle begins. `largest` rad: of one turn. `shortest`, `longest` s: rests. `slow` rad/s: up to which accelerometers
     are read on a move.
     """
 
@@ -96,8 +96,8 @@ class Ramp(NamedTuple):
 
 class Structure(NamedTuple):
     """What is fixed in a cycle of `K` slots: the `axis` of each turn (−1: none), whether it `rests`, whether it is
-    `slow`; `before`: the slot of the axis's turn before it (−1: none); `closes`: the last turn of its axis; `whole` rad:
-    by which the cycle turns each axis; `period` s; `turnable`: whether poses are free."""
+    `slow`; `before`: the slot of the axis's turn before it (−1: none); `closes`: the last turn of its axis; `whole`
+    rad: by which the cycle turns each axis; `period` s; `turnable`: whether poses are free."""
 
     axis: Int[AnyArray, " K"]
     rests: Bool[AnyArray, " K"]
@@ -142,16 +142,14 @@ def structure_of(
     return Structure(axis, rests, slow, before, closes, whole, np.asarray(period), np.asarray(turnable))
 
 
-def nodes_for(turned: float, harmonics: int) -> int:
-    """Quadrature nodes for a piece that turns so far (rad), with an encoder's error of so many cycles a turn."""
-    per_rad = _NODES_PER_RAD * max(_WAVES, harmonics + 1)
-    return next((n for n in _NODES if n >= _LEAST_NODES + per_rad * turned), _NODES[-1])
+def nodes_for(turned: float, waves: int) -> int:
+    """Quadrature nodes for a piece that turns so far (rad), with waves of so many cycles a turn."""
+    return next((n for n in _NODES if n >= _LEAST_NODES + _NODES_PER_RAD * waves * turned), _NODES[-1])
 
 
-def largest_turn(least: float, harmonics: int) -> float:
+def largest_turn(least: float, waves: int) -> float:
     """The largest turn (rad) for which the nodes suffice that a turn of `least` needs."""
-    per_rad = _NODES_PER_RAD * max(_WAVES, harmonics + 1)
-    return (nodes_for(least, harmonics) - _LEAST_NODES) / per_rad
+    return (nodes_for(least, waves) - _LEAST_NODES) / (_NODES_PER_RAD * waves)
 
 
 class CycleCoordinates(NamedTuple):
@@ -280,14 +278,14 @@ class CycleObjective:
         *,
         window: int,
         points: int,
-        harmonics: int,
+        waves: int,
         worst: bool,
         worst_model: bool,
     ) -> None:
         self.coordinates, self.models, self.known = coordinates, models, known
         self.geometry = jax.tree.map(jnp.asarray, geometry)
         self.statistics, self.window, self.points = statistics, window, points
-        self.harmonics, self.worst, self.worst_model = harmonics, worst, worst_model
+        self.waves, self.worst, self.worst_model = waves, worst, worst_model
 
     def value(self, z: Float[AnyArray, "3 K"], of: Structure, ramps: Ramp, sharpness) -> Float[AnyArray, ""]:
         """The objective of a cycle on stacked `ramps`; where it has no value, a large one."""
@@ -323,7 +321,7 @@ class CycleObjective:
         limits = self.coordinates.limits
         moves = []
         for _ in range(k):
-            moves += [turn("cosine ramps", 1.0, 4.0, ramp=1.0), rest(1.0)]
+            moves += [turn("cosine ramps", 1.0, 4.0, ramp=1.0), rest(1.0, read_at_end=True)]
         # Only what is discrete is taken from this schedule; all its numbers are replaced.
         line = gradient_plan(programme(0.0, [(5.0 * k * window, 0.0)]), tuple(moves), read_every=None)
         numbers = [
@@ -357,7 +355,7 @@ class CycleObjective:
         """Quadrature nodes of the pieces of a cycle."""
         limits = self.coordinates.limits
         in_ramp = float(np.max(np.pi * limits.rates**2 / (4.0 * limits.accelerations)))
-        ramps, flat = (nodes_for(turned, self.harmonics) for turned in (in_ramp, limits.largest))
+        ramps, flat = (nodes_for(turned, self.waves) for turned in (in_ramp, limits.largest))
         return np.where(~turns, 1, np.where(varying, ramps, flat))
 
     def _segments(self, line: Schedule, turns: np.ndarray, of: Structure, model: UnitModel) -> Segments:

@@ -466,8 +466,10 @@ def _motion(
 ) -> TableMotion:
     duration, at = np.diff(log.time_s[rows]), log.temperature_c[rows]
     mean = turned / np.where(duration > 0.0, duration, 1.0)
+    # Every move ends at a standstill.
+    ends = np.ones(len(axis), bool)
     line = held(
-        log.time_s[rows[:-1]], duration, mean, at[:-1], at[1:], read=~lost, at_rest=axis < 0, moving=axis >= 0, gap=lost
+        log.time_s[rows[:-1]], duration, mean, at[:-1], at[1:], read=~lost, at_rest=ends, moving=axis >= 0, gap=lost
     )
     # Neighbouring pieces of a rest, both read, are one segment.
     goes_on = (axis[1:] < 0) & (axis[:-1] < 0) & ~lost[1:] & ~lost[:-1]

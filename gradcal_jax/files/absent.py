@@ -12,10 +12,11 @@ from importlib import resources
 from typing import Any, Final, NamedTuple, cast
 
 from gradcal_jax import units
+from gradcal_jax.files.bench import UnitTable
 from gradcal_jax.files.changes import AnySpec, changed
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.sensor import HOST_CLOCK, Sensor, UnitSensor
+from gradcal_jax.files.sensor import HOST_CLOCK, GyroTriad, Sensor, UnitSensor
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
@@ -26,6 +27,7 @@ _OF_RAMPS: Final = frozenset({"thermal_lag", "bias_temperature_gradient", "tempe
 # Terms of the rig that a whole unit has in the place of one axis's.
 _OF_UNIT_TABLES: Final = ("tilt", "azimuth")
 EARTH: Final = "rig.earth_rate"
+EARTH_AT_SITE: Final = "rig.site.latitude"
 EARTH_IS_UNKNOWN: Final = (
     "the Earth's rate along the axis is not stated, and up to 15.04 deg/h of it counts in the bias: give "
     "[rig] earth_rate, or estimate with --latitude (an axis that points up) or --earth-rate"
@@ -50,7 +52,7 @@ class AbsentTerm(NamedTuple):
     @property
     def typical(self) -> str:
         """The value in words: ``10 deg/h, 100 s``."""
-        return "up to 15.04 deg/h" if self.key == EARTH else _words(self.value)
+        return "up to 15.04 deg/h" if self.key in (EARTH, EARTH_AT_SITE) else _words(self.value)
 
 
 # Of normal gravity at sea level: 3.09 um/s^2 a metre of height, and 0.3 mm/s^2 of anomaly.
@@ -61,20 +63,44 @@ _NORMAL_GRAVITY: Final = AbsentTerm(
 
 def absent_terms(spec: Spec | UnitSpec) -> list[AbsentTerm]:
     """Every term of the error budget that the file does not name and that affects its plan. Errors: none."""
-    return list(_of_unit(spec) if isinstance(spec, UnitSpec) else _of_axis(spec))
+    return list(_of_unit(spec) if isinstance(spec, UnitSpec) and not spec.is_one_axis else _of_axis(spec))
 
 
-def _of_axis(spec: Spec) -> Iterator[AbsentTerm]:
-    sensor, table, angle = spec.sensor, spec.rig.table, spec.rig.table.angle
-    of_sensor, of_table = terms_of("sensor", sensor_grade(sensor).name), terms_of("table", table_grade(spec).name)
-    matters = _matters_of_sensor(spec)
-    own = [_of_clock(_of_the_maps(term, sensor), sensor) for term in of_sensor if term.key in matters]
-    yield from _unnamed(sensor, "sensor", own)
-    matters = _matters_of_table(spec)
-    yield from _unnamed(table, "rig.table", [t for t in of_table if t.key in matters and "." not in t.key])
-    yield from _unnamed(angle, "rig.table.angle", _below("angle.", [t for t in of_table if t.key in matters]))
-    if spec.rig.earth_rate is None:
-        yield AbsentTerm(EARTH, "unknown", "the Earth turns 15.04 deg/h, and the direction of the axis is not stated")
+def _of_axis(spec: Spec | UnitSpec) -> Iterator[AbsentTerm]:
+    sensor, grade = spec.sensor, sensor_grade(spec.sensor).name
+    gyro = sensor if isinstance(sensor, Sensor) else sensor.gyro
+    assert gyro is not None
+    of_sensor, of_table = terms_of("sensor", grade), terms_of("table", table_grade(spec).name)
+    matters = _matters_of_sensor(gyro, sensor.clock, spec.plan)
+    own = [_of_clock(_of_the_maps(term, gyro), sensor) for term in of_sensor if term.key in matters]
+    matters = _matters_of_table(spec, gyro)
+    of_table = [t for t in of_table if t.key in matters]
+    of_angle = _below("angle.", of_table)
+    if isinstance(spec, Spec):
+        yield from _unnamed(sensor, "sensor", own)
+        yield from _unnamed(spec.rig.table, "rig.table", [t for t in of_table if "." not in t.key])
+        yield from _unnamed(spec.rig.table.angle, "rig.table.angle", of_angle)
+        earth, stated = EARTH, spec.rig.earth_rate
+    else:
+        common = set(type(sensor).model_fields)
+        yield from _unnamed(sensor, "sensor", [t for t in own if t.key in common])
+        yield from _unnamed(gyro, "sensor.gyro", [t for t in own if t.key not in common])
+        for term in of_table:
+            if term.key == "mounting_accuracy":
+                yield from _unhung(spec.rig.table, term)
+        yield from _unnamed(spec.rig.table, "rig.table", [t for t in of_table if t.key == "rate_accuracy"])
+        yield from _unnamed(spec.rig.table.axis[0].angle, "rig.table.axis[0].angle", of_angle)
+        earth, stated = EARTH_AT_SITE, spec.rig.site.latitude
+    if stated is None:
+        yield AbsentTerm(earth, "unknown", "the Earth turns 15.04 deg/h, and the direction of the axis is not stated")
+
+
+def _unhung(table: UnitTable, term: AbsentTerm) -> Iterator[AbsentTerm]:
+    """The accuracy of the only mounting, which the file may not name at all."""
+    if "mounting" not in table.model_fields_set:
+        yield term._replace(key="rig.table.mounting", value=[{"accuracy": term.value}])
+    else:
+        yield from _unnamed(table.mounting[0], "rig.table.mounting[0]", [term._replace(key="accuracy")])
 
 
 def _of_unit(spec: UnitSpec) -> Iterator[AbsentTerm]:
@@ -130,9 +156,9 @@ def sensor_grade(sensor: Sensor | UnitSensor) -> Grade:
             return accelerometer_grade(sensor)
         gyro = sensor.gyro
     else:
-        if sensor.grade is not None:
-            return Grade(sensor.grade, str(_row("sensor", sensor.grade)["like"]), "sensor.grade")
         gyro = sensor
+    if sensor.grade is not None:
+        return Grade(sensor.grade, str(_row("sensor", sensor.grade)["like"]), "sensor.grade")
     walk = float(gyro.angle_random_walk), "angle random walk", "its angle random walk"
     return _by_noise("sensor", gyro.drift, "angular rate", walk)
 
@@ -161,7 +187,8 @@ def slopes_of(sensor: Sensor | UnitSensor, kind: str = "gyro") -> tuple[float, f
     typical = next(t.value for t in terms_of("sensor", sensor_grade(sensor).name) if t.key == "temperature_error")
     bias = units.parse(typical["bias_slope"], "bias slope")
     scale = units.parse(typical["scale_factor_slope"], "scale factor slope")
-    own = None if isinstance(sensor, UnitSensor) else sensor.temperature_error
+    gyro = sensor.gyro if isinstance(sensor, UnitSensor) else sensor
+    own = None if gyro is None else gyro.temperature_error
     if own is None:
         return bias, scale
     stated = own.bias_slope, own.scale_factor_slope
@@ -193,36 +220,39 @@ def terms_of(kind: str, grade: str) -> list[AbsentTerm]:
     return [AbsentTerm(term["key"], term["value"], term["source"]) for term in _row(kind, grade)["term"]]
 
 
-def _matters_of_sensor(spec: Spec) -> set[str]:
-    sensor = spec.sensor
+def _matters_of_sensor(gyro: Sensor | GyroTriad, clock: str | None, plan: object) -> set[str]:
     left_out: set[str] = set()
-    if sensor.bias is None:
+    if gyro.bias is None:
         left_out |= _OF_BIAS - {"turn_on_bias"}
-    if sensor.scale_factor is None:
+    if gyro.scale_factor is None:
         left_out |= _OF_SCALE_FACTOR
-    if sensor.clock == "host":
+    if clock == "host":
         left_out.add("sample_clock_error")
-    if isinstance(spec.plan, StandardPlan):
+    if isinstance(plan, StandardPlan):
         left_out |= _OF_RAMPS
     return {term.key for term in terms_of("sensor", grades()[0])} - left_out
 
 
-def _matters_of_table(spec: Spec) -> set[str]:
+def _matters_of_table(spec: Spec | UnitSpec, gyro: Sensor | GyroTriad) -> set[str]:
     plan = spec.plan
-    mounting = set[str]() if spec.sensor.scale_factor is None else {"mounting_accuracy"}
+    mounting = set[str]() if gyro.scale_factor is None else {"mounting_accuracy"}
     if isinstance(plan, StandardPlan):
         return {"rate_accuracy", *mounting} if any(float(rate) for rate in plan.rates or ()) else set()
-    cycle = spec.gradient_schedule.cycle
-    if cycle is None:
+    if isinstance(spec, UnitSpec):
+        moves = [step.move for step in spec.gradient_schedule.steps]
+    else:
+        cycle = spec.gradient_schedule.cycle
+        moves = [] if cycle is None else list(cycle.moves)
+    if not moves:
         # A standing axis is read at one angle: only errors that change between readings have an effect.
         return {"angle.reading_noise"}
     matters = {"angle.reading_noise", "angle.standstill_offset", "angle.harmonics", *mounting}
     matters |= {"angle.scale_error"} if mounting else set()
-    on_the_move = any(move.read_every is not None and not move.is_rest for move in cycle.moves)
+    on_the_move = any(move.read_every is not None and not move.is_rest for move in moves)
     return matters | ({"angle.timing_error"} if on_the_move else set())
 
 
-def _of_the_maps(term: AbsentTerm, sensor: Sensor) -> AbsentTerm:
+def _of_the_maps(term: AbsentTerm, sensor: Sensor | GyroTriad) -> AbsentTerm:
     """A temperature error acts through the slopes of the estimated maps."""
     if term.key != "temperature_error":
         return term

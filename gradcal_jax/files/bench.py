@@ -14,6 +14,7 @@ from gradcal_jax.files.quantity import (
     EarthRate,
     Latitude,
     Number,
+    Of,
     PositiveAcceleration,
     PositiveRate,
     PositiveSpecificForce,
@@ -135,17 +136,29 @@ _DIRECTIONS: Final = {
 _TURN: Final = 2.0 * math.pi
 Direction = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Vector = tuple[Number, Number, Number]
+Spacing = Annotated[Quantity, Of("time", above="0 s", infinite="rest")]
 
 
 class Site(Section):
     """Where the rig stands."""
 
-    latitude: Latitude
-    """Geodetic latitude, north positive."""
+    latitude: Latitude | None = None
+    """Geodetic latitude, north positive. For gyros along the only axis of a table it may be absent or "unknown": up to
+    15.04 deg/h of the Earth's rate then count in their bias."""
     gravity: PositiveSpecificForce | None = None
     """Local gravity as it is used; absent: normal gravity at sea level of the latitude."""
     gravity_accuracy: SizeOfSpecificForce = Quantity(0.0, "0 mg", "acceleration")
     """Standard deviation of gravity; its error is common to all accelerometers."""
+
+    @property
+    def latitude_rad(self) -> float:
+        """The latitude as it is used: the equator's where it is not stated."""
+        return 0.0 if self.is_unknown else float(self.latitude or 0.0)
+
+    @property
+    def is_unknown(self) -> bool:
+        """Whether the file says that the latitude is unknown."""
+        return self.latitude == math.inf
 
     @property
     def gravity_m_per_s2(self) -> float:
@@ -153,23 +166,15 @@ class Site(Section):
         2000, section 4)."""
         if self.gravity is not None:
             return float(self.gravity)
-        sine = math.sin(float(self.latitude)) ** 2
+        sine = math.sin(self.latitude_rad) ** 2
         return 9.7803253359 * (1.0 + 0.00193185265241 * sine) / math.sqrt(1.0 - 0.00669437999013 * sine)
 
 
-class AxisEncoder(Section):
+class AxisEncoder(AngleReference):
     """Error budget of an axis's angle."""
 
-    reading_noise: SizeOfAngle = NO_ANGLE
-    """Standard deviation of each reading, independent of all others."""
-    standstill_offset: SizeOfAngle = NO_ANGLE
-    """Standard deviation of what is common to all readings of one standstill."""
-    read_every: Time = Quantity(1.0, "1 s", "time")
-    """Spacing of the readings while the axis stands."""
-    scale_error: SizeOfScaleFactor | None = None
-    """Standard deviation of the scale of the angle (a gear's ratio, counts for a turn), a ratio."""
-    harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
-    """Errors that repeat with the angle."""
+    read_every: Spacing = Quantity(1.0, "1 s", "time")
+    """Spacing of the readings while the axis stands; "rest": one, at the end of each rest."""
 
 
 class TableAxis(Section):
@@ -265,6 +270,8 @@ class UnitTable(Section):
     """Standard deviation of the base's two tilts."""
     azimuth: SizeOfAngle = NO_ANGLE
     """Standard deviation of the base's azimuth."""
+    rate_accuracy: SizeOfScaleFactor | None = None
+    """Standard deviation of the reference rate of the standard method, a ratio; absent: exact."""
     axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
     """Axes, outermost first."""
     mounting: Annotated[tuple[UnitMounting, ...], BeforeValidator(_one_or_more), Field(min_length=1, max_length=12)] = (
@@ -289,7 +296,7 @@ class UnitRig(Section):
 
     name: Text | None = None
     """A name for people."""
-    site: Site
+    site: Site = Site()
     """Where the rig stands."""
     table: UnitTable
     """The table."""

@@ -43,7 +43,7 @@ def between_sections(
     if design is not None and design.notice is not None and sensor is not None:
         yield from (p.under("design", "notice") for p in _notice(design.notice, sensor.scale_factor))
     if isinstance(plan, StandardPlan):
-        yield from (p.under("plan") for p in _standard(plan, rig, sensor))
+        yield from (p.under("plan") for p in standard_within(plan, rig, sensor))
     elif plan is not None and rig is not None:
         yield from (p.under("plan") for p in _gradient(plan, rig, sensor))
 
@@ -144,7 +144,8 @@ def _design(design: Design, names: Sequence[str]) -> list[Problem]:
     return [Problem(("design", "minimise"), message, design.minimise)]
 
 
-def _standard(plan: StandardPlan, rig: Rig | None, sensor: Sensor | None) -> Iterator[Problem]:
+def standard_within(plan: StandardPlan, rig: Rig | None, sensor: Sensor | None) -> Iterator[Problem]:
+    """Where a standard plan exceeds chamber, table or sensor; keys relative to the plan."""
     rates = plan.rates or ()
     if rig is not None:
         for i, temperature in enumerate(plan.temperatures):

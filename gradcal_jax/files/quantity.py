@@ -81,10 +81,10 @@ class Of:
 
     def read(self, value: object) -> Quantity:
         """The quantity in a file's value. Raises `ValueError` with the expected value."""
+        if self.infinite is not None and value in (self.infinite, math.inf):
+            return Quantity(math.inf, self.infinite, self.dimension)
         if isinstance(value, Quantity) and value.dimension == self.dimension:
             quantity = value
-        elif self.infinite is not None and value == self.infinite:
-            return Quantity(math.inf, self.infinite, self.dimension)
         elif isinstance(value, str):
             quantity = Quantity.read(value, self.dimension)
         else:
@@ -142,8 +142,12 @@ SizeOfSpecificForce = Annotated[Quantity, Of("acceleration", at_least="0 mg")]
 VelocityRandomWalk = Annotated[Quantity, Of("velocity random walk", above="0 m/s/sqrt(h)")]
 PositiveAngle = Annotated[Quantity, Of("angle", above="0 deg")]
 PositiveLength = Annotated[Quantity, Of("length", above="0 m")]
-Latitude = Annotated[Quantity, Of("angle", at_least="-90 deg", at_most="90 deg")]
+Latitude = Annotated[Quantity, Of("angle", at_least="-90 deg", at_most="90 deg", infinite="unknown")]
 Frequency = Annotated[Quantity, Of("frequency", above="0 Hz")]
+AccelerationSlope = Annotated[Quantity, Of("acceleration slope")]
+ForceGradientSensitivity = Annotated[
+    Quantity, Of("acceleration temperature-gradient sensitivity", at_least="0 ug/(K/min)")
+]
 SizeOfGradientSensitivity = Annotated[Quantity, Of("bias temperature-gradient sensitivity", at_least="0 deg/h/(K/min)")]
 
 Whole = Annotated[int, Strict(), Field(ge=0, le=10**9)]

@@ -32,6 +32,7 @@ from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, resolve_
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.tracks import makeable_acceleration, trapezoid_acceleration
+from gradcal_jax.files.unit_plan import UnitSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.formulas import repetitions
 
@@ -104,8 +105,9 @@ def rounded(spec: AnySpec, steps: ControllerSteps | None = None, *, keep_shapes:
     plan: Table = tables["plan"]
     result: Spec | UnitSpec
     if isinstance(spec, UnitSpec):
+        schedule = spec.plain_schedule
         _temperatures(plan, rounder)
-        _unit_cycle(spec, plan["cycle"], rounder)
+        _unit_cycle(spec, schedule, plan["cycle"], rounder)
         result = _keep_cycles(spec, tables, rounder)
     elif isinstance(schedule := spec.schedule, GradientSchedule):
         _temperatures(plan, rounder)
@@ -202,7 +204,7 @@ def _keep_cycles(spec: AnySpec, tables: Table, rounder: _Rounder) -> AnySpec:
 
 def _cycles(spec: Spec | UnitSpec) -> int:
     if isinstance(spec, UnitSpec):
-        return sum(stretch.cycles for stretch in spec.schedule.stretches)
+        return sum(stretch.cycles for stretch in spec.gradient_schedule.stretches)
     return spec.gradient_schedule.cycles
 
 
@@ -229,9 +231,9 @@ def _cycle(spec: Spec, cycle: Table, schedule: GradientSchedule, planned: Resolv
     _keep_period(cycle, spec, schedule, planned, rounder)
 
 
-def _unit_cycle(spec: UnitSpec, cycle: Table, rounder: _Rounder) -> None:
+def _unit_cycle(spec: UnitSpec, schedule: UnitSchedule, cycle: Table, rounder: _Rounder) -> None:
     """Every rest and turn of a unit's cycle in full, and the axes' first angles."""
-    schedule, axes = spec.schedule, spec.rig.table.axis
+    axes = spec.rig.table.axis
     gyro = spec.sensor.gyro
     usable = math.inf if gyro is None else gyro.usable_rate or math.inf
     moves_of_file = tables_of(spec)["plan"]["cycle"]["moves"]

@@ -1,6 +1,6 @@
 """`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or a unit."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -8,9 +8,12 @@ from pydantic import BeforeValidator, Field, model_validator
 from gradcal_jax.files.bases import Degree, RateBasis, TemperatureBasis
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
+    AccelerationSlope,
     AngleRandomWalk,
     BiasSlope,
+    ForceGradientSensitivity,
     Margin,
+    Of,
     PositiveAccelerationSensitivity,
     PositiveAngle,
     PositiveLength,
@@ -54,7 +57,7 @@ class Drift(_Process):
 
 
 class ScaleFactorInstability(_Process):
-    """Residual scale-factor instability: a first-order Gauss–Markov process multiplied by the rate."""
+    """Residual scale-factor instability: a first-order Gauss–Markov process multiplied by the rate, or the force."""
 
     standard_deviation: PositiveScaleFactor
     """Stationary standard deviation of the scale factor's error, a ratio."""
@@ -88,6 +91,29 @@ class BiasTemperatureGradient(Section):
 
     prior: SizeOfGradientSensitivity | None = None
     """Standard deviation of the coefficient before the calibration; absent: unknown; 0: there is none to estimate."""
+
+
+class ForceTemperatureError(TemperatureError):
+    """As of a gyro, of an accelerometer."""
+
+    bias_slope: AccelerationSlope | None = None
+
+
+class ForceTemperatureGradient(BiasTemperatureGradient):
+    """As of a gyro, of an accelerometer."""
+
+    prior: ForceGradientSensitivity | None = None
+
+
+def _gradient_of_bias(table: type[BiasTemperatureGradient], dimension: str, least: str) -> BeforeValidator:
+    """Marks a sensitivity to dT/dt: a table is estimated, a figure alone is not."""
+
+    def read(value: object) -> object:
+        if isinstance(value, Mapping):
+            return table.model_validate(value)
+        return value if value is None or isinstance(value, Section) else Of(dimension, at_least=least).read(value)
+
+    return BeforeValidator(read)
 
 
 class BiasDiscrepancy(Section):
@@ -212,45 +238,85 @@ class _Instrument(Section):
         return None if self.sample_clock_error is None else str(self.sample_clock_error)
 
 
-class Sensor(UncertainSection, _Instrument):
-    """A gyro axis: every term of the error model (paper, eq. 1). An absent term counts with a figure typical of the
-    sensor's class; zero, or an empty list, is the user's word that there is none."""
+class _Channel(UncertainSection):
+    """What every channel may have beside its own terms."""
 
-    FIGURES: ClassVar[tuple[str, ...]] = (
-        "angle_random_walk",
-        "rate_random_walk",
-        "turn_on_bias",
-        "sample_clock_error",
-    )
+    turn_on_bias: Quantity | None = None
+    """Standard deviation of the bias that is new at every power-on and not part of the map."""
+    scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
+    """In-run instabilities of the scale factor, which add."""
+    temperature_error: TemperatureError | None = None
+    """Error of the measured temperature."""
+    bias_temperature_gradient: BiasTemperatureGradient | Quantity | None = None
+    """Bias in proportion to dT/dt: a table, of a coefficient that is estimated, or its standard deviation, which counts
+    and is not estimated."""
 
-    name: Text | None = None
-    """A name for people."""
-    grade: Literal["consumer", "tactical", "navigation"] | None = None
-    """Class that gives typical figures for absent terms; absent: by drift or random walk."""
-    quantity: Annotated[Literal["gyro"], BeforeValidator(_gyro)]
-    """What the sensor measures."""
+    @property
+    def gradient_sensitivity(self) -> BiasTemperatureGradient | None:
+        """The sensitivity to dT/dt, where one is estimated."""
+        of = self.bias_temperature_gradient
+        return of if isinstance(of, BiasTemperatureGradient) and of.prior != 0.0 else None
+
+    @property
+    def gradient_std(self) -> float:
+        """Standard deviation of the sensitivity to dT/dt before any estimate, of the bias for K/s; 0: none, or
+        unknown."""
+        of = self.bias_temperature_gradient
+        return float((of.prior if isinstance(of, BiasTemperatureGradient) else of) or 0.0)
+
+    @property
+    def thermometer_noise(self) -> TemperatureError | None:
+        """The error of the measured temperature, where there is one."""
+        of = self.temperature_error
+        return None if of is None or of.standard_deviation == 0.0 else of
+
+
+class _Gyro(_Channel):
+    """Noise and error functions of a gyro: every term of the error model (paper, eq. 1)."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk", "turn_on_bias")
+
     angle_random_walk: AngleRandomWalk
     """White noise of the rate, as the angle's growth with the square root of time."""
     rate_random_walk: RateRandomWalk | None = None
     """Random walk of the rate."""
     turn_on_bias: SizeOfRate | None = None
-    """Standard deviation of the bias that is new at every power-on and not part of the map."""
     full_scale: PositiveRate | None = None
-    """Largest rate that the sensor measures."""
+    """Largest rate that a gyro measures."""
     full_scale_margin: Margin = Quantity(0.05, "5 %", "scale factor")
     """Share of the full scale that plans keep away from."""
     drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
     """In-run bias instabilities, which add."""
-    scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
-    """In-run instabilities of the scale factor, which add."""
-    temperature_error: TemperatureError | None = None
-    """Error of the measured temperature."""
-    bias_temperature_gradient: BiasTemperatureGradient | None = None
-    """Bias in proportion to dT/dt, estimated."""
+    bias_temperature_gradient: Annotated[
+        BiasTemperatureGradient | SizeOfGradientSensitivity | None,
+        _gradient_of_bias(BiasTemperatureGradient, "bias temperature-gradient sensitivity", "0 deg/h/(K/min)"),
+    ] = None
     bias: Bias | None = None
     """The bias over temperature, estimated; absent: known."""
     scale_factor: ScaleFactor | None = None
     """The scale factor over temperature and rate, estimated; absent: known."""
+
+    @property
+    def usable_rate(self) -> float | None:
+        """Full scale less its margin (rad/s); None where the sheet gives no full scale."""
+        return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)
+
+
+Grade = Literal["consumer", "tactical", "navigation"]
+
+
+class Sensor(_Gyro, _Instrument):
+    """A gyro axis. An absent term counts with a figure typical of the sensor's class; zero, or an empty list, is the
+    user's word that there is none."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = (*_Gyro.FIGURES, "sample_clock_error")
+
+    name: Text | None = None
+    """A name for people."""
+    grade: Grade | None = None
+    """Class that gives typical figures for absent terms; absent: by drift or random walk."""
+    quantity: Annotated[Literal["gyro"], BeforeValidator(_gyro)]
+    """What the sensor measures."""
 
     @model_validator(mode="after")
     def _something_to_find(self) -> "Sensor":
@@ -261,23 +327,6 @@ class Sensor(UncertainSection, _Instrument):
     def uncertain_figures(self) -> dict[str, tuple[Quantity, Quantity]]:
         """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
         return figures_of("sensor", self)
-
-    @property
-    def gradient_sensitivity(self) -> BiasTemperatureGradient | None:
-        """The sensitivity to dT/dt, where one is estimated."""
-        of = self.bias_temperature_gradient
-        return None if of is None or of.prior == 0.0 else of
-
-    @property
-    def thermometer_noise(self) -> TemperatureError | None:
-        """The error of the measured temperature, where there is one."""
-        of = self.temperature_error
-        return None if of is None or of.standard_deviation == 0.0 else of
-
-    @property
-    def usable_rate(self) -> float | None:
-        """Full scale less its margin (rad/s); None where the sheet gives no full scale."""
-        return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)
 
 
 BodyAxis = Literal["x", "y", "z"]
@@ -347,33 +396,11 @@ class LeverArm(Section):
     """Standard deviation of each of three coordinates before the calibration; absent: unknown."""
 
 
-class GyroTriad(UncertainSection):
-    """`[sensor.gyro]`: common properties of the unit's gyros. An absent table is not estimated: known."""
-
-    FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk")
+class GyroTriad(_Gyro):
+    """`[sensor.gyro]`: common properties of the IMU's gyros. An absent table is not estimated: known."""
 
     axes: BodyAxes = ("x", "y", "z")
     """Which gyros the unit has."""
-    angle_random_walk: AngleRandomWalk
-    """White noise of the rate, as the angle's growth with the square root of time."""
-    rate_random_walk: RateRandomWalk | None = None
-    """Random walk of the rate."""
-    full_scale: PositiveRate | None = None
-    """Largest rate that a gyro measures."""
-    full_scale_margin: Margin = Quantity(0.05, "5 %", "scale factor")
-    """Share of the full scale that plans keep away from."""
-    drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
-    """In-run bias instabilities, which add."""
-    scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
-    """In-run instabilities of the scale factor, which add."""
-    turn_on_bias: SizeOfRate | None = None
-    """Standard deviation of the bias that is new at every power-on and not part of the map."""
-    bias_temperature_gradient: SizeOfGradientSensitivity | None = None
-    """Standard deviation of the bias in proportion to dT/dt, which is not estimated."""
-    bias: Bias
-    """Bias over temperature."""
-    scale_factor: ScaleFactor | None = None
-    """Scale factor over temperature and rate."""
     misalignment: Misalignment | None = None
     """Directions of the input axes."""
     g_sensitivity: AccelerationSensitivity | None = None
@@ -381,17 +408,21 @@ class GyroTriad(UncertainSection):
     g_squared: SquaredSensitivity | None = None
     """Drift in proportion to the square of the specific force."""
 
-    @property
-    def usable_rate(self) -> float | None:
-        """Full scale less its margin (rad/s); None where the sheet gives no full scale."""
-        return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)
+    @model_validator(mode="after")
+    def _something_to_find(self) -> "GyroTriad":
+        sections = (self.bias, self.scale_factor, self.misalignment, self.g_sensitivity, self.g_squared)
+        if all(section is None for section in sections):
+            refuse(
+                Problem((), "there is nothing to calibrate; add [sensor.gyro.bias], [sensor.gyro.scale_factor] or both")
+            )
+        return self
 
 
-class AccelerometerTriad(UncertainSection):
+class AccelerometerTriad(_Channel):
     """`[sensor.accelerometer]`: common properties of the unit's accelerometers. Read where the table stands, and on
     moves no faster than `read_on_moves_below`."""
 
-    FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk",)
+    FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk", "turn_on_bias")
 
     axes: BodyAxes = ("x", "y", "z")
     """Which accelerometers the unit has."""
@@ -400,7 +431,11 @@ class AccelerometerTriad(UncertainSection):
     drift: Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)] = ()
     """In-run bias instabilities, which add."""
     turn_on_bias: SizeOfSpecificForce | None = None
-    """Standard deviation of the bias that is new at every power-on and not part of the map."""
+    temperature_error: ForceTemperatureError | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    bias_temperature_gradient: Annotated[  # pyright: ignore[reportIncompatibleVariableOverride]
+        ForceTemperatureGradient | ForceGradientSensitivity | None,
+        _gradient_of_bias(ForceTemperatureGradient, "acceleration temperature-gradient sensitivity", "0 ug/(K/min)"),
+    ] = None
     velocity_increments: bool = False
     """Whether the output is an increment of velocity for each sample, so that the sample clock acts as a scale factor;
     a specific force does not depend on the clock."""
@@ -442,11 +477,15 @@ class UnitFrame(Section):
     accuracy."""
 
 
-class UnitSensor(_Instrument):
+class UnitSensor(UncertainSection, _Instrument):
     """A whole unit: gyros, accelerometers, or both."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ("sample_clock_error",)
 
     name: Text | None = None
     """A name for people."""
+    grade: Grade | None = None
+    """Class that gives typical figures for the gyros' absent terms; absent: by drift or random walk."""
     gyro: GyroTriad | None = None
     """Common properties of the gyros."""
     accelerometer: AccelerometerTriad | None = None

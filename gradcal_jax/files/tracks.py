@@ -150,8 +150,8 @@ def tracks_of(
     """The two tracks of a spec's plan. `acceleration_step` of the table's controller, rad/s²; None: it makes any."""
     schedule = spec.schedule
     if isinstance(spec, UnitSpec):
-        segments = _course(spec.schedule.segments)
-        blocks = _unit_blocks(spec.schedule, spec.rig, segments)
+        segments = _course(spec.plain_schedule.segments)
+        blocks = _unit_blocks(spec.plain_schedule, spec.rig, segments)
         strongest = {str(axis.name): float(axis.max_acceleration) for axis in spec.rig.table.axis}
     elif isinstance(schedule, GradientSchedule):
         segments = _course(schedule.segments)

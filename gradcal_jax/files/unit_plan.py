@@ -17,18 +17,21 @@ from pydantic_core import CoreSchema
 
 from gradcal_jax.files.bench import TableAxis, UnitRig
 from gradcal_jax.files.moves import Move, ResolvedMove, Rest
-from gradcal_jax.files.plan import ChamberCourse
+from gradcal_jax.files.plan import ChamberCourse, OtherAxes, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
-from gradcal_jax.files.section import Section, read_by, refuse, refuse_misspelt
+from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
 
 _SLACK = 1e-6
 # Tolerance of a whole cycle, as a fraction, for the times of a journal.
 _WHOLE = 1e-3
 _FULL_TURN = 2.0 * math.pi
 _MOST = 1e6 * _FULL_TURN
-_ONE_ROW = "a rest of a unit gives one reading of every channel, at its end; leave this key out"
+_HELD = 'has no effect where the table holds its angle; leave it out, or set rig.table.standing = "read"'
+_ONE_REST = "a rest is of all axes; leave this key out"
+# Spacing of the readings of a rest that is read at its end alone.
+_AT_END = math.inf
 # A quarter of a period of cosine ramps: peak acceleration times ramp over peak rate.
 _STEEPNESS = math.pi / 2.0
 
@@ -85,8 +88,8 @@ class AxisMove(Section):
         """The table of the file: the move's own keys beside "axis", without defaults."""
         tables: dict[str, Any] = handler(self)
         move: dict[str, Any] = tables.pop("move")
-        if move.get("shape") == "cosine ramps" and {"turn", "turns"} & set(move):
-            # Without an angle it is the shape that makes the table a move.
+        if move.get("shape") == "cosine ramps" and {"turn", "turns"} & set(move) and {"duration", "ramp"} & set(move):
+            # Without an angle it is the shape that makes the table a move; without a time it would be a quick turn.
             del move["shape"]
         return move | tables
 
@@ -136,6 +139,11 @@ class UnitCycle(Section):
     """Rests, turns and poses, in order."""
     start: dict[Text, Angle] = Field(default_factory=dict)
     """Angles of the axes as it begins, by name; absent: zero."""
+    other_axes: OtherAxes | None = None
+    """Time at the end of each cycle in which the table serves other sensors, for a table whose standing is "read"."""
+    duration: Time | None = None
+    """Length of a cycle; absent: that of its moves and other axes; longer: the table stands for the rest, unread where
+    its standing is "read"."""
 
 
 class UnitPlan(ChamberCourse):
@@ -144,11 +152,14 @@ class UnitPlan(ChamberCourse):
 
     method: Literal["gradient"]
     """The method."""
-    cycle: UnitCycle
-    """Motion that repeats."""
+    cycle: UnitCycle | None = None
+    """Motion that repeats; absent: the table stands, and is read every `read_every` of its axes."""
 
     def _problems(self) -> Iterable[Problem]:
-        return self.course_problems(with_cycle=False)
+        return self.course_problems(with_cycle=self.cycle is not None)
+
+
+AnyUnitPlan = Annotated[UnitPlan | StandardPlan, chosen_by("method", {"gradient": UnitPlan, "standard": StandardPlan})]
 
 
 @dataclass(frozen=True)
@@ -164,18 +175,31 @@ class UnitStep:
 class UnitSchedule(CourseTimes):
     """A unit's plan in SI: the chamber's segments, stretches of used data, and the cycle's steps.
 
-    `start`: angles of the axes (rad) as each stretch begins.
+    `start`: angles of the axes (rad) as each stretch begins. `after`: rests behind the steps, in all cycles of a
+    stretch but the last.
     """
 
     segments: tuple[TemperatureSegment, ...]
     stretches: tuple[Stretch, ...]
     steps: tuple[UnitStep, ...]
     start: tuple[float, ...]
+    after: tuple[UnitStep, ...] = ()
 
     @property
     def period(self) -> float:
         """Of one cycle (s)."""
-        return math.fsum(step.move.repeat * step.move.duration for step in self.steps)
+        return duration_of((*self.steps, *self.after))
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether there is a cycle, all of whose rests and moves are read as the table is."""
+        own = (not s.move.read_end or s.move.read_every is not None for s in self.steps)
+        return bool(self.steps) and not self.after and not any(own)
+
+
+def duration_of(steps: Iterable[UnitStep]) -> float:
+    """Duration of steps (s)."""
+    return math.fsum(step.move.repeat * step.move.duration for step in steps)
 
 
 def cycles_between(schedule: UnitSchedule, start: float, end: float) -> UnitSchedule | None:
@@ -202,15 +226,18 @@ def cycles_between(schedule: UnitSchedule, start: float, end: float) -> UnitSche
             turned[step.axis] += first * step.move.repeat * step.move.angle
     angles = tuple(begin + angle for begin, angle in zip(schedule.start, turned, strict=True))
     stretch = Stretch(0.0, ends - begins, last - first, leftover)
-    return UnitSchedule(tuple(segments), (stretch,), schedule.steps, angles)
+    return UnitSchedule(tuple(segments), (stretch,), schedule.steps, angles, schedule.after)
 
 
 def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     """Resolve a unit's plan. Raises `SpecError` with all problems, keys relative to the plan."""
+    if plan.cycle is None:
+        segments, stretches = programme_of(plan, rig.chamber, None)
+        return UnitSchedule(segments, stretches, (), (0.0,) * len(rig.table.axis))
     steps, start, problems = _steps(plan.cycle, rig)
     refuse(*problems)
-    period = math.fsum(step.move.repeat * step.move.duration for step in steps)
-    segments, stretches = programme_of(plan, rig.chamber, (period, period))
+    moving, after = duration_of(steps), _after(plan.cycle, duration_of(steps), rig)
+    segments, stretches = programme_of(plan, rig.chamber, (moving, moving + duration_of(after)))
     mountings = len(rig.table.mounting)
     if mountings > 1 and len(stretches) == 1 and plan.programme is None:
         segments, stretches = _once_each(segments, stretches, mountings, rig)
@@ -219,13 +246,13 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
         raise SpecError([Problem(("programme",), message)])
     longest = max(stretch.duration for stretch in stretches)
     if not any(stretch.cycles for stretch in stretches):
-        message = f"its moves take {period:.4g} s; the longest stretch of used data is {longest:.4g} s"
+        message = f"its moves take {moving:.4g} s; the longest stretch of used data is {longest:.4g} s"
         raise SpecError([Problem(("cycle",), message)])
     if sum(s.cycles for s in stretches) * len(steps) > 200_000:
         raise SpecError([Problem(("cycle",), "makes more than 200000 moves in all; lengthen its rests or turns")])
-    schedule = UnitSchedule(segments, stretches, steps, start)
+    schedule = UnitSchedule(segments, stretches, steps, start, after)
     problems = [*_travel(schedule, rig)]
-    if len(stretches) > 1:
+    if len(stretches) > 1 and (mountings > 1 or len(rig.table.axis) > 1):
         ends = [
             math.fsum([angle, *(s.move.repeat * s.move.angle for s in steps if s.axis == k)])
             for k, angle in enumerate(start)
@@ -234,6 +261,28 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
         problems += _unclosed(ends, start, names, "it begins anew in every stretch of used data")
     refuse(*problems)
     return schedule
+
+
+def _after(cycle: UnitCycle, moving: float, rig: UnitRig) -> tuple[UnitStep, ...]:
+    """What fills a cycle behind its moves: the time of other axes, and idle standing. Raises `SpecError`."""
+    rests: list[UnitStep] = []
+    other, read = 0.0, rig.table.standing == "read"
+    if cycle.other_axes is not None:
+        refuse(*([] if read else [Problem(("cycle", "other_axes"), _HELD)]))
+        other, every = float(cycle.other_axes.duration), cycle.other_axes.read_every
+        spacing = float(rig.table.axis[0].angle.read_every if every is None else every)
+        move = ResolvedMove("rest", "x", other, read_end=False)
+        if cycle.other_axes.read:
+            move = replace(move, read_end=math.isinf(spacing), read_every=spacing)
+        rests.append(UnitStep(-1, move, -1))
+    if cycle.duration is not None:
+        idle = cycle.duration - moving - other
+        if idle < -_SLACK * cycle.duration:
+            message = f"is shorter than the moves and the other axes together, {moving + other:.6g} s"
+            refuse(Problem(("cycle", "duration"), message, cycle.duration.text))
+        if idle > 0.0:
+            rests.append(UnitStep(-1, ResolvedMove("rest", "x", idle, read_end=not read), -1))
+    return tuple(rests)
 
 
 def _once_each(
@@ -280,18 +329,11 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
             if item.rest is not None:
                 steps.append(rest_step(float(item.rest), i))
             continue
+        if isinstance(item, AxisMove):
+            problems += _unread(item, rig, key)
         if isinstance(item, AxisMove) and isinstance(item.move, Rest):
-            problems += [
-                Problem((*key, name), message, str(value))
-                for name, value, message in (
-                    ("axis", item.axis, "a rest is of all axes; leave this key out"),
-                    ("read", item.move.read, _ONE_ROW),
-                    ("read_every", item.move.read_every, _ONE_ROW),
-                    ("other_axes", item.move.other_axes or None, "a rest is of all axes; leave this key out"),
-                )
-                if value is not None
-            ]
-            steps.append(UnitStep(-1, item.move.resolve(math.inf), i))
+            move = item.move.resolve(math.inf)
+            steps.append(UnitStep(-1, replace(move, read_every=_AT_END) if item.move.read == "end" else move, i))
             continue
         if item.axis is None and len(axes) > 1:
             message = f"this key is missing: which axis turns? {', '.join(axes)}"
@@ -321,6 +363,17 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
     if poses:
         problems += _unclosed(here, start, axes, "poses count from zero")
     return tuple(steps), tuple(start), problems
+
+
+def _unread(item: AxisMove, rig: UnitRig, key: tuple[str | int, ...]) -> Iterator[Problem]:
+    """Keys of a rest or turn that have no effect."""
+    if isinstance(item.move, Rest) and item.axis is not None:
+        yield Problem((*key, "axis"), _ONE_REST, item.axis)
+    if rig.table.standing == "read":
+        return
+    for name in ("read", "read_every", "other_axes"):
+        if (value := getattr(item.move, name, None)) not in (None, False):
+            yield Problem((*key, name), _HELD, str(value))
 
 
 def _unclosed(ends: Sequence[float], start: Sequence[float], axes: Iterable[str], why: str) -> list[Problem]:

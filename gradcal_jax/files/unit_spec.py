@@ -8,10 +8,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from gradcal_jax.files.bench import UnitRig
-from gradcal_jax.files.checks import course_within
+from gradcal_jax.files.bench import Rig, Table, UnitRig
+from gradcal_jax.files.checks import course_within, standard_within
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
 from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
+from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, hint, one_of
 from gradcal_jax.files.quantity import SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import (
@@ -22,10 +23,11 @@ from gradcal_jax.files.requirement import (
     UnitRequirement,
     UnitRequirements,
 )
+from gradcal_jax.files.schedule import StandardSchedule, standard_schedule
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import UnitSensor
 from gradcal_jax.files.spec import FORMAT
-from gradcal_jax.files.unit_plan import UnitPlan, UnitSchedule, cycles_between, unit_schedule
+from gradcal_jax.files.unit_plan import AnyUnitPlan, UnitPlan, UnitSchedule, cycles_between, unit_schedule
 
 
 class CyclesDone(Section):
@@ -55,7 +57,7 @@ class UnitSpec(TitledFile):
     """Site, table and chamber."""
     requirement: UnitRequirements = ()
     """Requirements on the calibration."""
-    plan: UnitPlan
+    plan: AnyUnitPlan
     """Course of the chamber, and motion of the table."""
     done: Annotated[tuple[CyclesDone, ...], Field(max_length=1000)] = ()
     """The parts executed before the plan begins, in the same run; every prediction includes them, with independent
@@ -65,11 +67,18 @@ class UnitSpec(TitledFile):
 
     def _problems(self) -> Iterator[Problem]:
         try:
-            segments = self.schedule.segments
+            steps = () if isinstance(self.schedule, StandardSchedule) else self.schedule.steps
         except SpecError as error:
             yield from (p.under("plan") for p in error.problems)
             return
-        yield from (p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments))
+        if isinstance(self.plan, StandardPlan):
+            yield from (p.under("plan") for p in _standard(self.plan, self.rig))
+            if self.done:
+                yield Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone')
+        else:
+            segments = self.gradient_schedule.segments
+            yield from (p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments))
+        yield from self._site()
         for number, part in enumerate(self.done):
             try:
                 several = len(unit_schedule(part.plan, self.rig).stretches) > 1
@@ -78,6 +87,8 @@ class UnitSpec(TitledFile):
                 continue
             if several:
                 yield Problem(("done", number, "plan"), "expected one stretch of used data, in one mounting")
+            if part.plan.cycle is None:
+                yield Problem(("done", number, "plan", "cycle"), "this key is missing: whole cycles count")
             if part.end <= part.start:
                 yield Problem(("done", number, "end"), "expected a time after its start", part.end.text)
         names = [r.name for r in self.requirement]
@@ -99,11 +110,11 @@ class UnitSpec(TitledFile):
                     yield Problem(("requirement", i, "axis"), "the unit has no such axis", requirement.axis)
         accelerometer, frame = self.sensor.accelerometer, self.sensor.frame
         slow = 0.0 if accelerometer is None else float(accelerometer.read_on_moves_below or 0.0)
-        read = any(step.axis < 0 or step.move.fastest <= slow for step in self.schedule.steps)
+        read = not steps or any(step.axis < 0 or step.move.fastest <= slow for step in steps)
         if accelerometer is not None and not read:
             message = "never rests, where accelerometers are read; add { rest = … }"
             yield Problem(("plan", "cycle", "moves"), message)
-        turning = [float(step.move.fastest) for step in self.schedule.steps if step.axis >= 0]
+        turning = [float(step.move.fastest) for step in steps if step.axis >= 0]
         if accelerometer is not None and slow and turning and min(turning) > slow:
             message = f"has no effect: the slowest move reaches {math.degrees(min(turning)):.4g} deg/s; raise it, or "
             key = ("sensor", "accelerometer", "read_on_moves_below")
@@ -123,6 +134,24 @@ class UnitSpec(TitledFile):
                     message = 'must be above zero: the frame is the case\'s (sensor.frame.fixed_by = "case")'
                     yield Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg")
 
+    def _site(self) -> Iterator[Problem]:
+        """The latitude may be absent where the Earth's rate is the same all the time."""
+        if (self.rig.site.latitude is None or self.rig.site.is_unknown) and not self.is_one_axis:
+            message = "this key is missing: the Earth's rate and gravity change with the table's angles"
+            yield Problem(("rig", "site", "latitude"), message, kind="missing")
+
+    @property
+    def is_one_axis(self) -> bool:
+        """Whether there is nothing but a gyro along the only axis of a table: its rate and bias are all that counts."""
+        gyro, table = self.sensor.gyro, self.rig.table
+        first, hung = table.axis[0], table.mounting[0]
+        several = len(table.axis) > 1 or len(table.mounting) > 1 or hung.rotation is not None
+        if gyro is None or self.sensor.accelerometer is not None or several:
+            return False
+        signals = (gyro.misalignment, gyro.g_sensitivity, gyro.g_squared)
+        along = {a: abs(first.unit_vector["xyz".index(getattr(hung, a)[1])]) for a in gyro.axes}
+        return all(signal is None for signal in signals) and all(part == 1.0 for part in along.values())
+
     def _axes_of(self, kind: str) -> tuple[str, ...]:
         triad = getattr(self.sensor, kind)
         return () if triad is None else triad.axes
@@ -136,15 +165,44 @@ class UnitSpec(TitledFile):
         return False
 
     @cached_property
-    def schedule(self) -> UnitSchedule:
+    def schedule(self) -> UnitSchedule | StandardSchedule:
         """The plan in SI."""
+        if isinstance(self.plan, StandardPlan):
+            return standard_schedule(self.plan)
         return unit_schedule(self.plan, self.rig)
+
+    @property
+    def gradient_schedule(self) -> UnitSchedule:
+        """The schedule of a gradient plan. Raises `ValueError` for a standard one."""
+        if isinstance(self.schedule, StandardSchedule):
+            raise ValueError('this needs a plan of method = "gradient"')
+        return self.schedule
+
+    @property
+    def plain_schedule(self) -> UnitSchedule:
+        """A schedule of nothing but a cycle that is read as the table is. Raises `ValueError` for any other."""
+        spaced = all(math.isfinite(axis.angle.read_every) for axis in self.rig.table.axis)
+        if not ((schedule := self.gradient_schedule).is_plain and spaced):
+            raise ValueError(
+                "for an IMU this needs a plan with a cycle that leaves out read, read_every, other_axes and duration, "
+                'on a table whose read_every is a time and not "rest"; all else is predicted, and not executed yet'
+            )
+        return schedule
 
     @property
     def past(self) -> tuple[UnitSchedule, ...]:
         """The parts executed before the plan begins: their whole cycles."""
         parts = (cycles_between(unit_schedule(p.plan, self.rig), float(p.start), float(p.end)) for p in self.done)
         return tuple(part for part in parts if part is not None)
+
+
+def _standard(plan: StandardPlan, rig: UnitRig) -> Iterator[Problem]:
+    """Problems of the standard method, keys relative to the plan: as of one axis, about the table's only axis."""
+    axis, *others = rig.table.axis
+    if others:
+        yield Problem(("method",), "the standard method holds the rate of a table of one axis", "standard")
+    same = {name: getattr(axis, name) for name in ("max_rate", "max_acceleration", "travel")}
+    yield from standard_within(plan, Rig(table=Table(**same), chamber=rig.chamber), None)
 
 
 def _needed_axes(requirement: UnitRequirement) -> list[tuple[str, str]]:

@@ -15,7 +15,15 @@ integrated noise. Estimated by generalised least squares with all priors.
 
 from typing import Literal
 
-from gradcal_jax.files.contracts import Finite, HarmonicRow, MapRow, ProcessRow, Size
+from gradcal_jax.files.contracts import (
+    Finite,
+    GradientSensitivityRow,
+    HarmonicRow,
+    MapRow,
+    ProcessRow,
+    Size,
+    TemperatureErrorRow,
+)
 from gradcal_jax.files.section import Section
 
 Vector3 = tuple[Finite, Finite, Finite]
@@ -90,7 +98,13 @@ class ChannelRow(Section):
     drift: tuple[ProcessRow, ...] = ()
     """In rad/s or m/s², stationary at the first used segment."""
     scale_factor_instability: tuple[ProcessRow, ...] = ()
-    """Multiplied by the rate along the axis."""
+    """Multiplied by the rate, or the force, along the axis."""
+    turn_on_bias: Size | None = None
+    """Of a run (rad/s or m/s²): adds to the prior of the bias's constant, or acts alone where no bias is estimated."""
+    temperature_error: TemperatureErrorRow | None = None
+    """Error of the measured temperature."""
+    bias_temperature_gradient: GradientSensitivityRow | None = None
+    """Bias in proportion to dT/dt, estimated."""
     terms: tuple[UnitTermRow, ...]
     """What is estimated."""
 

@@ -33,5 +33,6 @@ from gradcal_jax.information.unit_rows import (
     segments_of,
     unit_information,
     unit_system,
+    unweighted_of_unit,
 )
 from gradcal_jax.information.whitening import FilterState, whiten, whiten_from

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from gradcal_jax.arrays import AnyArray, fixed, namespace
 from gradcal_jax.information.adjoint import whitened_factor
@@ -132,15 +132,22 @@ def least_squares(line: Trajectory, model: SensorModel, columns: np.ndarray | No
     """
     if not line.rates:
         raise ValueError("unweighted least squares on rates is for the standard method: a gradient plan reads angles")
-    used = np.asarray(line.read)
-    duration = line.duration[used][:, None]
-    rows = (at_readings(line, model) if columns is None else columns)[used] / duration
+    rows = at_readings(line, model) if columns is None else columns
+    return least_squares_of_means(rows, np.asarray(line.read), line.duration)
+
+
+def least_squares_of_means(
+    columns: Float[np.ndarray, "N p"], used: Bool[np.ndarray, " N"], duration: Float[np.ndarray, " N"]
+) -> LeastSquares:
+    """Of integrals over `duration` s, whose means all have the same weight."""
+    lasting = duration[used][:, None]
+    rows = columns[used] / lasting
     scale = np.where((norm := np.linalg.norm(rows, axis=0)) > 0, norm, 1.0)
     left, singular, directions = np.linalg.svd(rows / scale)
     seen = singular > OBSERVABLE * singular[0]
     rank = int(seen.sum())
     weights = np.zeros((len(used), rank))
-    weights[used] = left[:, :rank] / duration
+    weights[used] = left[:, :rank] / lasting
     hidden = directions[rank:].T / scale[:, None]
     back = (directions[:rank].T / singular[:rank]) / scale[:, None]
     return LeastSquares(weights, back, hidden / np.maximum(np.linalg.norm(hidden, axis=0), np.finfo(float).tiny))
@@ -149,7 +156,12 @@ def least_squares(line: Trajectory, model: SensorModel, columns: np.ndarray | No
 def unweighted(line: Trajectory, model: SensorModel) -> Posterior:
     """Covariance of ordinary least squares on a standard plan's rate errors. Errors: as `least_squares`."""
     estimator = least_squares(line, model)
-    values, vectors = np.linalg.eigh(noise_of_sums(noise_steps(line, model), estimator.weights))
+    return spread_of(estimator, noise_of_sums(noise_steps(line, model), estimator.weights))
+
+
+def spread_of(estimator: LeastSquares, noise: Float[np.ndarray, "r r"]) -> Posterior:
+    """Covariance of an estimate, from that of its weighted sums."""
+    values, vectors = np.linalg.eigh(noise)
     return Posterior(estimator.back @ (vectors * np.sqrt(np.maximum(values, 0.0))), estimator.hidden)
 
 

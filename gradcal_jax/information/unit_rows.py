@@ -13,10 +13,11 @@ body about `a_l`. It adds to a row
                       else ∫(ω_outer × a_l)_i dt · e_now
     accelerometer i   ∫(f × a_l)_i dt · e_now
 
-and every move of its axis draws `e_now` anew. Where the angle is read while the table stands, a rest from one reading
-to the next is a segment of its own, and every reading has its own error (a white part, and the offset of its
-standstill, a third state). A row of gyro i then has `ā_li (e_now − e_before)` of every axis, ā its mean direction; for
-an axis that stands, the attitude error is the mean of both.
+and every move of its axis draws `e_now` anew. Where the angle is read while the table stands, a segment is what lies
+between two readings, at rest or on the move, and every reading has its own error: a white part, and the offset of its
+standstill (a third state) or, on the move, the rate times the error of its time. A row of gyro i then has
+`ā_li (e_now − e_before)` of every axis, ā its mean direction; for an axis that stands, the attitude error is the mean
+of both. Where the reference is a held rate, every segment's error is one draw of the reference, `ā_li e_now`.
 """
 
 from collections.abc import Sequence
@@ -28,7 +29,14 @@ from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed
 from gradcal_jax.information.noise_steps import NoiseSteps, constant_drive, drive_rates, varying_drive
-from gradcal_jax.information.posterior import SquareRootInformation, square_root
+from gradcal_jax.information.posterior import (
+    Posterior,
+    SquareRootInformation,
+    least_squares_of_means,
+    noise_of_sums,
+    spread_of,
+    square_root,
+)
 from gradcal_jax.information.whitening import whiten
 from gradcal_jax.model import BodyGroup, BodyNodes, UnitModel
 from gradcal_jax.trajectory import TableMotion
@@ -42,7 +50,7 @@ _PLACES = 9
 
 
 class Segments(NamedTuple):
-    """Rests and moves of a motion, `S` of them: `first` and `last` piece, the `axis` that turns (−1: none); and the
+    """Rests and moves of a motion, `S` of them: `first` and `last` piece, an `axis` that turns (−1: none); and the
     rows `(R,)` in order of time, each of one channel and segment. A segment without any has one that is not `used`.
     """
 
@@ -60,14 +68,16 @@ class Segments(NamedTuple):
 
 def segments_of(motion: TableMotion, model: UnitModel) -> Segments:
     """The segments of a motion and a unit's rows of them."""
-    number = np.asarray(motion.line.segment)
-    begins = np.diff(number, prepend=number[0] - 1) != 0
-    if not model.encoder.held:
-        begins[1:] |= (np.asarray(motion.line.read) & (np.asarray(motion.axis) < 0))[:-1]
+    line, number = motion.line, np.asarray(motion.line.segment)
+    begins, gap = np.diff(number, prepend=number[0] - 1) != 0, np.asarray(line.gap)
+    if between_readings := line.rates or not model.encoder.held:
+        begins[1:] = np.asarray(line.read)[:-1] | (begins[1:] & (gap[1:] | gap[:-1]))
     first = np.flatnonzero(begins)
     last = np.append(first[1:], len(number)) - 1
-    axis = np.asarray(motion.axis)[first]
-    read, slow = ~np.asarray(motion.line.gap)[first], _fastest(motion, first, model)
+    axis = np.maximum.reduceat(np.asarray(motion.axis), first)
+    read, slow = ~gap[first], _fastest(motion, first, model)
+    if between_readings:
+        read &= np.asarray(line.read)[last]
     rows = np.stack([read & (slow <= (np.inf if c.kind == "gyro" else c.read_below)) for c in model.channels], axis=1)
     kept = np.array(rows)
     kept[:, 0] |= ~np.any(rows, axis=1)
@@ -90,6 +100,21 @@ def unit_information(motions: Sequence[tuple[TableMotion, BodyNodes]], model: Un
     parameters of the unit and its installation."""
     rows = [whiten(*unit_system(motion, model, nodes)) for motion, nodes in motions]
     return square_root(np.concatenate([*rows, model.prior_rows()]))
+
+
+def unweighted_of_unit(motion: TableMotion, model: UnitModel, nodes: BodyNodes) -> Posterior:
+    """Covariance of ordinary least squares on the mean errors of all points of a standard plan. The installation's
+    errors are noise: nothing is known of them but their priors, which such an estimate does not use."""
+    steps, columns = unit_system(motion, model, nodes)
+    at, own = segments_of(motion, model), model.calibrated
+    row = row_of_steps(motion, model)
+    duration = at.sums(motion.line.duration)[at.row_segment[np.maximum(row, 0)]]
+    estimator = least_squares_of_means(columns[:, :own], np.asarray(steps.used), duration)
+    stds = [term.stds for term in model.installation]
+    shared = (estimator.weights.T @ columns[:, own:]) * np.concatenate([*stds, np.zeros(0)])
+    known = spread_of(estimator, noise_of_sums(steps, estimator.weights) + shared @ shared.T)
+    beyond = [(0, model.size - own), (0, 0)]
+    return Posterior(np.pad(known.spread, beyond), np.pad(known.hidden, beyond))
 
 
 def unit_system(
@@ -144,30 +169,35 @@ def _joint_steps(
 ) -> tuple[NoiseSteps, np.ndarray]:
     """The steps, and the row that each reads (−1: none)."""
     xp = namespace(motion, model, nodes)
-    line, channels, axes = motion.line, len(model.channels), motion.geometry.axis_count
+    line, channels = motion.line, len(model.channels)
     m = sum(c.model.processes.count for c in model.channels)
-    held = model.encoder.held
-    n = channels + m + (2 if held else 3) * axes
+    errors = _encoder_errors(motion, model, at)
+    n = channels + m + len(errors.initial)
     # One step for each segment, or for each piece.
     by_pieces = _by_pieces(model)
     duration = line.duration if by_pieces else at.sums(line.duration)
     count = duration.shape[0]
     begins = np.zeros(count, bool)
     begins[at.first if by_pieces else slice(None)] = True
+    gap = np.asarray(line.gap)[slice(None) if by_pieces else at.first]
     everything = slice(None)
     transition: list[tuple] = []
     covariance: list[tuple] = []
     initial: list[tuple] = []
     # The direction about which each piece turns.
     along = xp.sum(xp.where(motion.turns[..., None], nodes.axes_before[nodes.kind], 0.0), axis=1)
+    # What a gain multiplies: the rate along a gyro, the mean force along an accelerometer.
+    drives = {"gyro": along * line.end_rate()[:, None]}
+    if by_pieces and any(c.kind == "accelerometer" for c in model.channels):
+        drives["accelerometer"] = nodes.integrals(lambda g: xp.mean(g.force, axis=1), (3,))[nodes.kind]
     state = channels
     for i, c in enumerate(model.channels):
         p = c.model.processes
         states = np.arange(state, state + p.count)
         state += p.count
-        rates = along[:, c.axis] * line.end_rate() if by_pieces else xp.zeros(count)
+        rates = drives[c.kind][:, c.axis] if by_pieces else xp.zeros(count)
         to_integral, q_integral, q_cross, q_self = constant_drive(p, duration, rates)
-        if by_pieces and (varying := line.varying_pieces).shape[0]:
+        if by_pieces and c.kind == "gyro" and (varying := line.varying_pieces).shape[0]:
             driven = varying_drive(p, duration[varying], drive_rates(line, varying) * along[varying, c.axis][:, None])
             by_rate = (p.rate_gain != 0.0)[None, :]
             to_integral, q_integral, q_cross = (
@@ -175,10 +205,20 @@ def _joint_steps(
                 for x, y in zip((to_integral, q_integral, q_cross), driven, strict=True)
             )
         walk = c.model.angle_random_walk**2 * duration + xp.sum(q_integral, axis=1)
+        decayed, start = xp.exp(-p.decay[None] * duration[:, None]), (p.initial_std**2)[None]
+        if gap[0]:
+            # Every process begins with the data.
+            before = np.cumprod(gap).astype(bool)[:, None]
+            decayed, q_self = xp.where(before, 1.0, decayed), xp.where(before, 0.0, q_self)
+        if line.points == "independent":
+            # The processes of a point start afresh, and drive its integral over the piece as over any other.
+            walk = walk + xp.sum(to_integral**2 * start, axis=1)
+            q_cross, q_self = q_cross + to_integral * decayed * start, q_self + decayed**2 * start
+            to_integral, decayed = np.zeros((2, count, p.count))
         transition += [
             ((everything, i, i), np.where(begins, 0.0, 1.0)),
             ((everything, i, states), to_integral),
-            ((everything, states, states), xp.exp(-p.decay[None] * duration[:, None])),
+            ((everything, states, states), decayed),
         ]
         covariance += [
             ((everything, i, i), walk),
@@ -187,46 +227,27 @@ def _joint_steps(
             ((everything, states, states), q_self),
         ]
         initial.append(((states, states), p.initial_std**2))
-    start, lasting = line.start[at.first], at.sums(line.duration)
-    step_of_segment = at.first if by_pieces else np.arange(len(at.first))
-    for k in range(axes):
-        now, before = channels + m + k, channels + m + axes + k
-        moves = put(xp.zeros(count), step_of_segment, xp.where(at.axis == k, 1.0, 0.0))
-        reads = np.zeros(count)
-        reads[step_of_segment] = 1.0
-        fresh = moves if held else reads
-        transition += [
-            ((everything, now, now), 1.0 - fresh),
-            ((everything, before, before), 1.0 - fresh),
-            ((everything, before, now), fresh),
-        ]
-        if held:
-            spread, first = _standstills(model.encoder, k, at.axis == k, start, lasting)
-            covariance.append(((step_of_segment, now, now), spread))
-            initial.append(((now, now), first))
-            continue
-        still = before + axes
-        both, drawn = np.array([now, still]), model.encoder.offset[k] ** 2
-        white = model.encoder.reading[k] ** 2
-        transition += [((everything, now, still), reads - moves), ((everything, still, still), 1.0 - moves)]
-        covariance += [
-            ((everything, both[:, None], both[None]), (moves * drawn)[:, None, None] * xp.ones((2, 2))),
-            ((everything, now, now), moves * drawn + reads * white),
-        ]
-        initial += [((both[:, None], both[None]), drawn * xp.ones((2, 2))), ((now, now), drawn + white)]
+    end_of_segment = at.last if by_pieces else np.arange(len(at.first))
+    states = np.arange(channels + m, n)
+    pairs = (end_of_segment[:, None, None], states[:, None], states[None])
+    # Between the ends of segments the errors stay as they are.
+    transition += [((everything, states, states), 1.0), (pairs, errors.transition)]
+    covariance.append((pairs, errors.covariance))
+    initial.append(((states[:, None], states[None]), errors.initial))
     observation = _observations(motion, nodes, at, model, n, channels + m)
     # No step lies between rows of one segment; steps within a segment have no row.
     source, row = _order(at, by_pieces)
     fresh = np.flatnonzero(np.diff(source, prepend=-1))
-    still = np.broadcast_to(np.eye(n), (len(row), n, n))
-    steps = (
-        put(still, fresh, placed((count, n, n), *transition)),
-        put(np.zeros(still.shape), fresh, placed((count, n, n), *covariance)),
-    )
+    through, noise = (placed((count, n, n), *parts) for parts in (transition, covariance))
+    stays = np.ones(len(row), bool)
+    stays[fresh] = False
+    if len(fresh) < len(row):
+        still = np.broadcast_to(np.eye(n), (len(row), n, n))
+        through, noise = put(still, fresh, through), put(np.zeros(still.shape), fresh, noise)
     observed = observation if len(row) == len(observation) else xp.where((row >= 0)[:, None], observation[row], 0.0)
     used = at.used[row] & (row >= 0)
-    stays = np.isin(np.arange(len(row)), fresh, invert=True)
-    return NoiseSteps(*steps, observed, xp.zeros(len(row)), used, placed((n, n), *initial), stays), row
+    whole = placed((n, n), *initial)
+    return NoiseSteps(through, noise, observed, xp.zeros(len(row)), used, whole, stays), row
 
 
 def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -240,14 +261,73 @@ def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:
     return source[order], row[order]
 
 
+class _EncoderErrors(NamedTuple):
+    """The step of the encoders' errors at the end of every segment, `e` states: `now` of every axis, then `before`,
+    then the offset of its standstill; a held rate has the first alone, a table without offsets no third."""
+
+    transition: AnyArray
+    covariance: AnyArray
+    initial: AnyArray
+
+
+def _encoder_errors(motion: TableMotion, model: UnitModel, at: Segments) -> _EncoderErrors:
+    """The encoders' errors over the segments of a motion."""
+    line, of, axes = motion.line, model.encoder, motion.geometry.axis_count
+    xp, count = namespace(line.duration, of, motion.axis), len(at.first)
+    if line.rates:
+        turned = at.sums(xp.where(motion.turns, line.turned()[:, None], 0.0))
+        each = np.arange(axes)
+        spread = placed((count, axes, axes), ((slice(None), each, each), xp.square(of.rate * turned)))
+        return _EncoderErrors(np.zeros((count, axes, axes)), spread, np.zeros((axes, axes)))
+    kinds = 2 if of.held or not of.has_offset else 3
+    moves = xp.where(at.sums(xp.where(motion.turns, 1.0, 0.0)) > 0.0, 1.0, 0.0)
+    gap, read, at_rest = (np.asarray(x)[at.last] for x in (line.gap, line.read, line.at_rest))
+    start, lasting = line.start[at.first], at.sums(line.duration)
+    reads = np.ones(count) if of.held else (read | gap).astype(float)
+    parts: tuple[list, list, list] = ([], [], [])
+    for k in range(axes):
+        now, before, still = k, k + axes, k + 2 * axes
+        moved = moves[:, k]
+        fresh = moved if of.held else reads
+        transition, covariance, initial = parts
+        every = slice(None)
+        transition += [
+            ((every, now, now), 1.0 - fresh),
+            ((every, before, before), 1.0 - fresh),
+            ((every, before, now), fresh),
+        ]
+        if of.held:
+            spread, first = _standstills(of, k, moved > 0.0, start, lasting)
+            covariance.append(((every, now, now), spread))
+            initial.append(((now, now), first))
+            continue
+        stands = reads * xp.where(motion.turns[at.last, k], at_rest, 1.0)
+        white, drawn = of.reading[k] ** 2, of.offset[k] ** 2
+        timed = xp.square(line.end_rate()[at.last] * (xp.zeros(axes) + of.timing)[k]) * (reads - stands)
+        covariance.append(((every, now, now), reads * white + timed + stands * moved * drawn))
+        initial.append(((now, now), white + drawn))
+        if kinds == 3:
+            both = stands * moved * drawn
+            transition += [((every, now, still), stands * (1.0 - moved)), ((every, still, still), 1.0 - moved)]
+            covariance += [
+                ((every, still, still), moved * drawn),
+                ((every, now, still), both),
+                ((every, still, now), both),
+            ]
+            initial += [(at_, drawn) for at_ in ((now, still), (still, now), (still, still))]
+    size = kinds * axes
+    shapes = (count, size, size), (count, size, size), (size, size)
+    return _EncoderErrors(*(placed(shape, *of_shape) for shape, of_shape in zip(shapes, parts, strict=True)))
+
+
 def _standstills(encoder, k: int, moves: np.ndarray, start, duration):
     """Variance of the encoder error that each move of axis k draws, `(S,)`, and of the first one."""
     xp = namespace(encoder, start, duration, moves)
     end = start[-1:] + duration[-1:]
     # A standstill lasts until the axis moves again: of every segment, the begin of the next one that moves it.
     marked = xp.concatenate([xp.where(moves, start, end), end])
-    later = xp.flip(_running_least(xp.flip(marked)))
-    begins, stops = xp.concatenate([start[:1], start + duration]), later
+    stops = xp.flip(_running_least(xp.flip(marked)))
+    begins = xp.concatenate([start[:1], start + duration])
     readings = xp.floor((stops - begins) / encoder.every[k] * (1.0 + 1e-9) + 1e-9) + 1.0
     variance = encoder.offset[k] ** 2 + encoder.reading[k] ** 2 / readings
     return xp.where(moves, variance[1:], 0.0), variance[0]
@@ -277,7 +357,7 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Un
         begin, span = began[g.kinds][:, None], whole[g.kinds][:, None]
         # The share of the move that is completed interpolates the error between the two standstills.
         turns = motion.turns[motion.example[g.kinds]][:, None, :]
-        stands = 1.0 if model.encoder.held else 0.5
+        stands = 1.0 if model.encoder.held or motion.line.rates else 0.5
         away = turns & (abs(span) > _RETURNS)
         gone = xp.clip((g.angle - begin) / xp.where(away, span, 1.0), 0.0, 1.0)
         share = xp.where(turns, xp.where(away, gone, 0.5), stands)
@@ -286,10 +366,9 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Un
         return xp.stack(parts, axis=2)
 
     slow = at.sums(nodes.integrals(of_group, (2, axes, 6))[nodes.kind])
-    if model.encoder.held:
-        along = xp.where(
-            (at.axis[:, None] == np.arange(axes)[None, :])[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0
-        )
+    if model.encoder.held and not motion.line.rates:
+        own = at.axis[:, None] == np.arange(axes)[None, :]
+        along = xp.where(own[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0)
     else:
         directed = at.sums(nodes.integrals(lambda g: g.integral(g.axes), (axes, 3))[nodes.kind])
         along = directed / at.sums(motion.line.duration)[:, None, None]
@@ -298,9 +377,8 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Un
     index = np.array([c.index for c in model.channels])[at.row_channel]
     of_encoder = slow[at.row_segment, :, :, index]
     count = len(index)
-    return placed(
-        (count, n),
-        ((np.arange(count), at.row_channel), np.ones(count)),
-        ((slice(None), np.arange(encoders, encoders + axes)), of_encoder[:, 0]),
-        ((slice(None), np.arange(encoders + axes, encoders + 2 * axes)), of_encoder[:, 1]),
-    )
+    parts = [
+        ((slice(None), np.arange(begin, begin + axes)), of_encoder[:, k])
+        for k, begin in enumerate(range(encoders, min(n, encoders + 2 * axes), axes))
+    ]
+    return placed((count, n), ((np.arange(count), at.row_channel), np.ones(count)), *parts)

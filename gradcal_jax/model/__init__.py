@@ -11,7 +11,15 @@ from gradcal_jax.model.installation import (
     NonOrthogonality,
 )
 from gradcal_jax.model.nodes import AXIS_NAMES, BodyGroup, BodyNodes, GaussNodes, Nodes, SampleNodes
-from gradcal_jax.model.noise import Processes, angle_reference, constant, gauss_markov, no_processes, rate_random_walk
+from gradcal_jax.model.noise import (
+    Processes,
+    Reference,
+    angle_reference,
+    constant,
+    gauss_markov,
+    no_processes,
+    rate_random_walk,
+)
 from gradcal_jax.model.sensor import SensorModel, gyro_model
 from gradcal_jax.model.terms import (
     BIAS,
@@ -21,6 +29,7 @@ from gradcal_jax.model.terms import (
     TEMPERATURE_GRADIENT,
     Discrepancy,
     EncoderHarmonics,
+    GradientOfBias,
     Map,
     SignalMap,
     Term,

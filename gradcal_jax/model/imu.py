@@ -55,13 +55,18 @@ class EncoderNoise(PytreeModule):
 
     For a table that is `held` the error is drawn once for each standstill, with variance `offset² + reading²/n` for its
     n readings, `every` s apart from its beginning on. Otherwise the angle may change at rest and is read at the end of
-    each segment; `offset` is then drawn for each standstill and `reading` for each reading.
+    each segment; `offset` is then drawn for each standstill (`has_offset`: where it is not zero) and `reading` for each
+    reading, to which one on the move adds its rate times `timing` s. Where a held rate is the reference of a segment,
+    its error is `rate`, relative.
     """
 
     offset: Float[AnyArray, " L"]
     reading: Float[AnyArray, " L"]
     every: Float[AnyArray, " L"]
     held: bool = eqx.field(static=True, default=True)
+    timing: float | Float[AnyArray, " L"] = 0.0
+    rate: float | Float[AnyArray, ""] = 0.0
+    has_offset: bool = eqx.field(static=True, default=True)
 
 
 class UnitModel(PytreeModule):

@@ -17,8 +17,9 @@ that drives the integrated angle at the rate `(bias_gain + rate_gain·ω(t))·x`
 So the rate random walk is a limit of the first row and needs no code of its own.
 """
 
+from dataclasses import fields
+
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -39,12 +40,13 @@ class Processes(PytreeModule):
         return self.decay.shape[0]
 
     def __add__(self, other: "Processes") -> "Processes":
-        return jax.tree.map(lambda *both: np.concatenate(both), self, other)
+        names = (f.name for f in fields(self))
+        return Processes(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
 
 
 def _process(initial_std, decay, diffusion, bias_gain, rate_gain) -> Processes:
-    fields = (initial_std, decay, diffusion, bias_gain, rate_gain)
-    return Processes(*(np.reshape(np.asarray(v, dtype=float), (1,)) for v in fields))
+    numbers = (initial_std, decay, diffusion, bias_gain, rate_gain)
+    return Processes(*(np.reshape(np.asarray(v, dtype=float), (1,)) for v in numbers))
 
 
 def no_processes() -> Processes:

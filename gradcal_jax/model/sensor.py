@@ -6,6 +6,8 @@ Errors that are linear in parameters are terms (`terms`); all others are noise (
 the terms' parameters, one term after the other.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
@@ -117,15 +119,17 @@ def gyro_model(
     *,
     temperature_gradient_std: float | None = None,
     harmonics: dict[int, float] | None = None,
+    signals: Sequence[SignalMap] = (),
 ) -> SensorModel:
-    """A gyro axis from its maps and plain numbers (SI), with the maps' discrepancies as the last terms.
+    """A channel from its maps, terms of other signals and plain numbers (SI), with the maps' discrepancies as the last
+    terms.
 
     `temperature_gradient_std` (rad/s)/(K/s): the prior of dB/dṪ, `inf` flat, None without that term. `harmonics`: the
     amplitudes (rad) of the encoder's error by order. The turn-on bias, which cannot be separated from B, is B's
     `common_std`; where B is known it is a process. Errors: `ValueError` where there is nothing to estimate.
     """
     maps = [m for m in (bias, scale) if m is not None]
-    terms: list[Term] = list(maps)
+    terms: list[Term] = [*maps, *signals]
     if temperature_gradient_std is not None:
         std = np.asarray(temperature_gradient_std, dtype=float)
         terms.append(GradientOfBias(std=std, has_prior=bool(np.isfinite(std))))

@@ -193,23 +193,10 @@ class Map(Term):
     def prior_rows(self) -> Float[AnyArray, "q size"]:
         xp, rows = namespace(self.prior_std, self.smoothness_std, self.common_std), []
         if self.has_prior:
-            rows.append(self._prior())
+            rows.append(_prior_with_common(self.to_reported, self.constant, self.prior_std, self.common_std))
         if self.has_smoothness:
             rows.append(xp.asarray(self.differences()) / self.smoothness_std)
         return xp.concatenate(rows) if rows else xp.zeros((0, self.size))
-
-    def _prior(self) -> Float[AnyArray, "size size"]:
-        """Rows of the prior `diag(σ²) + σ_c² v vᵀ` on the reported coefficients, `v` being the constant function's.
-
-        A rank-one update of the identity has the square root `1 − γ v vᵀ`, so no factorisation is needed:
-        `(1 + c v vᵀ)^(-1/2) = 1 − (1 − 1/√(1 + c|v|²)) v vᵀ/|v|²`.
-        """
-        xp = namespace(self.prior_std, self.common_std)
-        reported = self.to_reported
-        v = reported @ self.constant
-        square = v @ v
-        shrink = 1.0 - 1.0 / xp.sqrt(1.0 + (self.common_std / self.prior_std) ** 2 * square)
-        return (reported - shrink * (np.outer(v, v) / square @ reported)) / self.prior_std
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
         t, w = self.temperature, self.rate
@@ -258,6 +245,18 @@ class Map(Term):
         return 2.0 * driven(group.rate) - 0.5 * (driven(group.rate + group.noise) + driven(group.rate - group.noise))
 
 
+def _prior_with_common(reported: np.ndarray, constant: np.ndarray, std, common_std) -> Float[AnyArray, "size size"]:
+    """Rows of the prior `diag(σ²) + σ_c² v vᵀ` on the reported coefficients, `v` being the constant function's.
+
+    A rank-one update of the identity has the square root `1 − γ v vᵀ`, so no factorisation is needed:
+    `(1 + c v vᵀ)^(-1/2) = 1 − (1 − 1/√(1 + c|v|²)) v vᵀ/|v|²`.
+    """
+    v = reported @ constant
+    square = v @ v
+    shrink = 1.0 - 1.0 / namespace(std, common_std).sqrt(1.0 + (common_std / std) ** 2 * square)
+    return (reported - shrink * (np.outer(v, v) / square @ reported)) / std
+
+
 def block_diagonal(blocks: Sequence[AnyArray]) -> AnyArray:
     """Blocks `(q_i, p_i)` along the diagonal of `(Σq, Σp)`, which is zero elsewhere."""
     xp, begin, rows, width = namespace(blocks), 0, [], sum(block.shape[1] for block in blocks)
@@ -299,7 +298,7 @@ class SignalMap(Term):
     """A function of temperature times a product of signals: misalignment, sensitivity to acceleration, second order.
 
     `signals`: names in the nodes (`SharedNodes.signal`), "|…|" for a magnitude; none: the function itself. `std`: of
-    each *reported* coefficient; `inf` is flat. `symbol`: name of the coefficients.
+    each *reported* coefficient; `inf` is flat. `symbol`: name of the coefficients. `common_std`: as of `Map`.
     """
 
     temperature: Basis
@@ -309,6 +308,7 @@ class SignalMap(Term):
     symbol: str = eqx.field(static=True)
     si_unit: str = eqx.field(static=True)
     has_prior: bool = eqx.field(static=True, default=True)
+    common_std: float | Float[AnyArray, ""] = 0.0
 
     @property
     def unit(self) -> str:
@@ -328,8 +328,9 @@ class SignalMap(Term):
         return self.temperature.to_reported
 
     def prior_rows(self) -> Float[AnyArray, "q size"]:
-        xp = namespace(self.std)
-        return xp.asarray(self.to_reported) / self.std if self.has_prior else xp.zeros((0, self.size))
+        if not self.has_prior:
+            return np.zeros((0, self.size))
+        return _prior_with_common(self.to_reported, self.temperature.constant, self.std, self.common_std)
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
         return nodes.integrals(lambda g: g.sums(self.temperature(g.temperature), self.drive(g)), self.size)
@@ -344,15 +345,19 @@ class SignalMap(Term):
 
 
 class GradientOfBias(Term):
-    """Sensitivity of the bias to dT/dt, (rad/s)/(K/s): its column is the change of temperature. `std` `inf`: flat."""
+    """Sensitivity of the bias to dT/dt, (rad/s)/(K/s) or (m/s²)/(K/s): its column is the change of temperature.
+
+    `std` `inf`: flat.
+    """
 
     std: Float[AnyArray, ""]
     has_prior: bool = eqx.field(static=True)
     name: str = eqx.field(static=True, default=TEMPERATURE_GRADIENT)
+    si_unit: str = eqx.field(static=True, default="rad/K")
 
     @property
     def unit(self) -> str:
-        return "rad/K"
+        return self.si_unit
 
     @property
     def size(self) -> int:

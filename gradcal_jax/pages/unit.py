@@ -9,6 +9,7 @@ from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.contracts import Prediction
+from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.pages.coefficients import ParameterFact, parameters, predicted_deviations
@@ -107,8 +108,10 @@ def assumed_of_unit(spec: UnitSpec) -> list[tuple[str, str]]:
 def plan_words(spec: UnitSpec) -> dict[str, Any]:
     """The plan in words and rows, for the template."""
     schedule = spec.schedule
-    cycles = sum(stretch.cycles for stretch in schedule.stretches)
     lasts = times_text(schedule.duration, schedule.soak, schedule.motion)
+    if isinstance(schedule, StandardSchedule):
+        return {"times": f"{lasts}. {len(schedule.points)} points.", "moves": [], "more": ""}
+    cycles = sum(stretch.cycles for stretch in schedule.stretches)
     rows = [
         (
             spec.rig.table.axis[step.axis].name if step.axis >= 0 else "",

@@ -16,9 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace
-
-EARTH_RATE = 7.292115e-5
-"""rad/s, of the Earth against the stars (WGS 84)."""
+from gradcal_jax.formulas import EARTH_RATE
 
 
 class Geometry(PytreeModule):

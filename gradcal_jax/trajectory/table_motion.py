@@ -18,8 +18,6 @@ from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
 _LEAST_NODES = 12
 _FEWEST = 16
 _NODES_PER_RAD = 0.75
-# Fastest wave in a column, in cycles a turn: squares of the force's components, or harmonics times a direction.
-_WAVES = 3
 # Angles that differ by less (rad) are the same pose.
 _SAME_POSE = 1e-9
 # Bisections that locate a crossing, to 2^-45 of the distance of two nodes.
@@ -62,13 +60,18 @@ def table_motion(
     mounting: Int[np.ndarray, " P"],
     geometry: Geometry,
     start_angles: Float[np.ndarray, " L"],
-    harmonics: int = 0,
+    waves: int | None = 3,
+    least: int = _FEWEST,
 ) -> TableMotion:
-    """A motion whose numbers are known. `harmonics`: the highest order of an encoder's error."""
+    """A motion whose numbers are known. `waves`: the fastest wave in a column, in cycles a turn; 0: columns depend on
+    the angles at the ends of pieces alone; None: on none. `least`: nodes of a turning piece without waves."""
     each = np.arange(line.piece_count)
     before, after = TableMotion(line, axis, mounting, geometry, start_angles, each, each, each).angles()
     pose = np.round(np.mod(before, 2.0 * np.pi) / _SAME_POSE) % np.round(2.0 * np.pi / _SAME_POSE)
-    of_motion = np.round(np.column_stack([line.duration, line.u_start, line.u_end, line.terms]) / _SAME_POSE)
+    # Standing pieces are alike wherever they lie in their rest.
+    within = np.where(np.any(line.terms, axis=1), [line.u_start, line.u_end], 0.0).T
+    terms = line.terms[:, np.any(line.terms, axis=0)]
+    of_motion = np.round(np.column_stack([line.duration, within, terms]) / _SAME_POSE)
     # The encoder's error is interpolated between standstills over the whole move of a piece.
     first = np.flatnonzero(np.diff(line.segment, prepend=line.segment[0] - 1))
     segment = np.repeat(np.arange(len(first)), np.diff(first, append=line.piece_count))
@@ -76,27 +79,41 @@ def table_motion(
     of_move = np.round(
         np.column_stack([before - before[first][segment], (after[ends] - before[first])[segment]]) / _SAME_POSE
     )
-    key = np.column_stack([axis, mounting, line.moving, pose, of_motion, of_move])
-    _, example, kind = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    waves = max(_WAVES, harmonics + 1)
+    of_angles = [] if waves is None else [pose, of_move]
+    key = np.column_stack([axis, mounting, line.moving, of_motion, *of_angles])
+    example, kind = _alike(key)
     turned = np.abs(line.turned()[example])
-    nodes = _LEAST_NODES + np.ceil(_NODES_PER_RAD * turned * waves).astype(int)
+    nodes = _LEAST_NODES + np.ceil(_NODES_PER_RAD * turned * (waves or 0)).astype(int)
     # A standing piece has a constant attitude and one node. Few sizes: each costs more than some additional nodes.
-    sizes = np.array([_FEWEST, *(size_class(4 * _FEWEST * 2**k) for k in range(12))])
-    nodes = np.where(axis[example] < 0, 1, sizes[np.searchsorted(sizes, nodes)])
-    return TableMotion(line, axis, mounting, geometry, start_angles, np.reshape(kind, -1), example, nodes)
+    sizes = np.array([least, *(size_class(4 * least * 2**k) for k in range(12))])
+    nodes = np.where(axis[example] < 0, 1, sizes[np.searchsorted(sizes, nodes)] if waves else least)
+    return TableMotion(line, axis, mounting, geometry, start_angles, kind, example, nodes)
+
+
+def _alike(key: Float[np.ndarray, "P c"]) -> tuple[np.ndarray, np.ndarray]:
+    """The first row of each kind of equal rows, and the kind of every row. (Sorting rows of floats takes ten times as
+    long as sorting a number for each; unequal rows with equal numbers would be seen.)"""
+    bits = np.ascontiguousarray(key + 0.0).view(np.uint64)
+    odd = np.random.default_rng(0).integers(2**63, size=key.shape[1], dtype=np.uint64) * np.uint64(2) + np.uint64(1)
+    mixed = (bits ^ (bits >> np.uint64(31))) * odd
+    number = np.bitwise_xor.reduce(mixed ^ (mixed >> np.uint64(29)), axis=1)
+    _, example, kind = np.unique(number, return_index=True, return_inverse=True)
+    if np.any(key[example][kind] != key):
+        _, example, kind = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    return example, np.reshape(kind, -1)
 
 
 def divided_motion(
     motion: TableMotion,
     temperature_breaks: tuple[float, ...],
     rate_breaks: dict[int, tuple[float, ...]],
-    harmonics: int = 0,
+    waves: int | None = 3,
+    least: int = _FEWEST,
 ) -> TableMotion:
     """The motion with its pieces divided where functions of temperature or rate are not smooth (bins, B-splines).
 
     `temperature_breaks` °C; `rate_breaks` rad/s of the gyro along each of the body's axes, against the stars: the
-    Earth's rate belongs to what it measures. `harmonics`: as for `table_motion`. Numbers must be known.
+    Earth's rate belongs to what it measures. `waves`, `least`: as for `table_motion`. Numbers must be known.
     """
     pieces, at = temperature_crossings(motion.line, temperature_breaks)
     kinds, of_kinds = _rate_crossings(motion, rate_breaks)
@@ -111,7 +128,7 @@ def divided_motion(
     apart = (np.diff(pieces, prepend=-1) != 0) | (np.diff(at, prepend=-1.0) > EDGE)
     line, source = motion.line.divided(pieces[apart], at[apart])
     return table_motion(
-        line, motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles, harmonics
+        line, motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles, waves, least
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax import formulas
-from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, put
 
 _EVERY_PIECE = slice(None)
 # Times that differ by less are the same; s.
@@ -90,15 +90,24 @@ class Trajectory(PytreeModule):
 
     def turned(self) -> Float[AnyArray, " P"]:
         """Angle (rad) that each piece turns, closed form."""
-        xp = namespace(self.u_end, self.terms)
         span = self.u_end - self.u_start
-        family = formulas.motion_angle(self.u_end) - formulas.motion_angle(self.u_start)
-        return xp.sum(family * self.terms, axis=1) * self.duration / xp.where(span > 0.0, span, 1.0)
+
+        def shares(rows):
+            return formulas.motion_angle(self.u_end[rows]) - formulas.motion_angle(self.u_start[rows])
+
+        return self._motion(shares) * self.duration / namespace(span).where(span > 0.0, span, 1.0)
 
     def end_rate(self) -> Float[AnyArray, " P"]:
         """Rate (rad/s) at the end of each piece."""
-        xp = namespace(self.u_end, self.terms)
-        return xp.sum(formulas.motion_rate(self.u_end) * self.terms, axis=1)
+        return self._motion(lambda rows: formulas.motion_rate(self.u_end[rows]))
+
+    def _motion(self, family) -> Float[AnyArray, " P"]:
+        """The combination of `family(pieces) -> (k, 10)` that is the motion of each piece."""
+        if (xp := namespace(self.u_end, self.terms)) is not np:
+            return xp.sum(family(_EVERY_PIECE) * self.terms, axis=1)
+        # Most pieces of a plan stand.
+        rows = np.flatnonzero(np.any(self.terms, axis=1))
+        return put(np.zeros(self.piece_count), rows, np.sum(family(rows) * self.terms[rows], axis=1))
 
     def divided(self, pieces: Int[np.ndarray, " n"], at: Float[np.ndarray, " n"]) -> tuple["Trajectory", np.ndarray]:
         """The same trajectory with `pieces` divided at the fractions `at`, and the former number of each of its pieces.

@@ -54,6 +54,15 @@ _DIMENSIONS: Final = (
         "5 deg/h/(K/min)",
         Powers(2, 0, -2),
     ),
+    Dimension("acceleration slope", "an acceleration slope", "m/s^2/K", "ug/K", "50 ug/K", Powers(0, -4, -2, 2)),
+    Dimension(
+        "acceleration temperature-gradient sensitivity",
+        "an acceleration temperature-gradient sensitivity",
+        "m/s/K",
+        "ug/(K/min)",
+        "100 ug/(K/min)",
+        Powers(0, -2, -2, 2),
+    ),
     Dimension(
         "acceleration-sensitive drift",
         "an acceleration-sensitive drift",

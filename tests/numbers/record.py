@@ -4,7 +4,6 @@
     python tests/numbers/record.py predictions     # statistics of every requirement, std of every parameter
     python tests/numbers/record.py elasticities    # of `sensitivity`: exact derivatives of the same numbers
     python tests/numbers/record.py units           # as predictions, of every preset of a unit
-    python tests/numbers/record.py both            # as predictions, of one spec as an axis and as a unit
     python tests/numbers/record.py calibrations    # every export, and `apply` to the same measurements
     python tests/numbers/record.py estimates       # of the logs beside this file
     python tests/numbers/record.py logs            # those logs themselves, simulated with fixed seeds: not in "all"
@@ -28,9 +27,8 @@ import jax
 import numpy as np
 
 from gradcal_jax.api import assemble
-from gradcal_jax.files import Spec, SpecError, presets, spec_of
+from gradcal_jax.files import Spec, presets, spec_of
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.unit_spec import unit_spec_of
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -38,7 +36,6 @@ sys.path[:0] = [str(HERE), str(HERE.parent), *(str(HERE.parent / room) for room 
 
 import draw  # noqa: E402
 import recorded  # noqa: E402
-from as_unit import as_unit, common  # noqa: E402
 from random_specs import random_spec  # noqa: E402
 
 # Every case compiles a program of its own that runs once: what XLA does not optimise costs nothing here.
@@ -118,11 +115,6 @@ def unit(name_and_tables: tuple[str, dict]) -> tuple[str, dict]:
     return name, {"tables": tables, **recorded.prediction(tables)}
 
 
-def both(name_and_tables: tuple[str, dict]) -> tuple[str, dict]:
-    name, tables = name_and_tables
-    return name, {"tables": tables, **recorded.both(tables)}
-
-
 def calibration(name_and_tables: tuple[str, dict]) -> tuple[str, dict]:
     name, tables = name_and_tables
     return name, {"tables": tables, **recorded.calibration(tables)}
@@ -143,23 +135,11 @@ def drawn(kind: str) -> dict[str, dict]:
         return {name: of["tables"] for name, of in recorded.read(kind).items()}
     if kind == "units":
         return {name: tomllib.loads(presets.text(name)) for name in presets.unit_names()}
-    if kind == "both":
-        reduced = {name: common(of["tables"]) for name, of in recorded.read("predictions").items()}
-        return {name: tables for name, tables in reduced.items() if tables is not None and sayable(tables)}
     if kind == "calibrations":
         return draw.calibrations()
     if kind == "estimates":
         return json.loads((HERE / "logs" / "specs.json").read_text(encoding="utf-8"))
     return cases()
-
-
-def sayable(tables: dict) -> bool:
-    """Whether the unit's reader accepts it: it refuses cycles that do not close."""
-    try:
-        unit_spec_of(as_unit(tables))
-    except SpecError:
-        return False
-    return True
 
 
 def difference(new: object, old: object) -> float:
@@ -177,7 +157,6 @@ KINDS = {
     "predictions": prediction,
     "elasticities": elasticities,
     "units": unit,
-    "both": both,
     "calibrations": calibration,
     "estimates": estimate,
 }

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from as_unit import as_unit
 
 from gradcal_jax.api import predict
 from gradcal_jax.api.log_flow import estimate as estimate_axes
@@ -50,14 +49,6 @@ def rows(answer: Any) -> Tables:
         f"{r.name} / {r.axis}": {name: getattr(r, name.replace(" ", "_")) for name in STATISTICS}
         for r in answer.requirements
     }
-
-
-def both(tables: Tables) -> Tables:
-    """The statistics of one spec as an axis and as a unit, and their largest relative difference: today's."""
-    axis = list(rows(predict(spec_of(tables))).values())
-    unit = list(rows(predict(unit_spec_of(as_unit(tables)))).values())
-    pairs = [(a[k], b[k]) for a, b in zip(axis, unit, strict=True) for k in a if a[k] is not None and b[k] is not None]
-    return {"axis": axis, "unit": unit, "apart": max(abs(b / a - 1.0) for a, b in pairs)}
 
 
 def elasticities(tables: Tables) -> Tables:

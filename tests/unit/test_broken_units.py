@@ -46,7 +46,10 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     ("sensor.gyro.drfit", [], "sensor.gyro.drfit", 'nearest: "drift"'),
     ("sensor.gyro.drift.0.standard_deviation", "1 ug", "sensor.gyro.drift[0].standard_deviation", "angular rate"),
     ("sensor.gyro.drift.0.correlation_time", "0 s", "sensor.gyro.drift[0].correlation_time", "above"),
-    ("sensor.gyro.bias", GONE, "sensor.gyro.bias", "missing"),
+    ("sensor.gyro.bias", GONE, "requirement[1].quantity", "gyro.bias"),
+    ("sensor.gyro.bias_temperature_gradient", "5 deg/h", "sensor.gyro.bias_temperature_gradient", "gradient"),
+    ("sensor.gyro.bias_temperature_gradient", {"std": "1"}, "sensor.gyro.bias_temperature_gradient.std", "unknown"),
+    ("sensor.gyro.temperature_error", {"standard_deviation": "1 K"}, "sensor.gyro.temperature_error", "bias_slope"),
     ("sensor.gyro.bias.prior", "5 mg", "sensor.gyro.bias.prior", "angular rate"),
     ("sensor.gyro.misalignment.prior", "10 ppm/K", "sensor.gyro.misalignment.prior", "angle"),
     ("sensor.gyro.misalignment.prior", "0 mrad", "sensor.gyro.misalignment.prior", "above"),
@@ -67,7 +70,8 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     ("sensor.thermal_lag", "-5 s", "sensor.thermal_lag", "at least"),
     ("sensor.sample_clock_error", "5 s", "sensor.sample_clock_error", "scale factor"),
     # the rig
-    ("rig.site", GONE, "rig.site", "missing"),
+    ("rig.site", GONE, "rig.site.latitude", "missing"),
+    ("rig.site.latitude", "unknown", "rig.site.latitude", "missing"),
     ("rig.site.latitude", "91 deg", "rig.site.latitude", "at most 90 deg"),
     ("rig.site.latitude", GONE, "rig.site.latitude", "missing"),
     ("rig.site.gravity", "0 m/s^2", "rig.site.gravity", "above"),
@@ -118,7 +122,9 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     ("sensor.accelerometer.second_order", GONE, "requirement[7].quantity", "accelerometer.second_order"),
     ("sensor.gyro.g_sensitivity", GONE, "requirement[3].quantity", "gyro.g_sensitivity"),
     # the plan
-    ("plan.method", "standard", "plan.method", "gradient"),
+    ("plan.method", "standard", "plan.integration", "missing"),
+    ("plan.cycle.other_axes", {"duration": "1 min"}, "plan.cycle.other_axes", "standing"),
+    ("plan.cycle.duration", "1 s", "plan.cycle.duration", "is shorter than the moves"),
     ("plan.cycle.moves", [], _MOVES, "at least 1"),
     (f"{_MOVES}.1.axis", GONE, f"{_MOVES}[1].axis", "which axis turns"),
     (f"{_MOVES}.1.axis", "spni", f"{_MOVES}[1].axis", 'nearest: "spin"'),
@@ -289,7 +295,7 @@ def test_what_would_be_without_effect_is_refused():
     for keys in ({"read_every": "1 s"}, {"read": "none"}, {"other_axes": True}):
         document = copy.deepcopy(GOOD)
         document["plan"]["cycle"]["moves"].append({"rest": "5 s"} | keys)
-        with pytest.raises(SpecError, match="leave this key out"):
+        with pytest.raises(SpecError, match="leave it out"):
             unit_spec_of(document)
 
 

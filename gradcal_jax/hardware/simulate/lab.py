@@ -76,9 +76,9 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
         size = _TYPICAL_SCALE if section.prior is None else float(section.prior)
         scale = size * random.standard_normal((3, section.temperature.size, section.rate.size))
     gradient = np.zeros(3)
-    if (slope := sensor.bias_temperature_gradient) is not None:
-        size = np.radians(1.0) / 60.0 if slope.prior is None else float(slope.prior)
-        gradient = size * random.standard_normal(3)
+    if sensor.bias_temperature_gradient is not None:
+        unknown = np.radians(1.0) / 60.0 if sensor.gradient_sensitivity is not None else 0.0
+        gradient = (sensor.gradient_std or unknown) * random.standard_normal(3)
     gyros = TriadTruth(
         (ErrorTerm(bias[:, None, :], bias_basis, "one"), ScaleFactors(scale, temperature_basis, rate_basis)),
         float(sensor.angle_random_walk),

@@ -164,7 +164,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
         mountings.append(np.array(mounting.columns).T @ turn_by([float(angle) for angle in drawn]) @ turn_by(off))
     truth = TableTruth(
         axes=tuple(axis.unit_vector for axis in table.axis),
-        latitude=float(site.latitude),
+        latitude=site.latitude_rad,
         gravity=site.gravity_m_per_s2 + draw(float(site.gravity_accuracy), "gravity"),
         base=(*base, azimuth),
         orthogonality=leans,
@@ -211,7 +211,7 @@ class SimulatedUnitLab(SimulatedDevices):
         self._connect(
             {axis.name: axis for axis in table.axis},
             self.units,
-            by_hand=any(step.move.shape == "hand" for step in spec.schedule.steps),
+            by_hand=any(step.move.shape == "hand" for step in spec.gradient_schedule.steps),
             hang=self._hang if len(table.mounting) > 1 else None,
             seed=seed,
             sample_rate_hz=sample_rate_hz,

@@ -73,7 +73,7 @@ class RepeatedCycle(NamedTuple):
     """A cycle, and how often the first stretch of the plan repeats it."""
 
     turns: Cycle
-    count: int
+    cycles: int
 
 
 class CycleSearch(NamedTuple):
@@ -153,7 +153,7 @@ class _Search:
     def run(self) -> Iterator[CycleSearch]:
         """Yields after every round of descents."""
         plan, rng = self._plan, self._rng
-        first, here = math.nan, plan.start
+        first, now, here = math.nan, math.inf, plan.start
         for sharpness, count in _FIRST:
             for value, cycle, begun in self._descents([here], sharpness, count):
                 first = begun if math.isnan(first) else first
@@ -182,9 +182,9 @@ class _Search:
 
     def _neighbour(self, of: RepeatedCycle, rng: np.random.Generator) -> RepeatedCycle:
         """A cycle of another structure, or more or fewer of the same one."""
-        if of.count > 1 and rng.random() < _RECOUNTED:
-            count = round(of.count * math.exp(rng.uniform(-_RECOUNT, _RECOUNT)))
-            return of._replace(count=max(2, count if count != of.count else count + int(rng.choice((-1, 1)))))
+        if of.cycles > 1 and rng.random() < _RECOUNTED:
+            count = round(of.cycles * math.exp(rng.uniform(-_RECOUNT, _RECOUNT)))
+            return of._replace(cycles=max(2, count if count != of.cycles else count + int(rng.choice((-1, 1)))))
         return of._replace(turns=self._around.neighbour(of.turns, rng))
 
     def _state(self, first: float) -> CycleSearch:
@@ -206,7 +206,7 @@ class _Search:
         def descend(cycle: RepeatedCycle) -> tuple[float, RepeatedCycle, float, int]:
             of = plan.structure(cycle, turnable=turnable)
             point, begun, reached = plan.coordinates.encode(cycle.turns, of), math.nan, None
-            args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.count).ramps, sharpness)
+            args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps, sharpness)
             for reached in plan.descent(point.ravel(), args, evaluations=evaluations, together=_LOOK):
                 begun = reached.value if math.isnan(begun) else begun
                 if self._stop() or reached.value > least + _HOPELESS * _LOOK / reached.evaluations:
@@ -271,7 +271,7 @@ class CyclePlan:
             return 1
         decays = [d for m in models for c in m.channels for d in np.asarray(c.model.processes.decay) if d > 0.0]
         longest = max((1.0 / d for d in decays), default=0.0)
-        fit = math.ceil(_BEFORE + _MEMORY * longest * self.start.count / stretches[0].duration)
+        fit = math.ceil(_BEFORE + _MEMORY * longest * self.start.cycles / stretches[0].duration)
         return min(max(fit, WINDOW), _LONGEST_WINDOW)
 
     def course(self, count: int) -> "Course":
@@ -285,7 +285,7 @@ class CyclePlan:
 
     def structure(self, cycle: RepeatedCycle, *, turnable: bool = True) -> Structure:
         """The structure of a cycle."""
-        period = self.course(cycle.count).period
+        period = self.course(cycle.cycles).period
         return structure_of(cycle.turns, self.slots, self.limits, period, closed=self.closed, turnable=turnable)
 
     def _ramps(self, counts: Sequence[int], period: float) -> Ramp:
@@ -348,7 +348,7 @@ class CyclePlan:
 
     def _rounded(self, cycle: RepeatedCycle) -> Cycle:
         """Rounded turns, rates and rests that fit into the period and close as the cycle does."""
-        period, whole = self.course(cycle.count).period, self.structure(cycle).whole
+        period, whole = self.course(cycle.cycles).period, self.structure(cycle).whole
         axes, step = self.spec.rig.table.axis, _ANGLE if self.design.angle_step is None else 0.0
         items, net = [], {}
         for t in cycle.turns:

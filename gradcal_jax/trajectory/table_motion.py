@@ -34,8 +34,8 @@ class TableMotion(PytreeModule):
     """
 
     line: Trajectory
-    axis: Int[np.ndarray, " P"]
-    mounting: Int[np.ndarray, " P"]
+    axis: Int[AnyArray, " P"]
+    mounting: Int[AnyArray, " P"]
     geometry: Geometry
     start_angles: Float[AnyArray, " L"]
     kind: Int[np.ndarray, " P"]

@@ -32,7 +32,7 @@ def left_by(plan: CyclePlan, cycle: RepeatedCycle) -> tuple[np.ndarray, Repeated
     of the noise, and the cycle as its coordinates hold it."""
     of = plan.structure(cycle)
     z = plan.coordinates.encode(cycle.turns, of)
-    args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.count).ramps, np.inf)
+    args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps, np.inf)
     logs = jax.jit(plan.objective.logs, compiler_options=QUICKLY)(z, *args)
     rows = [r for r in plan.spec.requirement if plan.worst or plan.design.minimise in ("all requirements", r.name)]
     limits = [1.0 if r.target is None else float(r.target) * UNIT_OF[r.quantity][1] for r in rows]
@@ -136,7 +136,7 @@ def check_objective(name: str) -> None:
     plan = CyclePlan(spec)
     (left,), cycle = left_by(plan, plan.start)
     found = plan.spec_of(cycle)
-    assert found.schedule.stretches[0].cycles == plan.start.count
+    assert found.schedule.stretches[0].cycles == plan.start.cycles
     assert left == pytest.approx([r.decisive for r in gj.predict(found).requirements], rel=within)
 
 
@@ -154,7 +154,7 @@ def test_its_derivative_is_that_of_differences_in_every_coordinate():
     of = jax.tree.map(jnp.asarray, plan.structure(plan.start))
     z = plan.coordinates.encode(plan.start.turns, plan.structure(plan.start))
     z[1, 0] = 0.4
-    args = (of, plan.course(plan.start.count).ramps, 30.0)
+    args = (of, plan.course(plan.start.cycles).ramps, 30.0)
     of_z = lambda z: plan.objective.value(z, *args)  # noqa: E731
     slope = np.asarray(jax.jit(jax.grad(of_z), compiler_options=QUICKLY)(z))
     value = jax.jit(of_z, compiler_options=QUICKLY)
@@ -203,7 +203,7 @@ def test_the_value_of_a_cycle_is_the_mean_or_the_worst_over_what_noise_may_be(ro
     of = jax.tree.map(jnp.asarray, plan.structure(plan.start))
     z, ramps = (
         plan.coordinates.encode(plan.start.turns, plan.structure(plan.start)),
-        plan.course(plan.start.count).ramps,
+        plan.course(plan.start.cycles).ramps,
     )
     worst = np.max(np.log(left / [float(r.target) * UNIT_OF[r.quantity][1] for r in plan.spec.requirement]), axis=1)
     assert np.ptp(worst) > 0.1

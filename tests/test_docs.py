@@ -14,11 +14,12 @@ import pytest
 import gradcal_jax as gj
 from gradcal_jax.cli import main
 from gradcal_jax.cli.app import build
+from gradcal_jax.cli.commands_page import all_commands, commands_page
 from gradcal_jax.files import schemas
 from gradcal_jax.files.recipe import read_recipe
 
 ROOT = Path(__file__).parents[1]
-GENERATED = {f"docs/reference/{name}.md" for name in schemas.schema_names()}
+GENERATED = {f"docs/reference/{name}.md" for name in (*schemas.schema_names(), "commands")}
 FILES = ["README.md", *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))]
 TEXTS = {name: (ROOT / name).read_text(encoding="utf-8") for name in FILES}
 WRITTEN = {name: text for name, text in TEXTS.items() if name not in GENERATED}
@@ -67,10 +68,25 @@ def test_every_option_that_is_named_exists(command, capsys):
         assert re.search(rf"(?<![\w-]){option}(?![\w-])", said), (command, option)
 
 
-def test_the_table_of_commands_is_whole():
-    page = TEXTS["docs/reference/commands.md"]
-    named = {re.match(r"`gradcal (\w+)", cell[0]).group(1) for cell in rows(page)}
-    assert named == {name for name in build() if not name.startswith("-")}
+COMMANDS = [name for name, _ in all_commands(build())]
+
+
+def test_the_page_of_commands_is_what_the_commands_say():
+    assert TEXTS["docs/reference/commands.md"] == commands_page(), (
+        "gradcal schema commands --markdown > docs/reference/commands.md"
+    )
+    assert {name.split()[0] for name in COMMANDS} == {name for name in build() if not name.startswith("-")}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_option_of_a_command_is_documented(command, capsys):
+    """The options are those of the help, which the page does not come from."""
+    assert main([*command.split(), "--help"]) == 0
+    of_help = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", capsys.readouterr().out.split("Parameters:", 1)[-1]))
+    documented = {cell[0]: cell[3] for cell in rows(section(f"gradcal {command}", "docs/reference/commands.md"))}
+    names = {option for cell in documented for option in re.findall(r"`(--[a-z-]+)`", cell)}
+    assert names == of_help - {"--help", "--version"}
+    assert all(re.match(r"[A-Z].*\.$", meaning) for meaning in documented.values()), documented
 
 
 def test_the_readme_is_a_page_and_begins_with_what_is_simulated():

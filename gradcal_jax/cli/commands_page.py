@@ -12,9 +12,10 @@ from cyclopts import App, Argument
 from gradcal_jax.cli.app import GROUPS, build
 
 _VALUES: Final = {Path: "path", str: "text", int: "whole number", float: "number"}
-_END: Final = """Exit statuses: 0 done; 1 done, with a result that is not as requested (a target is missed); 2 wrong input; 3 a device or a run
-failed; 130 interrupted; 141 the reader of the output closed it. An error is a sentence that names the key, its value and
-what was expected. Output is plain away from a terminal, or if `NO_COLOR` is set.
+_END: Final = """\
+Exit statuses: 0 done; 1 done, with a result that is not as requested (a target is missed); 2 wrong input; 3 a device
+or a run failed; 130 interrupted; 141 the reader of the output closed it. An error is a sentence that names the key, its
+value and what was expected. Output is plain away from a terminal, or if `NO_COLOR` is set.
 """
 
 
@@ -23,7 +24,9 @@ def commands_page() -> str:
     commands = dict(all_commands(build()))
     lines = ["# Commands", "", "Made by `gradcal schema commands --markdown`; all commands and options.", ""]
     lines += ["| command | what it does |", "|---|---|"]
-    lines += [f"| [`gradcal {name}`](#gradcal-{name.replace(' ', '-')}) | {_first(it)} |" for name, it in commands.items()]
+    lines += [
+        f"| [`gradcal {name}`](#gradcal-{name.replace(' ', '-')}) | {_first(it)} |" for name, it in commands.items()
+    ]
     lines += ["", _END]
     for name, command in commands.items():
         lines += _section(name, command)
@@ -51,6 +54,10 @@ def options(command: App) -> list[Argument]:
     arguments = command.assemble_argument_collection(parse_docstring=True)
     # (An option whose value is a group of options is no option itself.)
     return [argument for argument in arguments if argument.names != ("*",)]
+
+
+def _link(name: str) -> str:
+    return f"[`gradcal {name}`](#gradcal-{name.replace(' ', '-')})"
 
 
 def _paragraphs(command: App) -> list[str]:

@@ -89,8 +89,10 @@ def test_every_option_of_a_command_is_documented(command, capsys):
     assert all(re.match(r"[A-Z].*\.$", meaning) for meaning in documented.values()), documented
 
 
-def test_the_readme_is_a_page_and_begins_with_what_is_simulated():
-    assert len(README.split()) <= 1200
+def test_the_readme_is_a_screen_and_begins_with_what_is_simulated():
+    assert len(README.split()) <= 450
+    assert len(README.splitlines()) <= 60
+    assert re.search(r"^!\[[^]]+\]\(experiments/\S+\.png\)$", README, flags=re.M)
     assert README.split("\n\n")[1].startswith("**Simulated, not yet run on hardware")
 
 
@@ -126,8 +128,18 @@ def test_every_page_is_in_the_contents():
     assert linked == set(FILES) - {"README.md", "docs/README.md"}
 
 
-def test_notebooks_of_the_readme_are_all_there_are():
-    linked = set(re.findall(r"\((notebooks/[^)]+)\)", README))
+def test_the_lines_of_python_in_the_readme_print_a_prediction(tmp_path, monkeypatch, capsys):
+    (lines,) = re.findall(r"```python\n(.+?)```", README, flags=re.S)
+    monkeypatch.chdir(tmp_path)
+    assert main(["start", "--preset", "drone-imu", "-o", "mine"]) == 0
+    capsys.readouterr()
+    exec(compile(lines, "README.md", "exec"), {})
+    assert len(lines.splitlines()) == 4
+    assert re.search(r"^scale factor +mean of max +[\d.]+ ppm .* met$", capsys.readouterr().out, flags=re.M)
+
+
+def test_the_page_of_notebooks_has_all_there_are():
+    linked = set(re.findall(r"\(\.\./(notebooks/[^)]+)\)", TEXTS["docs/notebooks.md"]))
     assert linked == {f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
 
 

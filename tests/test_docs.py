@@ -339,3 +339,13 @@ def test_the_rig_file_of_the_certificate_is_read(tmp_path):
     (tmp_path / "rig.toml").write_text(rig_of_the_certificate(), encoding="utf-8")
     rig = gj.read_rig(tmp_path / "rig.toml")
     assert (rig.laboratory.country, rig.reference[0].device) == ("DE", "encoder")
+
+
+def test_the_changelog_is_by_version_a_line_each_and_has_the_version_of_the_package():
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    versions = re.findall(r"^## (.+)$", text, flags=re.M)
+    assert versions[0] == "Unreleased"
+    assert re.fullmatch(rf"{re.escape(gj.__version__)} – \d{{4}}-\d\d-\d\d", versions[1])
+    assert set(re.findall(r"^### (.+)$", text, flags=re.M)) <= {"Added", "Changed", "Fixed", "Removed"}
+    assert all(len(item) <= 260 for item in re.split(r"^\* ", text, flags=re.M))
+    assert f'\nversion = "{gj.__version__}"\n' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")

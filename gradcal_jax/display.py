@@ -5,6 +5,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
 from importlib import import_module
+from pathlib import PurePath
 from textwrap import wrap
 from typing import Any, Final
 
@@ -81,8 +82,8 @@ def _listing(value: object) -> list[str]:
 
 
 def _fields(value: object) -> Iterator[tuple[str, Any]]:
-    """The public fields of a named tuple, a dataclass or a model, except those that are absent, empty, or a number or
-    text that stands where a file says nothing."""
+    """The public fields of a named tuple, a dataclass or a model, except those that are empty, and the numbers and
+    texts that equal the default of a model."""
     kind: Any = type(value)
     model = getattr(kind, "model_fields", {})
     names = getattr(kind, "_fields", None) or model or [field.name for field in dataclasses.fields(kind)]
@@ -127,7 +128,9 @@ def _text(value: Any, width: int) -> str:
         return _mapping(value, width)
     if isinstance(value, Sequence):
         return _sequence(value, width)
-    return getattr(value, "__qualname__", None) or str(value) if callable(value) else _other(value)
+    if isinstance(value, PurePath):
+        return str(value)
+    return getattr(value, "__qualname__", None) or f"<{type(value).__name__}>"
 
 
 def _array(value: Any) -> str:
@@ -154,9 +157,3 @@ def _sequence(value: Sequence[Any], width: int) -> str:
     names = [getattr(entry, "name", None) for entry in value[: _FEW + 2]]
     what = f"{len(value)} × {type(value[0]).__name__}" if value else "none"
     return f"{what}: {', '.join(map(str, names))}" if all(isinstance(name, str) for name in names) else what
-
-
-def _other(value: Any) -> str:
-    from pathlib import PurePath
-
-    return str(value) if isinstance(value, PurePath) else f"<{type(value).__name__}>"

@@ -130,8 +130,10 @@ def test_a_calibration_shows_its_channels(name):
     one = gj.Calibration.model_validate(upgraded(CALIBRATIONS[name]["tables"]))
     shown, html = fits(one), one._repr_html_()
     assert one.serial_number in shown
+    assert one.serial_number in html
+    assert ("SIMULATED" in shown) == ("SIMULATED" in html) == one.simulated
     assert one.channel[0].label in shown
-    assert one.coverage in shown
+    assert one.valid_range in shown
     assert html.count("<table>") == 1 + bool(one.result) + bool(one.fit)
 
 

@@ -110,7 +110,7 @@ class EstimateReport(NamedTuple):
         lines: list[str] = []
         for one in self.calibrations:
             rows, messages = self.verdicts[one.serial_number], self.messages[one.serial_number]
-            lines += [f"Estimate of {one.serial_number}" + (", SIMULATED" if one.simulated else ""), one.coverage]
+            lines += [f"Estimate of {one.serial_number}" + (", SIMULATED" if one.simulated else ""), one.valid_range]
             lines += [narrow_table(rows)] if rows else []
             lines += [f"contradicted: {', '.join(one.contradicted)}"] if one.contradicted else []
             lines += [f"not observable: {', '.join(one.unobservable)}"] if one.unobservable else []

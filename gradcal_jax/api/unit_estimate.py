@@ -111,7 +111,7 @@ class UnitReport(NamedTuple):
         rows, one = self.requirements, self.calibration
         return [
             f"Estimate of {self.unit}" + (", SIMULATED" if one.simulated else ""),
-            one.coverage,
+            one.valid_range,
             *([f"contradicted: {', '.join(one.contradicted)}"] if one.contradicted else []),
             *([f"not observable: {', '.join(one.unobservable)}"] if one.unobservable else []),
             *(f"note: {message}" for message in self.messages[:2]),

@@ -29,7 +29,7 @@ def tables_of(value: Any) -> str:
 
 
 def _prediction(prediction: Prediction) -> Iterator[str | _Table]:
-    yield _head(prediction.title or "Prediction")
+    yield _head(f"Prediction: {prediction.title}" if prediction.title else "Prediction")
     yield _text(times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s))
     if prediction.requirements:
         yield _Table(requirement_table(prediction.requirements), (2, 3, 4, 5))
@@ -39,7 +39,7 @@ def _prediction(prediction: Prediction) -> Iterator[str | _Table]:
 
 def _estimate(report: EstimateReport) -> Iterator[str | _Table]:
     for calibration in report.calibrations:
-        yield _head(_named(calibration.serial_number, calibration.simulated))
+        yield _head("Estimate of " + _named(calibration.serial_number, calibration.simulated))
         for channel in report.channels:
             if channel.unit == calibration.serial_number:
                 yield _text(f"axis {channel.axis}: {len(channel.weights)} readings")
@@ -51,11 +51,13 @@ def _estimate(report: EstimateReport) -> Iterator[str | _Table]:
 
 
 def _calibration(calibration: Calibration) -> Iterator[str | _Table]:
-    yield _head(calibration.title or _named(calibration.serial_number, calibration.simulated))
-    yield _text(calibration.coverage)
+    yield _head("Calibration of " + _named(calibration.serial_number, calibration.simulated))
+    yield _text("; ".join(filter(None, (calibration.title, calibration.valid_range))))
     yield _Table(parameter_rows(parameters({}, calibration, {})), (1, 2, 3))
     if calibration.result:
-        yield _Table([("requirement", "statistic", "residual 1σ", "target", "verdict"), *calibration.results], (2, 3))
+        yield _Table(
+            [("requirement", "statistic", "residual 1σ", "target", "verdict"), *calibration.result_rows], (2, 3)
+        )
     if calibration.fit:
         tests = [(t.name, f"{t.statistic:.1f}", str(t.degrees), f"{t.chance:.2g}") for t in calibration.fit]
         yield _Table([("test", "statistic", "degrees", "chance"), *tests], (1, 2, 3))

@@ -311,13 +311,13 @@ class Calibration(TitledFile):
     _repr_html_ = html
 
     @property
-    def coverage(self) -> str:
+    def valid_range(self) -> str:
         """The range of temperature and rate that the data covered, in words."""
         low, high = self.valid_temperature
         return f"covers {low} … {high}, up to {math.degrees(float(self.valid_rate[1])):.4g} deg/s"
 
     @property
-    def results(self) -> list[tuple[str, ...]]:
+    def result_rows(self) -> list[tuple[str, ...]]:
         """A row for each requirement: name, statistic, residual, target, verdict."""
         return [
             (
@@ -339,9 +339,9 @@ class Calibration(TitledFile):
         return [
             f"Calibration of {self.serial_number}" + (", SIMULATED" if self.simulated else ""),
             *([self.title] if self.title else []),
-            self.coverage,
+            self.valid_range,
             *(f"{name}: {', '.join(names)}" for name, names in counts.items() if names),
-            columns(self.results, indent=""),
+            columns(self.result_rows, indent=""),
             "terms, with the number of their coefficients:",
             *columns(channels).split("\n"),
         ]

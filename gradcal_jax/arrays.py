@@ -13,6 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gradcal_jax.display import summary
+
 # An array of either library, for annotations: `Float[AnyArray, "n p"]`. A type checker cannot follow operations
 # that are common to both; the tests check shapes and dtypes.
 if TYPE_CHECKING:
@@ -33,6 +35,8 @@ class PytreeModule(eqx.Module):
     """
 
     __getattribute__ = object.__getattribute__
+
+    __repr__ = summary
 
 
 def namespace(*trees: Any) -> Any:

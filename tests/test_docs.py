@@ -14,11 +14,12 @@ import pytest
 import gradcal_jax as gj
 from gradcal_jax.cli import main
 from gradcal_jax.cli.app import build
+from gradcal_jax.cli.commands_page import all_commands, commands_page
 from gradcal_jax.files import schemas
 from gradcal_jax.files.recipe import read_recipe
 
 ROOT = Path(__file__).parents[1]
-GENERATED = {f"docs/reference/{name}.md" for name in schemas.schema_names()}
+GENERATED = {f"docs/reference/{name}.md" for name in (*schemas.schema_names(), "commands")}
 FILES = ["README.md", *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))]
 TEXTS = {name: (ROOT / name).read_text(encoding="utf-8") for name in FILES}
 WRITTEN = {name: text for name, text in TEXTS.items() if name not in GENERATED}
@@ -67,14 +68,31 @@ def test_every_option_that_is_named_exists(command, capsys):
         assert re.search(rf"(?<![\w-]){option}(?![\w-])", said), (command, option)
 
 
-def test_the_table_of_commands_is_whole():
-    page = TEXTS["docs/reference/commands.md"]
-    named = {re.match(r"`gradcal (\w+)", cell[0]).group(1) for cell in rows(page)}
-    assert named == {name for name in build() if not name.startswith("-")}
+COMMANDS = [name for name, _ in all_commands(build())]
 
 
-def test_the_readme_is_a_page_and_begins_with_what_is_simulated():
-    assert len(README.split()) <= 1200
+def test_the_page_of_commands_is_what_the_commands_say():
+    assert TEXTS["docs/reference/commands.md"] == commands_page(), (
+        "gradcal schema commands --markdown > docs/reference/commands.md"
+    )
+    assert {name.split()[0] for name in COMMANDS} == {name for name in build() if not name.startswith("-")}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_option_of_a_command_is_documented(command, capsys):
+    """The options are those of the help, which the page does not come from."""
+    assert main([*command.split(), "--help"]) == 0
+    of_help = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", capsys.readouterr().out.split("Parameters:", 1)[-1]))
+    documented = {cell[0]: cell[3] for cell in rows(section(f"gradcal {command}", "docs/reference/commands.md"))}
+    names = {option for cell in documented for option in re.findall(r"`(--[a-z-]+)`", cell)}
+    assert names == of_help - {"--help", "--version"}
+    assert all(re.match(r"[A-Z].*\.$", meaning) for meaning in documented.values()), documented
+
+
+def test_the_readme_is_a_screen_and_begins_with_what_is_simulated():
+    assert len(README.split()) <= 450
+    assert len(README.splitlines()) <= 60
+    assert re.search(r"^!\[[^]]+\]\(experiments/\S+\.png\)$", README, flags=re.M)
     assert README.split("\n\n")[1].startswith("**Simulated, not yet run on hardware")
 
 
@@ -110,8 +128,18 @@ def test_every_page_is_in_the_contents():
     assert linked == set(FILES) - {"README.md", "docs/README.md"}
 
 
-def test_notebooks_of_the_readme_are_all_there_are():
-    linked = set(re.findall(r"\((notebooks/[^)]+)\)", README))
+def test_the_lines_of_python_in_the_readme_print_a_prediction(tmp_path, monkeypatch, capsys):
+    (lines,) = re.findall(r"```python\n(.+?)```", README, flags=re.S)
+    monkeypatch.chdir(tmp_path)
+    assert main(["start", "--preset", "drone-imu", "-o", "mine"]) == 0
+    capsys.readouterr()
+    exec(compile(lines, "README.md", "exec"), {})
+    assert sum(1 for line in lines.splitlines() if line) == 4
+    assert re.search(r"^scale factor +mean of max +[\d.]+ ppm .* met$", capsys.readouterr().out, flags=re.M)
+
+
+def test_the_page_of_notebooks_has_all_there_are():
+    linked = set(re.findall(r"\(\.\./(notebooks/[^)]+)\)", TEXTS["docs/notebooks.md"]))
     assert linked == {f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
 
 
@@ -311,3 +339,13 @@ def test_the_rig_file_of_the_certificate_is_read(tmp_path):
     (tmp_path / "rig.toml").write_text(rig_of_the_certificate(), encoding="utf-8")
     rig = gj.read_rig(tmp_path / "rig.toml")
     assert (rig.laboratory.country, rig.reference[0].device) == ("DE", "encoder")
+
+
+def test_the_changelog_is_by_version_a_line_each_and_has_the_version_of_the_package():
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    versions = re.findall(r"^## (.+)$", text, flags=re.M)
+    assert versions[0] == "Unreleased"
+    assert re.fullmatch(rf"{re.escape(gj.__version__)} – \d{{4}}-\d\d-\d\d", versions[1])
+    assert set(re.findall(r"^### (.+)$", text, flags=re.M)) <= {"Added", "Changed", "Fixed", "Removed"}
+    assert all(len(item) <= 260 for item in re.findall(r"^\* (.+(?:\n  .+)*)$", text, flags=re.M))
+    assert f'\nversion = "{gj.__version__}"\n' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")

@@ -43,6 +43,7 @@ from gradcal_jax.api.systematic import (
 )
 from gradcal_jax.api.tested_maps import tested_maps
 from gradcal_jax.api.unit_channel import UnitChannel
+from gradcal_jax.display import html, summary
 from gradcal_jax.estimation import Consistency, StructureTest, Test, contradictions, size_of
 from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import (
@@ -65,6 +66,7 @@ from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.points import RatePoints
 from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.information import unobservable_combinations
 from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT
 
@@ -100,6 +102,21 @@ class EstimateReport(NamedTuple):
     """By unit: sentences to read before the calibration is used."""
     discrepancies: tuple[MeasuredDiscrepancy, ...] = ()
     """By axis and map, of all units together."""
+
+    __repr__ = summary
+    _repr_html_ = html
+
+    def _shown(self) -> list[str]:
+        lines: list[str] = []
+        for one in self.calibrations:
+            rows, messages = self.verdicts[one.serial_number], self.messages[one.serial_number]
+            lines += [f"Estimate of {one.serial_number}" + (", SIMULATED" if one.simulated else ""), one.valid_range]
+            lines += [narrow_table(rows)] if rows else []
+            lines += [f"contradicted: {', '.join(one.contradicted)}"] if one.contradicted else []
+            lines += [f"not observable: {', '.join(one.unobservable)}"] if one.unobservable else []
+            lines += [f"note: {messages[0]}"] if messages else []
+            lines += [f"{len(messages) - 1} more notes"] if len(messages) > 1 else []
+        return lines
 
     def unseen_of(self, channel: UnitChannel) -> tuple[UnseenError, ...]:
         """The errors of a channel that no residual of its fit shows."""
@@ -393,7 +410,7 @@ def _calibration(
 
 def joined(blocks: Sequence[Covariance]) -> Covariance:
     """One covariance of channels that were estimated each by itself."""
-    matrix = np.asarray(block_diag(*(np.array(block.matrix).reshape(len(block.names), -1) for block in blocks)))
+    matrix = np.asarray(block_diag(*(np.array(block.matrix).reshape(2 * (len(block.names),)) for block in blocks)))
     return Covariance(
         names=tuple(name for block in blocks for name in block.names), matrix=tuple(map(tuple, matrix.tolist()))
     )

@@ -15,6 +15,7 @@ from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of
 from gradcal_jax.api.systematic import counted_criterion
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.design import Criterion
+from gradcal_jax.display import summary
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.spec import expect_whole
@@ -53,6 +54,8 @@ class Differentiable(eqx.Module):
     _sources: dict[str, tuple[int, ...]] = eqx.field(static=True)
     _moves: tuple[int, ...] = eqx.field(static=True)
     _rule: Rule = eqx.field(static=True)
+
+    __repr__ = summary
 
     def __call__(self, quantities: Mapping[str, Any]) -> dict[str, Float[AnyArray, ""]]:
         """Residuals in ppm or deg/h, by requirement; quantities that are absent have the spec's values.

@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from gradcal_jax.api.optimise import STEPS, Optimised, SearchStep, optimise
+from gradcal_jax.display import summary
 from gradcal_jax.files import Spec
 
 _BLIND: Final = (
@@ -19,6 +20,8 @@ class FrontierPoint(NamedTuple):
     motion: float
     plan: Optimised | None
     reason: str
+
+    __repr__ = summary
 
 
 def frontier(

@@ -9,6 +9,7 @@ from gradcal_jax import estimation
 from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import bridged_temperature, time_of, usable_rows
+from gradcal_jax.display import summary
 from gradcal_jax.estimation import Test
 from gradcal_jax.estimation.hand import LOWER, ByHand, HandRows, find_positions, solve_by_hand
 from gradcal_jax.files.calibration import (
@@ -44,6 +45,8 @@ class HandReport(NamedTuple):
     gravity_left: float
     turns_left: float
     messages: tuple[str, ...]
+
+    __repr__ = summary
 
     @property
     def as_wished(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from gradcal_jax import identify
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H
+from gradcal_jax.display import summary
 from gradcal_jax.files.log import EvenSeries, Log, LogError
 from gradcal_jax.files.signal_faults import FAR, far_from_neighbours, refuse_repeated
 from gradcal_jax.units import ARCSEC, DEG_PER_SQRT_H
@@ -56,6 +57,8 @@ class Instability:
     """The temperatures of the rows used; None: all of the record."""
     scatter: tuple[float, float] | None
     """Standard deviations of σ (rad/s) and of ln τ, from blocks of the record; None for too few blocks."""
+
+    __repr__ = summary
 
     @property
     def deciding_span_s(self) -> tuple[float, float]:

@@ -27,6 +27,7 @@ from gradcal_jax.design import (
     scale_factor_floor,
 )
 from gradcal_jax.design.noise_floor import Course
+from gradcal_jax.display import summary
 from gradcal_jax.files import Spec
 from gradcal_jax.files.absent import with_typical
 from gradcal_jax.files.design import TIMES
@@ -70,6 +71,8 @@ class PlanLimit(NamedTuple):
     kept: tuple[str, ...] = ()
     counted: float | None = None
     judged: float | None = None
+
+    __repr__ = summary
 
     def above(self, named: float, every: float, judged: float | None) -> "PlanLimit":
         """The limit where what no residual shows, and no plan removes, adds in quadrature: at least `named` (`unit`) at

@@ -6,6 +6,7 @@ import numpy as np
 
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, contrasts_of, residual_map, statistic_of, unweighted_estimator
+from gradcal_jax.display import summary
 from gradcal_jax.files import Spec
 from gradcal_jax.information import WishartTest, monte_carlo_errors, wishart_test
 
@@ -18,6 +19,8 @@ class TwinRow(NamedTuple):
     unit: str
     predicted: float
     simulated: float
+
+    __repr__ = summary
 
 
 def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], dict[str, WishartTest]]:

@@ -29,6 +29,7 @@ from gradcal_jax.design import (
     polish,
     search,
 )
+from gradcal_jax.display import summary
 from gradcal_jax.files import Spec, SpecError
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.rounding import rounded, steps_of
@@ -117,6 +118,8 @@ class Optimised(NamedTuple):
     active: tuple[str, ...]
     prices: tuple[Price, ...]
     structure: str
+
+    __repr__ = summary
 
 
 def belief_of(spec: Spec) -> str:

@@ -25,6 +25,7 @@ from gradcal_jax.api.systematic import budget_of_plan, own_of_unit, shares_of_va
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.design import Criterion
+from gradcal_jax.display import summary
 from gradcal_jax.files import Spec
 from gradcal_jax.files.changes import changed, tables_of
 from gradcal_jax.files.moves import Axis
@@ -55,6 +56,8 @@ class Sensitivities(NamedTuple):
 
     rows: tuple[Elasticity, ...]
     residuals: dict[str, tuple[float, str]]
+
+    __repr__ = summary
 
 
 def sensitivity(spec: Spec | UnitSpec) -> Sensitivities:

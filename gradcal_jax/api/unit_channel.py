@@ -9,6 +9,7 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, temperature_followed
+from gradcal_jax.display import summary
 from gradcal_jax.estimation import Estimate, Observations, Smoothness, StructureTest, Whitened
 from gradcal_jax.information import noise_steps
 from gradcal_jax.model import SCALE_FACTOR, Discrepancy, SensorModel
@@ -43,6 +44,8 @@ class UnitChannel(NamedTuple):
     """One test for every polynomial map."""
     not_valid: tuple[str, ...] = ()
     """What the record shows that makes the calibration not valid, by name."""
+
+    __repr__ = summary
 
 
 class Recorded(NamedTuple):

@@ -47,6 +47,7 @@ from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_residual import internal_misalignments
 from gradcal_jax.api.unit_sentences import prior_deviations, unobserved_parameters
+from gradcal_jax.display import summary
 from gradcal_jax.estimation import Consistency, ExecutedUnit, PlannedMove, Test, UnitEstimate, UnitReadings, UnitRows
 from gradcal_jax.files.calibration import (
     FORMAT,
@@ -63,6 +64,7 @@ from gradcal_jax.files.calibration.correction import correct_triads, followed
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, segments_of
 from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, GradientOfBias, Map, SignalMap
@@ -102,6 +104,19 @@ class UnitReport(NamedTuple):
     internal: tuple[InternalMisalignment, ...]
     gravity: tuple[float, float] | None
     messages: tuple[str, ...]
+
+    __repr__ = summary
+
+    def _shown(self) -> list[str]:
+        rows, one = self.requirements, self.calibration
+        return [
+            f"Estimate of {self.unit}" + (", SIMULATED" if one.simulated else ""),
+            one.valid_range,
+            *([f"contradicted: {', '.join(one.contradicted)}"] if one.contradicted else []),
+            *([f"not observable: {', '.join(one.unobservable)}"] if one.unobservable else []),
+            *(f"note: {message}" for message in self.messages[:2]),
+            narrow_table(rows),
+        ]
 
     @property
     def as_wished(self) -> bool:

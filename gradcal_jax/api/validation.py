@@ -16,6 +16,7 @@ from gradcal_jax import estimation, formulas
 from gradcal_jax.api.log_rows import count_rows, table_axis_of, table_readings, usable_rows
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM, G
 from gradcal_jax.api.unit_channel import integrated_rows
+from gradcal_jax.display import summary
 from gradcal_jax.files.calibration import LOG_HASH, TEMPERATURE_RATE, Calibration, Result, correction
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.information.conformity import acceptance_limit, specific_risk
@@ -74,6 +75,8 @@ class AxisValidation(NamedTuple):
     rows: dict[str, int]
     messages: tuple[str, ...]
     gravity_ug: tuple[float, float] | None = None
+
+    __repr__ = summary
 
 
 def validate(

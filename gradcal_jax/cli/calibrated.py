@@ -148,7 +148,7 @@ def export(
     Parameters
     ----------
     format
-        ardupilot, px4, kalibr, matrices, c-header or csv.
+        The format: ardupilot, px4, kalibr, matrices, c-header or csv.
     output
         Write here; without it the text is printed, and the report goes to stderr.
     temperature

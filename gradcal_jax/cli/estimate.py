@@ -322,33 +322,9 @@ def _discrepancy(row: "MeasuredDiscrepancy") -> list[str]:
 def _channel(channel: "UnitChannel", unseen: "Sequence[UnseenError]") -> str:
     import numpy as np
 
-    from gradcal_jax import units
-    from gradcal_jax.api.contract_rows import counted_std
+    from gradcal_jax.pages.estimated_channel import estimated_coefficients, tests_of_channel
 
-    model = channel.model
-    reported = model.to_reported
-    known = channel.estimate.known[0]
-    values, deviations = reported @ channel.estimate.parameters[0], known.deviations(reported)
-    shown = {
-        "1": ("ppm", units.PPM),
-        "rad/s": ("deg/h", units.DEG_PER_H),
-        "rad/K": ("deg/h/(K/min)", units.DEG_PER_H / 60.0),
-        "rad": ("arcsec", units.ARCSEC),
-    }
-    rows = [("parameter", "value", "1σ", "of the fit", "unit")]
-    for k, (name, si) in enumerate(zip(model.names(), model.units(), strict=True)):
-        unit, factor = shown[si]
-        if np.isfinite(deviations[k]):
-            of_fit = float(deviations[k])
-            counted, fit = (
-                f"{(s or 0.0) * factor:.4g}"
-                for s in (counted_std(f"gyro_{channel.axis}.{name}", of_fit, unseen), of_fit)
-            )
-            rows.append((name, f"{values[k] * factor:.4f}", counted, fit, unit))
-        else:
-            rows.append((name, "not observable", "", "", unit))
-    if not unseen:
-        rows = [(*row[:3], row[4]) for row in rows]
+    rows, right = estimated_coefficients(channel, unseen)
     tests = channel.consistency
     low, high = channel.valid_temperature_c
     slow, fast = (float(np.degrees(r)) for r in channel.valid_rate_rad_per_s)
@@ -356,7 +332,7 @@ def _channel(channel: "UnitChannel", unseen: "Sequence[UnseenError]") -> str:
     lines = [
         f"axis {channel.axis}: {len(channel.weights)} readings; rows: {used}",
         f"covers {low:.4g} … {high:.4g} °C, {slow:.4g} … {fast:.4g} deg/s",
-        table(rows, right=(1, 2, 3) if unseen else (1, 2)),
+        table(rows, right=right),
     ]
     if channel.lag_std_s is not None:
         lines.append(f"the maps follow the temperature {channel.lag_s:.4g} s late (1σ {channel.lag_std_s:.2g} s)")
@@ -367,16 +343,8 @@ def _channel(channel: "UnitChannel", unseen: "Sequence[UnseenError]") -> str:
         if channel.smoothness.scale_factor is not None:
             parts.append(f"scale factor {channel.smoothness.scale_factor * 1e6:.3g} ppm")
         lines.append("smoothness (1σ of neighbours' differences): " + ", ".join(parts))
-    shown = [("test", "statistic", "degrees", "chance")]
-    for name, test in [
-        ("χ² of the fit", tests.fit),
-        ("whiteness of the residuals", tests.whiteness),
-        *((f"structure beyond the model, {t.quantity.replace('_', ' ')}", t.test) for t in channel.structure),
-        *((split.name, split.agreement) for split in tests.splits),
-    ]:
-        shown.append((name, f"{test.statistic:.1f}", str(test.degrees), f"{test.probability:.2g}"))
     lines += [
-        table(shown, right=(1, 2, 3)),
+        table(tests_of_channel(channel), right=(1, 2, 3)),
         f"  residuals are {tests.noise_scale:.3f} times what the spec says; {tests.beyond_three:.2%} beyond 3σ, the "
         f"largest {tests.largest:.1f}σ",
     ]

@@ -25,7 +25,8 @@ def schema(
     listing
         List the names.
     markdown
-        Print a page for people: every key with its value, default and meaning.
+        Print a page for people: every key with its value, default and meaning; of the name "commands", every command
+        with its options.
     """
     from gradcal_jax.files import schemas
 
@@ -34,6 +35,11 @@ def schema(
         return DONE
     if name is None:
         raise ValueError(f"which one? Known: {', '.join(schemas.schema_names())}")
+    if name == "commands" and markdown:
+        from gradcal_jax.cli.commands_page import commands_page
+
+        print(commands_page(), end="")
+        return DONE
     if markdown:
         from gradcal_jax.pages.reference import reference
 

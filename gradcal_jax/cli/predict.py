@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax import units
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Json, Plot, SpecPath, as_json, drawable, save_figure
 from gradcal_jax.cli.precision import use_float64
@@ -17,7 +16,7 @@ from gradcal_jax.units import time_text
 if TYPE_CHECKING:
     from gradcal_jax.api.monte_carlo import TwinRow
     from gradcal_jax.files import Prediction, Spec
-    from gradcal_jax.files.contracts import ParameterRow, RequirementRow
+    from gradcal_jax.files.contracts import RequirementRow
     from gradcal_jax.files.unit_spec import UnitSpec
 
 
@@ -116,24 +115,19 @@ def compare(
 
 def prediction_text(prediction: "Prediction", name: str) -> str:
     """A prediction as text: ppm, deg/h, hours."""
+    from gradcal_jax.files.requirement_table import requirement_table
+    from gradcal_jax.pages.predicted_coefficients import coefficient_table
+
     times = times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s)
     lines = [strong(prediction.title or name), times, ""]
     if prediction.requirements:
         several = len({row.axis for row in prediction.requirements} & {"x", "y", "z"}) > 1
-        head = ("requirement", "statistic", "residual 1σ", "as named", "at worst", "target", "verdict")
-        rows = [head, *(_row(row, several) for row in prediction.requirements)]
-        if all(row.judged == row.decisive for row in prediction.requirements):
-            rows = [(*row[:3], *row[4:]) for row in rows]
-        lines.append(columns(rows, indent=""))
+        lines.append(columns(requirement_table(prediction.requirements), indent=""))
         lines += [sentence for row in prediction.requirements for sentence in _judged(row, several)]
     else:
         lines.append("the spec has no [[requirement]]; the parameters' standard deviations are:")
-    if any(row.axis == "unit" for row in prediction.parameters):
-        from gradcal_jax.pages.unit import parameter_table
-
-        lines += ["", columns(parameter_table(prediction), indent="", right=(1, 2, 3))]
-    else:
-        lines += ["", columns(_parameters(prediction), indent="", right=(1,))]
+    table, right = coefficient_table(prediction)
+    lines += ["", columns(table, indent="", right=right)]
     several = len({row.axis for row in prediction.notices}) > 1
     lines += [(f"axis {row.axis}: " if several else "") + row.sentence for row in prediction.notices]
     lines += [f"note: {warning}" for warning in prediction.warnings]
@@ -176,17 +170,8 @@ def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:
     return columns(rows, indent="")
 
 
-def _named(row: "RequirementRow | ParameterRow | TwinRow", several: bool) -> str:
+def _named(row: "RequirementRow | TwinRow", several: bool) -> str:
     return f"{row.name}, axis {row.axis}" if several else row.name
-
-
-def _row(row: "RequirementRow", several: bool) -> tuple[str, ...]:
-    left, target = amount(row.judged, row.unit), "" if row.target is None else amount(row.target, row.unit)
-    if row.uncertain is not None:
-        left += f" ({row.uncertain[0]:.4g} … {row.uncertain[1]:.4g})"
-    worst = "" if row.worst is None else amount(row.worst, row.unit)
-    alone = amount(row.decisive, "").strip()
-    return (_named(row, several), row.statistic, left, alone, worst, target, row.verdict or "")
 
 
 def _judged(row: "RequirementRow", several: bool) -> list[str]:
@@ -241,22 +226,6 @@ def percent(chance: float, least: float = 1e-4) -> str:
     if chance < least:
         return f"< {100.0 * least:g} %"
     return f"> {100.0 * (1.0 - least):g} %" if chance > 1.0 - least else f"{100.0 * chance:.3g} %"
-
-
-_SHOWN = {
-    "rad/s": ("deg/h", units.DEG_PER_H),
-    "1": ("ppm", units.PPM),
-    "rad/K": ("deg/h/(K/min)", units.DEG_PER_H / 60.0),
-}
-
-
-def _parameters(prediction: "Prediction") -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = [("parameter", "1σ", "unit")]
-    several = len({row.axis for row in prediction.parameters}) > 1
-    for row in prediction.parameters:
-        unit, factor = _SHOWN.get(row.unit, (row.unit, 1.0))
-        rows.append((_named(row, several), "not observable" if row.std is None else f"{row.std * factor:.4g}", unit))
-    return rows
 
 
 def _simulated(rows, tests, runs: int, seed: int) -> str:

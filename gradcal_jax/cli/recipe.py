@@ -36,7 +36,7 @@ def recipe(
     stable_within
         A temperature counts as stable within this of its goal, such as "0.5 K".
     stable_for
-        ... for at least so long, such as "5 min".
+        The time for which it must stay there, such as "5 min".
     timeout
         The run ends when the first temperature is not stable after so long, such as "4 h".
     json

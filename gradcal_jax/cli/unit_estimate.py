@@ -11,7 +11,7 @@ from gradcal_jax.cli.output import as_json
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.files.calibration import write_calibration
 from gradcal_jax.files.calibration.correction import term_values
-from gradcal_jax.pages.plain_text import amount
+from gradcal_jax.files.requirement_table import requirement_table
 from gradcal_jax.pages.plain_text import columns as table
 from gradcal_jax.units import G
 
@@ -64,15 +64,8 @@ def _tests(report: "UnitReport | HandReport") -> str:
 
 def requirement_lines(rows: "Sequence[RequirementRow]") -> list[str]:
     """The requirements as an estimate meets them, and the rules of their verdicts."""
-    shown = [("requirement", "statistic", "residual 1σ", "as named", "at worst", "target", "verdict")]
     names = [f"{row.name}, {row.limited_by or f'axis {row.axis}'}" for row in rows]
-    for name, row in zip(names, rows, strict=True):
-        target = "" if row.target is None else amount(row.target, row.unit)
-        worst = "" if row.worst is None else amount(row.worst, row.unit)
-        alone = amount(row.decisive, "").strip()
-        shown.append((name, row.statistic, amount(row.judged, row.unit), alone, worst, target, row.verdict or ""))
-    if all(row.judged == row.decisive for row in rows):
-        shown = [(*cells[:3], *cells[4:]) for cells in shown]
+    shown = requirement_table(rows, names)
     return ["", table(shown, indent=""), *(f"{n}: {row.rule}" for n, row in zip(names, rows, strict=True) if row.rule)]
 
 

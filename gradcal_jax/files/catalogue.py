@@ -33,6 +33,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
+from gradcal_jax.display import summary
 from gradcal_jax.files.changes import patched, tables_of
 from gradcal_jax.files.document import TitledFile, parsed, read_text
 from gradcal_jax.files.mission import missions_from
@@ -129,6 +130,8 @@ class Catalogue:
     file: CatalogueFile
     text: str
     cases: tuple[CatalogueCase, ...]
+
+    __repr__ = summary
 
 
 def slug(name: str) -> str:

@@ -8,7 +8,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from gradcal_jax.display import html
 from gradcal_jax.files.section import Section
+from gradcal_jax.units import times_text
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Size = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -450,3 +452,19 @@ class Prediction(Section):
     """Warnings, in sentences."""
     omitted: tuple[AbsentRow, ...] = ()
     """Error terms that the spec does not name; they count in the verdicts."""
+
+    _repr_html_ = html
+
+    def _shown(self) -> list[str]:
+        from gradcal_jax.files.requirement_table import narrow_table
+
+        hidden = [row.name for row in self.parameters if row.std is None]
+        counts = {"parameter": self.parameters, "omitted error term": self.omitted, "warning": self.warnings}
+        numbers = [f"{len(rows)} {name}{'s' * (len(rows) != 1)}" for name, rows in counts.items() if rows]
+        return [
+            f"Prediction: {self.title}" if self.title else "Prediction",
+            times_text(self.duration_s, self.soak_s, self.motion_s),
+            ", ".join(numbers),
+            *([f"not observable: {', '.join(hidden)}"] if hidden else []),
+            narrow_table(self.requirements),
+        ]

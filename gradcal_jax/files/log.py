@@ -28,6 +28,8 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from gradcal_jax.display import columns as text_columns
+from gradcal_jax.display import html, summary
 from gradcal_jax.files.netcdf import NetcdfError, NetcdfVariable, load_netcdf, write_netcdf
 from gradcal_jax.files.problems import instead
 
@@ -115,6 +117,8 @@ class AngleReadings:
     standard_deviation_rad: Floats
     kind: Whole
     """`ReadingKind`s."""
+
+    __repr__ = summary
 
     @classmethod
     def in_order(cls, parts: Sequence["AngleReadings"]) -> "AngleReadings":
@@ -251,6 +255,27 @@ class Log:
     """Of the table's angle. `None`: where they were taken is not recorded, and `table_angle_rad` holds at every row."""
     table_course_rad: Floats | None = None
     """[time, table axis]; the angle reconstructed between readings, for pictures."""
+
+    __repr__ = summary
+    _repr_html_ = html
+
+    def summary_lines(self) -> list[str]:
+        """Its contents in lines: length, units, axes, arrays, faults."""
+        rows = len(self.time_s)
+        units = ", ".join(self.units) if len(self.units) <= 3 else f"{len(self.units)} units"
+        arrays = {"temperature": self.temperature_c, "host time": self.host_time_s, "table angle": self.table_angle_rad}
+        also = [name for name, array in arrays.items() if array is not None]
+        also += [] if self.readings is None else [f"{len(self.readings.time_s)} readings of the table's angle"]
+        also += [f"{len(self.stretch_starts)} stretches"] if len(self.stretch_starts) > 1 else []
+        lines = [
+            f"Log of {units}: {self.duration_s:.6g} s, {rows} rows" + (", SIMULATED" if self.simulated else ""),
+            f"  rates of {', '.join(self.axes) or 'no axis'}"
+            + (f"; specific forces of {', '.join(self.force_axes)}" if self.force_axes else ""),
+            *([f"  with {', '.join(also)}"] if also else []),
+        ]
+        return lines + ([text_columns([(f.done, f.message) for f in self.findings])] if self.findings else [])
+
+    _shown = summary_lines
 
     def __post_init__(self) -> None:
         rows = len(self.time_s)

@@ -19,11 +19,13 @@ from gradcal_jax.files.document import TitledFile, from_text, model_of, read_tex
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
+from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.rounding import ControllerSteps
 from gradcal_jax.files.section import Section, read_by
 from gradcal_jax.files.spec import Spec, is_of_unit, of_one_axis, spec_of
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.units import times_text
 
 FORMAT: Final = "gradcal-recipe/1"
 
@@ -113,6 +115,17 @@ class Recipe(TitledFile):
             "does not follow from the spec inside the recipe; change the plan in the spec and make the recipe anew"
         )
         return [Problem(key, message, value) for key, _, value in differences(expected, written, ())][:5]
+
+    def _shown(self) -> list[str]:
+        rows = self.prediction.requirements
+        return [
+            f"Recipe: {self.title}" if self.title else "Recipe",
+            self.status,
+            times_text(self.prediction.duration_s, self.prediction.soak_s, self.prediction.motion_s),
+            f"segments of the chamber: {len(self.chamber.programme)}; cycles of the table: "
+            f"{sum(block.repeat for block in self.motion)}",
+            narrow_table(rows),
+        ]
 
     @property
     def axis_spec(self) -> Spec:

@@ -11,7 +11,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, GetJsonSchemaHandle
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
+from gradcal_jax.display import summary
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint, nearest, one_of
+
+_NAMES_OF_PYDANTIC = frozenset(name for name in dir(BaseModel) if not name.startswith("_"))
 
 
 class Section(BaseModel):
@@ -21,6 +24,12 @@ class Section(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=False, defer_build=True
     )
+
+    __repr__ = __str__ = summary
+
+    def __dir__(self) -> list[str]:
+        """Our own names, which a tab lists, without those of pydantic."""
+        return [name for name in object.__dir__(self) if name not in _NAMES_OF_PYDANTIC]
 
     # Plain types: the tests check annotations function by function, where Self has no meaning.
     @model_validator(mode="wrap")

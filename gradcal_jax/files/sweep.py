@@ -29,6 +29,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, model_validator
 
 from gradcal_jax import units
+from gradcal_jax.display import summary
 from gradcal_jax.files import presets
 from gradcal_jax.files.changes import changed, split_key
 from gradcal_jax.files.document import TitledFile, parsed, read_text, read_toml
@@ -273,6 +274,8 @@ class Sweep:
     file: SweepFile
     text: str
     base: Spec | UnitSpec
+
+    __repr__ = summary
 
 
 def read_sweep(path: str | Path) -> Sweep:

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal
 
+from gradcal_jax.display import summary
+
 from .roles import AxisReading, ChamberReading
 from .safety import SafeOutcome
 
@@ -42,6 +44,8 @@ class RunResult:
     steps_done: int
     begun: bool = True
     """Whether anything was commanded to a device."""
+
+    __repr__ = summary
 
     @property
     def verified_safe(self) -> bool:

@@ -42,6 +42,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import optimize, special
 
 from gradcal_jax import formulas
+from gradcal_jax.display import summary
 from gradcal_jax.identify.largest_drift import running_angle
 
 Times = Float[np.ndarray, " times"]
@@ -80,6 +81,8 @@ class AllanDeviation:
     sample_interval_s: float
     stretch_lengths: tuple[int, ...]
     """Samples in each unbroken stretch, for the confidence."""
+
+    __repr__ = summary
 
 
 @dataclass(frozen=True)
@@ -125,6 +128,8 @@ class AllanFit:
     """Probability that a record of this model is as far from its fit as this one."""
     farthest_time_s: float
     """The time at which the model differs most from the record."""
+
+    __repr__ = summary
 
 
 def averaging_times(samples: int, sample_interval_s: float, *, per_decade: int = 10) -> Times:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import optimize
 
+from gradcal_jax.display import summary
 from gradcal_jax.formulas import lag_filter
 
 
@@ -31,6 +32,8 @@ class ThermalBias:
     """λ; zero: the bias follows the measured temperature without lag."""
     residual_rms: float
     """RMS residual of the fitted rates, in their unit."""
+
+    __repr__ = summary
 
     def bias(
         self, temperature_c: Float[np.ndarray, " samples"], sample_interval_s: float

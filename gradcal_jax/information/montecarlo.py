@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gradcal_jax.display import summary
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
 from gradcal_jax.information.posterior import Posterior, least_squares, posterior, square_root, unweighted
 from gradcal_jax.information.regressors import at_readings
@@ -94,6 +95,8 @@ class WishartTest(NamedTuple):
     statistic: float
     low: float
     high: float
+
+    __repr__ = summary
 
     @property
     def consistent(self) -> bool:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gradcal_jax.arrays import AnyArray, fixed, namespace
+from gradcal_jax.display import summary
 from gradcal_jax.information.adjoint import whitened_factor
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
 from gradcal_jax.information.regressors import at_readings
@@ -83,6 +84,8 @@ class Posterior(NamedTuple):
 
     spread: np.ndarray
     hidden: np.ndarray
+
+    __repr__ = summary
 
     def deviations(self, contrasts: np.ndarray) -> np.ndarray:
         """Standard deviation of each row of `contrasts` `(g, p)`; `inf` for one with a hidden component."""

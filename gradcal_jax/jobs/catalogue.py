@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from gradcal_jax.display import summary
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.catalogue import Catalogue, CatalogueCase
 from gradcal_jax.files.writing import write_whole
@@ -26,6 +27,8 @@ class RecipeTable:
 
     rows: tuple[dict[str, Any], ...]
     kept: int
+
+    __repr__ = summary
 
     @property
     def failed(self) -> int:

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import gradcal_jax
 from gradcal_jax.api.contract_rows import versions_of
+from gradcal_jax.display import summary
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.sweep import Sweep
 from gradcal_jax.files.writing import write_whole
@@ -48,6 +49,8 @@ class Swept:
     results: tuple[PointResult, ...]
     seconds: float
     kept: int
+
+    __repr__ = summary
 
     @property
     def failed(self) -> int:

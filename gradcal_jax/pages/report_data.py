@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 from gradcal_jax import api
 from gradcal_jax.api.ieee_terms import IeeeTerm, standard_terms
+from gradcal_jax.display import summary
 from gradcal_jax.pages.applying import ExampleFact, ExportFact, examples_of, exports_of
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_values, parameters, predicted_deviations
 from gradcal_jax.pages.provenance import assumed_noise, provenance_rows
@@ -44,6 +45,8 @@ class ReportData(NamedTuple):
     provenance: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
     maps: tuple[MapFact, ...]
+
+    __repr__ = summary
 
     @property
     def verdict(self) -> str:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax import formulas
+from gradcal_jax.display import summary
 
 Division = tuple[tuple[float, ...], tuple[bool, ...]]
 """Division of a smooth part of a move: edges (fractions, 0 to 1), and whether each piece ends with a reading."""
@@ -53,6 +54,8 @@ class Move:
     peak_rate: float = 0.0
     ramp: float = 0.0
     unevenness: float = 0.0
+
+    __repr__ = summary
 
     @property
     def angle(self) -> float:

@@ -24,3 +24,8 @@ def time_text(seconds: float) -> str:
     parts += [f"{minutes} min"] if minutes else []
     parts += [f"{left} s"] if left and hours < 10 else []
     return " ".join(parts) if parts else "0 s"
+
+
+def times_text(duration_s: float, soak_s: float, motion_s: float, motion: str = "motion") -> str:
+    """Durations of a plan, its soaks and its motion."""
+    return f"{time_text(duration_s)} in all: soak {time_text(soak_s)}, {motion} {time_text(motion_s)}"

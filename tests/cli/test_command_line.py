@@ -27,6 +27,15 @@ def spec(tmp_path):
     return path
 
 
+def test_the_package_runs_as_a_module_too():
+    as_module = [sys.executable, "-m", "gradcal_jax"]
+    done = subprocess.run([*as_module, "new", "--list"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, gradcal("new", "--list").stdout)
+    wrong = subprocess.run([*as_module, "predict", "no.toml"], capture_output=True, text=True, check=False)
+    assert wrong.returncode == 2
+    assert wrong.stderr.startswith("gradcal: no.toml")
+
+
 HEAVY = ("jax", "jaxlib", "equinox", "xarray", "matplotlib", "scipy", "h5netcdf", "jinja2")
 
 

@@ -15,7 +15,7 @@ from gradcal_jax.api.calibration import estimate_calibration
 from gradcal_jax.api.estimate import _fitted_lag, estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.log_rows import Rows, host_time, temperature_followed
-from gradcal_jax.files import parse_spec
+from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.log import Log, LogError, Reason
 from gradcal_jax.information import information
@@ -387,3 +387,12 @@ def test_without_a_table_only_the_bias_is_seen():
     assert any("the scale factor is not observable" in message for message in report.messages[log.units[0]])
     verdicts = {v.name: v.verdict for v in report.verdicts[log.units[0]]}
     assert verdicts["map"] == "unobservable"
+
+
+def test_a_log_that_determines_no_coefficient_has_a_calibration_without_covariance():
+    one_cycle = {"plan.temperature": ["20 degC", "26 degC"], "sensor.scale_factor.temperature.degree": 1}
+    spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), one_cycle)
+    report = estimate_calibration(spec, simulate_log(spec, sample_rate_hz=10.0).log)
+    assert report.calibrations[0].covariance.names == ()
+    assert {row.verdict for row in report.verdicts["simulated-1"]} == {"unobservable"}
+    assert not report.as_wished

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax import formulas
+from gradcal_jax.display import summary
 from gradcal_jax.files.bases import (
     RateBasis,
     RateBins,
@@ -52,6 +53,8 @@ class Corrected(NamedTuple):
     outside_rate: int
     left_alone: tuple[str, ...]
     """Channels of the log that the calibration does not have."""
+
+    __repr__ = summary
 
 
 def basis_values(basis: TemperatureBasis | RateBasis, x: Floats) -> Floats:

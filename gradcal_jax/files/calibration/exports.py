@@ -18,6 +18,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from gradcal_jax.display import summary
 from gradcal_jax.files.calibration import c_header
 from gradcal_jax.files.calibration.correction import linear_part, term_values, value_at
 from gradcal_jax.files.calibration.file import TEMPERATURE_RATE, CalibratedChannel, CalibratedTerm, Calibration, Noise
@@ -45,6 +46,8 @@ class Export(NamedTuple):
     text: str
     losses: tuple[Loss, ...]
     notes: tuple[str, ...]
+
+    __repr__ = summary
 
 
 def export(

@@ -10,12 +10,14 @@ names; "temperature rate" is dT/dt. Coefficients are those of the paper: `a{k}` 
 a scale factor; other bases count their functions. Numbers without a unit are SI.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
+from gradcal_jax.display import amount, columns, html
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis, increasing
 from gradcal_jax.files.calibration.upgrade import FORMAT, OLD_FORMAT, function_of, upgraded
 from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
@@ -305,6 +307,44 @@ class Calibration(TitledFile):
         """Rates that the data covered for every channel (the second may be below the first: none)."""
         lows, highs = zip(*(channel.valid_rate for channel in self.channel), strict=True)
         return max(lows), min(highs)
+
+    _repr_html_ = html
+
+    @property
+    def valid_range(self) -> str:
+        """The range of temperature and rate that the data covered, in words."""
+        low, high = self.valid_temperature
+        return f"covers {low} … {high}, up to {math.degrees(float(self.valid_rate[1])):.4g} deg/s"
+
+    @property
+    def result_rows(self) -> list[tuple[str, ...]]:
+        """A row for each requirement: name, statistic, residual, target, verdict."""
+        return [
+            (
+                row.name if len(self.channel) == 1 else f"{row.name}, {row.axis}",
+                row.statistic,
+                amount(row.value, row.unit),
+                "" if row.target is None else amount(row.target, row.unit),
+                row.verdict or "",
+            )
+            for row in self.result
+        ]
+
+    def _shown(self) -> list[str]:
+        channels = [
+            (channel.label, ", ".join(f"{term.name} ({len(term.coefficients)})" for term in channel.term))
+            for channel in self.channel
+        ]
+        counts = {"contradicted": self.contradicted, "not observable": self.unobservable}
+        return [
+            f"Calibration of {self.serial_number}" + (", SIMULATED" if self.simulated else ""),
+            *([self.title] if self.title else []),
+            self.valid_range,
+            *(f"{name}: {', '.join(names)}" for name, names in counts.items() if names),
+            columns(self.result_rows, indent=""),
+            "terms, with the number of their coefficients:",
+            *columns(channels).split("\n"),
+        ]
 
     def contradictions_of(self, channel: CalibratedChannel) -> tuple[str, ...]:
         """The failed tests of a channel, and those of all channels together."""

@@ -1,0 +1,161 @@
+"""Objects show themselves: `repr` fits a terminal, notebooks get the tables of the commands, a tab lists our names."""
+
+import dataclasses
+import inspect
+import json
+import re
+import subprocess
+import sys
+import time
+import typing
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from simulated_log import simulate_log
+
+import gradcal_jax as gj
+from gradcal_jax import display, identify
+from gradcal_jax.api import calibration, frontier, instability, limit, optimise
+from gradcal_jax.files.calibration.upgrade import upgraded
+from gradcal_jax.files.requirement_table import requirement_table
+
+LINES, WIDTH = 15, 80
+WORDS = "a sentence that goes on and on, " * 40
+PRESETS = [*gj.presets.names(), "accelerometer-six-positions", "gradient-three-axes", "heat-and-cool"]
+CALIBRATIONS = json.loads((Path(__file__).parent / "numbers/calibrations.json").read_text(encoding="utf-8"))
+
+
+def fits(value):
+    began = time.process_time()
+    shown = repr(value)
+    assert time.process_time() - began < 0.05
+    lines = shown.splitlines()
+    assert 1 <= len(lines) <= LINES
+    assert max(map(len, lines)) <= WIDTH
+    assert not re.search(r"0x[0-9a-f]{6}", shown)
+    return shown
+
+
+def hint_of(function):
+    """What it returns; some name the classes of their results for type checkers alone."""
+    names = {"xarray": xarray, "np": np}
+    for home in (calibration, frontier, limit, optimise, instability, identify):
+        names |= {name: value for name, value in vars(home).items() if inspect.isclass(value)}
+    return typing.get_type_hints(function, localns=names)["return"]
+
+
+def parts(hint):
+    return [hint, *(inner for part in typing.get_args(hint) for inner in parts(part))]
+
+
+def public_classes():
+    """Every class of the package that a public name is, or that a public function returns, in a list, too."""
+    named = [getattr(gj, name) for name in gj.__all__ if name != "presets"]
+    returned = [hint_of(function) for function in named if inspect.isfunction(function)]
+    found = {p for hint in [*named, *returned] for p in parts(hint) if inspect.isclass(p)}
+    ours = {kind for kind in found if kind.__module__.startswith("gradcal_jax") and not issubclass(kind, Exception)}
+    return sorted(ours, key=lambda kind: kind.__name__)
+
+
+def large(kind):
+    """An object of a class with large contents in every field, made without its checks."""
+    entries = [WORDS, np.zeros((1000, 50)), tuple(range(5000)), {f"key {i}": WORDS for i in range(300)}, [WORDS] * 9]
+    if hasattr(kind, "model_fields"):
+        return kind.model_construct(**{n: entries[i % 5] for i, n in enumerate(kind.model_fields)})
+    if hasattr(kind, "_fields"):
+        return kind._make(entries[i % 5] for i, _ in enumerate(kind._fields))
+    made = object.__new__(kind)
+    for i, field in enumerate(dataclasses.fields(kind)):
+        object.__setattr__(made, field.name, entries[i % 5])
+    return made
+
+
+@pytest.mark.parametrize("kind", public_classes(), ids=lambda kind: kind.__name__)
+def test_the_repr_of_every_public_class_fits_whatever_it_holds(kind):
+    if hasattr(kind, "_shown"):  # with lines of its own: below, with real contents
+        assert kind.__repr__ is display.summary
+    else:
+        assert kind.__name__ in fits(large(kind))
+
+
+def test_all_results_of_functions_are_among_the_classes():
+    names = {kind.__name__ for kind in public_classes()}
+    assert len(names) >= 30
+    assert names >= {"Prediction", "EstimateReport", "Spec", "UnitSpec", "Log", "Calibration", "Recipe", "PlanLimit"}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_specs_predictions_recipes_and_timelines_show_what_they_are(preset):
+    read = gj.parse_unit_spec if preset in gj.presets.unit_names() else gj.parse_spec
+    spec = read(gj.presets.text(preset))
+    prediction = gj.predict(spec)
+    assert spec.title[:60] in fits(spec)
+    shown = fits(prediction)
+    assert prediction.title[:60] in shown
+    for row in prediction.requirements[:5]:
+        assert row.name in shown
+        assert display.amount(row.judged, row.unit) in shown
+    fits(gj.timeline(spec))
+    html = prediction._repr_html_()
+    table = requirement_table(prediction.requirements)
+    assert all(f">{cell}</t" in html for cells in table for cell in cells)
+
+
+def test_what_an_estimate_shows_is_what_its_command_prints():
+    spec = gj.changed(
+        gj.parse_spec(gj.presets.text("paper-dynamic-gradient")),
+        {"plan.temperature": ["20 degC", "45 degC"], "sensor.scale_factor.temperature.degree": 1},
+    )
+    log = simulate_log(spec, sample_rate_hz=10.0).log
+    assert f"{len(log.time_s)} rows, SIMULATED" in fits(log)
+    assert f">{log.counts()['used']}</td>" in log._repr_html_()
+    report = gj.estimate(spec, log)
+    (rows,) = report.verdicts.values()
+    shown, html = fits(report), report._repr_html_()
+    for row in rows:
+        assert row.name in shown
+        assert f">{display.amount(row.judged, row.unit)}</td>" in html
+    assert html.count(">b00</td>") == 1
+    assert "whiteness of the residuals" in html
+    calibration = report.calibrations[0]
+    assert calibration.serial_number in fits(calibration)
+    assert f">{display.amount(calibration.result[0].value, 'ppm')}</td>" in calibration._repr_html_()
+    assert fits(gj.recipe(spec)).startswith("Recipe: Berman")
+
+
+@pytest.mark.parametrize("name", CALIBRATIONS)
+def test_a_calibration_shows_its_channels(name):
+    one = gj.Calibration.model_validate(upgraded(CALIBRATIONS[name]["tables"]))
+    shown, html = fits(one), one._repr_html_()
+    assert one.serial_number in shown
+    assert one.serial_number in html
+    assert ("SIMULATED" in shown) == ("SIMULATED" in html) == one.simulated
+    assert one.channel[0].label in shown
+    assert one.valid_range in shown
+    assert html.count("<table>") == 1 + bool(one.result) + bool(one.fit)
+
+
+def test_what_a_file_says_is_escaped_in_html():
+    prediction = gj.predict(gj.parse_spec(gj.presets.text("rig-3arcsec"))).model_copy(update={"title": "<b>&"})
+    assert "&lt;b&gt;&amp;" in prediction._repr_html_()
+
+
+def test_a_repr_imports_nothing_heavy():
+    script = """
+import sys
+import gradcal_jax as gj
+spec = gj.parse_spec(gj.presets.text("tactical-mems"))
+print(repr(spec)[:5], sorted({"jax", "matplotlib", "scipy", "xarray", "pandas"} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "Spec: []", done.stderr
+
+
+def test_a_tab_lists_our_names():
+    spec = gj.parse_spec(gj.presets.text("tactical-mems"))
+    names = [name for name in dir(spec) if not name.startswith("_")]
+    assert names == sorted(names)
+    assert {"sensor", "rig", "plan", "requirement", "schedule"} <= set(names)
+    assert not [name for name in names if name.startswith("model_") or name in ("json", "dict", "copy", "construct")]

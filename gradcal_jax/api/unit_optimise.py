@@ -25,16 +25,17 @@ from gradcal_jax.design.pose_cycle import (
     WINDOW,
     CycleCoordinates,
     CycleObjective,
-    Element,
+    CycleStructure,
+    GridElement,
+    PoseTurn,
     Ramp,
     Statistics,
-    Structure,
     TableLimits,
-    Turn,
     further,
     largest_turn,
     structure_of,
 )
+from gradcal_jax.display import summary
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
 from gradcal_jax.files.unit_plan import UnitSchedule, quickest_turn
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
@@ -96,6 +97,7 @@ class UnitOptimum(NamedTuple):
     gain: float
     evaluations: int
     kept: bool = False
+    __repr__ = summary
 
 
 def optimise_unit(
@@ -245,7 +247,7 @@ class CyclePlan:
         spare = math.ceil(len(turns) * (1.0 + _SPARE) / _SLOTS) * _SLOTS
         self.slots = max(min(spare, self.design.moves), len(turns))
         self.coordinates = CycleCoordinates(self.limits, self.slots)
-        self._courses: dict[int, Course] = {}
+        self._courses: dict[int, CycleCourse] = {}
         self._window = self._cycles_together(models)
         self.objective = CycleObjective(
             self.coordinates,
@@ -261,7 +263,7 @@ class CyclePlan:
         )
         self.descent = Descent(self._value)
 
-    def _value(self, z: Any, args: tuple[Structure, Ramp, Any]) -> Any:
+    def _value(self, z: Any, args: tuple[CycleStructure, Ramp, Any]) -> Any:
         return self.objective.value(jnp.reshape(z, (3, self.slots)), *args)
 
     def _cycles_together(self, models: Sequence[UnitModel]) -> int:
@@ -274,16 +276,16 @@ class CyclePlan:
         fit = math.ceil(_BEFORE + _MEMORY * longest * self.start.cycles / stretches[0].duration)
         return min(max(fit, WINDOW), _LONGEST_WINDOW)
 
-    def course(self, count: int) -> "Course":
+    def course(self, count: int) -> "CycleCourse":
         """The course of the plan where its first stretch has `count` cycles."""
         if count not in self._courses:
             stretches = self.spec.plain_schedule.stretches
             period = min(stretches[0].duration / count, *(s.duration for s in stretches)) - _LEFT / count
             counts = tuple(max(1, int(s.duration / period)) for s in stretches)
-            self._courses[count] = Course(period, self._ramps(counts, period))
+            self._courses[count] = CycleCourse(period, self._ramps(counts, period))
         return self._courses[count]
 
-    def structure(self, cycle: RepeatedCycle, *, turnable: bool = True) -> Structure:
+    def structure(self, cycle: RepeatedCycle, *, turnable: bool = True) -> CycleStructure:
         """The structure of a cycle."""
         period = self.course(cycle.cycles).period
         return structure_of(cycle.turns, self.slots, self.limits, period, closed=self.closed, turnable=turnable)
@@ -375,7 +377,7 @@ class CyclePlan:
         for k in range(abs(change)) if rests else ():
             item = rests[k % len(rests)]
             item[3] = max(round(item[3] + math.copysign(_REST, change), 6), self.limits.shortest)
-        return tuple(Turn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
+        return tuple(PoseTurn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
 
     def _moves(self, cycle: Cycle) -> list[dict[str, str]]:
         """A cycle as a list of moves for a spec."""
@@ -389,7 +391,7 @@ class CyclePlan:
         return moves
 
 
-class Course(NamedTuple):
+class CycleCourse(NamedTuple):
     """The `period` (s) of a number of cycles, and their ramps."""
 
     period: float
@@ -426,12 +428,12 @@ def _parts(schedule: UnitSchedule, counts: Sequence[int], period: float) -> list
 
 def _cycle_of(spec: UnitSpec) -> Cycle:
     """The spec's own cycle: a rest belongs to the turn before it, the first one to the last turn."""
-    turns: list[Turn] = []
+    turns: list[PoseTurn] = []
     begins = 0.0
     for s in spec.plain_schedule.steps:
         for _ in range(s.move.repeat):
             if s.axis >= 0:
-                turns.append(Turn(s.axis, s.move.angle, s.move.fastest, 0.0))
+                turns.append(PoseTurn(s.axis, s.move.angle, s.move.fastest, 0.0))
             elif turns:
                 turns[-1] = turns[-1]._replace(rest=turns[-1].rest + s.move.duration)
             else:
@@ -439,7 +441,7 @@ def _cycle_of(spec: UnitSpec) -> Cycle:
     if begins and turns and max(x.cycles for x in spec.plain_schedule.stretches) > 1:
         turns[-1] = turns[-1]._replace(rest=turns[-1].rest + begins)
     elif begins:
-        turns.insert(0, Turn(-1, 0.0, 0.0, begins))
+        turns.insert(0, PoseTurn(-1, 0.0, 0.0, begins))
     return tuple(turns)
 
 
@@ -467,7 +469,7 @@ def _statistics_of(quantity: RequiredQuantity) -> Statistics:
         if isinstance(e.of, tuple):
             model, term, *grid = e.of
             rows, alone, added = contrasts(model, term, *(x.ravel() for x in np.meshgrid(*grid, indexing="ij")))
-        one = Element(e.where, np.asarray(rows), alone if np.any(alone) else None, added + quantity.beside**2)
+        one = GridElement(e.where, np.asarray(rows), alone if np.any(alone) else None, added + quantity.beside**2)
         elements.append(one)
     shape = len(quantity.temperatures), len(quantity.rates)
     target = requirement.target

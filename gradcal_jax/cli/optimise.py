@@ -36,8 +36,8 @@ def optimise(
     """Minimise a plan's residual by gradient descent, within the limits of sensor, rig and time; write it as a recipe.
 
     The spec's [design] says what to minimise and what is free. For a whole unit, the poses, rates and rests of many
-    cycles descend, and the best cycle is written as a spec. Ctrl-C once finishes with the best plan so far; twice stops
-    at once. The exit status is 1 where the search did not converge.
+    cycles are changed along the gradient, and the best cycle is written as a spec. Ctrl-C once finishes with the best
+    plan so far; twice stops at once. The exit status is 1 where the search did not converge.
 
     Parameters
     ----------
@@ -50,10 +50,10 @@ def optimise(
     plot
         Draw the residual before and after into this file (.png, .svg, .pdf).
     steps
-        Iterations of each start, by default 240; for a whole unit, evaluations of the gradient in all, by default
+        Iterations of each start, by default 240; for a whole unit, gradients that are computed in all, by default
         12000: some minutes.
     quick
-        Few starts, or evaluations: within some per cent of the best, in seconds.
+        Few starts, or gradients: within some per cent of the best, in seconds.
     until_met
         Stop at the first plan that meets every target with a margin of 10 %; no search where the spec's own plan does.
     resume
@@ -222,8 +222,8 @@ def text_of_unit(best: "UnitOptimum") -> str:
 def gain_of_unit(best: "UnitOptimum") -> str:
     """The gain of a search of a whole unit, in a sentence."""
     if best.kept:
-        return f"nothing better than the plan as it was after {best.evaluations} evaluations: it is kept"
-    return f"{best.gain:.2f} times better in the geometric mean, after {best.evaluations} evaluations of the gradient"
+        return f"nothing better than the plan as it was after {best.evaluations} gradients: it is kept"
+    return f"{best.gain:.2f} times better in the geometric mean, after {best.evaluations} gradients"
 
 
 def search_unit(

@@ -7,22 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gradcal_jax.design.pose_cycle import TableLimits, Turn
+from gradcal_jax.design.pose_cycle import PoseTurn, TableLimits
 
-Cycle = tuple[Turn, ...]
+Cycle = tuple[PoseTurn, ...]
 
 # Angles (rad) of inserted turns: to neighbouring poses, and by whole turns.
 _ANGLES = tuple(math.radians(a) for a in (45.0, 90.0, 135.0, 180.0, 360.0, 720.0, 1080.0))
 # Probabilities of each change; several are made at once with the probability `_AGAIN`.
 _CHANGES = {
     "swap": 0.2,
-    "insert": 0.2,
-    "delete": 0.12,
-    "axis": 0.08,
-    "reverse": 0.08,
-    "copy": 0.08,
-    "block": 0.12,
-    "angle": 0.12,
+    "delete": 0.18,
+    "insert": 0.16,
+    "angle": 0.16,
+    "axis": 0.1,
+    "block": 0.1,
+    "reverse": 0.05,
+    "copy": 0.05,
 }
 _AGAIN = 0.4
 
@@ -44,7 +44,7 @@ class Neighbourhood:
                 return changed
         return cycle
 
-    def _changed(self, items: list[Turn], rng: np.random.Generator) -> Cycle:
+    def _changed(self, items: list[PoseTurn], rng: np.random.Generator) -> Cycle:
         k = int(rng.integers(len(items)))
         item = items[k]
         what = rng.choice(list(_CHANGES), p=list(_CHANGES.values()))
@@ -76,7 +76,7 @@ class Neighbourhood:
         """A random cycle of `count` turns."""
         return self.within([self._drawn(rng) for _ in range(count)])
 
-    def within(self, items: Sequence[Turn]) -> Cycle:
+    def within(self, items: Sequence[PoseTurn]) -> Cycle:
         """The cycle with turns no larger than the largest, on axes of limited travel within their reach."""
         here, result = self.limits.start.copy(), []
         for t in items:
@@ -91,11 +91,11 @@ class Neighbourhood:
             result.append(t._replace(angle=float(angle)))
         return tuple(result)
 
-    def _drawn(self, rng: np.random.Generator) -> Turn:
+    def _drawn(self, rng: np.random.Generator) -> PoseTurn:
         axis = int(rng.integers(len(self.limits.rates)))
         angle = float(rng.choice(_ANGLES)) * _sign(rng)
         rate = float(self.limits.rates[axis]) * float(rng.uniform(0.1, 1.0))
-        return Turn(axis, angle, rate, self.limits.shortest + float(rng.exponential(6.0)))
+        return PoseTurn(axis, angle, rate, self.limits.shortest + float(rng.exponential(6.0)))
 
 
 def _sign(rng: np.random.Generator) -> int:

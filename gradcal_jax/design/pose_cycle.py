@@ -5,8 +5,8 @@ turns, so that it repeats. Free are the pose that every turn reaches, its peak r
 that the turns leave of a cycle's period. Which axis turns in which slot is an argument of the compiled program, as is
 whether a slot has a turn and a rest at all: one program serves every cycle of its number of slots.
 
-On a ramp of constant slope, cycles differ in temperature alone, and their columns are those of one cycle times a small
-matrix S (`information.repeated`). What a cycle adds when the W − 1 before it are known is
+On a ramp of constant slope cycles differ in temperature alone, and a polynomial at a shifted temperature is a polynomial:
+the columns of a cycle are those of another times one small matrix S. What a cycle adds when the W − 1 before it are known is
 
     D = G_W − G_(W−1)                    G_k: information of the first k cycles,
 
@@ -56,7 +56,7 @@ _NOWHERE = 1e3
 _LOW, _HIGH = 0.02, 0.98
 
 
-class Turn(NamedTuple):
+class PoseTurn(NamedTuple):
     """A turn of `axis` (−1: none) by `angle` rad at up to `rate` rad/s, then a rest of `rest` s (0: none)."""
 
     axis: int
@@ -94,7 +94,7 @@ class Ramp(NamedTuple):
     further: Float[AnyArray, "d p p"]
 
 
-class Structure(NamedTuple):
+class CycleStructure(NamedTuple):
     """What is fixed in a cycle of `K` slots: the `axis` of each turn (−1: none), whether it `rests`, whether it is
     `slow`; `before`: the slot of the axis's turn before it (−1: none); `closes`: the last turn of its axis; `whole`
     rad: by which the cycle turns each axis; `period` s; `turnable`: whether poses are free."""
@@ -122,8 +122,14 @@ class Decoded(NamedTuple):
 
 
 def structure_of(
-    cycle: Sequence[Turn], slots: int, limits: TableLimits, period: float, *, closed: bool = True, turnable: bool = True
-) -> Structure:
+    cycle: Sequence[PoseTurn],
+    slots: int,
+    limits: TableLimits,
+    period: float,
+    *,
+    closed: bool = True,
+    turnable: bool = True,
+) -> CycleStructure:
     """The structure of a cycle of at most `slots` turns, which lasts `period` s. `closed`: it returns to its begin, up
     to whole turns. `turnable`: its poses are free."""
     count, axes = len(cycle), len(limits.rates)
@@ -139,7 +145,7 @@ def structure_of(
     net = np.array([sum(t.angle for t in cycle if t.axis == l) for l in range(axes)])
     free = np.all(np.isinf(limits.reach), axis=1)
     whole = np.where(free, np.round(net / (2.0 * np.pi)) * 2.0 * np.pi, 0.0)
-    return Structure(axis, rests, slow, before, closes, whole, np.asarray(period), np.asarray(turnable))
+    return CycleStructure(axis, rests, slow, before, closes, whole, np.asarray(period), np.asarray(turnable))
 
 
 def nodes_for(turned: float, waves: int) -> int:
@@ -158,7 +164,7 @@ class CycleCoordinates(NamedTuple):
     limits: TableLimits
     slots: int
 
-    def encode(self, cycle: Sequence[Turn], of: Structure) -> Float[np.ndarray, "3 K"]:
+    def encode(self, cycle: Sequence[PoseTurn], of: CycleStructure) -> Float[np.ndarray, "3 K"]:
         """Coordinates of a cycle, moved off the bounds."""
         z, limits = np.zeros((3, self.slots)), self.limits
         here = limits.start.copy()
@@ -185,7 +191,7 @@ class CycleCoordinates(NamedTuple):
         far = by_ramps / of_axis
         return _REACHED * by_ramps * (1.0 + far**_SMOOTH) ** (-1.0 / _SMOOTH)
 
-    def decode(self, z: Float[AnyArray, "3 K"], of: Structure) -> Decoded:
+    def decode(self, z: Float[AnyArray, "3 K"], of: CycleStructure) -> Decoded:
         """The cycle of coordinates."""
         limits, turns, z = self.limits, of.axis >= 0, z * _UNITS
         axis = jnp.maximum(of.axis, 0)
@@ -214,17 +220,17 @@ class CycleCoordinates(NamedTuple):
         missing = jnp.minimum(of.left, 0.0) / (0.1 * period)
         return _PENALTY * (missing**2 + jnp.sum(long**2) + jnp.sum(rests**2))
 
-    def cycle(self, z: Float[np.ndarray, "3 K"], of: Structure) -> tuple[Turn, ...]:
+    def cycle(self, z: Float[np.ndarray, "3 K"], of: CycleStructure) -> tuple[PoseTurn, ...]:
         """The cycle of coordinates, without its empty slots."""
         angle, rate, _, _, rests, _ = (np.asarray(x) for x in self.decode(jnp.asarray(z), of))
         turns = (
-            Turn(int(l), float(a), float(abs(w)), float(r))
+            PoseTurn(int(l), float(a), float(abs(w)), float(r))
             for l, a, w, r in zip(np.asarray(of.axis), angle, rate, rests, strict=True)
         )
         return tuple(t for t in turns if t.axis >= 0 or t.rest > 0.0)
 
 
-class Element(NamedTuple):
+class GridElement(NamedTuple):
     """A linear function of the parameters on a grid: `rows` `(g, k)` of the parameters `where`; the variance `added` to
     its own, less that of `alone`."""
 
@@ -238,7 +244,7 @@ class Statistics(NamedTuple):
     """How a requirement sums up its elements on a grid of `shape`; `together`: their root mean square counts, not the
     worst. `factor`: to the logarithm's unit, that of the target where there is one."""
 
-    elements: tuple[Element, ...]
+    elements: tuple[GridElement, ...]
     shape: tuple[int, int]
     kind: str
     together: bool
@@ -287,7 +293,7 @@ class CycleObjective:
         self.statistics, self.window, self.points = statistics, window, points
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
 
-    def value(self, z: Float[AnyArray, "3 K"], of: Structure, ramps: Ramp, sharpness) -> Float[AnyArray, ""]:
+    def value(self, z: Float[AnyArray, "3 K"], of: CycleStructure, ramps: Ramp, sharpness) -> Float[AnyArray, ""]:
         """The objective of a cycle on stacked `ramps`; where it has no value, a large one."""
         logs = self.logs(z, of, ramps, sharpness)
         each = largest_log(logs, sharpness, axis=1) if self.worst else jnp.mean(logs, axis=1)
@@ -295,7 +301,7 @@ class CycleObjective:
         total = total + self.coordinates.penalty(self.coordinates.decode(z, of), of.period)
         return jnp.where(jnp.isfinite(total), total, _NOWHERE)
 
-    def logs(self, z: Float[AnyArray, "3 K"], of: Structure, ramps: Ramp, sharpness) -> Float[AnyArray, "s m"]:
+    def logs(self, z: Float[AnyArray, "3 K"], of: CycleStructure, ramps: Ramp, sharpness) -> Float[AnyArray, "s m"]:
         """The logarithm of every statistic in every model of the noise."""
         decoded, all_logs = self.coordinates.decode(z, of), []
         for model, known in zip(self.models, self.known, strict=True):
@@ -304,7 +310,7 @@ class CycleObjective:
             all_logs.append(jnp.log(jnp.stack([s(covariance, sharpness) for s in self.statistics])))
         return jnp.stack(all_logs)
 
-    def information(self, model: UnitModel, decoded: Decoded, of: Structure, ramp: Ramp) -> Float[AnyArray, "p p"]:
+    def information(self, model: UnitModel, decoded: Decoded, of: CycleStructure, ramp: Ramp) -> Float[AnyArray, "p p"]:
         """The information of all cycles on one ramp."""
         motion, at = self._motion(ramp, decoded, of, model)
         steps, columns = unit_system(motion, model, body_nodes(motion, self.points), at)
@@ -316,7 +322,9 @@ class CycleObjective:
         added = gram(steps, columns) - first
         return ramp.first * first + jnp.sum(jnp.swapaxes(ramp.further, 1, 2) @ (added @ ramp.further), axis=0)
 
-    def _motion(self, ramp: Ramp, decoded: Decoded, of: Structure, model: UnitModel) -> tuple[TableMotion, Segments]:
+    def _motion(
+        self, ramp: Ramp, decoded: Decoded, of: CycleStructure, model: UnitModel
+    ) -> tuple[TableMotion, Segments]:
         k, window = self.coordinates.slots, self.window
         limits = self.coordinates.limits
         moves = []
@@ -358,7 +366,7 @@ class CycleObjective:
         ramps, flat = (nodes_for(turned, self.waves) for turned in (in_ramp, limits.largest))
         return np.where(~turns, 1, np.where(varying, ramps, flat))
 
-    def _segments(self, line: Schedule, turns: np.ndarray, of: Structure, model: UnitModel) -> Segments:
+    def _segments(self, line: Schedule, turns: np.ndarray, of: CycleStructure, model: UnitModel) -> Segments:
         """The segments and rows of the cycles; those of empty slots are not used."""
         moving = replace(line, peak_rate=np.where(np.asarray(line.peak_rate) > 0.0, self.coordinates.limits.slow, 0.0))
         still = moving.trajectory(None)

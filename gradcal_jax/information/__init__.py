@@ -25,7 +25,6 @@ from gradcal_jax.information.posterior import (
     unweighted,
 )
 from gradcal_jax.information.regressors import at_readings, since_origin
-from gradcal_jax.information.repeated import repeated_gram
 from gradcal_jax.information.residual import STATISTICS, contrasts, residual, statistic
 from gradcal_jax.information.unit_rows import (
     encoder_rows,

@@ -108,13 +108,6 @@ class LocalPool(TaskRunner):
             if ended:
                 self.close()
 
-    def answers(self, name: str, arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
-        """The results of one kind of task in order; raises the exception of a failed task."""
-        results = dict(self.run(Task(k, name, of_task) for k, of_task in enumerate(arguments)))
-        if error := next((answer for answer in results.values() if isinstance(answer, Exception)), None):
-            raise error
-        return [results[k] for k in range(len(results))]
-
     def _started(self) -> Any:
         """The executor; a new one after the first that a killed worker broke."""
         if self._executor is None:

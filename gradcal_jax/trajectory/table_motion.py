@@ -238,7 +238,7 @@ def body_group(
     weight: Float[AnyArray, "U q"],
     angle: Float[AnyArray, "U q L"],
     joint: Float[AnyArray, "U q L"],
-    mounting: Int[np.ndarray, "U q"],
+    mounting: Int[AnyArray, "U q"],
 ) -> BodyGroup:
     """A group of nodes at which the table's axes stand at `angle` (rad) and turn at `joint` (rad/s).
 

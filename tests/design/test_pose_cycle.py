@@ -10,8 +10,8 @@ import pytest
 from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.design.pose_cycle import (
     CycleCoordinates,
+    PoseTurn,
     TableLimits,
-    Turn,
     further,
     inverse,
     largest_log,
@@ -31,15 +31,15 @@ LIMITS = TableLimits(
     slow=0.1,
 )
 CYCLE = (
-    Turn(1, 7.0, 2.5, 4.0),
-    Turn(0, 0.9, 1.0, 0.0),
-    Turn(1, -3.0, 0.08, 6.0),
-    Turn(0, -0.9, 0.7, 3.0),
-    Turn(1, 2.0 * math.pi - 4.0, 1.5, 2.5),
+    PoseTurn(1, 7.0, 2.5, 4.0),
+    PoseTurn(0, 0.9, 1.0, 0.0),
+    PoseTurn(1, -3.0, 0.08, 6.0),
+    PoseTurn(0, -0.9, 0.7, 3.0),
+    PoseTurn(1, 2.0 * math.pi - 4.0, 1.5, 2.5),
 )
 
 
-def lasting(t: Turn) -> float:
+def lasting(t: PoseTurn) -> float:
     """A turn with cosine ramps at the axis's acceleration, then its rest; s."""
     return abs(t.angle) / t.rate + math.pi * t.rate / (2.0 * LIMITS.accelerations[t.axis]) + t.rest
 

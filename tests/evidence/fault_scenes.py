@@ -490,28 +490,27 @@ def judge(scene: Scene, folder: Path) -> list[Judged]:
 
 def _held(made: dict[str, Any], t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Beyond what the data covered a calibration holds its values at the edge."""
-    (low, high), (slow, fast) = _numbers(made["valid_temperature"]), _numbers(made["valid_rate"])
+    (low, high), (slow, fast) = _numbers(made["valid_temperature"]), _numbers(made.get("valid_rate", ["0", "0"]))
     return np.clip(t, low, high), np.clip(x, slow * DEG, fast * DEG)
 
 
 def _axis_errors(scene: Scene, made: dict[str, Any], quantity: str, t: np.ndarray, x: np.ndarray) -> np.ndarray:
-    (axis,), (gyro,) = made["axis"], scene.channels
-    at = _held(axis, t, x)
+    (channel,), (gyro,) = made["channel"], scene.channels
+    at, terms = _held(channel, t, x), {term["name"]: term for term in channel["term"]}
     if quantity == "bias":
-        return _term(axis["bias"], *at) - gyro.bias(t)
+        return _term(terms["bias"], *at) - gyro.bias(t)
     # b{rate power}{temperature power}, written temperature by temperature.
-    return _term(axis["scale_factor"], *at) - gyro.scale(t, x)
+    return _term(terms["scale_factor"], *at) - gyro.scale(t, x)
 
 
 def _unit_errors(scene: Scene, made: dict[str, Any], quantity: str, t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """The root mean square over the elements of what the file says less what is true, about the body's own axes."""
-    at = _held(made, t, x)
     kind = "accelerometer" if quantity.startswith("accelerometer") else "gyro"
     name = quantity.removeprefix(f"{kind}_")
     squares: list[np.ndarray] = []
     for channel, truth in zip([c for c in made["channel"] if c["kind"] == kind],
                               [c for c in scene.channels if c.kind == kind], strict=True):  # fmt: skip
-        own = "xyz".index(channel["axis"])
+        at, own = _held(channel, t, x), "xyz".index(channel["axis"])
         signal = "rate" if kind == "gyro" else "force"
         for j in range(3):
             if (name == "misalignment") == (j == own) and name != "g_sensitivity":

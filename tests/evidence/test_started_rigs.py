@@ -62,9 +62,9 @@ def chances(recipe: Path, folder: Path, seed: int) -> dict[str, float]:
         assert status == 0, printed
     status, printed = say("estimate", *sorted(run.glob("*.nc")), "--recipe", recipe, "-o", run / "calibration.toml")
     assert status in (0, 1), printed
-    (axis,) = tomllib.loads((run / "calibration.toml").read_text(encoding="utf-8"))["axis"]
+    fits = tomllib.loads((run / "calibration.toml").read_text(encoding="utf-8"))["fit"]
     shutil.rmtree(run)
-    return {test["name"]: float(test["chance"]) for test in axis["fit"] if test["degrees"] > 0}
+    return {test["name"].split(": ")[-1]: float(test["chance"]) for test in fits if test["degrees"] > 0}
 
 
 def report(rig: str, found: list[dict[str, float]]) -> None:

@@ -5,8 +5,9 @@ turns, so that it repeats. Free are the pose that every turn reaches, its peak r
 that the turns leave of a cycle's period. Which axis turns in which slot is an argument of the compiled program, as is
 whether a slot has a turn and a rest at all: one program serves every cycle of its number of slots.
 
-On a ramp of constant slope cycles differ in temperature alone, and a polynomial at a shifted temperature is a polynomial:
-the columns of a cycle are those of another times one small matrix S. What a cycle adds when the W − 1 before it are known is
+On a ramp of constant slope cycles differ in temperature alone, and a polynomial at a shifted temperature is a
+polynomial: the columns of a cycle are those of another times one small matrix S. What a cycle adds when the W − 1
+before it are known is
 
     D = G_W − G_(W−1)                    G_k: information of the first k cycles,
 

@@ -26,7 +26,7 @@ def schema(
         List the names.
     markdown
         Print a page for people: every key with its value, default and meaning; of the name "commands", every command
-        with its options.
+        in full.
     """
     from gradcal_jax.files import schemas
 

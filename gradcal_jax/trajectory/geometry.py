@@ -55,7 +55,7 @@ class Frames(NamedTuple):
 def frames(geometry: Geometry, angles: Float[AnyArray, "*s L"], mounting: AnyArray) -> Frames:
     """The stages at the axes' `angles` (rad), for the mountings with the numbers `mounting` `(*s,)`."""
     xp = namespace(geometry, angles)
-    inner = geometry.mountings[mounting]
+    inner = namespace(geometry.mountings, mounting).asarray(geometry.mountings)[mounting]
     axes, crosses = [], []
     for k in reversed(range(geometry.axis_count)):
         direction = geometry.axes[k]

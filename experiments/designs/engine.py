@@ -55,13 +55,18 @@ def searched(start: gj.UnitSpec, reference: Path, seed: int) -> tuple[dict[str, 
     """One row of the table, and the optimum."""
     began, wall = time.process_time(), time.monotonic()
     *_, best = optimise_unit(start, seed=seed)
+    assert isinstance(best, UnitOptimum)
     took, wall = time.process_time() - began, time.monotonic() - wall
-    before = [row.decisive for row in gj.predict(gj.read_unit_spec(reference)).requirements]
-    better = [math.exp(np.mean(np.log(np.array(before) / np.array([row[k] for row in best.rows])))) for k in (2, 3)]
+    before = [row.decisive or math.nan for row in gj.predict(gj.read_unit_spec(reference)).requirements]
+    now = [row[3] or math.nan for row in best.rows]
+    better = [
+        math.exp(np.mean(np.log(before) - np.log([x or math.nan for x in of])))
+        for of in ([row[2] for row in best.rows], now)
+    ]
     return {
         "before": better[0],
         "better": better[1],
-        "worst": max(now / old for old, (*_, now) in zip(before, best.rows, strict=True)),
+        "worst": max(new / old for old, new in zip(before, now, strict=True)),
         "rows": [(name, unit, now) for name, unit, _, now in best.rows],
         "cycles": best.spec.plain_schedule.stretches[0].cycles,
         "turns": sum(step.axis >= 0 for step in best.spec.plain_schedule.steps),

@@ -56,10 +56,10 @@ class Segments(NamedTuple):
 
     first: Int[np.ndarray, " S"]
     last: Int[np.ndarray, " S"]
-    axis: Int[np.ndarray, " S"]
+    axis: Int[AnyArray, " S"]
     row_segment: Int[np.ndarray, " R"]
     row_channel: Int[np.ndarray, " R"]
-    used: Bool[np.ndarray, " R"]
+    used: Bool[AnyArray, " R"]
 
     def sums(self, of_pieces: AnyArray) -> AnyArray:
         """Sums over the pieces of each segment, `(P, …) -> (S, …)`."""
@@ -320,7 +320,7 @@ def _encoder_errors(motion: TableMotion, model: UnitModel, at: Segments) -> _Enc
     return _EncoderErrors(*(placed(shape, *of_shape) for shape, of_shape in zip(shapes, parts, strict=True)))
 
 
-def _standstills(encoder, k: int, moves: np.ndarray, start, duration):
+def _standstills(encoder, k: int, moves: Bool[AnyArray, " S"], start, duration):
     """Variance of the encoder error that each move of axis k draws, `(S,)`, and of the first one."""
     xp = namespace(encoder, start, duration, moves)
     end = start[-1:] + duration[-1:]

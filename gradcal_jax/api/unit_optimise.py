@@ -78,8 +78,8 @@ class RepeatedCycle(NamedTuple):
 
 
 class CycleSearch(NamedTuple):
-    """Progress of a search: the logarithm of the objective at its beginning and now, the completed share, and the best
-    cycle."""
+    """Progress of a search: the logarithm of the objective of the spec's own plan and of the best one so far, the
+    completed share, and the cycle that the search has come to."""
 
     first: float
     value: float
@@ -125,17 +125,20 @@ def optimise_unit(
         raise ValueError("to stop when every target is met, give a requirement a target")
     plan = CyclePlan(spec)
     before = plan.statistics(spec)
+    first = least = plan.value_of(before)
     best, after, used = spec, before, 0
     if not (until_met and plan.met(before)):
-        search = _Search(plan, evaluations, plan.design.seed if seed is None else seed, stop)
-        for state in search.run():
-            yield state
-            if until_met and plan.met(plan.statistics(plan.spec_of(state.best))):
+        search, seen = _Search(plan, evaluations, plan.design.seed if seed is None else seed, stop), None
+        for share in search.run():
+            used = search.used
+            if search.best is not seen:
+                seen, found = search.best, plan.spec_of(search.best)
+                reached = plan.statistics(found)
+                if (value := plan.value_of(reached)) < least:
+                    best, after, least = found, reached, value
+            yield CycleSearch(first, least, share, search.best)
+            if until_met and plan.met(after):
                 break
-        found = plan.spec_of(search.best)
-        reached, used = plan.statistics(found), search.used
-        if plan.value_of(reached) < plan.value_of(before):
-            best, after = found, reached
     rows = tuple(
         (r.name, UNIT_OF[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before, after, strict=True)
     )
@@ -152,35 +155,31 @@ class _Search:
         self._around = Neighbourhood(plan.limits, plan.slots)
         self.used, self.best, self._value = 0, plan.start, math.inf
 
-    def run(self) -> Iterator[CycleSearch]:
-        """Yields after every round of descents."""
+    def run(self) -> Iterator[float]:
+        """Yields the completed share after every round of descents."""
         plan, rng = self._plan, self._rng
-        first, now, here = math.nan, math.inf, plan.start
+        now, here = math.inf, plan.start
         for sharpness, count in _FIRST:
-            for value, cycle, begun in self._descents([here], sharpness, count):
-                first = begun if math.isnan(first) else first
-                here, now = cycle, value
+            ((now, here),) = self._descents([here], sharpness, count)
             self.best, self._value = here, now
-            yield self._state(first)
+            yield self._share()
         last = min(_LAST[1], self._budget // 4)
         while self.used < self._budget - last and not self._stop():
             warm = _WARM * (1.0 - self.used / self._budget)
             changed = [self._neighbour(here, rng) for _ in range(TOGETHER)]
-            for value, cycle, _ in self._descents(changed, *_HOP, least=now):
+            for value, cycle in self._descents(changed, *_HOP, least=now):
                 if value < now or rng.random() < math.exp(-(value - now) / max(warm, 1e-9)):
                     here, now = cycle, value
                 if value < self._value:
                     self.best, self._value = cycle, value
             if now > self._value + 3.0 * warm:
                 here, now = self.best, self._value
-            yield self._state(first)
-        for _, cycle, _ in self._descents([self.best], _LAST[0], last):
-            self.best = cycle
+            yield self._share()
+        ((_, self.best),) = self._descents([self.best], _LAST[0], last)
         if plan.design.angle_step is not None:
             snapped = self.best._replace(turns=plan.on_steps(self.best.turns))
-            for _, cycle, _ in self._descents([snapped], _LAST[0], last, turnable=False):
-                self.best = cycle
-        yield self._state(first)
+            ((_, self.best),) = self._descents([snapped], _LAST[0], last, turnable=False)
+        yield 1.0
 
     def _neighbour(self, of: RepeatedCycle, rng: np.random.Generator) -> RepeatedCycle:
         """A cycle of another structure, or more or fewer of the same one."""
@@ -189,8 +188,8 @@ class _Search:
             return of._replace(cycles=max(2, count if count != of.cycles else count + int(rng.choice((-1, 1)))))
         return of._replace(turns=self._around.neighbour(of.turns, rng))
 
-    def _state(self, first: float) -> CycleSearch:
-        return CycleSearch(first, self._value, min(1.0, self.used / self._budget), self.best)
+    def _share(self) -> float:
+        return min(1.0, self.used / self._budget)
 
     def _descents(
         self,
@@ -200,27 +199,26 @@ class _Search:
         *,
         least: float = math.inf,
         turnable: bool = True,
-    ) -> list[tuple[float, RepeatedCycle, float]]:
-        """Value and cycle that a descent from each cycle reaches, and the value after its first look; one thread for
-        each. A descent that is far above `least` after its first look ends there."""
+    ) -> list[tuple[float, RepeatedCycle]]:
+        """Value and cycle that a descent from each cycle reaches; one thread for each. A descent that is far above
+        `least` after some looks ends there."""
         plan = self._plan
 
-        def descend(cycle: RepeatedCycle) -> tuple[float, RepeatedCycle, float, int]:
+        def descend(cycle: RepeatedCycle) -> tuple[float, RepeatedCycle, int]:
             of = plan.structure(cycle, turnable=turnable)
-            point, begun, reached = plan.coordinates.encode(cycle.turns, of), math.nan, None
+            point, reached = plan.coordinates.encode(cycle.turns, of), None
             args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps, sharpness)
             for reached in plan.descent(point.ravel(), args, evaluations=evaluations, together=_LOOK):
-                begun = reached.value if math.isnan(begun) else begun
                 if self._stop() or reached.value > least + _HOPELESS * _LOOK / reached.evaluations:
                     break
             assert reached is not None
             end = plan.coordinates.cycle(reached.point.reshape(point.shape), of)
-            return reached.value, cycle._replace(turns=end), begun, reached.evaluations
+            return reached.value, cycle._replace(turns=end), reached.evaluations
 
         with ThreadPoolExecutor(len(cycles)) as pool:
             results = list(pool.map(descend, cycles))
-        self.used += sum(r[3] for r in results)
-        return [r[:3] for r in results]
+        self.used += sum(count for *_, count in results)
+        return [(value, cycle) for value, cycle, _ in results]
 
 
 class CyclePlan:
@@ -344,6 +342,8 @@ class CyclePlan:
 
     def spec_of(self, cycle: RepeatedCycle) -> UnitSpec:
         """The spec with a cycle's moves, in numbers that a controller takes."""
+        if self.design.angle_step is not None:
+            cycle = cycle._replace(turns=self.on_steps(cycle.turns))
         tables = self.spec.model_dump(mode="json", exclude_unset=True)
         tables["plan"]["cycle"]["moves"] = self._moves(self._rounded(cycle))
         return unit_spec_of(tables)

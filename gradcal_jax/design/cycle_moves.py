@@ -11,6 +11,8 @@ from gradcal_jax.design.pose_cycle import PoseTurn, TableLimits
 
 Cycle = tuple[PoseTurn, ...]
 
+# A turn below this (rad) is none.
+_NOTHING = 1e-6
 # Angles (rad) of inserted turns: to neighbouring poses, and by whole turns.
 _ANGLES = tuple(math.radians(a) for a in (45.0, 90.0, 135.0, 180.0, 360.0, 720.0, 1080.0))
 # Probabilities of each change; several are made at once with the probability `_AGAIN`.
@@ -88,7 +90,9 @@ class Neighbourhood:
                     angle = -angle
                 goal = float(np.clip(here[t.axis] + angle, low, high))
                 angle, here[t.axis] = goal - here[t.axis], goal
-            result.append(t._replace(angle=float(angle)))
+            # On an axis at its end, nothing is left of a turn.
+            if t.axis < 0 or abs(angle) > _NOTHING:
+                result.append(t._replace(angle=float(angle)))
         return tuple(result)
 
     def _drawn(self, rng: np.random.Generator) -> PoseTurn:

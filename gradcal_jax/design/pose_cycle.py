@@ -12,7 +12,7 @@ before it are known is
     D = G_W − G_(W−1)                    G_k: information of the first k cycles,
 
 and with J cycles the information is `G_(W−1) + Σ_j S_jᵀ D S_j`, j = 0 … J − W: exact for noise that W cycles forget.
-As S is a polynomial of j, a Cholesky factor of the powers' moments leaves degree + 1 products in place of J.
+As S is a polynomial of j, its singular values over j leave degree + 1 products in place of J.
 """
 
 from collections.abc import Sequence
@@ -41,8 +41,8 @@ WINDOW = 2
 _TINY, _REACHED = 1e-3, 0.9999
 # Exponent of the smooth minimum of the two limits of a rate.
 _SMOOTH = 8
-# s: softness of the time that is left for rests; time left at the end of all cycles, against rounding.
-_SOFT, _SPARE = 0.5, 1e-3
+# s: softness of the time that is left for rests.
+_SOFT = 0.5
 # Penalty on missing time, as the square of its share of a tenth of the period; on longer turns and rests alike.
 _PENALTY = 10.0
 # Quadrature nodes: see `trajectory.table_motion`.
@@ -177,7 +177,7 @@ class CycleCoordinates(NamedTuple):
                     z[0, k] = np.arcsin(np.clip((2.0 * here[t.axis] - low - high) / (high - low), -_HIGH, _HIGH))
                 else:
                     z[0, k] = here[t.axis]
-                share = t.rate / float(self._fastest(np.abs(t.angle), np.array(t.axis), of.slow[k], np))
+                share = t.rate / float(self._fastest(np.hypot(t.angle, _TINY), np.array(t.axis), of.slow[k], np))
                 share = np.clip(share, _LOW, 1.0 - _LOW / 4.0)
                 z[1, k] = np.log(share / (1.0 - share))
             if t.rest > 0.0:

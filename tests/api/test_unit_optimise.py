@@ -115,7 +115,7 @@ PLANS = {
     ),
     "a lag": ({"sensor.thermal_lag": "2 min"}, 0.01),
     "slow moves": ({"sensor.accelerometer.read_on_moves_below": "250 deg/s"}, 3e-3),
-    "limited travel": ({"rig.table.axis[0].travel": "400 deg"}, 2e-3),
+    "limited travel": ({"rig.table.axis[0].travel": "520 deg"}, 2e-3),
 }
 
 
@@ -330,6 +330,15 @@ def test_nor_are_turns_by_hand_of_a_single_axis_searched():
     spec = gj.changed(gj.read_spec("experiments/designs/headline.toml"), by_hand)
     with pytest.raises(ValueError, match=r'drive is "hand"'):
         gj.optimise(spec)
+
+
+def test_an_axis_of_limited_travel_is_searched():
+    """Within its travel, which turns that are inserted at its ends would leave."""
+    spec = gj.changed(gj.parse_unit_spec(turning()), {"rig.table.axis[0].travel": "520 deg"})
+    *_, best = optimise_unit(spec, evaluations=400, seed=0)
+    assert best.gain > 1.05
+    angles = np.cumsum([s.move.angle for s in best.spec.plain_schedule.steps if s.axis == 0])
+    assert np.max(np.abs(angles)) <= math.radians(520.0)
 
 
 @pytest.mark.evidence

@@ -153,6 +153,9 @@ def test_changed_cycles_keep_the_reach_and_the_number_of_turns():
         poses = LIMITS.start[0] + np.cumsum([t.angle for t in cycle if t.axis == 0])
         assert np.all((poses >= -1.5 - 1e-12) & (poses <= 2.0 + 1e-12))
     assert len(kinds) >= 6
-    drawn = around.random(7, rng)
-    assert len(drawn) == 7
+    # A turn beyond one end goes the other way, as far as the axis does; at its end nothing is left of a turn.
+    far = PoseTurn(0, 9.0, 1.0, 3.0)
+    assert [t.angle for t in around.within([CYCLE[0], far, far])] == pytest.approx([7.0, -1.8])
+    drawn = around.random(30, rng)
+    assert 7 < len(drawn) <= 30
     assert {t.axis for t in drawn} == {0, 1}

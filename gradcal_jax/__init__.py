@@ -59,8 +59,8 @@ _HOME_OF_NAME: dict[str, str] = {
     "resume": "hardware.execute",
     "log": "decoding.run_log",
     "Log": "files.log",
-    "read_log": "files.log",
-    "write_log": "files.log",
+    "read_log": "files.log_file",
+    "write_log": "files.log_file",
     "import_log": "files.importers",
     "parse_column_map": "files.importers",
     # identification

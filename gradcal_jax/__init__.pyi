@@ -40,8 +40,8 @@ from gradcal_jax.files.catalogue import read_catalogue as read_catalogue
 from gradcal_jax.files.importers import import_log as import_log
 from gradcal_jax.files.importers import parse_column_map as parse_column_map
 from gradcal_jax.files.log import Log as Log
-from gradcal_jax.files.log import read_log as read_log
-from gradcal_jax.files.log import write_log as write_log
+from gradcal_jax.files.log_file import read_log as read_log
+from gradcal_jax.files.log_file import write_log as write_log
 from gradcal_jax.files.recipe import read_recipe as read_recipe
 from gradcal_jax.files.rig import read_rig as read_rig
 from gradcal_jax.files.sweep import read_sweep as read_sweep

@@ -32,7 +32,7 @@ from gradcal_jax.design.pose_cycle import (
     Statistics,
     TableLimits,
     further,
-    largest_turn,
+    largest_alike,
     structure_of,
 )
 from gradcal_jax.display import summary
@@ -140,9 +140,9 @@ def optimise_unit(
             if until_met and plan.met(after):
                 break
     rows = tuple(
-        (r.name, UNIT_OF[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before, after, strict=True)
+        (r.name, UNIT_OF[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before[0], after[0], strict=True)
     )
-    ratios = [math.log(b / a) for b, a in zip(before, after, strict=True) if a and b]
+    ratios = [math.log(b / a) for *_, b, a in rows if a and b]
     yield UnitOptimum(best, rows, math.exp(fmean(ratios)) if ratios else 1.0, used, best is spec)
 
 
@@ -230,6 +230,7 @@ class CyclePlan:
         self._fine = tuple(quantity_of(self.built, r) for r in spec.requirement)
         scenarios = scenario_specs(spec)
         models = [assemble_unit(one).model if one is not spec else self.built.model for one, _ in scenarios]
+        self._models = models
         prior = self.built.model.prior_rows()
         self._known = [prior.T @ prior + _past(self.built, model) for model in models]
         self.worst = self.design.minimise == WORST
@@ -313,19 +314,31 @@ class CyclePlan:
         ramps = [r._replace(further=np.pad(r.further, ((0, most - len(r.further)), (0, 0), (0, 0)))) for r in ramps]
         return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
 
-    def statistics(self, spec: UnitSpec) -> list[float | None]:
-        """What a spec's plan leaves, in the order of its requirements and the units of `UNIT_OF`."""
-        return _statistics(self._known[0] + _gram_of(assemble_unit(spec)), self._fine)
+    def statistics(self, spec: UnitSpec) -> list[list[float | None]]:
+        """What a spec's plan leaves by each model of the noise, in the order of its requirements and the units of
+        `UNIT_OF`."""
+        built = assemble_unit(spec)
+        each = zip(self._models, self._known, strict=True)
+        return [_statistics(known + _gram_of(built._replace(model=model)), self._fine) for model, known in each]
 
-    def value_of(self, statistics: Sequence[float | None]) -> float:
-        """The objective of a plan that leaves these statistics, by the first model."""
-        logs = [_log(v, q) for v, q, own in zip(statistics, self._fine, self._counted, strict=True) if own]
-        return (max if self.worst else fmean)(logs)
+    def value_of(self, statistics: Sequence[Sequence[float | None]]) -> float:
+        """The objective of a plan that leaves these statistics."""
+        together, over_models = max if self.worst else fmean, max if self.design.robust == "worst" else fmean
+        counted = [
+            [_log(v, q) for v, q, own in zip(values, self._fine, self._counted, strict=True) if own]
+            for values in statistics
+        ]
+        return over_models([together(logs) for logs in counted])
 
-    def met(self, statistics: Sequence[float | None]) -> bool:
-        """Whether every target is met with `MARGIN`."""
-        limited = [(v, q) for v, q in zip(statistics, self._fine, strict=True) if q.requirement.target is not None]
-        return max(_log(v, q) for v, q in limited) <= math.log(1.0 - MARGIN)
+    def met(self, statistics: Sequence[Sequence[float | None]]) -> bool:
+        """Whether every target is met with `MARGIN`, by every model."""
+        limited = [
+            _log(v, q)
+            for values in statistics
+            for v, q in zip(values, self._fine, strict=True)
+            if q.requirement.target is not None
+        ]
+        return max(limited) <= math.log(1.0 - MARGIN)
 
     def on_steps(self, cycle: Cycle) -> Cycle:
         """The cycle with its turns rounded to whole angle steps, without turns of none."""
@@ -454,7 +467,7 @@ def _limits(spec: UnitSpec, design: UnitDesign, start: Cycle) -> TableLimits:
         np.array([float(a.max_acceleration) for a in axes]),
         np.array([a.reach for a in axes], dtype=float),
         np.array(spec.plain_schedule.start, dtype=float),
-        largest_turn(max(_LARGEST, *(abs(t.angle) for t in start)), waves_of(spec)),
+        largest_alike(max(_LARGEST, *(abs(t.angle) for t in start)), waves_of(spec)),
         float(design.shortest_rest),
         max(float(design.longest_rest), *(t.rest for t in start)),
         slow,

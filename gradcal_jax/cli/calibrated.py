@@ -45,7 +45,7 @@ def apply(
     """
     from gradcal_jax.files.calibration import read_calibration
     from gradcal_jax.files.calibration.correction import apply as correct
-    from gradcal_jax.files.log import write_log
+    from gradcal_jax.files.log_file import write_log
 
     content = read_calibration(calibration)
     writable(output, force)

@@ -49,7 +49,7 @@ def turns(
     recorded = load(log, source, unit=unit)
     use_float64()
     from gradcal_jax.api.turns import with_turns
-    from gradcal_jax.files.log import write_log
+    from gradcal_jax.files.log_file import write_log
     from gradcal_jax.pages.plain_text import columns
 
     marked, matched = with_turns(recorded, angles, axis=axis or 0, unit=unit or 0)
@@ -94,7 +94,7 @@ def log(
         Print the contents of the log as JSON.
     """
     from gradcal_jax.decoding.run_log import log_in_blocks
-    from gradcal_jax.files.log import write_log
+    from gradcal_jax.files.log_file import write_log
 
     if columns is not None and recording is None:
         raise ValueError("--columns says what a --recording's columns mean, and there is none")

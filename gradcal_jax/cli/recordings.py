@@ -47,7 +47,8 @@ def load(path: Path, source: Recording = WHOLE, *, unit: str | None = None) -> "
 
     `unit` is needed for a flight log with several units at different clocks. Raises `ValueError`.
     """
-    from gradcal_jax.files.log import part_of, read_log
+    from gradcal_jax.files.log import part_of
+    from gradcal_jax.files.log_file import read_log
     from gradcal_jax.files.vehicle import is_vehicle_log, read_vehicle_log
 
     begin = None if source.begin is None else quantity(source.begin, "time", "--from")

@@ -24,7 +24,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.log import SERIAL_NUMBER, AngleReadings, Finding, Log, LogInBlocks, Reason
+from ..files.log import SERIAL_NUMBER, AngleReadings, Finding, Log, Reason
+from ..files.log_file import LogInBlocks
 from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
 from ..files.unit_spec import UnitSpec

@@ -11,11 +11,8 @@ import numpy as np
 import optimistix
 from jaxtyping import Float
 
-# XLA's optimisations take half of the compile time, its fusion emitters (an option that JAX 0.11 refuses) a third; a
-# search gains little from either.
-COMPILER = {"xla_backend_optimization_level": 1} | (
-    {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
-)
+from gradcal_jax.design.compiling import compiler_options
+
 # A line search that has come down to this share of a step ends the descent.
 _SMALLEST_STEP = 1e-6
 _TOLERANCE = 1e-6
@@ -39,8 +36,7 @@ class Descent:
     def __init__(self, function: Callable[[Any, Any], Any], tolerance: float = _TOLERANCE) -> None:
         self._solver: Any = optimistix.BFGS(rtol=tolerance, atol=tolerance)
         self._function = lambda y, args: (function(y, args), None)
-        options = COMPILER if jax.default_backend() == "cpu" else {}
-        self._advance = jax.jit(self._advanced, static_argnums=0, compiler_options=options)
+        self._advance = jax.jit(self._advanced, static_argnums=0, compiler_options=compiler_options())
         self._static: Any = None
 
     def _advanced(self, static: "_Static", y, args, dynamic, count):

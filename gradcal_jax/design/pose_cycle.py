@@ -34,6 +34,7 @@ from gradcal_jax.information.unit_rows import Segments
 from gradcal_jax.model import UnitModel
 from gradcal_jax.trajectory import Geometry, Schedule, TableMotion, body_nodes, gradient_plan, programme
 from gradcal_jax.trajectory.motion import rest, turn
+from gradcal_jax.trajectory.table_motion import largest_turn, nodes_of_turn
 
 # Cycles whose noise is filtered together: with two, standard deviations agree with those of all cycles to about 1e-3.
 WINDOW = 2
@@ -45,8 +46,7 @@ _SMOOTH = 8
 _SOFT = 0.5
 # Penalty on missing time, as the square of its share of a tenth of the period; on longer turns and rests alike.
 _PENALTY = 10.0
-# Quadrature nodes: see `trajectory.table_motion`.
-_LEAST_NODES, _NODES_PER_RAD = 12, 0.75
+# Numbers of quadrature nodes.
 _NODES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 # Sizes of a coordinate's unit, so that the objective's curvature is alike in all: of a pose (rad), of the logits of a
 # rate's share of its limit, and of a rest's share of the time.
@@ -151,12 +151,13 @@ def structure_of(
 
 def nodes_for(turned: float, waves: int) -> int:
     """Quadrature nodes for a piece that turns so far (rad), with waves of so many cycles a turn."""
-    return next((n for n in _NODES if n >= _LEAST_NODES + _NODES_PER_RAD * waves * turned), _NODES[-1])
+    (least,) = nodes_of_turn(np.array([turned]), waves)
+    return next((n for n in _NODES if n >= least), _NODES[-1])
 
 
-def largest_turn(least: float, waves: int) -> float:
+def largest_alike(least: float, waves: int) -> float:
     """The largest turn (rad) for which the nodes suffice that a turn of `least` needs."""
-    return (nodes_for(least, waves) - _LEAST_NODES) / (_NODES_PER_RAD * waves)
+    return largest_turn(nodes_for(least, waves), waves)
 
 
 class CycleCoordinates(NamedTuple):

@@ -16,6 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from gradcal_jax.design.compiling import compiler_options
+
 SHARPNESS = (8.0, 40.0, 200.0, 1000.0)
 # Penalty: this times the squared log excess over a limit is added to the log value.
 _PENALTY = 30.0
@@ -26,11 +28,6 @@ _SURVIVORS, _FEWEST = 0.5, 4
 _QUICK_STEPS = 200
 # An objective with more noise steps than this has proportionally fewer starts and hops.
 _CHEAP, _FEWEST_DEAR = 1024, 2
-# On a CPU XLA's optimisations take a fifth of the compile time and its fusion emitters, which speed small kernels up
-# a little, a third; the search gains from neither. (JAX 0.11 refuses the second option.)
-_COMPILER = {"xla_backend_optimization_level": 1} | (
-    {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
-)
 # Standard deviations of hops in coordinates of unit size, used in turn; the search ends after a round that gains less
 # than this share.
 _HOPS = (0.3, 1.0)
@@ -106,7 +103,7 @@ def _program(structure):
         of_z, of_eased = jax.lax.map(pull, jnp.eye(values.shape[0]))
         return values, of_z, of_eased
 
-    return jax.jit(slopes, compiler_options=_COMPILER if jax.default_backend() == "cpu" else {})
+    return jax.jit(slopes, compiler_options=compiler_options())
 
 
 class Compiled:

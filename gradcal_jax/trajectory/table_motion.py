@@ -18,6 +18,7 @@ from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
 _LEAST_NODES = 12
 _FEWEST = 16
 _NODES_PER_RAD = 0.75
+_ROUNDING_OF_NODES = 1e-12
 # Angles that differ by less (rad) are the same pose.
 _SAME_POSE = 1e-9
 # Bisections that locate a crossing, to 2^-45 of the distance of two nodes.
@@ -54,6 +55,16 @@ class TableMotion(PytreeModule):
         return self.axis[:, None] == np.arange(self.geometry.axis_count)[None, :]
 
 
+def nodes_of_turn(turned: Float[np.ndarray, " K"], waves: int) -> Int[np.ndarray, " K"]:
+    """Nodes that pieces need which turn so far (rad), with waves of so many cycles a turn."""
+    return _LEAST_NODES + np.ceil(_NODES_PER_RAD * turned * waves).astype(int)
+
+
+def largest_turn(nodes: int, waves: int) -> float:
+    """The largest turn (rad) for which so many nodes suffice; rounding asks for no further one."""
+    return (nodes - _LEAST_NODES) * (1.0 - _ROUNDING_OF_NODES) / (_NODES_PER_RAD * waves)
+
+
 def table_motion(
     line: Trajectory,
     axis: Int[np.ndarray, " P"],
@@ -83,7 +94,7 @@ def table_motion(
     key = np.column_stack([axis, mounting, line.moving, of_motion, *of_angles])
     example, kind = _alike(key)
     turned = np.abs(line.turned()[example])
-    nodes = _LEAST_NODES + np.ceil(_NODES_PER_RAD * turned * (waves or 0)).astype(int)
+    nodes = nodes_of_turn(turned, waves or 0)
     # A standing piece has a constant attitude and one node. Few sizes: each costs more than some additional nodes.
     sizes = np.array([least, *(size_class(4 * least * 2**k) for k in range(12))])
     nodes = np.where(axis[example] < 0, 1, sizes[np.searchsorted(sizes, nodes)] if waves else least)

@@ -15,7 +15,8 @@ from gradcal_jax.api.ieee_terms import calibration_map
 from gradcal_jax.api.unit_estimate import estimate_units
 from gradcal_jax.cli import main
 from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
-from gradcal_jax.files.log import LogError, write_log
+from gradcal_jax.files.log import LogError
+from gradcal_jax.files.log_file import write_log
 from gradcal_jax.files.unit_spec import parse_unit_spec
 
 SPEC = """

@@ -253,6 +253,20 @@ def test_a_plan_that_meets_its_targets_is_not_searched(searched):
     assert only.evaluations == 0
 
 
+def test_targets_are_met_only_where_every_noise_meets_them():
+    """Noise as it is written meets targets of 1.2 times what it leaves, the worst that it may be does not."""
+    plain = CyclePlan(small())
+    (left,) = plain.statistics(plain.spec)
+    units = [UNIT_OF[r.quantity][0] for r in plain.spec.requirement]
+    rows = [r.model_dump(mode="json", exclude_unset=True) for r in plain.spec.requirement]
+    wide = [row | {"target": f"{1.2 * now} {unit}"} for row, now, unit in zip(rows, left, units, strict=True)]
+    certain, doubtful = CyclePlan(small(requirement=wide)), CyclePlan(small(**UNCERTAIN, requirement=wide))
+    assert certain.met(certain.statistics(certain.spec))
+    statistics = doubtful.statistics(doubtful.spec)
+    assert statistics[0] == pytest.approx(left, rel=1e-12)
+    assert not doubtful.met(statistics)
+
+
 def test_a_table_turned_by_hand_is_refused_before_anything_is_computed():
     spec = gj.parse_unit_spec(gj.presets.text("gimbal-by-hand"))
     with pytest.raises(ValueError, match=r'drive is "hand".*drive = "motor"'):

@@ -13,7 +13,7 @@ from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.cli import main
 from gradcal_jax.files import Quantity, changed, parse_spec, presets, to_toml
-from gradcal_jax.files.log import read_log
+from gradcal_jax.files.log_file import read_log
 from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin
 from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of

@@ -9,7 +9,7 @@ from estimate_scenes import draw_truth, record, scene
 from gradcal_jax.cli import main
 from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.files.calibration.correction import term_values
-from gradcal_jax.files.log import read_log, write_log
+from gradcal_jax.files.log_file import read_log, write_log
 from gradcal_jax.files.rig import TEMPLATE
 from gradcal_jax.files.unit_spec import read_unit_spec
 from gradcal_jax.files.writing import write_toml

@@ -14,8 +14,8 @@ from gradcal_jax.design.pose_cycle import (
     TableLimits,
     further,
     inverse,
+    largest_alike,
     largest_log,
-    largest_turn,
     nodes_for,
     structure_of,
 )
@@ -132,7 +132,7 @@ def test_the_inverse_of_badly_scaled_information():
 @pytest.mark.parametrize("waves", [3, 5])
 @pytest.mark.parametrize("turned", [1.0, 7.0, 25.0])
 def test_nodes_suffice_for_the_largest_turn_of_their_class(turned, waves):
-    largest = largest_turn(turned, waves)
+    largest = largest_alike(turned, waves)
     assert largest >= turned
     assert nodes_for(largest, waves) == nodes_for(turned, waves)
     # Gauss–Legendre nodes integrate the fastest wave of a column over the turn.

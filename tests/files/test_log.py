@@ -7,8 +7,9 @@ import xarray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gradcal_jax.files.log import Log, LogError, LogInBlocks, Reason, part_of, read_log, write_log
+from gradcal_jax.files.log import Log, LogError, Reason, part_of
 from gradcal_jax.files.log_faults import Columns, Policy, examine
+from gradcal_jax.files.log_file import LogInBlocks, read_log, write_log
 from gradcal_jax.files.netcdf import load_netcdf
 
 # Fields with rows that this log lacks.

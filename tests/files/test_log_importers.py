@@ -7,7 +7,8 @@ from scipy.io import savemat
 
 from gradcal_jax.files.column_guess import EXAMPLE, guess
 from gradcal_jax.files.importers import import_log, parse_column_map, read_column_map
-from gradcal_jax.files.log import LogError, write_log
+from gradcal_jax.files.log import LogError
+from gradcal_jax.files.log_file import write_log
 from gradcal_jax.files.netcdf import load_netcdf
 from gradcal_jax.files.problems import SpecError
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.files.importers import import_log, parse_column_map
-from gradcal_jax.files.log import read_log, write_log
+from gradcal_jax.files.log_file import read_log, write_log
 
 FOLDER = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the recorded data are not here: set GRADCAL_DATA")

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import xarray
 
-from gradcal_jax.files.log import Log, LogError, read_log, write_log
+from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log_file import read_log, write_log
 from gradcal_jax.files.netcdf import load_netcdf
 
 

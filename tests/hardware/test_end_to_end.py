@@ -20,7 +20,8 @@ from gradcal_jax.api import predict
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import changed, presets
 from gradcal_jax.files.calibration import Calibration, read_calibration
-from gradcal_jax.files.log import Log, write_log
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.log_file import write_log
 from gradcal_jax.files.recipe import Recipe, read_recipe
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder

@@ -16,7 +16,7 @@ from gradcal_jax.cli import main
 from gradcal_jax.decoding import clockmap, row_times, spool
 from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.decoding.run_log import log, log_in_blocks
-from gradcal_jax.files.log import write_log
+from gradcal_jax.files.log_file import write_log
 from gradcal_jax.hardware.journal import Journal, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
 from gradcal_jax.hardware.stretches import goes_on_at, stretches_of

@@ -17,7 +17,8 @@ from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import Spec
-from gradcal_jax.files.log import Log, read_log
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.log_file import read_log
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.session import run_session

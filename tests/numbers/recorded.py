@@ -18,7 +18,8 @@ from gradcal_jax.files import Spec, spec_of, tables_of
 from gradcal_jax.files.calibration import parse_calibration
 from gradcal_jax.files.calibration.correction import apply
 from gradcal_jax.files.calibration.exports import export
-from gradcal_jax.files.log import Log, read_log
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.log_file import read_log
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 
 HERE = Path(__file__).resolve().parent

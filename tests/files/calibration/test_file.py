@@ -20,7 +20,8 @@ from gradcal_jax.files.calibration import (
     read_calibration,
     write_calibration,
 )
-from gradcal_jax.files.log import Log, write_log
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.log_file import write_log
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.writing import to_toml
 

@@ -195,7 +195,7 @@ def _gyro(value: object) -> object:
 
 HOST_CLOCK: Final = 1e-6
 """Standard deviation, a ratio, of a sensor's clock that a run compares with the computer's. The comparison itself,
-some 1 ms at either end, is good to 0.1 ppm over hours; the computer's own clock, kept by a time server, to about 1 ppm."""
+some 1 ms at either end, is good to 0.1 ppm over hours; the computer's own clock, kept by a time server, to 1 ppm."""
 
 
 class _Instrument(Section):

@@ -33,7 +33,7 @@ from gradcal_jax.api.contradictions import (
 )
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.executed_part import lacks_of
-from gradcal_jax.api.log_rows import bridged_temperature, time_of, usable_rows, with_options
+from gradcal_jax.api.log_rows import bridged_temperature, table_readings, time_of, usable_rows, with_options
 from gradcal_jax.api.prediction import unit_requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.systematic import (
@@ -48,7 +48,16 @@ from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_residual import internal_misalignments
 from gradcal_jax.api.unit_sentences import prior_deviations, unobserved_parameters
 from gradcal_jax.display import summary
-from gradcal_jax.estimation import Consistency, ExecutedUnit, PlannedMove, Test, UnitEstimate, UnitReadings, UnitRows
+from gradcal_jax.estimation import (
+    Consistency,
+    ExecutedUnit,
+    PlannedMove,
+    Plateaus,
+    Test,
+    UnitEstimate,
+    UnitReadings,
+    UnitRows,
+)
 from gradcal_jax.files.calibration import (
     FORMAT,
     ORDER,
@@ -63,8 +72,10 @@ from gradcal_jax.files.calibration import (
 from gradcal_jax.files.calibration.correction import correct_triads, followed
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError, ReadingKind
+from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement_table import narrow_table
+from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, segments_of
 from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, GradientOfBias, Map, SignalMap
@@ -288,13 +299,15 @@ def _read(
     """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
     estimate, linearised about `about`."""
     try:
-        encoder = built.model.encoder
-        spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
-        done = estimation.executed_unit(seen, built.motion.geometry, planned=planned_moves(built), **spacing)
+        done = _executed(built, seen)
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
     readings = estimation.readings_of(built.model, done, rows, temperature, 0 if built.rough else built.points, felt)
-    solution = estimation.estimate_unit(readings, about, threshold=threshold)
+    plan = built.spec.plan
+    if isinstance(plan, StandardPlan) and plan.estimator == "least squares":
+        solution = estimation.estimate_unweighted(readings)
+    else:
+        solution = estimation.estimate_unit(readings, about, threshold=threshold)
     _refuse_the_implausible(built, name, solution)
     scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
     if scale > _ABSURD:
@@ -303,6 +316,27 @@ def _read(
             "mounting, the unit's axes and signs and the table's angles those of the spec?"
         )
     return done, readings, solution
+
+
+def _executed(built: AssembledUnit, seen: UnitRows) -> ExecutedUnit:
+    """The executed motion by the rates of `seen`. Raises `ValueError`."""
+    encoder, geometry = built.model.encoder, built.motion.geometry
+    if isinstance(built.spec.plan, StandardPlan):
+        return estimation.motion_at_points(points_of(built, seen).done, seen, geometry)
+    if read_by_events(built.spec):
+        return estimation.motion_by_readings(seen, geometry)
+    spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
+    return estimation.executed_unit(seen, geometry, planned=planned_moves(built), **spacing)
+
+
+def points_of(built: AssembledUnit, rows: UnitRows) -> Plateaus:
+    """The points of the standard method in a log's rows. Raises `ValueError` where there are none."""
+    plan = built.spec.schedule
+    assert isinstance(plan, StandardSchedule)
+    assert rows.table_rate is not None
+    planned = np.array(plan.temperatures), np.array(plan.rates)
+    reference = rows.temperature_c, rows.table_rate, rows.usable
+    return estimation.plateaus(rows.time_s, *reference, *planned, plan.integration, points=plan.shared)
 
 
 def planned_moves(built: AssembledUnit) -> list[list[PlannedMove]]:
@@ -343,7 +377,9 @@ def unit_rows(
         part.standing[np.flatnonzero(np.diff(mounting, prepend=mounting[0] if k == 0 else -1))] = False
         parts.append(part._replace(time_s=shifted, mounting=mounting))
         end = shifted[-1]
-    whole = UnitRows(*(np.concatenate([getattr(part, field) for part in parts]) for field in UnitRows._fields))
+    fields = ([getattr(part, field) for part in parts] for field in UnitRows._fields)
+    whole: Any = (None if any(x is None for x in field) else np.concatenate(field) for field in fields)
+    whole = UnitRows(*whole)
     return whole, tuple(dict.fromkeys(messages))
 
 
@@ -366,11 +402,14 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
         )
     rates[:, ~gyros] = np.nan
     temperature = bridged_temperature(log, number, options.temperature_c)
-    angles, at_a_stop = _table_angles(built, log)
+    standard = isinstance(built.spec.plan, StandardPlan)
     if log.standstill is not None:
         standing = log.standstill >= 0
         # One standstill directly follows another where a run was interrupted at rest and resumed at rest elsewhere.
         standing[1:] &= (np.diff(log.standstill) == 0) | ~standing[:-1]
+    elif standard:
+        # Its reference is the held rate: nothing is read where the table stands.
+        standing = np.zeros(len(time), bool)
     elif gyros.any():
         standstill = estimation.find_standstills(np.nan_to_num(rates[:, gyros]), log.sample_interval_s, valid=usable)
         standing = standstill >= 0
@@ -381,15 +420,44 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
         raise LogError("a log without gyros must mark its standstills (a column standstill in the column map)")
     smooth = estimation.smoothed_temperature(time, temperature)
     mounting = np.zeros(len(time), int) if log.mounting is None else log.mounting
-    return UnitRows(time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop), messages
+    worth = rate = None
+    if standard:
+        angles, at_a_stop, rate = np.full((len(time), 1), np.nan), np.zeros(len(time), bool), _table_rate(built, log)
+    elif read_by_events(built.spec):
+        place = _places_of(built, log)[0]
+        every, noise = float(built.model.encoder.every[0]), float(built.model.encoder.reading[0])
+        read, standing = table_readings(log, place, standing, every, messages, noise)
+        at_a_stop, worth = np.zeros(len(time), bool), np.ones(len(time))
+        at_a_stop[read.rows], worth[read.rows] = True, read.worth
+        angles = np.full((len(time), 1), np.nan)
+        angles[read.rows, 0] = read.angle
+    else:
+        angles, at_a_stop = _table_angles(built, log)
+    return UnitRows(time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop, worth, rate), messages
 
 
-def _table_angles(built: AssembledUnit, log: Log) -> tuple[np.ndarray, np.ndarray]:
-    """The table's angles `(n, L)` about the spec's axes, in its order, NaN where not read, and whether a row's are
-    readings of standing axes."""
-    names, count = [axis.name for axis in built.spec.rig.table.axis], len(log.time_s)
-    if log.table_angle_rad is None and log.readings is None:
-        raise LogError(f"the log has no angles of the table ({', '.join(names)}), which are the reference")
+def read_by_events(spec: UnitSpec) -> bool:
+    """Whether the only axis of a table is read while it stands, each reading being a reference."""
+    return len(spec.rig.table.axis) == 1 and spec.rig.table.standing == "read"
+
+
+def _table_rate(built: AssembledUnit, log: Log) -> np.ndarray:
+    """The rate held by the table's only axis, rad/s. Raises `LogError`."""
+    place = _places_of(built, log)[0] if log.table_axes else None
+    if place is not None and log.table_rate_rad_per_s is not None:
+        return log.table_rate_rad_per_s[:, place]
+    if place is not None and log.table_angle_rad is not None:
+        return np.gradient(log.table_angle_rad[:, place], log.time_s)
+    schedule = built.spec.schedule
+    assert isinstance(schedule, StandardSchedule)
+    if any(schedule.rates):
+        raise LogError("the log has no table rate, which is the reference of the standard method")
+    return np.zeros(len(log.time_s))
+
+
+def _places_of(built: AssembledUnit, log: Log) -> list[int]:
+    """Where the axes of the spec's table stand among the log's."""
+    names = [axis.name for axis in built.spec.rig.table.axis]
     if missing := [name for name in names if name not in log.table_axes]:
         if not len(names) == len(log.table_axes) == 1:
             raise LogError(
@@ -397,7 +465,17 @@ def _table_angles(built: AssembledUnit, log: Log) -> tuple[np.ndarray, np.ndarra
                 "the axes alike in the spec's [[rig.table.axis]] and in the log's column map"
             )
         names = list(log.table_axes)
-    places = [log.table_axes.index(name) for name in names]
+    return [log.table_axes.index(name) for name in names]
+
+
+def _table_angles(built: AssembledUnit, log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """The table's angles `(n, L)` about the spec's axes, in its order, NaN where not read, and whether a row's are
+    readings of standing axes."""
+    count = len(log.time_s)
+    if log.table_angle_rad is None and log.readings is None:
+        names = ", ".join(axis.name for axis in built.spec.rig.table.axis)
+        raise LogError(f"the log has no angles of the table ({names}), which are the reference")
+    places = _places_of(built, log)
     if log.readings is None:
         assert log.table_angle_rad is not None
         return log.table_angle_rad[:, places], np.zeros(count, bool)

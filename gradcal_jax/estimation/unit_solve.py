@@ -24,10 +24,12 @@ from gradcal_jax.information import (
     Posterior,
     SquareRootInformation,
     encoder_rows,
+    least_squares_of_means,
     posterior,
     row_of_steps,
     segments_of,
     unit_system,
+    unweighted_of_unit,
     whiten,
 )
 from gradcal_jax.information.posterior import OBSERVABLE
@@ -203,7 +205,7 @@ def readings_of(
         rows = at.row_channel == i
         observed[rows] = whole[at.row_segment[rows]]
     readings = UnitReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), felt)
-    if model.encoder.held:
+    if model.encoder.held or done.motion.line.rates:
         return readings
     # The motion is that of the mean angles; the reference is each reading.
     before, after = done.motion.angles()
@@ -276,6 +278,24 @@ def estimate_unit(
     kept = readings.by_steps(used)
     estimate, weights = reweighted(steps, kept, estimate, lambda e: e.estimate.residuals[0], again, threshold, _ROUNDS)
     return estimate._replace(weights=weights)
+
+
+def estimate_unweighted(readings: UnitReadings) -> UnitEstimate:
+    """Parameters by ordinary least squares on the mean errors of the points of a standard plan, without priors and
+    weights; the installation's errors are taken as zero, and count in the covariance."""
+    motion, model = readings.done.motion, readings.model
+    at, weighted = segments_of(motion, model), estimate_unit(readings)
+    steps, columns = readings.linear(None)
+    row, own = row_of_steps(motion, model), model.calibrated
+    duration = at.sums(motion.line.duration)[at.row_segment[np.maximum(row, 0)]]
+    estimator = least_squares_of_means(columns[:, :own], np.asarray(steps.used), duration)
+    nothing = np.zeros(model.size)
+    apart = readings.by_steps(np.where(at.used, readings.observed - readings.expected(nothing), 0.0))
+    beta = np.append(estimator.back @ (estimator.weights.T @ apart), nothing[own:])
+    rest = weighted.white.data[0] - weighted.white.rows[0] @ beta
+    known = unweighted_of_unit(motion, model, readings.nominal())
+    fitted = weighted.estimate._replace(parameters=beta[None], known=(known,), residuals=rest[None])
+    return weighted._replace(estimate=fitted)
 
 
 def _solved(

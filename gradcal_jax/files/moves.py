@@ -66,6 +66,11 @@ class ResolvedMove:
         return self.shape == "rest"
 
     @property
+    def reads_as_table(self) -> bool:
+        """Whether it is a rest that does not say when it is read."""
+        return self.is_rest and self.read_every is None and self.read_end
+
+    @property
     def words(self) -> str:
         """In words, for messages."""
         return f"{self.shape}, {self.duration:.4g} s"

@@ -150,8 +150,10 @@ def tracks_of(
     """The two tracks of a spec's plan. `acceleration_step` of the table's controller, rad/s²; None: it makes any."""
     schedule = spec.schedule
     if isinstance(spec, UnitSpec):
-        segments = _course(spec.plain_schedule.segments)
-        blocks = _unit_blocks(spec.plain_schedule, spec.rig, segments)
+        if isinstance(spec.plan, StandardPlan):
+            return _standard(spec.plan, spec.rig.table.axis[0].name)
+        segments = _course(spec.executable_schedule.segments)
+        blocks = _unit_blocks(spec.executable_schedule, spec.rig, segments)
         strongest = {str(axis.name): float(axis.max_acceleration) for axis in spec.rig.table.axis}
     elif isinstance(schedule, GradientSchedule):
         segments = _course(schedule.segments)
@@ -159,7 +161,7 @@ def tracks_of(
         strongest = dict[str, float].fromkeys("xyz", float(spec.rig.table.max_acceleration))
     else:
         assert isinstance(spec.plan, StandardPlan)
-        return _standard(spec.plan)
+        return _standard(spec.plan, "x")
     if acceleration_step is not None:
         blocks = tuple(_makeable(block, acceleration_step, strongest) for block in blocks)
     return ChamberTrack(programme=tuple(segments)), blocks
@@ -254,15 +256,19 @@ def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple
 
 def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
     axes, hung = rig.table.axis, rig.table.mounting
-    every: dict[str, Any] = {"read_every": _in("s", min(float(axis.angle.read_every) for axis in axes))}
+    spacing = min(float(axis.angle.read_every) for axis in axes)
     moves: list[TrackMove] = []
     clock = 0.0
-    for step in schedule.steps:
-        own: dict[str, Any] = {"do": "rest"} if step.axis < 0 else {"axis": axes[step.axis].name, **_motion(step.move)}
-        if step.move.repeat > 1:
-            own["repeat"] = step.move.repeat
-        moves.append(_line(clock, step.move.duration, **own, **every))
-        clock += step.move.repeat * step.move.duration
+    for step in (*schedule.steps, *schedule.after):
+        move = step.move
+        own: dict[str, Any] = {"do": "rest"} if step.axis < 0 else {"axis": axes[step.axis].name, **_motion(move)}
+        if step.source < 0:
+            own["do"] = "wait"
+        if move.repeat > 1:
+            own["repeat"] = move.repeat
+        every = spacing if rig.table.standing == "held" or move.reads_as_table else move.read_every
+        moves.append(_line(clock, move.duration, **own, **_readings(every, at_end=move.read_end)))
+        clock += move.repeat * move.duration
     blocks: list[MotionBlock] = []
     for number, stretch in enumerate(schedule.stretches):
         where = min(number, len(hung) - 1)
@@ -270,18 +276,23 @@ def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSeg
         if len(hung) > 1:
             hang = {"mounting": where + 1, "hang": hanging(hung[where], where + 1)}
         start = {axis.name: _in("deg", math.degrees(at)) for axis, at in zip(axes, schedule.start, strict=True)}
-        more: dict[str, Any] = {
-            **hang,
-            "start": start,
-            "read_every_after": every["read_every"],
-            "repeat": max(stretch.cycles, 1),
-        }
-        first, standing = _first(stretch, segments), [_line(0.0, stretch.duration, do="rest", **every)]
+        left = stretch.leftover if math.isinf(spacing) and stretch.leftover > 0.0 else spacing
+        after: dict[str, Any] = {} if math.isinf(left) else {"read_every_after": _in("s", left)}
+        more: dict[str, Any] = {**hang, "start": start, "repeat": max(stretch.cycles, 1), **after}
+        first = _first(stretch, segments)
         if stretch.cycles:
             blocks.append(_block(number + 1, first, moves, schedule.period, stretch.leftover, **more))
         else:
-            blocks.append(_block(number + 1, first, standing, stretch.duration, **more))
+            standing = _line(0.0, stretch.duration, do="rest", **_readings(spacing, at_end=True))
+            blocks.append(_block(number + 1, first, [standing], stretch.duration, **more))
     return tuple(blocks)
+
+
+def _readings(every: float | None, *, at_end: bool) -> dict[str, Any]:
+    """The readings of a rest or turn: spaced, or one at its end (`every` None or infinite), or none."""
+    if every is None or math.isinf(every):
+        return {"read": "end" if at_end else "none"}
+    return {"read_every": _in("s", every)}
 
 
 def hanging(mounting: UnitMounting, number: int) -> str:
@@ -338,7 +349,7 @@ def _reading(every: float | None) -> dict[str, Any]:
 # ------------------------------------------------------------------------------------------------- standard method
 
 
-def _standard(plan: StandardPlan) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
+def _standard(plan: StandardPlan, axis: str) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
     rates = plan.rates or (_in("deg/s", 0.0),)
     stay = len(rates) * plan.integration
     segments: list[ChamberSegment] = []
@@ -357,7 +368,9 @@ def _standard(plan: StandardPlan) -> tuple[ChamberTrack, tuple[MotionBlock, ...]
         moves: list[TrackMove] = []
         for place, rate in enumerate(rates):
             what: dict[str, Any] = {"do": "spin", "rate": rate} if rate else {"do": "rest", "read": "end"}
-            moves.append(TrackMove(start=_in("s", place * plan.integration), duration=plan.integration, **what))
+            moves.append(
+                TrackMove(axis=axis, start=_in("s", place * plan.integration), duration=plan.integration, **what)
+            )
         blocks.append(_block(number, points, moves, stay))
     return ChamberTrack(programme=tuple(segments)), tuple(blocks)
 

@@ -179,6 +179,12 @@ class UnitSpec(TitledFile):
         return self.schedule
 
     @property
+    def executable_schedule(self) -> UnitSchedule:
+        """A schedule that can be made into a recipe. Raises `ValueError` for one whose readings no estimate knows: of a
+        table of several axes that is read while it stands, other than as its `read_every` says."""
+        return self.gradient_schedule if len(self.rig.table.axis) == 1 else self.plain_schedule
+
+    @property
     def plain_schedule(self) -> UnitSchedule:
         """A schedule of nothing but a cycle that is read as the table is. Raises `ValueError` for any other."""
         spaced = all(math.isfinite(axis.angle.read_every) for axis in self.rig.table.axis)

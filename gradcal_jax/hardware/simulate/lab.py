@@ -16,7 +16,7 @@ from ...files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, Te
 from ...files.bench import Chamber, Table, TableAxis
 from ...files.moves import AXES, Axis
 from ...files.rig import RigFile, rig_of
-from ...files.sensor import Sensor
+from ...files.sensor import TemperatureError
 from ...files.spec import Spec
 from ...files.tracks import tracks_of
 from ...units import to_unit
@@ -44,7 +44,7 @@ _BAUDRATE_AT_FULL_RATE: Final = 1_843_200
 _AXIS_STEP_DEG: Final = 360.0 / 1_152_000
 _HAND_STEP_DEG: Final = 0.01
 # A plan may use all of its allowed travel: the cable's hard end is this far beyond.
-_BEYOND_DEG: Final = 2.0
+BEYOND_DEG: Final = 2.0
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
         (ErrorTerm(bias[:, None, :], bias_basis, "one"), ScaleFactors(scale, temperature_basis, rate_basis)),
         float(sensor.angle_random_walk),
         float(sensor.rate_random_walk or 0.0),
-        _processes(sensor),
+        processes_of(sensor.drift, sensor.scale_factor_instability, sensor.temperature_error),
         (float(gradient[0]), float(gradient[1]), float(gradient[2])),
     )
     clock_error = float(sensor.sample_clock_error or 0.0) * float(random.standard_normal())
@@ -100,8 +100,8 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
         cosine, sine = np.degrees(float(harmonic.amplitude)) * random.standard_normal(2)
         harmonics.append((harmonic.order, float(cosine), float(sine)))
     encoder = AxisTruth(
-        lowest_deg=None if limited is None else -limited - _BEYOND_DEG,
-        highest_deg=None if limited is None else limited + _BEYOND_DEG,
+        lowest_deg=None if limited is None else -limited - BEYOND_DEG,
+        highest_deg=None if limited is None else limited + BEYOND_DEG,
         harmonics=tuple(harmonics),
         standstill_offset_deg=float(np.degrees(angle.standstill_offset)),
         reading_noise_deg=float(np.degrees(angle.reading_noise)),
@@ -112,20 +112,17 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
     return HiddenTruth(unit, encoder, coefficients)
 
 
-def _processes(sensor: Sensor) -> tuple[Process, ...]:
-    processes = processes_of(sensor.drift, sensor.scale_factor_instability)
-    if (error := sensor.temperature_error) is not None:
-        lasts = np.inf if error.correlation_time is None else float(error.correlation_time)
-        gains = (float(error.bias_slope or 0.0), float(error.scale_factor_slope or 0.0))
-        processes += (Process(float(error.standard_deviation), float(lasts), *gains),)
-    return processes
-
-
-def processes_of(drift: Sequence[Any], instability: Sequence[Any] = ()) -> tuple[Process, ...]:
-    """The processes of a spec's drifts and scale-factor errors."""
+def processes_of(
+    drift: Sequence[Any], instability: Sequence[Any], error: TemperatureError | None
+) -> tuple[Process, ...]:
+    """The processes of a spec's drifts, scale-factor errors, and error of the measured temperature."""
     biases = (Process(float(d.standard_deviation), float(d.correlation_time), 1.0) for d in drift)
     scales = (Process(float(d.standard_deviation), float(d.correlation_time), 0.0, 1.0) for d in instability)
-    return (*biases, *scales)
+    if error is None:
+        return (*biases, *scales)
+    lasts = np.inf if error.correlation_time is None else float(error.correlation_time)
+    gains = (float(error.bias_slope or 0.0), float(error.scale_factor_slope or 0.0))
+    return (*biases, *scales, Process(float(error.standard_deviation), lasts, *gains))
 
 
 def basis_truth(section: Any, unit: str = "") -> TruthBasis:

@@ -16,7 +16,7 @@ from ...files.sensor import AccelerometerTriad, GyroTriad
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from ..pose import turn_by
-from .lab import SimulatedDevices, basis_truth, processes_of
+from .lab import BEYOND_DEG, SimulatedDevices, basis_truth, processes_of
 from .plants import AxisPlant, AxisTruth
 from .sensor import TruthBasis
 from .unit import ErrorTerm, Kind, Matrix, ScaleFactors, SimulatedUnit, TableTruth, TriadTruth, UnitTruth
@@ -25,6 +25,8 @@ _XYZ: Final = "xyz"
 # Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
 _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
+_GRADIENT: Final = "bias_temperature_gradient"
+_TYPICAL_GRADIENT: Final[dict[Kind, float]] = {"gyro": np.radians(1.0) / 60.0, "accelerometer": 1e-3 * 9.8 * 60.0}
 _OTHERS: Final = [["" if a == b else f"m_{b}" for b in _XYZ] for a in _XYZ]
 # The errors of each kind of sensor, in the order of their draws: section of the spec, size for a flat prior (SI),
 # factors, and names of the coefficients by sensor axis, "" for none. The scale factor of gyros is M(T, ω).
@@ -70,11 +72,38 @@ class _Draws:
                     errors.append(self._term(kind, section, size, factors, symbols, triad.axes))
                 else:
                     errors.append(self._scale_factors(section, size, triad.axes))
-        if isinstance(triad, GyroTriad):
-            drifts = processes_of(triad.drift, triad.scale_factor_instability)
-            noise = float(triad.angle_random_walk), float(triad.rate_random_walk or 0.0)
-            return TriadTruth(tuple(errors), *noise, drifts)
-        return TriadTruth(tuple(errors), float(triad.velocity_random_walk), drifts=processes_of(triad.drift))
+        if triad.turn_on_bias:
+            errors.append(self._turn_on(kind, float(triad.turn_on_bias), triad.axes))
+        gradient = self._gradient(kind, triad)
+        white, walk = (
+            (float(triad.angle_random_walk), float(triad.rate_random_walk or 0.0))
+            if isinstance(triad, GyroTriad)
+            else (float(triad.velocity_random_walk), 0.0)
+        )
+        drifts = processes_of(triad.drift, triad.scale_factor_instability, triad.thermometer_noise)
+        return TriadTruth(tuple(errors), white, walk, drifts, gradient)
+
+    def _turn_on(self, kind: Kind, size: float, axes: tuple[str, ...]) -> ErrorTerm:
+        """The bias of this power-on, which is part of the bias's first coefficient where there is one."""
+        values = size * self.random.standard_normal((3, 1, 1))
+        for row, axis in enumerate(_XYZ):
+            names = [
+                name for end in ("a0", "a", "a_bin0", "a_spline0") if (name := f"{kind}_{axis}.{end}") in self.values
+            ]
+            if axis in axes and names:
+                self.values[names[0]] += float(values[row, 0, 0])
+        return ErrorTerm(values, TruthBasis(), "one")
+
+    def _gradient(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> tuple[float, float, float]:
+        """The bias for each K/s."""
+        if triad.bias_temperature_gradient is None:
+            return (0.0, 0.0, 0.0)
+        typical = _TYPICAL_GRADIENT[kind] if triad.gradient_sensitivity is not None else 0.0
+        x, y, z = (triad.gradient_std or typical) * self.random.standard_normal(3)
+        if triad.gradient_sensitivity is not None:
+            named = zip(_XYZ, (x, y, z), strict=True)
+            self.values |= {f"{kind}_{a}.{_GRADIENT}": float(v) for a, v in named if a in triad.axes}
+        return float(x), float(y), float(z)
 
     def _term(
         self, kind: Kind, section: Any, size: float, factors: str, symbols: list[list[str]], axes: tuple[str, ...]
@@ -144,7 +173,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
             cosine = draw(size, f"angle_{axis.name}_cos{order}")
             sine = draw(size, f"angle_{axis.name}_sin{order}")
             waves.append((order, -float(np.degrees(cosine)), -float(np.degrees(sine))))
-        limit = None if np.isinf(axis.travel) else float(np.degrees(axis.travel))
+        limit = None if np.isinf(axis.travel) else float(np.degrees(axis.travel)) + BEYOND_DEG
         encoders.append(
             AxisTruth(
                 lowest_deg=None if limit is None else -limit,
@@ -152,6 +181,8 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
                 harmonics=tuple(waves),
                 standstill_offset_deg=float(np.degrees(axis.angle.standstill_offset)),
                 reading_noise_deg=float(np.degrees(axis.angle.reading_noise)),
+                timing_error_s=float(axis.angle.timing_error),
+                rate_accuracy=float(table.rate_accuracy or 0.0),
                 seed=16 * seed + number,
             )
         )
@@ -211,7 +242,7 @@ class SimulatedUnitLab(SimulatedDevices):
         self._connect(
             {axis.name: axis for axis in table.axis},
             self.units,
-            by_hand=any(step.move.shape == "hand" for step in spec.gradient_schedule.steps),
+            by_hand=table.drive == "hand",
             hang=self._hang if len(table.mounting) > 1 else None,
             seed=seed,
             sample_rate_hz=sample_rate_hz,

@@ -8,6 +8,7 @@ several mountings.
 """
 
 import itertools
+import re
 from typing import Any, Final
 
 import numpy as np
@@ -84,14 +85,12 @@ class _Draws:
         return TriadTruth(tuple(errors), white, walk, drifts, gradient)
 
     def _turn_on(self, kind: Kind, size: float, axes: tuple[str, ...]) -> ErrorTerm:
-        """The bias of this power-on, which is part of the bias's first coefficient where there is one."""
+        """The bias of this power-on, a part of the bias's constant; splines and bins sum to one."""
         values = size * self.random.standard_normal((3, 1, 1))
         for row, axis in enumerate(_XYZ):
-            names = [
-                name for end in ("a0", "a", "a_bin0", "a_spline0") if (name := f"{kind}_{axis}.{end}") in self.values
-            ]
-            if axis in axes and names:
-                self.values[names[0]] += float(values[row, 0, 0])
+            for name in self.values:
+                if axis in axes and re.fullmatch(rf"{kind}_{axis}\.a(0|_(bin|spline)\d+)?", name):
+                    self.values[name] += float(values[row, 0, 0])
         return ErrorTerm(values, TruthBasis(), "one")
 
     def _gradient(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> tuple[float, float, float]:

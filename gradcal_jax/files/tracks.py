@@ -165,6 +165,15 @@ def tracks_of(
     return ChamberTrack(programme=tuple(segments)), blocks
 
 
+def read_at_rest(blocks: Sequence[MotionBlock]) -> bool:
+    """Whether axes are read while they stand: of one that an operator turns, that takes an encoder."""
+    return any(
+        block.read_every_after is not None
+        or any(move.read_every is not None or (move.do == "rest" and move.read == "end") for move in block.moves)
+        for block in blocks
+    )
+
+
 def _makeable(block: MotionBlock, step: float, strongest: Mapping[str, float]) -> MotionBlock:
     """The block with accelerations of its turns that the controller makes."""
 
@@ -243,7 +252,7 @@ def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple
             blocks.append(_block(number, first, [stand], stretch.duration))
         else:
             more: dict[str, Any] = {"repeat": stretch.cycles}
-            if stretch.leftover > 0.0:
+            if stretch.leftover > 0.0 and left != math.inf:
                 more["read_every_after"] = _in("s", stretch.leftover if left is None else left)
             blocks.append(_block(number, first, moves, cycle.duration, stretch.leftover, **more))
     return tuple(blocks)
@@ -254,14 +263,21 @@ def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple
 
 def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
     axes, hung = rig.table.axis, rig.table.mounting
-    every: dict[str, Any] = {"read_every": _in("s", min(float(axis.angle.read_every) for axis in axes))}
+    spacing = min(float(axis.angle.read_every) for axis in axes)
+    every: dict[str, Any] = {"read": "end"} if math.isinf(spacing) else {"read_every": _in("s", spacing)}
+    # A table that an operator turns is read where a turn ends, and then stands.
+    of_rest = {"read": "none"} if math.isinf(spacing) and rig.table.drive == "hand" else every
     moves: list[TrackMove] = []
     clock = 0.0
     for step in schedule.steps:
-        own: dict[str, Any] = {"do": "rest"} if step.axis < 0 else {"axis": axes[step.axis].name, **_motion(step.move)}
+        own: dict[str, Any] = (
+            {"do": "rest", **of_rest}
+            if step.axis < 0
+            else {"axis": axes[step.axis].name, **_motion(step.move), **every}
+        )
         if step.move.repeat > 1:
             own["repeat"] = step.move.repeat
-        moves.append(_line(clock, step.move.duration, **own, **every))
+        moves.append(_line(clock, step.move.duration, **own))
         clock += step.move.repeat * step.move.duration
     blocks: list[MotionBlock] = []
     for number, stretch in enumerate(schedule.stretches):
@@ -273,9 +289,10 @@ def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSeg
         more: dict[str, Any] = {
             **hang,
             "start": start,
-            "read_every_after": every["read_every"],
             "repeat": max(stretch.cycles, 1),
         }
+        if not math.isinf(spacing):
+            more["read_every_after"] = every["read_every"]
         first, standing = _first(stretch, segments), [_line(0.0, stretch.duration, do="rest", **every)]
         if stretch.cycles:
             blocks.append(_block(number + 1, first, moves, schedule.period, stretch.leftover, **more))
@@ -328,7 +345,7 @@ def makeable_acceleration(acceleration: float, step: float | None, steepest: flo
 
 def trapezoid_acceleration(move: ResolvedMove) -> float:
     """Acceleration of the trapezoid with a move's angle, peak rate and duration (rad/s²)."""
-    return abs(move.peak_rate) / (0.5 * move.duration if move.shape == "hand" else move.ramp)
+    return abs(move.peak_rate) / (0.5 * move.duration - move.ramp if move.shape == "hand" else move.ramp)
 
 
 def _reading(every: float | None) -> dict[str, Any]:

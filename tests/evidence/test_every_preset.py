@@ -151,9 +151,7 @@ def thinned(text: str, changes: dict[str, object]) -> str:
 
 def seeds_of(name: str, folder: Path, count: int, changes: dict[str, object] | None = None) -> Seeds:
     recipe = recipe_of(written(name, folder, changes), folder)
-    table = tomllib.loads(recipe.read_text(encoding="utf-8"))["spec"]["rig"]["table"]
-    # While an operator is late the chamber arrives.
-    predicted = predicted_of(recipe, 0.0 if table.get("drive") == "hand" else AIR_LAG_S)
+    predicted = predicted_of(recipe, AIR_LAG_S)
     return Seeds(name, [chain(recipe, predicted, folder, seed) for seed in range(1, count + 1)])
 
 

@@ -312,7 +312,8 @@ def _schedule(
 
     steps, after = ([s for s in part for _ in range(s.move.repeat)] for part in (plan.steps, plan.after))
     moves = (tuple(move(s.move) for s in part) for part in (steps, after))
-    left = None if every is None or np.isinf(every) else every
+    # What no cycle fills is read once at its end, but by an operator, who types angles after turns only.
+    left = None if every is None or (np.isinf(every) and table.drive == "motor") else every
     schedule = trajectory.gradient_plan(course, *moves, used=used, read_every=left)
     return schedule, [s.axis for s in (*steps, *after)], np.array(plan.start)
 

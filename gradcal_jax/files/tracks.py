@@ -167,6 +167,15 @@ def tracks_of(
     return ChamberTrack(programme=tuple(segments)), blocks
 
 
+def read_at_rest(blocks: Sequence[MotionBlock]) -> bool:
+    """Whether axes are read while they stand: of one that an operator turns, that takes an encoder."""
+    return any(
+        block.read_every_after is not None
+        or any(move.read_every is not None or (move.do == "rest" and move.read == "end") for move in block.moves)
+        for block in blocks
+    )
+
+
 def _makeable(block: MotionBlock, step: float, strongest: Mapping[str, float]) -> MotionBlock:
     """The block with accelerations of its turns that the controller makes."""
 
@@ -245,7 +254,7 @@ def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple
             blocks.append(_block(number, first, [stand], stretch.duration))
         else:
             more: dict[str, Any] = {"repeat": stretch.cycles}
-            if stretch.leftover > 0.0:
+            if stretch.leftover > 0.0 and left != math.inf:
                 more["read_every_after"] = _in("s", stretch.leftover if left is None else left)
             blocks.append(_block(number, first, moves, cycle.duration, stretch.leftover, **more))
     return tuple(blocks)
@@ -257,6 +266,9 @@ def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple
 def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
     axes, hung = rig.table.axis, rig.table.mounting
     spacing = min(float(axis.angle.read_every) for axis in axes)
+    held, once = rig.table.standing == "held", math.isinf(spacing)
+    # A held table that an operator turns is read where a turn ends, and then stands.
+    typed = held and once and rig.table.drive == "hand"
     moves: list[TrackMove] = []
     clock = 0.0
     for step in (*schedule.steps, *schedule.after):
@@ -266,8 +278,10 @@ def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSeg
             own["do"] = "wait"
         if move.repeat > 1:
             own["repeat"] = move.repeat
-        every = spacing if rig.table.standing == "held" or move.reads_as_table else move.read_every
-        moves.append(_line(clock, move.duration, **own, **_readings(every, at_end=move.read_end)))
+        every, ends = spacing if held or move.reads_as_table else move.read_every, move.read_end
+        moves.append(
+            _line(clock, move.duration, **own, **_readings(every, at_end=ends and not (typed and step.axis < 0)))
+        )
         clock += move.repeat * move.duration
     blocks: list[MotionBlock] = []
     for number, stretch in enumerate(schedule.stretches):
@@ -276,7 +290,7 @@ def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSeg
         if len(hung) > 1:
             hang = {"mounting": where + 1, "hang": hanging(hung[where], where + 1)}
         start = {axis.name: _in("deg", math.degrees(at)) for axis, at in zip(axes, schedule.start, strict=True)}
-        left = stretch.leftover if math.isinf(spacing) and stretch.leftover > 0.0 else spacing
+        left = stretch.leftover if once and rig.table.drive == "motor" and stretch.leftover > 0.0 else spacing
         after: dict[str, Any] = {} if math.isinf(left) else {"read_every_after": _in("s", left)}
         more: dict[str, Any] = {**hang, "start": start, "repeat": max(stretch.cycles, 1), **after}
         first = _first(stretch, segments)
@@ -339,7 +353,7 @@ def makeable_acceleration(acceleration: float, step: float | None, steepest: flo
 
 def trapezoid_acceleration(move: ResolvedMove) -> float:
     """Acceleration of the trapezoid with a move's angle, peak rate and duration (rad/s²)."""
-    return abs(move.peak_rate) / (0.5 * move.duration if move.shape == "hand" else move.ramp)
+    return abs(move.peak_rate) / (0.5 * move.duration - move.ramp if move.shape == "hand" else move.ramp)
 
 
 def _reading(every: float | None) -> dict[str, Any]:

@@ -26,7 +26,7 @@ LEFT = {
     "two-axis-table": (6.1, 0.41, 3.0, 23.0, 7.5, 6.0),
     "one-axis-table": (5.8, 0.35, 57.7, 18.0, 5.5, 57.7),
     "standard-three-axes": (3.0, 0.41, 3.0, 23.0, 8.0, 7.4),
-    "gimbal-by-hand": (97.0, 0.47, 42.0, 34.0, 20.0, 42.0),
+    "gimbal-by-hand": (51.4, 0.454, 41.0, 32.5, 17.6, 41.3),
 }
 QUANTITIES = (
     "gyro_scale_factor", "gyro_bias", "gyro_misalignment", "accelerometer_bias", "accelerometer_scale_factor",

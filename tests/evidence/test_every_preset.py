@@ -118,6 +118,8 @@ def report(seeds: Seeds) -> None:
     rows[f"`{seeds.name}`"] = f"| `{seeds.name}` | {' | '.join(cells)} |"
     means = [float(row.split("mean ")[1].split(" ")[0]) for row in rows.values() if "mean " in row]
     foot = f"\nMean of {len(means)} means: {np.mean(means):.3f}; {time.strftime('%Y-%m-%d')}.\n" if means else ""
+    if missing := [f"`{name}`" for name in (*PRESETS, *EXPERIMENTS) if f"`{name}`" not in rows]:
+        foot += f"\n{len(missing)} of {len(PRESETS) + len(EXPERIMENTS)} are not run yet: {', '.join(missing)}.\n"
     REPORT.write_text(_HEAD + "\n".join(rows[name] for name in sorted(rows)) + "\n" + foot, encoding="utf-8")
 
 
@@ -149,8 +151,7 @@ def thinned(text: str, changes: dict[str, object]) -> str:
 
 def seeds_of(name: str, folder: Path, count: int, changes: dict[str, object] | None = None) -> Seeds:
     recipe = recipe_of(written(name, folder, changes), folder)
-    # While an operator is late the chamber arrives.
-    predicted = predicted_of(recipe, 0.0 if "hand" in name else AIR_LAG_S)
+    predicted = predicted_of(recipe, AIR_LAG_S)
     return Seeds(name, [chain(recipe, predicted, folder, seed) for seed in range(1, count + 1)])
 
 

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from ...files.sensor import AccelerometerTriad, GyroTriad
+from ...files.tracks import read_at_rest, tracks_of
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from ..pose import turn_by
@@ -242,6 +243,7 @@ class SimulatedUnitLab(SimulatedDevices):
             {axis.name: axis for axis in table.axis},
             self.units,
             by_hand=table.drive == "hand",
+            typed=not read_at_rest(tracks_of(spec)[1]),
             hang=self._hang if len(table.mounting) > 1 else None,
             seed=seed,
             sample_rate_hz=sample_rate_hz,

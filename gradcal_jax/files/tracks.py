@@ -250,7 +250,7 @@ def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple
     for number, stretch in enumerate(schedule.stretches, 1):
         first = _first(stretch, segments)
         if cycle is None or not stretch.cycles:
-            stand = _line(0.0, stretch.duration, do="rest", **_reading(every))
+            stand = _line(0.0, stretch.duration, do="rest", **_reading(schedule.read_every if cycle is None else left))
             blocks.append(_block(number, first, [stand], stretch.duration))
         else:
             more: dict[str, Any] = {"repeat": stretch.cycles}

@@ -95,8 +95,12 @@ def test_an_axis_has_the_same_recipe_as_an_imu(name):
         for row, block in zip(rows, blocks, strict=True):
             standing = block.standing_after if block.read_every_after is not None and block.standing_after else None
             row["read_at"] = standing and reading_times(float(standing), float(block.read_every_after))
-            row["moves"] = [move | {"axis": ""} for move in row["moves"]]
+            row["angles"] = [float(np.degrees(move.angle)) for move in block.moves if move.angle is not None]
+            row["moves"] = [move | {"axis": "", "angle": ""} for move in row["moves"]]
         told.append((chamber, rows, made.notes))
+    # The angles of an IMU's table are rounded, not those of its turns, so that errors do not add up.
+    for one, other in zip(told[0][1], told[1][1], strict=True):
+        assert one.pop("angles") == pytest.approx(other.pop("angles"), abs=1.001e-3)
     assert told[0] == told[1]
 
 

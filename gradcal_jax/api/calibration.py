@@ -152,7 +152,13 @@ def estimate_calibration(
     if log.temperature_c is not None:
         for name in units or log.units:
             refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
-    channels = estimate_channels(spec, log, axes=axes, units=units, options=options)
+    try:
+        channels = estimate_channels(spec, log, axes=axes, units=units, options=options)
+    except ValueError as error:
+        # What is missing may be what was left out.
+        if not (also := "".join(dict.fromkeys(of_unit.also for of_unit in faults.values()))):
+            raise
+        raise LogError(f"{error}{also}") from None
     report = _report(spec, log, channels, options, sources, [*([lacks] if lacks else []), *said], faults)
     whole = (c.model_copy(update={"lacks": lacks} if lacks else {}) for c in report.calibrations)
     return report._replace(calibrations=tuple(whole))

@@ -67,7 +67,7 @@ from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, segments_of
-from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, GradientOfBias, Map, SignalMap
+from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, GradientOfBias, Map, PathTerm, SignalMap
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
 _REHUNG_S = 6 * 3600.0
@@ -572,8 +572,8 @@ def _channels(
 def _terms(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Iterator[CalibratedTerm]:
     triad = getattr(spec.sensor, channel.kind)
     for term in channel.model.terms:
-        # A sensitivity to dT/dt is estimated beside the calibration and is no part of it.
-        if isinstance(term, Discrepancy | GradientOfBias):
+        # A sensitivity to dT/dt and what else depends on the path of temperature are estimated beside the calibration.
+        if isinstance(term, Discrepancy | GradientOfBias | PathTerm):
             continue
         own = values[channel.model.where(term.name)]
         coefficients = {name: float(v) for name, v in zip(term.names(), own, strict=True)}

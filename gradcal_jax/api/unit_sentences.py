@@ -5,7 +5,7 @@ import numpy as np
 from gradcal_jax.api.unit_build import AssembledUnit, rest_poses
 from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.information import Posterior, posterior, square_root
-from gradcal_jax.model import AXIS_NAMES, Discrepancy
+from gradcal_jax.model import AXIS_NAMES, Discrepancy, PathTerm
 from gradcal_jax.trajectory import frames
 from gradcal_jax.units import G
 
@@ -22,13 +22,14 @@ _FLAT = 0.05
 
 
 def unobserved_parameters(built: AssembledUnit, known: Posterior) -> list[str]:
-    """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure left out."""
+    """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure and of the
+    state at the beginning left out."""
     hidden = {
         f"{c.name}.{name}"
         for c in built.model.channels
         for t in c.model.terms
-        if isinstance(t, Discrepancy)
-        for name in t.names()
+        if isinstance(t, Discrepancy | PathTerm)
+        for name in (t.nuisances if isinstance(t, PathTerm) else t.names())
     }
     own = slice(built.model.calibrated)
     after, before = known.deviations(built.model.to_reported[own]), prior_deviations(built)[own]

@@ -57,6 +57,7 @@ SPECIFIC_FORCE_BIAS = "bias"
 SECOND_ORDER = "second_order"
 HYSTERESIS = "hysteresis_{}K"
 SCALE_FACTOR_HYSTERESIS = "scale_factor_hysteresis_{}K"
+GRADIENT_OF_SCALE = "scale_factor_temperature_gradient"
 TRANSIENT = "turn_on_transient_{}s"
 _CONSTANT = Polynomial(0, 0.0, 1.0)
 _LAGGED = 16
@@ -258,7 +259,7 @@ def _path_terms(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[PathTe
     terms = [play(p, (), HYSTERESIS, f"{unit}/K") for p in triad.hysteresis]
     terms += [play(p, own, SCALE_FACTOR_HYSTERESIS, "1/K") for p in triad.scale_factor_hysteresis]
     if (gradient := triad.scale_factor_temperature_gradient) is not None:
-        terms.append(GradientOfScale(std=np.asarray(float(gradient.prior)), signals=own))
+        terms.append(GradientOfScale(std=np.asarray(float(gradient.prior)), signals=own, name=GRADIENT_OF_SCALE))
     for t in triad.turn_on_transient:
         std, lasting = np.asarray(float(t.prior)), np.asarray(float(t.time_constant))
         name = TRANSIENT.format(f"{float(lasting):g}")

@@ -12,8 +12,9 @@ The term is
 
     c·[(hi + lo)/2 − T] + η·(hi − lo)/(2w)
 
-exact for both extreme initial states (η = ±c·w), and linear between them; an initial state anywhere between is a
-rectangular distribution, so that η has the prior's standard deviation times w/√3.
+exact for both extreme initial states (η = ±c·w), and linear between them. On a heating course the first function is
+−w + w·(hi − lo)/(2w), so the first 2w of a one-way ramp observe the sum c·w + η alone. The prior of η is `FREE` times
+that of c·w, wider than its range: what such a beginning says of c rests on the law of the play, and is given up.
 
 `max(T − w, min(T + w, ·))` is a clamp. Clamps compose to clamps, so the states along a course are a running composition
 (`running_clamps`), exact at reversals: nothing is smoothed, and nothing is rounded.
@@ -25,9 +26,13 @@ import equinox as eqx
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace, put
+from gradcal_jax.model.bases import BSpline
 from gradcal_jax.model.nodes import Nodes, SharedNodes
 from gradcal_jax.model.terms import Term
 
+FREE = 3.0
+# dT/dt of a temperature that neither heats nor cools, K/s.
+_STEADY = 0.1 / 60.0
 Clamps = tuple[AnyArray, AnyArray]
 """Lower and upper bounds of clamps: `x -> max(low, min(high, x))`."""
 
@@ -105,7 +110,7 @@ def _shared(nodes: Nodes) -> list[SharedNodes]:
 
 class Hysteresis(PathTerm):
     """A play of half-width `width` K: the coefficient c (for each K), and the amplitude η of the initial state (in the
-    unit of the error itself), with the priors `std` and `std·width/√3`. See the head of the module."""
+    unit of the error itself), with the priors `std` and `FREE·std·width`. See the head of the module."""
 
     std: Float[AnyArray, ""]
     width: Float[AnyArray, ""]
@@ -126,7 +131,7 @@ class Hysteresis(PathTerm):
 
     def prior_rows(self) -> Float[AnyArray, "2 2"]:
         xp = namespace(self.std, self.width)
-        return xp.diag(xp.stack([1.0 / self.std, 3.0**0.5 / (self.std * self.width)]))
+        return xp.diag(xp.stack([1.0 / self.std, 1.0 / (FREE * self.std * self.width)]))
 
     def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m 2"]]:
         groups, (lowest, highest), result = _shared(nodes), self._before(nodes), []
@@ -162,7 +167,7 @@ class GradientOfScale(PathTerm):
 
     std: Float[AnyArray, ""]
     signals: tuple[str, ...] = eqx.field(static=True)
-    name: str = eqx.field(static=True, default="scale_factor_temperature_gradient")
+    name: str = eqx.field(static=True)
     si_unit: str = eqx.field(static=True, default="s/K")
 
     @property
@@ -204,3 +209,38 @@ class TurnOnTransient(PathTerm):
     def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m 1"]]:
         xp = namespace(nodes.temperature_change)
         return [xp.exp(-g.time / self.time_constant)[..., None] for g in _shared(nodes) if g.time is not None]
+
+
+class HalfDifference(PathTerm):
+    """Half of what heating and cooling differ by, a function of temperature: `±ψ(T)`, positive where it heats. Between
+    the two the sign follows dT/dt within ±`_STEADY`. `std`: of every coefficient. Beyond the knots, the values there.
+    """
+
+    std: Float[AnyArray, ""]
+    temperature: BSpline
+    signals: tuple[str, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    si_unit: str = eqx.field(static=True)
+
+    @property
+    def size(self) -> int:
+        return self.temperature.size
+
+    def names(self) -> list[str]:
+        return [f"{self.name}{k}" for k in range(self.size)]
+
+    @property
+    def nuisances(self) -> list[str]:
+        return []
+
+    def prior_rows(self) -> Float[AnyArray, "q q"]:
+        return namespace(self.std).eye(self.size) / self.std
+
+    def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m q"]]:
+        result, knots = [], self.temperature.knots
+        for g in _shared(nodes):
+            assert g.slope is not None
+            xp = namespace(g.temperature)
+            sign = xp.clip(g.slope / _STEADY, -1.0, 1.0)
+            result.append(sign[..., None] * self.temperature(xp.clip(g.temperature, knots[0], knots[-1])))
+        return result

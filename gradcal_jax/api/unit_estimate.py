@@ -59,6 +59,7 @@ from gradcal_jax.files.calibration import (
     Calibration,
     Covariance,
     Noise,
+    PathCoefficient,
     TableError,
     build_term,
 )
@@ -69,7 +70,17 @@ from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, segments_of
-from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, GradientOfBias, Map, PathTerm, SignalMap
+from gradcal_jax.model import (
+    AXIS_NAMES,
+    KINDS,
+    Channel,
+    Discrepancy,
+    GradientOfBias,
+    Hysteresis,
+    Map,
+    PathTerm,
+    SignalMap,
+)
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
 _REHUNG_S = 6 * 3600.0
@@ -542,6 +553,7 @@ def _calibration(
         else "the table's axes at zero, through the nominal mounting",
         "order": ORDER,
         "channel": tuple(held),
+        "path": tuple(_path_coefficients(built, values, deviations)),
         "covariance": Covariance(
             names=tuple(names[k] for k in covariant), matrix=tuple(map(tuple, matrix.tolist()))
         ),
@@ -597,6 +609,24 @@ def _terms(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Iterator[Cal
         signals = term.signals if isinstance(term, SignalMap) else () if term.rate is None else of_rate
         bases = {"temperature": section.temperature, "rate": getattr(section, "rate", None)}
         yield build_term(term.name, term.unit, signals, coefficients, **bases)
+
+
+def _path_coefficients(built: AssembledUnit, values: np.ndarray, deviations: np.ndarray) -> Iterator[PathCoefficient]:
+    """What depends on the path of temperature and was estimated beside the maps, from all reported parameters."""
+    begin = 0
+    for c in built.model.channels:
+        for term in c.model.terms:
+            own = slice(begin, begin + term.size)
+            begin = own.stop
+            if not isinstance(term, PathTerm):
+                continue
+            of_play = {"width": Quantity.of(float(term.width), "K")} if isinstance(term, Hysteresis) else {}
+            for name, value, std in zip(term.names(), values[own], deviations[own], strict=True):
+                if name not in term.nuisances:
+                    yield PathCoefficient(
+                        channel=c.name, name=name, value=float(value), standard_deviation=float(std), unit=term.unit,
+                        **of_play,
+                    )  # fmt: skip
 
 
 def _noise(spec: UnitSpec, log: Log) -> Noise:

@@ -26,6 +26,8 @@ _FEW = 11
 _ALONG = 0.9
 # Share of a turn's rate that a gyro must see.
 _SEEN = 0.3
+# Share of the prior of a hysteresis beyond which a course hardly observes it.
+_HARDLY_SEEN = 0.7
 # Change of temperature within a piece that counts as none, K.
 _SAME_K = 1e-6
 # Smallest over largest singular value of up-directions that do not lie in one plane.
@@ -98,7 +100,7 @@ def one_way_sentences(built: AssembledUnit, known: Posterior, line: Trajectory |
             for term in plays:
                 row[0, model.where(c.kind, c.axis, term.name).start] = float(term.width)
             after, before = (float(of.deviations(row)[0]) for of in (known, prior))
-            if after > NOT_OBSERVED * before:
+            if after > _HARDLY_SEEN * before:
                 si = model.units()[model.where(c.kind, c.axis, plays[0].name).start].removesuffix("/K")
                 unit, factor = UNITS_OF_TERMS[si]
                 wide = max(float(term.width) for term in plays)

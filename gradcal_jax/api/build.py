@@ -14,7 +14,7 @@ from gradcal_jax.files.schedule import GradientSchedule, StandardSchedule, gradi
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, Sensor
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_plan import UnitSchedule
-from gradcal_jax.model import Map, Processes, Reference, SensorModel, SignalMap
+from gradcal_jax.model import Map, PathTerm, Processes, Reference, SensorModel, SignalMap
 from gradcal_jax.trajectory import Move, Past, Schedule
 
 # A varying rate is integrated on the nodes of a piece, against exponentials of at most this many correlation times.
@@ -127,8 +127,10 @@ def gyro_channel(
     *,
     harmonics: dict[int, float] | None = None,
     signals: Sequence[SignalMap] = (),
+    path: Sequence[PathTerm] = (),
 ) -> SensorModel:
-    """The model of a gyro: its maps, the terms of its other `signals`, and its noise."""
+    """The model of a gyro: its maps, the terms of its other `signals` and of the `path` of temperature, and its
+    noise."""
     gradient = sensor.gradient_sensitivity
     return model.gyro_model(
         None if sensor.bias is None else section_map(sensor.bias, float(sensor.turn_on_bias or 0.0)),
@@ -139,6 +141,7 @@ def gyro_channel(
         temperature_gradient_std=None if gradient is None else or_infinite(gradient.prior),
         harmonics=harmonics,
         signals=signals,
+        path=path,
     )
 
 

@@ -28,7 +28,16 @@ from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior
-from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, Map, SensorModel, SignalMap, UnitModel
+from gradcal_jax.model import (
+    BIAS,
+    SCALE_FACTOR,
+    TEMPERATURE_GRADIENT,
+    Hysteresis,
+    Map,
+    SensorModel,
+    SignalMap,
+    UnitModel,
+)
 from gradcal_jax.trajectory import EARTH_RATE, Trajectory
 
 TURN_ON: Final = "turn-on bias"
@@ -42,7 +51,7 @@ _MINUTES: Final = 300.0
 # Last parts of the keys of omitted terms that are no noise: columns of `columns_of`, or terms with parameters.
 _NO_NOISE: Final = frozenset({
     "thermal_lag", "bias_temperature_gradient", "temperature_offset", "temperature_lag", "mounting_accuracy",
-    "scale_error", "turn_on_bias",
+    "scale_error", "turn_on_bias", "hysteresis", "scale_factor_hysteresis",
 })  # fmt: skip
 
 
@@ -56,7 +65,8 @@ class ChannelTerms(NamedTuple):
 class SystematicFigures(NamedTuple):
     """Standard deviations of the errors that no residual shows, SI: relative of the scale factor, by name, of the
     gyros; the offset (K) and lag (s) of the thermometer; of biases, by kind: constant, per K/s, and new at every
-    power-on. `slopes`: typical ones of bias and scale factor over temperature, by kind."""
+    power-on. `slopes`: typical ones of bias and scale factor over temperature, by kind. `hysteresis`: by kind and name
+    of the map, half of what heating and cooling differ by."""
 
     scale: Mapping[str, float]
     offset: float
@@ -65,16 +75,18 @@ class SystematicFigures(NamedTuple):
     gradient: Mapping[str, float]
     turn_on: Mapping[str, float]
     slopes: Mapping[str, tuple[float, float]]
+    hysteresis: Mapping[tuple[str, str], float] = MappingProxyType({})
 
 
 class EstimatedRun(NamedTuple):
     """An estimate in the place of a plan: its parameters `(p,)`, the range of temperature of its data (°C), and the
-    standard deviation of its lag (s), if that was fitted."""
+    standard deviation of its lag (s), if that was fitted. `one_way`: the temperature never returns."""
 
     parameters: np.ndarray
     temperature_c: tuple[float, float]
     ramp: float
     lag_std: float | None = None
+    one_way: bool = False
 
 
 def systematic_figures(spec: Spec | UnitSpec) -> SystematicFigures:
@@ -94,6 +106,12 @@ def systematic_figures(spec: Spec | UnitSpec) -> SystematicFigures:
             gradient={kind: triad.gradient_std for kind, triad in triads.items() if triad is not None},
             turn_on={kind: float(triad.turn_on_bias or 0.0) for kind, triad in triads.items() if triad is not None},
             slopes={kind: slopes_of(spec.sensor, kind) for kind, triad in triads.items() if triad is not None},
+            hysteresis={
+                (kind, name): float(np.hypot.reduce([float(p.prior) * float(p.width) for p in plays], initial=0.0))
+                for kind, triad in triads.items()
+                if triad is not None
+                for name, plays in ((BIAS, triad.hysteresis), (SCALE_FACTOR, triad.scale_factor_hysteresis))
+            },
             **common,
         )
     table = spec.rig.table
@@ -106,6 +124,7 @@ def systematic_figures(spec: Spec | UnitSpec) -> SystematicFigures:
         gradient={"gyro": spec.sensor.gradient_std},
         turn_on={"gyro": float(spec.sensor.turn_on_bias or 0.0)},
         slopes={"gyro": slopes_of(spec.sensor)},
+        hysteresis={},
         **common,
     )
 
@@ -131,6 +150,10 @@ def columns_of(
                 add(name, std * _constants(terms, size, SCALE_FACTOR))
             for name, std in figures.bias.items():
                 add(name, std * _constants(terms, size, BIAS))
+        for (own, name), size_of_it in figures.hysteresis.items():
+            # A map from one branch is off by twice as much on the other as one from both.
+            if own == kind and done is not None:
+                add("hysteresis", size_of_it * (2.0 if done.one_way else 1.0) * _constants(terms, size, name))
         add("bias from dT/dt", figures.gradient[kind] * ramp * _constants(terms, size, BIAS))
         if done is None:
             by_name = dict(zip((BIAS, SCALE_FACTOR), figures.slopes[kind], strict=True))
@@ -273,15 +296,21 @@ def columns_of_unit_plan(built: AssembledUnit) -> dict[str, np.ndarray]:
     return columns_of(figures, terms_of_unit(built), built.model.size, ramp)
 
 
-def _without_fitted(figures: SystematicFigures, fitted: Container[str]) -> SystematicFigures:
-    """A sensitivity to dT/dt that the model estimates is in its covariance."""
-    return figures._replace(gradient={k: 0.0 if k in fitted else std for k, std in figures.gradient.items()})
+def _without_fitted(figures: SystematicFigures, fitted: Container[Any]) -> SystematicFigures:
+    """A sensitivity to dT/dt or a hysteresis that the model estimates is in its covariance."""
+    gradient = {kind: 0.0 if kind in fitted else std for kind, std in figures.gradient.items()}
+    hysteresis = {of: 0.0 if of in fitted else std for of, std in figures.hysteresis.items()}
+    return figures._replace(gradient=gradient, hysteresis=hysteresis)
 
 
-def _fitted(of: SensorModel | UnitModel) -> set[str]:
-    """The kinds of channels whose sensitivity to dT/dt is estimated."""
+def _fitted(of: SensorModel | UnitModel) -> set[Any]:
+    """The kinds of channels whose sensitivity to dT/dt is estimated, and the kinds and maps whose hysteresis is."""
     channels = [("gyro", of)] if isinstance(of, SensorModel) else [(c.kind, c.model) for c in of.channels]
-    return {kind for kind, model in channels if model.term(TEMPERATURE_GRADIENT) is not None}
+    fitted: set[Any] = {kind for kind, model in channels if model.term(TEMPERATURE_GRADIENT) is not None}
+    for kind, model in channels:
+        plays = [term for term in model.terms if isinstance(term, Hysteresis)]
+        fitted |= {(kind, SCALE_FACTOR if term.signals else BIAS) for term in plays}
+    return fitted
 
 
 def budget_of_estimate(

@@ -20,6 +20,7 @@ from gradcal_jax.api.build import (
     or_infinite,
     processes_of,
 )
+from gradcal_jax.files import sensor as sensor_file
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
@@ -36,11 +37,15 @@ from gradcal_jax.model import (
     Channel,
     Discrepancy,
     GradientOfBias,
+    GradientOfScale,
     HigherPolynomials,
+    Hysteresis,
     Map,
+    PathTerm,
     Polynomial,
     SignalMap,
     Term,
+    TurnOnTransient,
     UnitModel,
 )
 from gradcal_jax.trajectory import Geometry, TableMotion
@@ -50,6 +55,10 @@ MISALIGNMENT = "misalignment_{}"
 G_SENSITIVITY = "g_sensitivity_{}"
 SPECIFIC_FORCE_BIAS = "bias"
 SECOND_ORDER = "second_order"
+HYSTERESIS = "hysteresis_{}K"
+SCALE_FACTOR_HYSTERESIS = "scale_factor_hysteresis_{}K"
+GRADIENT_OF_SCALE = "scale_factor_temperature_gradient"
+TRANSIENT = "turn_on_transient_{}s"
 _CONSTANT = Polynomial(0, 0.0, 1.0)
 _LAGGED = 16
 _LAG_TIMES = 8.0
@@ -87,14 +96,26 @@ def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
     terms = (t for c in model_.channels for t in c.model.terms)
     bases = [t.temperature for t in terms if isinstance(t, Map | SignalMap | Discrepancy)]
     degree = max(b.degree if isinstance(b, Polynomial | BSpline | HigherPolynomials) else 0 for b in bases)
-    # A lagging unit's exponentials are no polynomials.
-    points = max(degree + 1, _LAGGED if spec.sensor.lag is not None else 1)
-    past = tuple(motion_of(part, spec, model_) for part in spec.past)
-    rough = any(b.breaks for b in bases)
-    motion = motion_of(spec.schedule, spec, model_)
+    # A lagging unit's exponentials, and transients, are no polynomials; a play is linear in T on each piece.
+    of_path = [t for c in model_.channels for t in c.model.terms if isinstance(t, PathTerm)]
+    exponential = spec.sensor.lag is not None or any(isinstance(t, TurnOnTransient) for t in of_path)
+    points = max(degree + 1, _LAGGED if exponential else 2 if of_path else 1)
+    past, history = list[TableMotion](), None
+    for part in spec.past:
+        past.append(motion_of(part, spec, model_, history))
+        history = _turning_points(past[-1])
+    rough = bool(of_path) or any(b.breaks for b in bases)
+    motion = motion_of(spec.schedule, spec, model_, history)
     if until_s < np.inf:
         motion = _broken_off(motion, until_s, _fineness(spec, model_, motion.line))
+    past = tuple(past)
     return AssembledUnit(spec, model_, motion, points, rough, past, until_s)
+
+
+def _turning_points(motion: TableMotion) -> np.ndarray:
+    """Temperatures (°C) at the ends of the pieces of a motion, with those before it."""
+    begin, end = motion.line.ends()
+    return np.concatenate([[] if motion.history is None else motion.history, begin[:1], end])
 
 
 def _broken_off(motion: TableMotion, until_s: float, fine: tuple[int | None, int]) -> TableMotion:
@@ -106,9 +127,10 @@ def _broken_off(motion: TableMotion, until_s: float, fine: tuple[int | None, int
         line = eqx.tree_at(lambda x: x.read, line, (source == inside[-1]) | line.read)
     line = line.between(-np.inf, until_s)
     source = source[: line.piece_count]
-    return trajectory.table_motion(
+    broken = trajectory.table_motion(
         line, motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles, *fine
     )
+    return replace(broken, history=motion.history)
 
 
 def posterior_of_unit(built: AssembledUnit) -> Posterior:
@@ -131,7 +153,11 @@ def unit_model(spec: UnitSpec) -> UnitModel:
         clock = 0.0 if _has_common_clock(spec) else sensor.clock_error
         processes, _ = processes_of(named_processes(gyro, clock=clock, earth_is_unknown=spec.rig.site.is_unknown))
         channels += [
-            Channel(gyro_channel(gyro, processes, signals=_signal_maps(gyro, axis)), "gyro", AXIS_NAMES.index(axis))
+            Channel(
+                gyro_channel(gyro, processes, signals=_signal_maps(gyro, axis), path=_path_terms(gyro, axis)),
+                "gyro",
+                AXIS_NAMES.index(axis),
+            )
             for axis in gyro.axes
         ]
     if (force := sensor.accelerometer) is not None:
@@ -220,12 +246,34 @@ def _signal_maps(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[Signa
     ]
 
 
+def _path_terms(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[PathTerm]:
+    """The terms of a channel that depend on the path of temperature."""
+    gyro = isinstance(triad, GyroTriad)
+    own, unit = (f"{'rate' if gyro else 'force'} {axis}",), "rad/s" if gyro else "m/s^2"
+
+    def play(p: sensor_file.PlayOfBias, signals: tuple[str, ...], name: str, si_unit: str) -> PathTerm:
+        std, width = np.asarray(float(p.prior)), np.asarray(float(p.width))
+        named = name.format(f"{float(width):g}")
+        return Hysteresis(std=std, width=width, signals=signals, name=named, si_unit=si_unit)
+
+    terms = [play(p, (), HYSTERESIS, f"{unit}/K") for p in triad.hysteresis]
+    terms += [play(p, own, SCALE_FACTOR_HYSTERESIS, "1/K") for p in triad.scale_factor_hysteresis]
+    if (gradient := triad.scale_factor_temperature_gradient) is not None:
+        terms.append(GradientOfScale(std=np.asarray(float(gradient.prior)), signals=own, name=GRADIENT_OF_SCALE))
+    for t in triad.turn_on_transient:
+        std, lasting = np.asarray(float(t.prior)), np.asarray(float(t.time_constant))
+        name = TRANSIENT.format(f"{float(lasting):g}")
+        terms.append(TurnOnTransient(std=std, time_constant=lasting, signals=(), name=name, si_unit=unit))
+    return terms
+
+
 def _accelerometer(triad: AccelerometerTriad, axis: str) -> model.SensorModel:
     processes, _ = processes_of(named_processes(triad))
     white, terms = np.asarray(float(triad.velocity_random_walk)), list[Term](_signal_maps(triad, axis))
     if (gradient := triad.gradient_sensitivity) is not None:
         std = np.asarray(or_infinite(gradient.prior))
         terms.append(GradientOfBias(std=std, has_prior=bool(np.isfinite(std)), si_unit="m/s/K"))
+    terms += _path_terms(triad, axis)
     return model.SensorModel(tuple(terms), white, processes, model.angle_reference())
 
 
@@ -277,21 +325,31 @@ def rest_poses(built: AssembledUnit) -> RestPoses:
     return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
 
 
-def motion_of(plan: UnitSchedule | StandardSchedule, spec: UnitSpec, of: UnitModel) -> TableMotion:
-    """The motion of a plan on a spec's rig, in pieces on which all functions of the model `of` are smooth."""
+def motion_of(
+    plan: UnitSchedule | StandardSchedule, spec: UnitSpec, of: UnitModel, history: np.ndarray | None = None
+) -> TableMotion:
+    """The motion of a plan on a spec's rig, in pieces on which all functions of the model `of` are smooth. `history`
+    °C: turning points of the temperature before it."""
     schedule, axes, start = _schedule(plan, spec)
     line = schedule.trajectory(spec.sensor.lag)
     # What fills a stretch stands.
     axis = np.array([*axes, -1])[np.minimum(np.asarray(schedule.pieces.move), len(axes))]
-    if spec.sensor.lag is not None:
-        line, source = line.divided(*_divisions_by_lag(line))
+    path = [term for c in of.channels for term in c.model.terms if isinstance(term, PathTerm)]
+    decays = [1.0 / float(term.time_constant) for term in path if isinstance(term, TurnOnTransient)]
+    decays += [] if spec.sensor.lag is None else [float(line.lag_rate)]
+    if decays:
+        line, source = line.divided(*_divisions_by_decay(line, max(decays)))
         axis = axis[source]
     # Between two stretches the table stands where the cycle began, up to whole turns, and the mounting changes.
     stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
     mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
     fine = _fineness(spec, of, line)
     whole = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), start, *fine)
-    return trajectory.divided_motion(whole, *_breaks(of), *fine)
+    smooth = trajectory.divided_motion(whole, *_breaks(of), *fine)
+    if not path:
+        return smooth
+    widths = tuple(sorted({float(term.width) for term in path if isinstance(term, Hysteresis)}))
+    return trajectory.motion_divided_by_plays(replace(smooth, history=history), widths, *fine)
 
 
 def _schedule(
@@ -318,10 +376,10 @@ def _schedule(
     return schedule, [s.axis for s in (*steps, *after)], np.array(plan.start)
 
 
-def _divisions_by_lag(line: trajectory.Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Pieces and fractions of them at which they are bisected towards their start, so that the exponential of a thermal
-    lag decays little in each part."""
-    decays = np.where(line.gap, 0.0, line.duration) * line.lag_rate
+def _divisions_by_decay(line: trajectory.Trajectory, decay: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pieces and fractions of them at which they are bisected towards their start, so that an exponential that decays
+    at `decay` for s (of a thermal lag, or from power-on) changes little in each part."""
+    decays = np.where(line.gap, 0.0, line.duration) * decay
     halves = np.ceil(np.log2(np.maximum(decays / _LAG_TIMES, 1.0))).astype(int)
     pieces = np.repeat(np.arange(len(halves)), halves)
     order = np.concatenate([np.arange(count, 0, -1) for count in halves]) if len(pieces) else np.zeros(0)
@@ -332,7 +390,7 @@ def _fineness(spec: UnitSpec, of: UnitModel, line: trajectory.Trajectory) -> tup
     """The fastest wave in a column, in cycles a turn, and the number of nodes of a turning piece without waves. No
     column has waves if every gyro lies along the only axis of a table, whose encoder's error counts at the readings."""
     orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
-    own = (Map, Discrepancy, GradientOfBias)
+    own = (Map, Discrepancy, GradientOfBias, PathTerm)
     frame = geometry(spec.rig)
     along = [np.abs(frame.axes[0] @ mounting) for mounting in frame.mountings]
     plain = (

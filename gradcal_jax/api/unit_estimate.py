@@ -34,6 +34,7 @@ from gradcal_jax.api.contradictions import (
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.log_rows import bridged_temperature, table_readings, time_of, usable_rows, with_options
+from gradcal_jax.api.path_dependence import HEATING_AGAINST_COOLING, PathDependence, path_dependence
 from gradcal_jax.api.prediction import unit_requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.systematic import (
@@ -46,7 +47,7 @@ from gradcal_jax.api.systematic import (
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_residual import internal_misalignments
-from gradcal_jax.api.unit_sentences import prior_deviations, unobserved_parameters
+from gradcal_jax.api.unit_sentences import one_way_sentences, prior_deviations, unobserved_parameters
 from gradcal_jax.display import summary
 from gradcal_jax.estimation import (
     Consistency,
@@ -58,6 +59,7 @@ from gradcal_jax.estimation import (
     UnitReadings,
     UnitRows,
 )
+from gradcal_jax.files.absent import branch_sentences
 from gradcal_jax.files.calibration import (
     FORMAT,
     ORDER,
@@ -66,6 +68,7 @@ from gradcal_jax.files.calibration import (
     Calibration,
     Covariance,
     Noise,
+    PathCoefficient,
     TableError,
     build_term,
 )
@@ -78,7 +81,17 @@ from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, segments_of
-from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, Discrepancy, GradientOfBias, Map, SignalMap
+from gradcal_jax.model import (
+    AXIS_NAMES,
+    KINDS,
+    Channel,
+    Discrepancy,
+    GradientOfBias,
+    Hysteresis,
+    Map,
+    PathTerm,
+    SignalMap,
+)
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
 _REHUNG_S = 6 * 3600.0
@@ -88,6 +101,8 @@ _ABSURD = 100.0
 _EVERYWHERE = (-273.0, 1000.0), (-1e4, 1e4)
 # Parts of a planned move's time at which its angle is tabulated.
 _PROFILE = 512
+# Change of temperature from the begin to the end of a record, as a share of its range, beyond which it goes one way.
+_ONE_WAY = 0.8
 # An error of the table of more than this many times its standard deviation by the spec is reported.
 _CONTRADICTED = 4.0
 
@@ -115,6 +130,8 @@ class UnitReport(NamedTuple):
     internal: tuple[InternalMisalignment, ...]
     gravity: tuple[float, float] | None
     messages: tuple[str, ...]
+    path: PathDependence | None = None
+    """Where heating and cooling disagree, what they differ by, and the play that explains it."""
 
     __repr__ = summary
 
@@ -218,7 +235,7 @@ def _report(
     heating = temperature[done.rows[at.last + 1]] > began
     used = solution.used
     subsets = {
-        "heating against cooling": heating[at.row_segment][used],
+        HEATING_AGAINST_COOLING: heating[at.row_segment][used],
         "first against second half": (of_segment < half)[at.row_segment][used],
     }
     few = {key: value for key, value in subsets.items() if 0.1 < np.mean(value) < 0.9}
@@ -233,7 +250,9 @@ def _report(
     covered = _covered(done, rows, temperature)
     record = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
     ramp = ramp_of_record(rows.time_s[record], temperature[record])
-    budget = budget_of_unit_estimate(built, known, EstimatedRun(solution.parameters, covered[0], ramp), noise)
+    one_way = abs(temperature[record][-1] - temperature[record][0]) > _ONE_WAY * np.ptp(temperature[record])
+    run = EstimatedRun(solution.parameters, covered[0], ramp, one_way=bool(one_way))
+    budget = budget_of_unit_estimate(built, known, run, noise)
     contradicted = (*shown.not_valid, *estimation.contradictions(_tests_of(tests, channels)))
     requirements, beyond = [], list[str]()
     for requirement in built.spec.requirement:
@@ -251,10 +270,16 @@ def _report(
     if unseen:
         calibration = calibration.model_copy(update={"unseen": unseen})
     seen = tuple(_internal(built, solution, covered[0])), _gravity(readings, calibration, temperature)
-    report = UnitReport(name, built, done, solution, calibration, requirements, tests, channels, *seen, ())
+    path = None
+    if HEATING_AGAINST_COOLING in contradicted:
+        warm = temperature[done.rows[at.first]][at.row_segment][used]
+        path = path_dependence(built.spec, readings, solution, warm, subsets[HEATING_AGAINST_COOLING])
+    report = UnitReport(name, built, done, solution, calibration, requirements, tests, channels, *seen, (), path)
     names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
     lesser = counting_less(solution.weights, of_segment[at.row_segment][used], names)
-    beside = *omitted_sentences(built.spec, temperature[record]), *beyond
+    of_path = () if path is None else path.sentences
+    of_path = *of_path, *one_way_sentences(built, solution.known, done.motion.line), *branch_sentences(built.spec)
+    beside = *of_path, *omitted_sentences(built.spec, temperature[record]), *beyond
     turned = np.concatenate([[0], np.cumsum(done.motion.axis >= 0)])
     moved = (turned[at.last + 1] > turned[at.first])[at.row_segment][used]
     looks = diagnosis_sentences(solution.estimate.residuals[0], of_segment[at.row_segment][used], moved)
@@ -606,6 +631,7 @@ def _calibration(
         else "the table's axes at zero, through the nominal mounting",
         "order": ORDER,
         "channel": tuple(held),
+        "path": tuple(_path_coefficients(built, values, deviations)),
         "covariance": Covariance(
             names=tuple(names[k] for k in covariant), matrix=tuple(map(tuple, matrix.tolist()))
         ),
@@ -650,8 +676,8 @@ def _channels(
 def _terms(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Iterator[CalibratedTerm]:
     triad = getattr(spec.sensor, channel.kind)
     for term in channel.model.terms:
-        # A sensitivity to dT/dt is estimated beside the calibration and is no part of it.
-        if isinstance(term, Discrepancy | GradientOfBias):
+        # A sensitivity to dT/dt and what else depends on the path of temperature are estimated beside the calibration.
+        if isinstance(term, Discrepancy | GradientOfBias | PathTerm):
             continue
         own = values[channel.model.where(term.name)]
         coefficients = {name: float(v) for name, v in zip(term.names(), own, strict=True)}
@@ -661,6 +687,24 @@ def _terms(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Iterator[Cal
         signals = term.signals if isinstance(term, SignalMap) else () if term.rate is None else of_rate
         bases = {"temperature": section.temperature, "rate": getattr(section, "rate", None)}
         yield build_term(term.name, term.unit, signals, coefficients, **bases)
+
+
+def _path_coefficients(built: AssembledUnit, values: np.ndarray, deviations: np.ndarray) -> Iterator[PathCoefficient]:
+    """What depends on the path of temperature and was estimated beside the maps, from all reported parameters."""
+    begin = 0
+    for c in built.model.channels:
+        for term in c.model.terms:
+            own = slice(begin, begin + term.size)
+            begin = own.stop
+            if not isinstance(term, PathTerm):
+                continue
+            of_play = {"width": Quantity.of(float(term.width), "K")} if isinstance(term, Hysteresis) else {}
+            for name, value, std in zip(term.names(), values[own], deviations[own], strict=True):
+                if name not in term.nuisances:
+                    yield PathCoefficient(
+                        channel=c.name, name=name, value=float(value), standard_deviation=float(std), unit=term.unit,
+                        **of_play,
+                    )  # fmt: skip
 
 
 def _noise(spec: UnitSpec, log: Log) -> Noise:
@@ -685,4 +729,16 @@ def unit_estimate_rows(report: UnitReport) -> dict[str, Any]:
         "gravity_rms_m_per_s2": report.gravity,
         "tests": [row.model_dump(mode="json") for row in calibration.fit],
         "messages": list(report.messages),
+        "path": None if report.path is None else _path_rows(report.path),
+    }
+
+
+def _path_rows(path: PathDependence) -> dict[str, Any]:
+    """Half-differences of heating and cooling, and the play that explains them, for `--json`, SI."""
+    differences = [
+        d._replace(**{k: getattr(d, k).tolist() for k in ("temperature_c", "value", "std")}) for d in path.differences
+    ]
+    return {
+        "half_differences": [d._asdict() for d in differences],
+        "play": None if path.offer is None else path.offer._asdict(),
     }

@@ -39,7 +39,7 @@ from gradcal_jax.display import summary
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
 from gradcal_jax.files.unit_plan import UnitSchedule, quickest_turn
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
-from gradcal_jax.information import Posterior, contrasts, unit_system, whiten
+from gradcal_jax.information import Posterior, unit_system, whiten
 from gradcal_jax.model import UnitModel
 
 EVALUATIONS, QUICK_EVALUATIONS = 12000, 800
@@ -478,12 +478,9 @@ def _statistics_of(quantity: RequiredQuantity) -> Statistics:
     """A requirement's statistic over its target, for the objective."""
     requirement, elements = quantity.requirement, []
     for e in quantity.elements:
-        rows, alone, added = e.of, None, np.zeros(())
-        if isinstance(e.of, tuple):
-            model, term, *grid = e.of
-            rows, alone, added = contrasts(model, term, *(x.ravel() for x in np.meshgrid(*grid, indexing="ij")))
-        one = GridElement(e.where, np.asarray(rows), alone if np.any(alone) else None, added + quantity.beside**2)
-        elements.append(one)
+        rows, alone, added = e.contrasts()
+        alone = alone if np.any(alone) else None
+        elements.append(GridElement(e.where, np.asarray(rows), alone, added + quantity.beside**2, e.path))
     shape = len(quantity.temperatures), len(quantity.rates)
     target = requirement.target
     factor = UNIT_OF[requirement.quantity][1] if target is None else 1.0 / float(target)

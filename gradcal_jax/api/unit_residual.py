@@ -6,8 +6,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
-from gradcal_jax.api.unit_build import G_SENSITIVITY, MISALIGNMENT, SECOND_ORDER, SPECIFIC_FORCE_BIAS, AssembledUnit
+from gradcal_jax.api.unit_build import (
+    G_SENSITIVITY,
+    GRADIENT_OF_SCALE,
+    HYSTERESIS,
+    MISALIGNMENT,
+    SCALE_FACTOR_HYSTERESIS,
+    SECOND_ORDER,
+    SPECIFIC_FORCE_BIAS,
+    AssembledUnit,
+)
 from gradcal_jax.files.requirement import (
+    AccelerometerBiasRequirement,
+    GyroBiasRequirement,
     GyroScaleFactorRequirement,
     MisalignmentRequirement,
     PositionRequirement,
@@ -15,9 +26,20 @@ from gradcal_jax.files.requirement import (
     TurnRequirement,
     UnitRequirement,
 )
-from gradcal_jax.information import Posterior, residual, statistic
-from gradcal_jax.information.residual import Statistic
-from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, Channel, ChannelKind, Map, SensorModel, SignalMap, UnitModel
+from gradcal_jax.information import Posterior, contrasts, residual, statistic
+from gradcal_jax.information.residual import Contrasts, Statistic
+from gradcal_jax.model import (
+    AXIS_NAMES,
+    SCALE_FACTOR,
+    TEMPERATURE_GRADIENT,
+    Channel,
+    ChannelKind,
+    Hysteresis,
+    Map,
+    SensorModel,
+    SignalMap,
+    UnitModel,
+)
 from gradcal_jax.trajectory import EARTH_RATE
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
@@ -25,6 +47,11 @@ UNITS_OF_TERMS = {
     "rad/s": ("deg/h", DEG_PER_H),
     "1": ("ppm", PPM),
     "rad/K": ("deg/h/(°C/min)", DEG_PER_H / 60.0),
+    "rad/s/K": ("deg/h/K", DEG_PER_H),
+    "1/K": ("ppm/K", PPM),
+    "s/K": ("ppm/(K/min)", PPM / 60.0),
+    "m/s^2/K": ("ug/K", 1e6 / G),
+    "m/s/K": ("ug/(K/min)", 1e6 / G / 60.0),
     "rad": ("urad", 1e6),
     "m": ("mm", 1e3),
     "m/s^2": ("ug", 1e6 / G),
@@ -67,16 +94,29 @@ class UnitResidual(NamedTuple):
 
 class QuantityElement(NamedTuple):
     """A linear function of a unit's parameters on `g` points: `rows` `(g, k)` of those in `where`; or a map of a
-    channel, by the channel's model, the map's name and the temperatures and rates of a grid."""
+    channel, by the channel's model, the map's name and the temperatures and rates of a grid. `path` `(s, k)`: what is
+    added to the rows in each state of the service, of which the worst counts at every point."""
 
     label: str
     where: slice
     of: np.ndarray | tuple[SensorModel, Any, np.ndarray, np.ndarray]
+    path: np.ndarray | None = None
 
     def deviations(self, known: Posterior) -> np.ndarray:
         """Standard deviation on the points."""
         part = Posterior(known.spread[self.where], known.hidden[self.where])
-        return residual(part, *self.of).ravel() if isinstance(self.of, tuple) else part.deviations(self.of)
+        if self.path is None:
+            return residual(part, *self.of).ravel() if isinstance(self.of, tuple) else part.deviations(self.of)
+        at_rest = self.contrasts()
+        each = [at_rest._replace(rows=np.asarray(at_rest.rows) + state).left(part) for state in self.path]
+        return np.max(each, axis=0)
+
+    def contrasts(self) -> Contrasts:
+        """The error at every point of the grid, without the path of the temperature."""
+        if isinstance(self.of, tuple):
+            model, term, *grid = self.of
+            return contrasts(model, term, *(x.ravel() for x in np.meshgrid(*grid, indexing="ij")))
+        return Contrasts(self.of, np.zeros_like(self.of), np.zeros(len(self.of)))
 
 
 class RequiredQuantity(NamedTuple):
@@ -101,7 +141,7 @@ class RequiredQuantity(NamedTuple):
 
 def quantity_of(built: AssembledUnit, requirement: UnitRequirement, most: int | None = None) -> RequiredQuantity:
     """A requirement's quantity on its grid, or on one of at most `most` a side. `beside`: the mounting's uncertainty,
-    added to a misalignment relative to the case."""
+    added to a misalignment relative to the case, or that of a sensitivity to dT/dt, added to a bias on a slope."""
     cold, warm = (float(t) for t in requirement.temperature)
     counts = [min(count, most or count) for count in requirement.grid]
     temperatures, rates, beside = np.linspace(cold, warm, counts[0]), np.zeros(1), 0.0
@@ -111,6 +151,11 @@ def quantity_of(built: AssembledUnit, requirement: UnitRequirement, most: int | 
         frame = built.spec.sensor.frame
         if frame is None or frame.fixed_by != "case":
             beside = float(built.spec.rig.table.mounting[0].accuracy)
+    elif isinstance(requirement, GyroBiasRequirement | AccelerometerBiasRequirement):
+        # A sensitivity to dT/dt that is a figure and no parameter.
+        triad = getattr(built.spec.sensor, "gyro" if isinstance(requirement, GyroBiasRequirement) else "accelerometer")
+        if triad.gradient_sensitivity is None:
+            beside = triad.gradient_std * max(abs(slope) for _, slope in requirement.service())
     return RequiredQuantity(
         requirement, temperatures, rates, tuple(_elements(built, requirement, temperatures, rates)), beside
     )
@@ -141,7 +186,35 @@ def _elements(
             axis = AXIS_NAMES[c.axis]
             if c.kind == kind and requirement.axis in ("all", "worst", axis):
                 for term, label in terms(axis):
-                    yield _of_term(model, c, term, label, temperatures, rates)
+                    element = _of_term(model, c, term, label, temperatures, rates)
+                    yield element._replace(path=_states(c, requirement))
+
+
+# The terms of the path by the quantity that they belong to: of dT/dt, and a play's name.
+_PATHS = {
+    "gyro_bias": (TEMPERATURE_GRADIENT, HYSTERESIS),
+    "gyro_scale_factor": (GRADIENT_OF_SCALE, SCALE_FACTOR_HYSTERESIS),
+    "accelerometer_bias": (TEMPERATURE_GRADIENT, HYSTERESIS),
+    "accelerometer_scale_factor": (GRADIENT_OF_SCALE, SCALE_FACTOR_HYSTERESIS),
+}
+
+
+def _states(channel: Channel, requirement: UnitRequirement) -> np.ndarray | None:
+    """The states of the service `(s, channel's p)`: after a leg of more than twice its width a play is behind the
+    temperature by its width, between that and its opposite elsewhere, where the error is smaller than at one of both
+    ends. None without a path."""
+    service = getattr(requirement, "service", None)
+    states = ((0.0, 0.0),) if service is None else service()
+    if states == ((0.0, 0.0),):
+        return None
+    model, (gradient, play) = channel.model, _PATHS[requirement.quantity]
+    head = play.partition("{")[0]
+    of_dt, of_play = np.zeros(model.size), np.zeros(model.size)
+    of_dt[model.where(gradient)] = 1.0
+    for term in model.terms:
+        if isinstance(term, Hysteresis) and term.name.startswith(head):
+            of_play[model.where(term.name).start] = float(term.width)
+    return np.stack([slope * of_dt - sign * of_play for sign, slope in states])
 
 
 _TERMS = {

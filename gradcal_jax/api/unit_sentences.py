@@ -2,11 +2,20 @@
 
 import numpy as np
 
-from gradcal_jax.api.unit_build import AssembledUnit, rest_poses
-from gradcal_jax.api.unit_residual import quantity_of
+from gradcal_jax.api.unit_build import (
+    HYSTERESIS,
+    SCALE_FACTOR_HYSTERESIS,
+    AssembledUnit,
+    assemble_unit,
+    posterior_of_unit,
+    rest_poses,
+)
+from gradcal_jax.api.unit_residual import UNITS_OF_TERMS, quantity_of
+from gradcal_jax.files.absent import absent_terms
+from gradcal_jax.files.changes import changed
 from gradcal_jax.information import Posterior, posterior, square_root
-from gradcal_jax.model import AXIS_NAMES, Discrepancy
-from gradcal_jax.trajectory import frames
+from gradcal_jax.model import AXIS_NAMES, Discrepancy, Hysteresis, PathTerm
+from gradcal_jax.trajectory import Trajectory, frames
 from gradcal_jax.units import G
 
 # A parameter counts as not observed where its standard deviation is more than this share of its prior's.
@@ -17,18 +26,23 @@ _FEW = 11
 _ALONG = 0.9
 # Share of a turn's rate that a gyro must see.
 _SEEN = 0.3
+# Share of the prior of a hysteresis beyond which a course hardly observes it.
+_HARDLY_SEEN = 0.7
+# Change of temperature within a piece that counts as none, K.
+_SAME_K = 1e-6
 # Smallest over largest singular value of up-directions that do not lie in one plane.
 _FLAT = 0.05
 
 
 def unobserved_parameters(built: AssembledUnit, known: Posterior) -> list[str]:
-    """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure left out."""
+    """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure and of the
+    state at the beginning left out."""
     hidden = {
         f"{c.name}.{name}"
         for c in built.model.channels
         for t in c.model.terms
-        if isinstance(t, Discrepancy)
-        for name in t.names()
+        if isinstance(t, Discrepancy | PathTerm)
+        for name in (t.nuisances if isinstance(t, PathTerm) else t.names())
     }
     own = slice(built.model.calibrated)
     after, before = known.deviations(built.model.to_reported[own]), prior_deviations(built)[own]
@@ -49,7 +63,10 @@ def _prior(built: AssembledUnit) -> Posterior:
 def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
     """A sentence for each thing that the plan cannot observe, remedies first; and for requirements beyond the plan's
     temperatures."""
-    names = unobserved_parameters(built, known)
+    every = unobserved_parameters(built, known)
+    of_path = one_way_sentences(built, known)
+    # A hysteresis that is not observed has its own sentence.
+    names = [name for name in every if not of_path or HYSTERESIS.partition("{")[0] not in name]
     motion, example = built.motion, built.motion.example
     axes = frames(motion.geometry, motion.angles()[0][example], motion.mounting[example]).axes[motion.kind]
     sentences = _cures(built, axes, set(names))
@@ -60,8 +77,66 @@ def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
         channel, _, symbol = name.partition(".")
         groups.setdefault(channel, []).append(symbol)
     sentences += [f"the plan says nothing of {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
+    sentences += of_path or _one_way_of_class(built)
     sentences += _limited_by_priors(built, known) + _as_before(built, known)
     return sentences + _saturated(built, axes) + _beyond(built)
+
+
+def one_way_sentences(built: AssembledUnit, known: Posterior, line: Trajectory | None = None) -> list[str]:
+    """What a plan that does not return leaves of every hysteresis, and the shortest return that observes it. `line`: of
+    an executed motion in the place of the plan's."""
+    model, prior = built.model, _prior(built)
+    left: dict[tuple[str, str, str], tuple[float, float, list[str]]] = {}
+    for c in model.channels:
+        for head, kind in ((HYSTERESIS, "bias"), (SCALE_FACTOR_HYSTERESIS, "scale factor")):
+            plays = [
+                term
+                for term in c.model.terms
+                if isinstance(term, Hysteresis) and term.name.startswith(head.partition("{")[0])
+            ]
+            if not plays:
+                continue
+            row = np.zeros((1, model.size))
+            for term in plays:
+                row[0, model.where(c.kind, c.axis, term.name).start] = float(term.width)
+            after, before = (float(of.deviations(row)[0]) for of in (known, prior))
+            if after > _HARDLY_SEEN * before:
+                si = model.units()[model.where(c.kind, c.axis, plays[0].name).start].removesuffix("/K")
+                unit, factor = UNITS_OF_TERMS[si]
+                wide = max(float(term.width) for term in plays)
+                size, most, axes = left.get((c.kind, kind, unit), (0.0, 0.0, []))
+                axes = [*axes, AXIS_NAMES[c.axis]]
+                left[c.kind, kind, unit] = max(size, after * factor), max(most, wide), axes
+    course = _course_in_words(line or built.motion.line)
+    return [
+        f"{course}: hysteresis is not observable, ±{size:.3g} {unit} of it remain in the {kind} of {of} "
+        f"{', '.join(axes)}: let the temperature return by {2.0 * wide:g} K or more{_minutes(built, 2.0 * wide)}"
+        for (of, kind, unit), (size, wide, axes) in left.items()
+    ]
+
+
+def _course_in_words(line: Trajectory) -> str:
+    """Why the branches of the temperature are not told apart."""
+    begin, end = (of[~line.gap] for of in line.ends())
+    ways = {1.0 if b > a else -1.0 for a, b in zip(begin, end, strict=True) if abs(b - a) > _SAME_K}
+    return {0: "constant temperature", 1: "one-way ramp"}.get(len(ways), "legs too short")
+
+
+def _minutes(built: AssembledUnit, change_k: float) -> str:
+    """The time that the chamber needs for a change of temperature at the slower of its rates, in brackets."""
+    chamber = built.spec.rig.chamber
+    rate = min(float(chamber.max_heating), float(chamber.max_cooling))
+    return f" ({change_k / rate / 60.0:.3g} min at {rate * 60.0:.3g} K/min)" if np.isfinite(rate) and rate else ""
+
+
+def _one_way_of_class(built: AssembledUnit) -> list[str]:
+    """The same for a hysteresis that the spec does not name and that a requirement's branch counts."""
+    path = [term for term in absent_terms(built.spec) if term.key.endswith("hysteresis")]
+    if not path:
+        return []
+    complete = assemble_unit(changed(built.spec, {term.key: term.value for term in path}), built.until_s)
+    sentences = one_way_sentences(complete, posterior_of_unit(complete))
+    return [f"{sentence}; the figure is typical of the class" for sentence in sentences]
 
 
 # Name of an installation's parameter, unit of its prior, and a remedy other than a plan.

@@ -136,11 +136,19 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
 
 def omitted_lines(spec: "Spec | UnitSpec") -> list[str]:
     """Error terms that are absent from the file, with the typical figures that count for them. Empty: none."""
-    from gradcal_jax.files.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms, sensor_grade, table_grade
+    from gradcal_jax.files.absent import (
+        EARTH,
+        EARTH_IS_UNKNOWN,
+        absent_terms,
+        branch_sentences,
+        sensor_grade,
+        table_grade,
+    )
+    from gradcal_jax.files.unit_spec import UnitSpec
 
-    absent = absent_terms(spec)
+    absent, of_branches = absent_terms(spec), branch_sentences(spec) if isinstance(spec, UnitSpec) else []
     if not absent:
-        return []
+        return of_branches
     sensor, table = sensor_grade(spec.sensor), table_grade(spec)
     lines = [
         "not in the file, and so counted with figures typical of the class:",
@@ -150,7 +158,7 @@ def omitted_lines(spec: "Spec | UnitSpec") -> list[str]:
         "put your own figures into the file; 0 (or an empty list) says that there is none. Sources of the figures: "
         "gradcal check --json",
     ]
-    return lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH for term in absent)
+    return lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH for term in absent) + of_branches
 
 
 def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:

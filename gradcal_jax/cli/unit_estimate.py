@@ -77,6 +77,13 @@ def text_of_estimate(report: "UnitReport") -> str:
     lines += requirement_lines(report.requirements)
     spread = _sizes(report)
     lines += ["", "the terms, at most over the temperatures:", table(spread, right=(1, 2))]
+    if calibration.path:
+        of_path: list[tuple[str, ...]] = [("beside the maps", "value", "1σ", "")]
+        for one in calibration.path:
+            unit, factor = UNITS_OF_TERMS.get(one.unit, (one.unit, 1.0))
+            numbers = f"{one.value * factor:.4g}", f"{one.standard_deviation * factor:.2g}"
+            of_path.append((f"{one.channel} {one.name}".replace("_", " "), *numbers, unit))
+        lines += [table(of_path, right=(1, 2))]
     if report.internal:
         inside = [("between the axes", "value", "1σ", "")]
         inside += [(m.name, f"{m.value * 1e6:.2f}", f"{m.std * 1e6:.2g}", "µrad") for m in report.internal]

@@ -234,12 +234,13 @@ class CycleCoordinates(NamedTuple):
 
 class GridElement(NamedTuple):
     """A linear function of the parameters on a grid: `rows` `(g, k)` of the parameters `where`; the variance `added` to
-    its own, less that of `alone`."""
+    its own, less that of `alone`. `path` `(s, k)`: added to the rows in each state of the service; the worst counts."""
 
     where: slice
     rows: AnyArray
     alone: AnyArray | None
     added: AnyArray
+    path: AnyArray | None = None
 
 
 class Statistics(NamedTuple):
@@ -256,7 +257,10 @@ class Statistics(NamedTuple):
         each = []
         for e in self.elements:
             c = covariance[e.where, e.where]
-            variance = jnp.sum((e.rows @ c) * e.rows, axis=1) + e.added
+            states = [e.rows] if e.path is None else [e.rows + state for state in np.asarray(e.path)]
+            each_state = [jnp.sum((rows @ c) * rows, axis=1) for rows in states]
+            variance = each_state[0] if len(states) == 1 else jnp.max(jnp.stack(each_state), axis=0)
+            variance = variance + e.added
             if e.alone is not None:
                 variance = variance - jnp.sum((e.alone @ c) * e.alone, axis=1)
             values = jnp.reshape(jnp.sqrt(variance), self.shape)

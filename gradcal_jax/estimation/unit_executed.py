@@ -24,6 +24,8 @@ from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, he
 
 # A rest is one row of each channel, as in a plan, but its temperature is followed in pieces of this duration.
 PIECE_S = 60.0
+# Time after and before, over which dT/dt is measured, s.
+_AROUND_S = 30.0
 # Equal parts of a piece of rest in which functions of temperature with jumps are summed.
 _PARTS = 64
 _GUARD_S = 0.1
@@ -512,7 +514,17 @@ def nodes_of_rows(
     )
     begin, end = temperature_c[done.rows[:-1]], temperature_c[done.rows[1:]]
     axes = frames(geometry, seen_before, motion.mounting).axes
-    return BodyNodes(groups, motion.kind, end - begin, seen_before, seen_after, axes, motion.axis, motion.mounting)
+    at = groups, motion.kind, end - begin, seen_before, seen_after, axes, motion.axis, motion.mounting
+    return BodyNodes(*at, begin, turning_points(temperature_c[: done.rows[0] + 1]))
+
+
+def turning_points(temperature: np.ndarray) -> np.ndarray:
+    """The first, the last, and all turning points of a series of temperatures."""
+    change = np.sign(np.diff(temperature))
+    change = change[np.flatnonzero(change)] if len(change) else change
+    steps = np.flatnonzero(np.diff(temperature)) if len(temperature) > 1 else np.zeros(0, int)
+    turns = steps[1:][np.diff(change) != 0] if len(steps) else steps
+    return temperature[np.unique(np.concatenate([[0], turns, [len(temperature) - 1]]).astype(int))]
 
 
 def _errors(error_of, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -544,10 +556,15 @@ def _group(done, log, motion, kinds, count, points, temperature_c, before, error
     else:
         x = (np.arange(_PARTS) + 0.5) / _PARTS if count == 1 else middles
         share = np.full((1, _PARTS), 1.0 / _PARTS) if count == 1 else np.eye(count)
-    temperature = np.interp(line.start[kinds][:, None] + duration[:, None] * x, log.time_s, temperature_c)
+    time = line.start[kinds][:, None] + duration[:, None] * x
+    temperature = np.interp(time, log.time_s, temperature_c)
+    after, before = (np.clip(time + by, log.time_s[0], log.time_s[-1]) for by in (_AROUND_S, -_AROUND_S))
+    change = np.interp(after, log.time_s, temperature_c) - np.interp(before, log.time_s, temperature_c)
+    slope = change / np.maximum(after - before, np.finfo(float).tiny)
     weight = np.broadcast_to(duration[:, None] / count, since.shape)
     own_kinds = kinds, kinds, np.arange(len(kinds))
     group = body_group(geometry, own_kinds, temperature, share, weight, angle + error, joint, mounting)
+    group = replace(group, time=time - log.time_s[0], slope=slope)
     if felt is None or count == 1:
         return group
     beyond = felt[kinds] - group.integral(group.force) / np.where(duration > 0.0, duration, 1.0)[:, None]

@@ -85,6 +85,7 @@ def _of_axis(spec: Spec | UnitSpec) -> Iterator[AbsentTerm]:
         common = set(type(sensor).model_fields)
         yield from _unnamed(sensor, "sensor", [t for t in own if t.key in common])
         yield from _unnamed(gyro, "sensor.gyro", [t for t in own if t.key not in common])
+        yield from _of_branches(spec)
         for term in of_table:
             if term.key == "mounting_accuracy":
                 yield from _unhung(spec.rig.table, term)
@@ -123,12 +124,58 @@ def _of_unit(spec: UnitSpec) -> Iterator[AbsentTerm]:
         yield from _unnamed(force, "sensor.accelerometer", terms)
         of_site = [t for t in of_table if t.key == "gravity_accuracy"]
         yield from _unnamed(site, "rig.site", of_site if site.gravity is not None else [_NORMAL_GRAVITY])
+    yield from _of_branches(spec)
     yield from _unnamed(table, "rig.table", [t for t in of_table if t.key in _OF_UNIT_TABLES])
     within = [t for t in _below("angle.", of_table) if t.key != "timing_error" and (scaled or t.key != "scale_error")]
     for k, axis in enumerate(table.axis):
         if k < len(table.axis) - 1:
             yield from _unnamed(axis, f"rig.table.axis[{k}]", [t for t in of_table if t.key == "orthogonality"])
         yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", within)
+
+
+_OF_BRANCHES: Final = {
+    "gyro_bias": ("gyro", "hysteresis"),
+    "gyro_scale_factor": ("gyro", "scale_factor_hysteresis"),
+    "accelerometer_bias": ("accelerometer", "hysteresis"),
+    "accelerometer_scale_factor": ("accelerometer", "scale_factor_hysteresis"),
+}
+"""The kind of channel and the key of the hysteresis of each quantity that may be required on a branch."""
+
+
+def _of_branches(spec: UnitSpec) -> Iterator[AbsentTerm]:
+    """Hysteresis of quantities that are required on a branch of the temperature."""
+    keys = {_OF_BRANCHES[r.quantity] for r in spec.requirement if getattr(r, "branch", None) is not None}
+    for kind in ("gyro", "accelerometer"):
+        if (section := getattr(spec.sensor, kind)) is not None:
+            of_path = [t for t in path_terms_of(spec.sensor, kind) if (kind, t.key) in keys]
+            yield from _unnamed(section, f"sensor.{kind}", of_path)
+
+
+def path_terms_of(sensor: UnitSensor, kind: str) -> list[AbsentTerm]:
+    """What depends on the path of temperature in channels of the kind's class, its key within the triad's table."""
+    grade = sensor_grade(sensor) if kind == "gyro" else accelerometer_grade(sensor)
+    row = _row("sensor" if kind == "gyro" else "accelerometer", grade.name)
+    return [AbsentTerm(term["key"], term["value"], term["source"]) for term in row["path"]]
+
+
+def branch_sentences(spec: UnitSpec) -> list[str]:
+    """What requirements leave out that name no branch of the temperature, with the figures of the class."""
+    sentences: list[str] = []
+    for quantity, (kind, key) in _OF_BRANCHES.items():
+        names = [r.name for r in spec.requirement if r.quantity == quantity and getattr(r, "branch", None) is None]
+        triad = getattr(spec.sensor, kind)
+        if not names or triad is None or key in triad.model_fields_set:
+            continue
+        play = next(t.value[0] for t in path_terms_of(spec.sensor, kind) if t.key == key)
+        words = ", ".join(f"'{name}'" for name in names)
+        width, prior = units.parse(play["width"], "temperature difference"), play["prior"]
+        size, per = prior.split(" ")
+        left = f"{float(size) * width:.3g} {per.removesuffix('/K')}"
+        sentences.append(
+            f"{words}: heating and cooling are not told apart; hysteresis, ±{left} in this class, is not counted: give "
+            'the requirement branch = "both" (or "heating", "cooling")'
+        )
+    return sentences
 
 
 def _unnamed(section: Section, prefix: str, terms: list[AbsentTerm]) -> Iterator[AbsentTerm]:

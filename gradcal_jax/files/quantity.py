@@ -132,6 +132,10 @@ SizeOfScaleFactor = Annotated[Quantity, Of("scale factor", at_least="0 ppm")]
 Margin = Annotated[Quantity, Of("scale factor", at_least="0 %", below="100 %")]
 Probability = Annotated[Quantity, Of("scale factor", above="0 %", below="100 %")]
 ScaleFactorSlope = Annotated[Quantity, Of("scale factor slope")]
+PositiveScaleFactorSlope = Annotated[Quantity, Of("scale factor slope", above="0 ppm/K")]
+PositiveScaleFactorGradient = Annotated[
+    Quantity, Of("scale factor temperature-gradient sensitivity", above="0 ppm/(K/min)")
+]
 BiasSlope = Annotated[Quantity, Of("bias slope")]
 PositiveAccelerationSensitivity = Annotated[Quantity, Of("acceleration-sensitive drift", above="0 deg/h/g")]
 PositiveSquareSensitivity = Annotated[Quantity, Of("acceleration-squared-sensitive drift", above="0 deg/h/g^2")]
@@ -144,6 +148,8 @@ PositiveAngle = Annotated[Quantity, Of("angle", above="0 deg")]
 PositiveLength = Annotated[Quantity, Of("length", above="0 m")]
 Latitude = Annotated[Quantity, Of("angle", at_least="-90 deg", at_most="90 deg", infinite="unknown")]
 Frequency = Annotated[Quantity, Of("frequency", above="0 Hz")]
+PositiveBiasSlope = Annotated[Quantity, Of("bias slope", above="0 deg/h/K")]
+PositiveAccelerationSlope = Annotated[Quantity, Of("acceleration slope", above="0 ug/K")]
 AccelerationSlope = Annotated[Quantity, Of("acceleration slope")]
 ForceGradientSensitivity = Annotated[
     Quantity, Of("acceleration temperature-gradient sensitivity", at_least="0 ug/(K/min)")

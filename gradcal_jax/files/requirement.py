@@ -20,6 +20,7 @@ from gradcal_jax.files.quantity import (
     Quantity,
     Rate,
     Temperature,
+    TemperatureSlope,
     Text,
     Time,
 )
@@ -226,14 +227,42 @@ class _OverTemperature(_OfUnit):
     """What must be good."""
 
 
-class GyroBiasRequirement(_OverTemperature, _OfRuns):
+class _OnAPath(Section):
+    """On which path of the temperature a quantity must be good."""
+
+    branch: Literal["heating", "cooling", "both"] | None = None
+    """Branch of the temperature on which the error counts; "both": the worst of the two at every temperature. Absent:
+    the mean of both, without hysteresis."""
+    slope: tuple[TemperatureSlope, TemperatureSlope] | None = None
+    """Lowest and highest dT/dt of the service, whose errors count; absent: the temperature stands."""
+
+    @model_validator(mode="after")
+    def _path(self) -> "_OnAPath":
+        if self.slope is not None:
+            low, high = self.slope
+            if low > high:
+                refuse(Problem(("slope",), "expected the lowest first", [str(low), str(high)]))
+            if (self.branch == "heating" and high < 0.0) or (self.branch == "cooling" and low > 0.0):
+                refuse(Problem(("slope",), f"there is no {self.branch} in this range", [str(low), str(high)]))
+        return self
+
+    def service(self) -> tuple[tuple[float, float], ...]:
+        """States in which the error may be largest: the sign of T less the play (1: heating, −1: cooling, 0: the mean
+        of both), and dT/dt (K/s)."""
+        signs = {None: (0.0,), "both": (1.0, -1.0), "heating": (1.0,), "cooling": (-1.0,)}[self.branch]
+        low, high = (0.0, 0.0) if self.slope is None else (float(s) for s in self.slope)
+        ends = {1.0: (max(low, 0.0), max(high, 0.0)), -1.0: (min(low, 0.0), min(high, 0.0)), 0.0: (low, high)}
+        return tuple(dict.fromkeys((sign, end) for sign in signs for end in ends[sign]))
+
+
+class GyroBiasRequirement(_OverTemperature, _OfRuns, _OnAPath):
     """Bias of the gyros, over temperature."""
 
     quantity: Literal["gyro_bias"]
     target: PositiveRate | None = None
 
 
-class GyroScaleFactorRequirement(_OfUnit):
+class GyroScaleFactorRequirement(_OfUnit, _OnAPath):
     """Scale factor of the gyros over a box of temperature and rate."""
 
     quantity: Literal["gyro_scale_factor"]
@@ -270,14 +299,14 @@ class SensitivityRequirement(_OverTemperature):
     target: PositiveAccelerationSensitivity | None = None
 
 
-class AccelerometerBiasRequirement(_OverTemperature, _OfRuns):
+class AccelerometerBiasRequirement(_OverTemperature, _OfRuns, _OnAPath):
     """Bias of the accelerometers."""
 
     quantity: Literal["accelerometer_bias"]
     target: PositiveSpecificForce | None = None
 
 
-class AccelerometerScaleFactorRequirement(_OverTemperature):
+class AccelerometerScaleFactorRequirement(_OverTemperature, _OnAPath):
     """Scale factor of the accelerometers."""
 
     quantity: Literal["accelerometer_scale_factor"]

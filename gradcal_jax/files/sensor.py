@@ -15,13 +15,18 @@ from gradcal_jax.files.quantity import (
     Margin,
     Of,
     PositiveAccelerationSensitivity,
+    PositiveAccelerationSlope,
     PositiveAngle,
+    PositiveBiasSlope,
     PositiveLength,
     PositiveRate,
     PositiveScaleFactor,
+    PositiveScaleFactorGradient,
+    PositiveScaleFactorSlope,
     PositiveSecondOrder,
     PositiveSpecificForce,
     PositiveSquareSensitivity,
+    PositiveTemperatureDifference,
     PositiveThirdOrder,
     Quantity,
     RateRandomWalk,
@@ -114,6 +119,50 @@ def _gradient_of_bias(table: type[BiasTemperatureGradient], dimension: str, leas
         return value if value is None or isinstance(value, Section) else Of(dimension, at_least=least).read(value)
 
     return BeforeValidator(read)
+
+
+class PlayOfBias(Section):
+    """An error that depends on the path of temperature: a play, which follows the temperature with a slack of plus and
+    minus `width`. Heating and cooling legs that are longer than twice the width differ by 2 × coefficient × width."""
+
+    width: PositiveTemperatureDifference
+    """Half-width of the play."""
+    prior: PositiveBiasSlope
+    """Standard deviation of the coefficient before the calibration, for each K between play and temperature."""
+
+
+class PlayOfForce(PlayOfBias):
+    """As of a gyro, of an accelerometer."""
+
+    prior: PositiveAccelerationSlope
+
+
+class PlayOfScaleFactor(PlayOfBias):
+    """As of the bias, of the scale factor."""
+
+    prior: PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
+class ScaleFactorTemperatureGradient(Section):
+    """Sensitivity of the scale factor to dT/dt, which is estimated."""
+
+    prior: PositiveScaleFactorGradient
+    """Standard deviation of the coefficient before the calibration."""
+
+
+class PowerOnTransient(Section):
+    """A bias that decays exponentially from power-on, which is at the beginning of the plan or the log."""
+
+    time_constant: Time
+    """Its known time constant."""
+    prior: PositiveRate
+    """Standard deviation of its value at power-on, before the calibration."""
+
+
+class PowerOnForceTransient(PowerOnTransient):
+    """As of a gyro, of an accelerometer."""
+
+    prior: PositiveSpecificForce
 
 
 class BiasDiscrepancy(Section):
@@ -396,7 +445,47 @@ class LeverArm(Section):
     """Standard deviation of each of three coordinates before the calibration; absent: unknown."""
 
 
-class GyroTriad(_Gyro):
+Plays = Annotated[tuple[PlayOfBias, ...], Field(max_length=10)]
+ScaleFactorPlays = Annotated[tuple[PlayOfScaleFactor, ...], Field(max_length=10)]
+Transients = Annotated[tuple[PowerOnTransient, ...], Field(max_length=5)]
+
+
+class _PathOfTemperature(Section):
+    """What depends on the path of temperature and not on its present value alone, each estimated."""
+
+    hysteresis: Plays = ()
+    """Hysteresis of the bias, plays that add."""
+    scale_factor_hysteresis: ScaleFactorPlays = ()
+    """Hysteresis of the scale factor, plays that add."""
+    scale_factor_temperature_gradient: ScaleFactorTemperatureGradient | None = None
+    """Scale factor in proportion to dT/dt."""
+    turn_on_transient: Transients = ()
+    """Bias that decays from power-on, exponentials that add."""
+
+    @model_validator(mode="after")
+    def _differ(self) -> "_PathOfTemperature":
+        for key, entries, of in (
+            ("hysteresis", self.hysteresis, "width"),
+            ("scale_factor_hysteresis", self.scale_factor_hysteresis, "width"),
+            ("turn_on_transient", self.turn_on_transient, "time_constant"),
+        ):
+            values = [float(getattr(entry, of)) for entry in entries]
+            if len(set(values)) < len(values):
+                refuse(Problem((key,), f"two entries have one {of}: their coefficients cannot be separated"))
+        return self
+
+    @property
+    def widths(self) -> tuple[float, ...]:
+        """The half-widths of all plays, K."""
+        return tuple(sorted({float(play.width) for play in (*self.hysteresis, *self.scale_factor_hysteresis)}))
+
+    @property
+    def follows_a_path(self) -> bool:
+        """Whether any error depends on the path of temperature."""
+        return bool(self.widths or self.turn_on_transient or self.scale_factor_temperature_gradient)
+
+
+class GyroTriad(_Gyro, _PathOfTemperature):
     """`[sensor.gyro]`: common properties of the IMU's gyros. An absent table is not estimated: known."""
 
     axes: BodyAxes = ("x", "y", "z")
@@ -418,7 +507,7 @@ class GyroTriad(_Gyro):
         return self
 
 
-class AccelerometerTriad(_Channel):
+class AccelerometerTriad(_Channel, _PathOfTemperature):
     """`[sensor.accelerometer]`: common properties of the unit's accelerometers. Read where the table stands, and on
     moves no faster than `read_on_moves_below`."""
 
@@ -436,6 +525,8 @@ class AccelerometerTriad(_Channel):
         ForceTemperatureGradient | ForceGradientSensitivity | None,
         _gradient_of_bias(ForceTemperatureGradient, "acceleration temperature-gradient sensitivity", "0 ug/(K/min)"),
     ] = None
+    hysteresis: Annotated[tuple[PlayOfForce, ...], Field(max_length=10)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    turn_on_transient: Annotated[tuple[PowerOnForceTransient, ...], Field(max_length=5)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
     velocity_increments: bool = False
     """Whether the output is an increment of velocity for each sample, so that the sample clock acts as a scale factor;
     a specific force does not depend on the clock."""

@@ -79,6 +79,10 @@ class UnitSpec(TitledFile):
             segments = self.gradient_schedule.segments
             yield from (p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments))
         yield from self._site()
+        for kind in ("gyro", "accelerometer") if self.done else ():
+            if (triad := getattr(self.sensor, kind)) is not None and triad.turn_on_transient:
+                message = "the time since power-on is not known in a run that goes on ([[done]]); leave the key out"
+                yield Problem(("sensor", kind, "turn_on_transient"), message)
         for number, part in enumerate(self.done):
             try:
                 several = len(unit_schedule(part.plan, self.rig).stretches) > 1

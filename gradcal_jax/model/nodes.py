@@ -57,7 +57,8 @@ class SharedNodes(NamedTuple):
     """Nodes of `k` pieces of `U` kinds: pieces of one kind share their signals and differ in temperature.
 
     Temperature is smooth along a piece, so functions of it are interpolated from `m` points, and each signal of a kind
-    has a weight at each point: `share` `(q, m)` are the interpolating polynomials of the points at the nodes.
+    has a weight at each point: `share` `(q, m)` are the interpolating polynomials of the points at the nodes. `time` s
+    and `slope` K/s: of each point, for terms of the path of temperature.
     """
 
     pieces: Int[AnyArray, " k"]
@@ -67,6 +68,8 @@ class SharedNodes(NamedTuple):
     rate: Float[AnyArray, "U q"]
     signals: dict[str, Float[AnyArray, "U q"]]
     share: Float[np.ndarray, "q m"]
+    time: Float[AnyArray, "k m"] | None = None
+    slope: Float[AnyArray, "k m"] | None = None
     moving: bool = True
 
     def signal(self, name: str) -> Float[AnyArray, "U q"]:
@@ -100,12 +103,16 @@ class Nodes(PytreeModule):
     """All nodes of `count` pieces, and values of each piece for terms that are no integrals.
 
     `temperature_change` K over the piece; `angle_before`, `angle_after`: the table's angle at its ends, rad.
+    `temperature_before` °C as the piece begins, and `history` °C: turning points of the temperature before the first
+    piece; None where no term depends on the path of temperature.
     """
 
     groups: tuple[NodeGroup, ...]
     temperature_change: Float[AnyArray, " P"]
     angle_before: Float[AnyArray, " P"]
     angle_after: Float[AnyArray, " P"]
+    temperature_before: Float[AnyArray, " P"] | None = None
+    history: Float[AnyArray, " H"] | None = None
 
     @property
     def count(self) -> int:
@@ -127,7 +134,8 @@ class BodyGroup(PytreeModule):
     and `force` m/s² in body components, the Earth's rate and gravity in them; `earth` rad/s and `up`, the Earth's rate
     and the vertical; `attitude`: body to East-North-Up. `axes`: the axes' directions; `crosses`: see
     `trajectory.geometry`; `outer`: the rate of the stage outside each axis; `joint`: rate (rad/s) and `angle` (rad) of
-    each axis. `felt`: the force where the gyros are, off the axes, m/s²; None: as `force`.
+    each axis. `felt`: the force where the gyros are, off the axes, m/s²; None: as `force`. `time`, `slope`: see
+    `SharedNodes`.
     """
 
     kinds: Int[np.ndarray, " U"]
@@ -147,6 +155,8 @@ class BodyGroup(PytreeModule):
     joint: Float[AnyArray, "U q L"]
     angle: Float[AnyArray, "U q L"]
     felt: Float[AnyArray, "U q 3"] | None = None
+    time: Float[AnyArray, "k m"] | None = None
+    slope: Float[AnyArray, "k m"] | None = None
 
     @property
     def moving(self) -> bool:
@@ -164,7 +174,8 @@ class BodyGroup(PytreeModule):
         seen = {"rate": self.rate, "force": force, "earth": self.earth}
         signals = {f"{name} {AXIS_NAMES[k]}": of[..., k] for name, of in seen.items() for k in range(3)}
         along = signals[f"{own} {AXIS_NAMES[index]}"]
-        return SharedNodes(self.pieces, self.kind, self.temperature, self.weight, along, signals, self.share)
+        at = self.pieces, self.kind, self.temperature, self.weight
+        return SharedNodes(*at, along, signals, self.share, self.time, self.slope)
 
     def integral(self, values: Float[AnyArray, "U q *s"]) -> Float[AnyArray, " U *s"]:
         """`∫ … dt` over a piece of each kind."""
@@ -176,7 +187,7 @@ class BodyGroup(PytreeModule):
 class BodyNodes(PytreeModule):
     """All nodes of `P` pieces of `K` kinds. For each kind: joint angles `angle_before` (rad) and directions
     `axes_before` at the begin of its pieces, `angle_after` at their end, the `axis` that turns (−1: none) and the
-    `mounting`. `kind`: of every piece.
+    `mounting`. `kind`: of every piece. `temperature_before`, `history`: see `Nodes`.
     """
 
     groups: tuple[BodyGroup, ...]
@@ -187,6 +198,8 @@ class BodyNodes(PytreeModule):
     axes_before: Float[AnyArray, "K L 3"]
     axis: Int[np.ndarray, " K"]
     mounting: Int[np.ndarray, " K"]
+    temperature_before: Float[AnyArray, " P"] | None = None
+    history: Float[AnyArray, " H"] | None = None
 
     def integrals(self, of_group, shape: tuple[int, ...]) -> Float[AnyArray, " K *shape"]:
         """`of_group(group) -> (U, *shape)` of every group at its kinds."""
@@ -196,7 +209,8 @@ class BodyNodes(PytreeModule):
         """Nodes of a gyro or accelerometer along the body's axis `index`, with the signals of all axes."""
         own = {"gyro": "rate", "accelerometer": "force"}[kind]
         none = namespace(self.temperature_change).zeros(self.temperature_change.shape)
-        return Nodes(tuple(g.shared(own, index) for g in self.groups), self.temperature_change, none, none)
+        groups, path = tuple(g.shared(own, index) for g in self.groups), (self.temperature_before, self.history)
+        return Nodes(groups, self.temperature_change, none, none, *path)
 
 
 AXIS_NAMES = ("x", "y", "z")

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 from gradcal_jax.model.nodes import Nodes
 from gradcal_jax.model.noise import Processes, Reference, angle_reference, no_processes
+from gradcal_jax.model.path import PathTerm
 from gradcal_jax.model.terms import (
     BIAS,
     SCALE_FACTOR,
@@ -120,9 +121,10 @@ def gyro_model(
     temperature_gradient_std: float | None = None,
     harmonics: dict[int, float] | None = None,
     signals: Sequence[SignalMap] = (),
+    path: Sequence[PathTerm] = (),
 ) -> SensorModel:
-    """A channel from its maps, terms of other signals and plain numbers (SI), with the maps' discrepancies as the last
-    terms.
+    """A channel from its maps, terms of other signals and of the path of temperature, and plain numbers (SI), with the
+    maps' discrepancies as the last terms.
 
     `temperature_gradient_std` (rad/s)/(K/s): the prior of dB/dṪ, `inf` flat, None without that term. `harmonics`: the
     amplitudes (rad) of the encoder's error by order. The turn-on bias, which cannot be separated from B, is B's
@@ -133,6 +135,7 @@ def gyro_model(
     if temperature_gradient_std is not None:
         std = np.asarray(temperature_gradient_std, dtype=float)
         terms.append(GradientOfBias(std=std, has_prior=bool(np.isfinite(std))))
+    terms += path
     if harmonics:
         terms.append(
             EncoderHarmonics(amplitudes=np.array(list(harmonics.values()), dtype=float), orders=tuple(harmonics))

@@ -11,6 +11,7 @@ from gradcal_jax.trajectory.table_motion import (
     body_nodes,
     divided_motion,
     lagrange,
+    motion_divided_by_plays,
     table_motion,
 )
 from gradcal_jax.trajectory.trajectory import Past, Trajectory, held, quadrature

@@ -4,11 +4,13 @@ One axis turns at a time; all others stand. Pieces, rates and temperatures are a
 geometry yields the body's rate, specific force and attitude at every instant.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float, Int
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, size_class
-from gradcal_jax.model import BodyGroup, BodyNodes
+from gradcal_jax.model import BodyGroup, BodyNodes, play_states
 from gradcal_jax.trajectory.gauss import EDGE, temperature_crossings
 from gradcal_jax.trajectory.geometry import Geometry, frames
 from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
@@ -25,13 +27,16 @@ _SAME_POSE = 1e-9
 _HALVINGS = 45
 # A rate's distance from a break that is rounding, as a share of the largest break.
 _ROUNDING = 1e-14
+# Divisions by plays nearer than this to an end of a piece, as a share of it, divide nothing: a play is continuous.
+_PLAY_EDGE = 1e-9
 
 
 class TableMotion(PytreeModule):
     """`line`: the pieces, `(P,)`; `axis`: the axis that each turns (−1: all stand); `mounting`: its number.
 
     `start_angles` rad: of the axes at the begin of the motion. Pieces of one `kind` differ only in temperature and by
-    whole turns; `example` is a piece of each of the `K` kinds, and `nodes` its number of nodes.
+    whole turns; `example` is a piece of each of the `K` kinds, and `nodes` its number of nodes. `history` °C: turning
+    points of the temperature before the motion, in order.
     """
 
     line: Trajectory
@@ -42,6 +47,7 @@ class TableMotion(PytreeModule):
     kind: Int[np.ndarray, " P"]
     example: Int[np.ndarray, " K"]
     nodes: Int[np.ndarray, " K"]
+    history: Float[AnyArray, " H"] | None = None
 
     def angles(self) -> tuple[Float[AnyArray, "P L"], Float[AnyArray, "P L"]]:
         """Angles of all axes (rad) as each piece begins and as it ends."""
@@ -138,9 +144,61 @@ def divided_motion(
     pieces, at = pieces[order], at[order]
     apart = (np.diff(pieces, prepend=-1) != 0) | (np.diff(at, prepend=-1.0) > EDGE)
     line, source = motion.line.divided(pieces[apart], at[apart])
-    return table_motion(
-        line, motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles, waves, least
-    )
+    return _of_pieces(motion, line, source, waves, least)
+
+
+def _of_pieces(motion: TableMotion, line: Trajectory, source: np.ndarray, waves: int | None, least: int) -> TableMotion:
+    """The motion in the pieces of `line`, which are parts of the pieces `source`."""
+    at = motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles
+    return replace(table_motion(line, *at, waves, least), history=motion.history)
+
+
+def motion_divided_by_plays(
+    motion: TableMotion, widths: tuple[float, ...], waves: int | None = 3, least: int = _FEWEST
+) -> TableMotion:
+    """The motion with its pieces divided where the temperature turns, and where plays of these half-widths (K) begin or
+    cease to follow it, so that they are smooth on every piece. Numbers must be known; the rest as `divided_motion`."""
+    line, source = motion.line.divided(*_turning_points(motion.line))
+    motion = motion if line.piece_count == len(motion.axis) else _of_pieces(motion, line, source, waves, least)
+    line, (begin, end) = motion.line, motion.line.ends()
+    pieces, places = [np.zeros(0, int)], [np.zeros(0)]
+    earlier = begin[:1] if motion.history is None else np.append(motion.history, begin[0])
+    for width in widths:
+        # The states before each piece; the pieces are monotone.
+        states = play_states(np.concatenate([earlier, end]), width)
+        for state in (np.asarray(of)[len(earlier) - 1 : -1] for of in states):
+            level = state + np.where(end > begin, width, -width)
+            crossed = np.flatnonzero(~line.gap & ((begin < level) != (end < level)))
+            low, high = np.zeros(len(crossed)), np.ones(len(crossed))
+            for _ in range(_HALVINGS if line.lagged else 0):
+                middle = 0.5 * (low + high)
+                before = (line.temperature(middle[:, None], crossed)[:, 0] < level[crossed]) == (
+                    begin[crossed] < level[crossed]
+                )
+                low, high = np.where(before, middle, low), np.where(before, high, middle)
+            linear = (level - begin)[crossed] / (end - begin)[crossed]
+            pieces.append(crossed)
+            places.append(0.5 * (low + high) if line.lagged else linear)
+    piece, place = np.concatenate(pieces), np.concatenate(places)
+    inside = (place > _PLAY_EDGE) & (place < 1.0 - _PLAY_EDGE)
+    piece, place = piece[inside], place[inside]
+    order = np.lexsort((place, piece))
+    piece, place = piece[order], place[order]
+    apart = (np.diff(piece, prepend=-1) != 0) | (np.diff(place, prepend=-1.0) > _PLAY_EDGE)
+    if not np.any(apart):
+        return motion
+    return _of_pieces(motion, *line.divided(piece[apart], place[apart]), waves, least)
+
+
+def _turning_points(line: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """The pieces, and the fractions of them, at which the temperature of a lagging unit turns."""
+    if not line.lagged:
+        return np.zeros(0, int), np.zeros(0)
+    # T' = slope − λ·excess·exp(−λt)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = np.log(line.lag_rate * line.excess / line.slope) / line.lag_rate / line.duration
+    pieces = np.flatnonzero(np.isfinite(at) & (at > _PLAY_EDGE) & (at < 1.0 - _PLAY_EDGE))
+    return pieces, at[pieces]
 
 
 def _rate_crossings(motion: TableMotion, breaks: dict[int, tuple[float, ...]]) -> tuple[np.ndarray, np.ndarray]:
@@ -222,7 +280,8 @@ def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
     )
     axis, mounting = motion.axis[example], motion.mounting[example]
     axes = frames(motion.geometry, before, mounting).axes
-    return BodyNodes(groups, motion.kind, end - begin, before, after, axes, axis, mounting)
+    path = begin, motion.history
+    return BodyNodes(groups, motion.kind, end - begin, before, after, axes, axis, mounting, *path)
 
 
 def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, before) -> BodyGroup:
@@ -233,12 +292,15 @@ def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, befo
     angle, joint, mounting = _posed(motion, kinds, before, v)
     pieces = np.flatnonzero(np.isin(motion.kind, kinds))
     at, of_points = quadrature(points)
-    temperatures = line.temperature(xp.broadcast_to(xp.asarray(at), (len(pieces), points)), pieces)
+    places = xp.broadcast_to(xp.asarray(at), (len(pieces), points))
+    temperatures = line.temperature(places, pieces)
     # A single node stands for what is constant along the piece.
     share = of_points[None] if count == 1 else lagrange(at, x)
     kind = np.searchsorted(kinds, motion.kind[pieces])
     weight = xp.asarray(w)[None] * line.duration[example][:, None]
-    return body_group(geometry, (kinds, pieces, kind), temperatures, share, weight, angle, joint, mounting)
+    group = body_group(geometry, (kinds, pieces, kind), temperatures, share, weight, angle, joint, mounting)
+    since = places * line.duration[pieces][:, None]
+    return replace(group, time=line.start[pieces][:, None] + since, slope=line.temperature_slope(since, pieces))
 
 
 def body_group(

@@ -82,6 +82,13 @@ class Trajectory(PytreeModule):
             return level + slope * (v * since)
         return formulas.lagged_temperature(v * since, level, slope, excess, self.lag_rate)
 
+    def temperature_slope(self, since: Float[AnyArray, "k q"], pieces: Any = _EVERY_PIECE) -> Float[AnyArray, "k q"]:
+        """dT/dt (K/s) at times (s) since the begin of each of the `pieces`."""
+        xp, slope = namespace(since, self.slope), self.slope[pieces][:, None]
+        if not self.lagged:
+            return xp.broadcast_to(slope, since.shape)
+        return slope - self.lag_rate * self.excess[pieces][:, None] * xp.exp(-self.lag_rate * since)
+
     def ends(self) -> tuple[Float[AnyArray, " P"], Float[AnyArray, " P"]]:
         """Sensor temperature (°C) as each piece begins and ends."""
         xp = namespace(self.duration, self.level)

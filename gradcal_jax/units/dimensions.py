@@ -45,6 +45,14 @@ _DIMENSIONS: Final = (
     ),
     Dimension("scale factor", "a scale factor", "1", "ppm", "80 ppm", Powers()),
     Dimension("scale factor slope", "a scale-factor slope", "1/K", "ppm/K", "10 ppm/K", Powers(0, 0, -2)),
+    Dimension(
+        "scale factor temperature-gradient sensitivity",
+        "a scale-factor temperature-gradient sensitivity",
+        "s/K",
+        "ppm/(K/min)",
+        "50 ppm/(K/min)",
+        Powers(0, 2, -2),
+    ),
     Dimension("bias slope", "a bias slope", "rad/s/K", "deg/h/K", "5 deg/h/K", Powers(2, -2, -2)),
     Dimension(
         "bias temperature-gradient sensitivity",

@@ -24,7 +24,7 @@ from gradcal_jax.files.calibration.correction import linear_part, term_values, v
 from gradcal_jax.files.calibration.file import TEMPERATURE_RATE, CalibratedChannel, CalibratedTerm, Calibration, Noise
 from gradcal_jax.files.calibration.polynomials import bias_polynomial
 from gradcal_jax.files.log import Floats
-from gradcal_jax.units import DEG_PER_H, G
+from gradcal_jax.units import DEG_PER_H, PPM, G
 
 _GRID: Final = 201
 _TRIAD: Final = ("x", "y", "z")
@@ -78,11 +78,28 @@ def export(
         notes += [f"the thermal lag of {label}, {float(lag):.3g} s, is not carried" for lag, label in lags.items()]
         if calibration.unobservable:
             notes.append(f"not observed by the data: {', '.join(calibration.unobservable)}")
+    notes += _of_branches(calibration)
     if left_out:
         notes.append(f"set to zero: {', '.join(left_out)}")
     if calibration.simulated:
         notes.append("this calibration was made from SIMULATED data")
     return done._replace(notes=tuple(notes))
+
+
+def _of_branches(calibration: Calibration) -> Iterator[str]:
+    """What maps that are the mean of heating and cooling lose on each branch."""
+    sizes: dict[tuple[str, str], float] = {}
+    for one in calibration.path:
+        if one.width is not None:
+            of = one.channel, "scale factor" if one.unit == "1/K" else "bias"
+            sizes[of] = sizes.get(of, 0.0) + one.value * float(one.width)
+    for (channel, what), size in sizes.items():
+        of_bias = ("deg/h", DEG_PER_H) if channel.startswith("gyro") else ("ug", _MICRO_G)
+        unit, factor = ("ppm", PPM) if what == "scale factor" else of_bias
+        yield (
+            f"{what} of {channel.replace('_', ' ')}: the mean of heating and cooling; hysteresis, up to "
+            f"{abs(size) * factor:.3g} {unit} on either branch, is lost"
+        )
 
 
 def export_sensors(calibrations: Sequence[Calibration], firmware: str) -> Export:

@@ -27,6 +27,7 @@ from gradcal_jax.files.quantity import (
     Flag,
     Frequency,
     Number,
+    PositiveTemperatureDifference,
     Rate,
     RateRandomWalk,
     Temperature,
@@ -83,6 +84,24 @@ class CalibratedTerm(Section):
     def size(self) -> int:
         """Number of its functions."""
         return (1 if self.temperature is None else self.temperature.size) * (1 if self.rate is None else self.rate.size)
+
+
+class PathCoefficient(Section):
+    """An error that depends on the path of temperature, beside the maps, which are the mean of heating and cooling: no
+    correction takes it off."""
+
+    channel: Text
+    """As in gyro_x."""
+    name: Text
+    """Name of the coefficient, such as hysteresis_20K."""
+    value: Number
+    """Estimate (SI)."""
+    standard_deviation: Number
+    """Standard deviation of the estimate (SI)."""
+    unit: Text
+    """SI unit of both."""
+    width: PositiveTemperatureDifference | None = None
+    """Half-width of the play; absent: it is no hysteresis."""
 
 
 class Residuals(Section):
@@ -253,6 +272,8 @@ class Calibration(TitledFile):
     """Gyros and accelerometers."""
     covariance: Covariance | None = None
     """Of the coefficients that were observed, by the fit; absent: not kept."""
+    path: Annotated[tuple[PathCoefficient, ...], Field(max_length=500)] = ()
+    """Errors that depend on the path of temperature, beside the maps."""
     unseen: Annotated[tuple[UnseenError, ...], Field(max_length=5000)] = ()
     """Errors that no residual shows, and that the results and every stated uncertainty count."""
     table: Annotated[tuple[TableError, ...], Field(max_length=500)] = ()

@@ -11,6 +11,7 @@ rotation. Each sample is the mean over its interval, with the sensors' own error
     gyro           ω_i + B(T) + M(T, ω_i)ω_i + Σ m_ij(T)ω_j + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + k dT/dt + drift + walks
     accelerometer  f_i + b(T) + s(T)f_i + Σ m_ij(T)f_j + k(T)f_i² + h(T)f_i³ + a(T)|f_i| + Σ c_jl(T)f_j f_l + drift
                    + walk
+    both           loops over the temperature (`loops`), and exponentials since the unit was switched on
 
 Units are SI here (rad/s, m/s², °C), unlike in the rest of this package.
 """
@@ -23,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..pose import turn_about, turn_by
+from .loops import Loop, LoopTruth
 from .plants import AxisPlant, ChamberPlant
 from .sensor import Drifts, Process, SampledSensor, SensorSamples, TruthBasis, Vectors
 
@@ -78,13 +80,16 @@ class ScaleFactors:
 @dataclass(frozen=True)
 class TriadTruth:
     """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s;
-    `gradient`: of the output for each K/s."""
+    `gradient`: of the output for each K/s. `loops` over the temperature; `transients`: values at power-on of three
+    sensors, and time constant (s)."""
 
     errors: tuple[ErrorTerm | ScaleFactors, ...]
     white: float
     walk: float = 0.0
     drifts: tuple[Process, ...] = ()
     gradient: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    loops: tuple[LoopTruth, ...] = ()
+    transients: tuple[tuple[tuple[float, float, float], float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -136,6 +141,8 @@ class SimulatedUnit(SampledSensor):
         self._random = np.random.default_rng([seed, 20263])
         self._walked: dict[Kind, Vectors] = {"gyro": np.zeros(3), "accelerometer": np.zeros(3)}
         self._drifts = {kind: Drifts(triad.drifts, self._random) for kind, triad in truth.triads.items()}
+        self._loops: dict[Kind, list[tuple[LoopTruth, Loop]]] = {}
+        self._power_on_s = start_s
         self.restart(start_s, sample_rate_hz)
 
     def take(self, count: int) -> SensorSamples:
@@ -147,6 +154,7 @@ class SimulatedUnit(SampledSensor):
         edges = np.interp(shares, np.arange(count + 1.0), ends)
         rate, force = self._motion(edges)
         temperature = self._chamber.load_at((edges[1:] + edges[:-1]) / 2.0)
+        middles = self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0)
         output: dict[Kind, Vectors] = {"gyro": nan, "accelerometer": nan}
         for kind, triad in self.truth.triads.items():
             lever = self.truth.gyro_lever if kind == "gyro" else self.truth.lever
@@ -160,12 +168,26 @@ class SimulatedUnit(SampledSensor):
             if any(triad.gradient):
                 change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
                 output[kind] = output[kind] + change[:, None] * np.array(triad.gradient)
+            output[kind] = output[kind] + self._of_path(kind, triad, middles, mean, ends[1:] - 0.5 * self.true_period_s)
         return SensorSamples(
             ends[1:],
             np.degrees(output["gyro"]),
             output["accelerometer"] / _STANDARD_GRAVITY,
-            self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0),
+            middles,
         )
+
+    def _of_path(
+        self, kind: Kind, triad: TriadTruth, temperature_c: Vectors, mean: Vectors, time_s: Vectors
+    ) -> Vectors:
+        """What depends on the path of temperature, or on the time since power-on, `(n, 3)`."""
+        if kind not in self._loops:
+            self._loops[kind] = [(loop, loop.begin(float(temperature_c[0]))) for loop in triad.loops]
+        total = np.zeros_like(mean)
+        for truth, loop in self._loops[kind]:
+            total = total + loop.take(temperature_c, self.true_period_s) * (mean if truth.of_input else 1.0)
+        for values, time_constant_s in triad.transients:
+            total = total + np.exp(-(time_s - self._power_on_s) / time_constant_s)[:, None] * np.array(values)
+        return total
 
     def _noise(self, kind: Kind, triad: TriadTruth, count: int) -> tuple[Vectors, Vectors]:
         """The additive error and the scale-factor error of every sample: `(count, 3)` each."""

@@ -5,10 +5,14 @@ of base and axes, harmonics of the encoders, the mountings; for a flat prior typ
 few centimetres off the axes and sense it. With the frame "table axes" the unit's mounting has no error, by definition
 of the frame. A simulated operator turns the axes that the plan turns by hand, and hangs the units anew where there are
 several mountings.
+
+Hysteresis is drawn with the size that the spec gives it and by another law than the estimator's (`loops`), which the
+seed draws, too.
 """
 
 import itertools
 import re
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -19,8 +23,9 @@ from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from ..pose import turn_by
 from .lab import BEYOND_DEG, SimulatedDevices, basis_truth, processes_of
+from .loops import LAWS, Law, LoopTruth
 from .plants import AxisPlant, AxisTruth
-from .sensor import TruthBasis
+from .sensor import TruthBasis, Vectors
 from .unit import ErrorTerm, Kind, Matrix, ScaleFactors, SimulatedUnit, TableTruth, TriadTruth, UnitTruth
 
 _XYZ: Final = "xyz"
@@ -133,12 +138,37 @@ class _Draws:
         return ScaleFactors(values, of_t, of_w)
 
 
-def draw_unit_truth(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
-    """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI."""
+def _draw_path(
+    triad: GyroTriad | AccelerometerTriad, truth: TriadTruth, random: np.random.Generator, law: Law | None
+) -> TriadTruth:
+    """The truth of three sensors with what depends on the path of temperature, of the sizes that the spec names."""
+    own = law or LAWS[int(random.integers(len(LAWS)))]
+    loops: list[LoopTruth] = []
+    for plays, of_input in ((triad.hysteresis, False), (triad.scale_factor_hysteresis, True)):
+        sizes = np.array([float(p.prior) * float(p.width) for p in plays])
+        if len(sizes):
+            width = float(np.average([float(p.width) for p in plays], weights=sizes))
+            size = float(np.sqrt(np.sum(sizes**2))) * random.standard_normal(3)
+            loops.append(LoopTruth(own, _three(size), width, int(random.integers(2**31)), of_input))
+    transients = tuple(
+        (_three(float(t.prior) * random.standard_normal(3)), float(t.time_constant)) for t in triad.turn_on_transient
+    )
+    return replace(truth, loops=tuple(loops), transients=transients)
+
+
+def _three(values: Vectors) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def draw_unit_truth(spec: UnitSpec, seed: int, number: int, law: Law | None = None) -> UnitTruth:
+    """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI. `law`: of
+    loops over the temperature; None: drawn."""
     draws = _Draws(np.random.default_rng([seed, number, 20261]))
     sensor = spec.sensor
     both: dict[Kind, Any] = {"gyro": sensor.gyro, "accelerometer": sensor.accelerometer}
     triads: dict[Kind, TriadTruth] = {k: draws.triad(k, triad) for k, triad in both.items() if triad is not None}
+    path = np.random.default_rng([seed, number, 20265])
+    triads = {kind: _draw_path(both[kind], truth, path, law) for kind, truth in triads.items()}
     lever = _LEVER_M * draws.random.standard_normal(3)
     clock = 0.0
     if sensor.sample_clock_error:

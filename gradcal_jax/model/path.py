@@ -1,0 +1,246 @@
+"""Terms that depend on the path of temperature and not on its present value alone, each linear in its parameters.
+
+The play operator of half-width w (Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989; Prandtl–Ishlinskii
+models are sums of them) follows the temperature T with a slack of ±w:
+
+    P(t) = max(T − w, min(T + w, P(t⁻))),        h(t) = P − T,    −w ≤ h ≤ w
+
+On a long heating leg h = −w, on a long cooling leg h = w, and a reversal moves it from one to the other over 2w. For a
+known course of temperature h is a known function of time, so a bias `c·h` is linear in c, rad/s/K. Between its two
+extreme initial states, P(0) = T(0) ± w, the operator has the values lo ≤ P ≤ hi, which a traverse of 2w makes equal.
+The term is
+
+    c·[(hi + lo)/2 − T] + η·(hi − lo)/(2w)
+
+exact for both extreme initial states (η = ±c·w), and linear between them. On a heating course the first function is
+−w + w·(hi − lo)/(2w), so the first 2w of a one-way ramp observe the sum c·w + η alone. The prior of η is `FREE` times
+that of c·w, wider than its range: what such a beginning says of c rests on the law of the play, and is given up.
+
+`max(T − w, min(T + w, ·))` is a clamp. Clamps compose to clamps, so the states along a course are a running composition
+(`running_clamps`), exact at reversals: nothing is smoothed, and nothing is rounded.
+"""
+
+from abc import abstractmethod
+
+import equinox as eqx
+from jaxtyping import Float
+
+from gradcal_jax.arrays import AnyArray, namespace, put
+from gradcal_jax.model.bases import BSpline
+from gradcal_jax.model.nodes import Nodes, SharedNodes
+from gradcal_jax.model.terms import Term
+
+FREE = 3.0
+# dT/dt of a temperature that neither heats nor cools, K/s.
+_STEADY = 0.1 / 60.0
+Clamps = tuple[AnyArray, AnyArray]
+"""Lower and upper bounds of clamps: `x -> max(low, min(high, x))`."""
+
+
+def then(first: Clamps, second: Clamps) -> Clamps:
+    """The clamp that applies one after the other."""
+    (a, b), (low, high) = first, second
+    xp = namespace(a, low)
+    return xp.maximum(low, xp.minimum(high, a)), xp.maximum(low, xp.minimum(high, b))
+
+
+def running_clamps(low: Float[AnyArray, "*s n"], high: Float[AnyArray, "*s n"]) -> Clamps:
+    """Compositions of all clamps up to and including each one, along the last axis, in log₂ n rounds."""
+    xp, step = namespace(low, high), 1
+    while step < low.shape[-1]:
+        more = then((low[..., :-step], high[..., :-step]), (low[..., step:], high[..., step:]))
+        low, high = (
+            xp.concatenate([old[..., :step], new], axis=-1) for old, new in zip((low, high), more, strict=True)
+        )
+        step *= 2
+    return low, high
+
+
+def play_states(
+    temperature: Float[AnyArray, " n"], width: float | Float[AnyArray, ""]
+) -> tuple[Float[AnyArray, " n"], Float[AnyArray, " n"]]:
+    """The two extreme states (°C) of a play of half-width `width` (K) at turning points of a monotone course or finer
+    samples of any course (°C)."""
+    return running_clamps(temperature - width, temperature + width)
+
+
+class PathTerm(Term):
+    """A function of the path of temperature, times a product of signals (`SignalMap`), with a prior of its parameter.
+
+    `std`: of the first parameter.
+    """
+
+    std: eqx.AbstractVar[Float[AnyArray, ""]]
+    signals: eqx.AbstractVar[tuple[str, ...]]
+    si_unit: eqx.AbstractVar[str]
+
+    @property
+    def unit(self) -> str:
+        return self.si_unit
+
+    @abstractmethod
+    def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m size"]]:
+        """The functions of the path at the points of every group."""
+
+    @property
+    @abstractmethod
+    def nuisances(self) -> list[str]:
+        """Names of parameters that describe the recording and not the sensor."""
+
+    def prior_rows(self) -> Float[AnyArray, "q size"]:
+        return namespace(self.std).reshape(1.0 / self.std, (1, 1))
+
+    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+        of_group = {id(g): values for g, values in zip(nodes.groups, self.functions(nodes), strict=True)}
+        return nodes.integrals(lambda g: g.sums(of_group[id(g)], self._drive(g)), self.size)
+
+    def _drive(self, group: SharedNodes) -> AnyArray:
+        product = namespace(group.weight).ones(group.weight.shape)
+        for name in self.signals:
+            product = product * group.signal(name)
+        return product[..., None]
+
+
+def _shared(nodes: Nodes) -> list[SharedNodes]:
+    """The groups of a body's nodes; only these know the path."""
+    groups = [g for g in nodes.groups if isinstance(g, SharedNodes)]
+    assert len(groups) == len(nodes.groups), "terms of the path are of a body's nodes"
+    return groups
+
+
+class Hysteresis(PathTerm):
+    """A play of half-width `width` K: the coefficient c (for each K), and the amplitude η of the initial state (in the
+    unit of the error itself), with the priors `std` and `FREE·std·width`. See the head of the module."""
+
+    std: Float[AnyArray, ""]
+    width: Float[AnyArray, ""]
+    signals: tuple[str, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    si_unit: str = eqx.field(static=True)
+
+    @property
+    def size(self) -> int:
+        return 2
+
+    def names(self) -> list[str]:
+        return [self.name, *self.nuisances]
+
+    @property
+    def nuisances(self) -> list[str]:
+        return [f"{self.name}_start"]
+
+    def prior_rows(self) -> Float[AnyArray, "2 2"]:
+        xp = namespace(self.std, self.width)
+        return xp.diag(xp.stack([1.0 / self.std, 1.0 / (FREE * self.std * self.width)]))
+
+    def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m 2"]]:
+        groups, (lowest, highest), result = _shared(nodes), self._before(nodes), []
+        for g in groups:
+            xp, t = namespace(g.temperature), g.temperature
+            within = running_clamps(t - self.width, t + self.width)
+            low, high = then((lowest[g.pieces][:, None], highest[g.pieces][:, None]), within)
+            result.append(xp.stack([0.5 * (low + high) - t, (high - low) / (2.0 * self.width)], axis=-1))
+        return result
+
+    def _before(self, nodes: Nodes) -> tuple[Float[AnyArray, " P"], Float[AnyArray, " P"]]:
+        """The extreme states (°C) before every piece."""
+        start, history = nodes.temperature_before, nodes.history
+        assert start is not None
+        xp, w = namespace(start), self.width
+        end = start + nodes.temperature_change
+        low, high = xp.zeros(start.shape), xp.zeros(start.shape)
+        for g in _shared(nodes):
+            # A piece as a whole: its points in order, then its end.
+            a, b = running_clamps(g.temperature - w, g.temperature + w)
+            last = end[g.pieces]
+            a, b = then((a[:, -1], b[:, -1]), (last - w, last + w))
+            low, high = put(low, g.pieces, a), put(high, g.pieces, b)
+        earlier = start[:1] if history is None else xp.concatenate([history, start[:1]])
+        low, high = xp.concatenate([earlier - w, low]), xp.concatenate([earlier + w, high])
+        low, high = running_clamps(low, high)
+        first = earlier.shape[0] - 1
+        return low[first:-1], high[first:-1]
+
+
+class GradientOfScale(PathTerm):
+    """Sensitivity of the scale factor to dT/dt, a ratio for K/s."""
+
+    std: Float[AnyArray, ""]
+    signals: tuple[str, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    si_unit: str = eqx.field(static=True, default="s/K")
+
+    @property
+    def size(self) -> int:
+        return 1
+
+    def names(self) -> list[str]:
+        return [self.name]
+
+    @property
+    def nuisances(self) -> list[str]:
+        return []
+
+    def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m 1"]]:
+        return [g.slope[..., None] for g in _shared(nodes) if g.slope is not None]
+
+
+class TurnOnTransient(PathTerm):
+    """An error that decays exponentially from power-on, at the time 0 of the motion: its value then; `time_constant`
+    s."""
+
+    std: Float[AnyArray, ""]
+    time_constant: Float[AnyArray, ""]
+    signals: tuple[str, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    si_unit: str = eqx.field(static=True)
+
+    @property
+    def size(self) -> int:
+        return 1
+
+    def names(self) -> list[str]:
+        return [self.name]
+
+    @property
+    def nuisances(self) -> list[str]:
+        return []
+
+    def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m 1"]]:
+        xp = namespace(nodes.temperature_change)
+        return [xp.exp(-g.time / self.time_constant)[..., None] for g in _shared(nodes) if g.time is not None]
+
+
+class HalfDifference(PathTerm):
+    """Half of what heating and cooling differ by, a function of temperature: `±ψ(T)`, positive where it heats. Between
+    the two the sign follows dT/dt within ±`_STEADY`. `std`: of every coefficient. Beyond the knots, the values there.
+    """
+
+    std: Float[AnyArray, ""]
+    temperature: BSpline
+    signals: tuple[str, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    si_unit: str = eqx.field(static=True)
+
+    @property
+    def size(self) -> int:
+        return self.temperature.size
+
+    def names(self) -> list[str]:
+        return [f"{self.name}{k}" for k in range(self.size)]
+
+    @property
+    def nuisances(self) -> list[str]:
+        return []
+
+    def prior_rows(self) -> Float[AnyArray, "q q"]:
+        return namespace(self.std).eye(self.size) / self.std
+
+    def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m q"]]:
+        result, knots = [], self.temperature.knots
+        for g in _shared(nodes):
+            assert g.slope is not None
+            xp = namespace(g.temperature)
+            sign = xp.clip(g.slope / _STEADY, -1.0, 1.0)
+            result.append(sign[..., None] * self.temperature(xp.clip(g.temperature, knots[0], knots[-1])))
+        return result

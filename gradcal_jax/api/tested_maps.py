@@ -1,5 +1,6 @@
 """Tests for hidden structure of a map, by polynomials of higher degree, and the power of these tests."""
 
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
@@ -7,11 +8,13 @@ import numpy as np
 
 from gradcal_jax.api.build import Assembled, basis
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
+from gradcal_jax.estimation import StructureTest, UnitEstimate, UnitReadings, Whitened, size_of, structure_test
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.contracts import NoticeRow
 from gradcal_jax.files.moves import Axis
-from gradcal_jax.files.sensor import ScaleFactor
+from gradcal_jax.files.sensor import GyroTriad, ScaleFactor, Sensor
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import (
     SquareRootInformation,
     gains_of_shares,
@@ -45,10 +48,27 @@ class TestedMap(NamedTuple):
     __test__ = False
 
 
-def tested_maps(spec: Spec) -> dict[str, TestedMap]:
+class MeasuredDiscrepancy(NamedTuple):
+    """The discrepancy of one map and axis, from `units` units together: standard deviation (`unit`) of the coefficients
+    beyond the structure, with its 95 % interval (`high` None: unbounded). `block`: its table in a spec."""
+
+    quantity: str
+    axis: str
+    units: int
+    unit: str
+    standard_deviation: float
+    low: float
+    high: float | None
+    block: str
+
+
+def tested_maps(spec: Spec | UnitSpec) -> dict[str, TestedMap]:
     """The test of every polynomial map, by quantity, with degrees and size of its discrepancy or `notice`."""
     maps: dict[str, TestedMap] = {}
-    bias, scale = spec.sensor.bias, spec.sensor.scale_factor
+    gyro = _gyro(spec)
+    if gyro is None:
+        return maps
+    bias, scale = gyro.bias, gyro.scale_factor
     if bias is not None and isinstance(bias.temperature, TemperaturePolynomial):
         of = bias.discrepancy
         degree = bias.temperature.degree + _MORE if of is None else of.temperature_degree
@@ -57,7 +77,8 @@ def tested_maps(spec: Spec) -> dict[str, TestedMap]:
         return maps
     if not isinstance(scale.rate, RatePolynomial):
         return maps
-    of, notice = scale.discrepancy, None if spec.design is None else spec.design.notice
+    of = scale.discrepancy
+    notice = spec.design.notice if isinstance(spec, Spec) and spec.design is not None else None
     degrees = [scale.temperature.degree + _MORE, scale.rate.degree + _MORE]
     if of is not None:
         degrees = [of.temperature_degree, of.rate_degree]
@@ -74,7 +95,11 @@ def tested_maps(spec: Spec) -> dict[str, TestedMap]:
     return maps
 
 
-def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
+def _gyro(spec: Spec | UnitSpec) -> Sensor | GyroTriad | None:
+    return spec.sensor if isinstance(spec, Spec) else spec.sensor.gyro
+
+
+def with_hidden(spec: Spec | UnitSpec, model: SensorModel, quantity: str) -> SensorModel:
     """The model with the hidden map of a quantity as its last term, where it has no discrepancy of its own.
 
     No criterion includes that term: it is only tested for.
@@ -82,7 +107,9 @@ def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
     if where_hidden(model, quantity) is not None:
         return model
     of = tested_maps(spec)[quantity]
-    section = spec.sensor.bias if quantity == BIAS else spec.sensor.scale_factor
+    gyro = _gyro(spec)
+    assert gyro is not None
+    section = gyro.bias if quantity == BIAS else gyro.scale_factor
     assert section is not None
     beyond = make_map(
         basis(section.temperature),
@@ -93,10 +120,61 @@ def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
     return eqx.tree_at(lambda m: m.terms, model, (*model.terms, beyond))
 
 
-def hidden_maps(spec: Spec, model: SensorModel) -> list[tuple[Discrepancy, float]]:
+def hidden_maps(spec: Spec | UnitSpec, model: SensorModel) -> list[tuple[Discrepancy, float]]:
     """The hidden maps that a log of the spec's sensor is tested for, with the false-alarm level of each test."""
     maps = [(where_hidden(with_hidden(spec, model, name), name), of) for name, of in tested_maps(spec).items()]
     return [(hidden[0], of.false_alarm) for hidden, of in maps if hidden is not None]
+
+
+def structure_tests(
+    spec: UnitSpec, readings: UnitReadings, solution: UnitEstimate
+) -> Iterator[tuple[str, StructureTest]]:
+    """The test of each polynomial map of each gyro of an estimate, with the name of its channel."""
+    model = readings.model
+    for number, channel in enumerate(model.channels):
+        if channel.kind != "gyro":
+            continue
+        for term, level in hidden_maps(spec, channel.model):
+            own = np.zeros(model.size, bool)
+            own[model.where("gyro", channel.axis, term.name)] = True
+            prior = solution.white.prior
+            kept = ~np.any(prior[:, own] != 0.0, axis=1)
+            white = Whitened(solution.white.rows[:, :, ~own], solution.white.data, prior[kept][:, ~own])
+            test = structure_test(white, readings.whitened_term(number, term), term, level)
+            if test is not None:
+                yield channel.name, test
+
+
+def structure_in_words(test: StructureTest) -> str:
+    """A sentence on the degrees of a map that the data need."""
+    assert test.asked is not None
+    of_temperature, of_rate = test.asked
+    degree = f"degree {of_temperature} in temperature" + (f" and {of_rate} in rate" if test.quantity != BIAS else "")
+    return (
+        f"the {test.quantity.replace('_', ' ')} has more structure than the model (chance "
+        f"{test.test.probability:.1g}): the data ask for {degree}"
+    )
+
+
+def discrepancies(spec: Spec | UnitSpec, tests: Iterable[tuple[str, StructureTest]]) -> Iterator[MeasuredDiscrepancy]:
+    """The discrepancy of each map and channel, from all units together; `tests` with the names of their channels."""
+    table = "sensor" if isinstance(spec, Spec) else "sensor.gyro"
+    of_map: dict[tuple[str, str], list[StructureTest]] = {}
+    for channel, test in tests:
+        of_map.setdefault((channel, test.quantity), []).append(test)
+    for (channel, quantity), own in of_map.items():
+        size = size_of([test.components for test in own])
+        if size is None:
+            continue
+        of = tested_maps(spec)[quantity]
+        unit, factor = UNIT_OF[quantity]
+        high = None if size.high is None else size.high * factor
+        degrees = f"temperature_degree = {of.temperature_degree}"
+        degrees += "" if quantity == BIAS else f", rate_degree = {of.rate_degree}"
+        std = f'standard_deviation = "{size.std * factor:.3g} {unit}"'
+        block = f"[{table}.{quantity}]\ndiscrepancy = {{ {std}, {degrees} }}"
+        stated = (size.std * factor, size.low * factor, high)
+        yield MeasuredDiscrepancy(quantity, channel[-1], len(own), unit, *stated, block if size.std else "")
 
 
 def noticing(built: Assembled) -> tuple[NoticeRow, ...]:

@@ -138,20 +138,21 @@ class _Draws:
         return ScaleFactors(values, of_t, of_w)
 
 
-def _draw_path(
-    triad: GyroTriad | AccelerometerTriad, truth: TriadTruth, random: np.random.Generator, law: Law | None
-) -> TriadTruth:
+def _draw_path(triad: Any, truth: TriadTruth, random: np.random.Generator, law: Law | None) -> TriadTruth:
     """The truth of three sensors with what depends on the path of temperature, of the sizes that the spec names."""
     own = law or LAWS[int(random.integers(len(LAWS)))]
     loops: list[LoopTruth] = []
-    for plays, of_input in ((triad.hysteresis, False), (triad.scale_factor_hysteresis, True)):
+    both: list[tuple[Any, bool]] = [(triad.hysteresis, False), (triad.scale_factor_hysteresis, True)]
+    for plays, of_input in both:
         sizes = np.array([float(p.prior) * float(p.width) for p in plays])
         if len(sizes):
-            width = float(np.average([float(p.width) for p in plays], weights=sizes))
+            widths: list[float] = [float(p.width) for p in plays]
+            width = float(np.average(widths, weights=sizes))
             size = float(np.sqrt(np.sum(sizes**2))) * random.standard_normal(3)
             loops.append(LoopTruth(own, _three(size), width, int(random.integers(2**31)), of_input))
     transients = tuple(
-        (_three(float(t.prior) * random.standard_normal(3)), float(t.time_constant)) for t in triad.turn_on_transient
+        (_three(float(t.prior or 0.0) * random.standard_normal(3)), float(t.time_constant))
+        for t in triad.turn_on_transient
     )
     return replace(truth, loops=tuple(loops), transients=transients)
 

@@ -357,7 +357,7 @@ def trapezoid_acceleration(move: ResolvedMove) -> float:
 
 
 def _reading(every: float | None) -> dict[str, Any]:
-    return {"read": "none"} if every is None else {"read_every": _in("s", every)}
+    return {"read": "none"} if every is None or math.isinf(every) else {"read_every": _in("s", every)}
 
 
 # ------------------------------------------------------------------------------------------------- standard method

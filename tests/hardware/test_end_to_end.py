@@ -260,8 +260,8 @@ def test_with_hardly_any_noise_the_standard_method_leaves_nothing(
 @pytest.mark.parametrize(
     ("preset", "requirement", "within", "what"),
     [
-        # One typed angle a rest in the place of a reading a second, and rates that nobody chose.
-        ("rig-hand", "scale factor", 0.15, "a simulated person turns the gimbal and types its angles"),
+        # Rates that nobody chose.
+        ("rig-hand", "scale factor", 0.15, "a simulated person turns the gimbal, an encoder is read"),
         ("paper-dynamic-standard", "full range", 0.1, "the standard method"),
     ],
 )

@@ -27,6 +27,7 @@ from gradcal_jax.files.log import ReadingKind
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
+from gradcal_jax.files.tracks import read_at_rest
 from gradcal_jax.files.writing import to_toml, write_toml
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.binding import track_of
@@ -349,6 +350,19 @@ def test_a_log_has_the_readings_that_the_plan_counts(tmp_path: Path) -> None:
     assert first >= 6
     # Somebody who is late has less time for other axes.
     assert middle == pytest.approx([1 + 6 + 20 + 6] * len(middle), abs=5)
+
+
+def test_a_stretch_in_which_no_cycle_fits_is_not_read_where_angles_are_typed() -> None:
+    programme = [
+        {"soak": "2 s", "at": "23 degC"},
+        {"ramp_to": "25 degC", "rate": "1 K/min"},
+        {"soak": "1 min"},
+        {"ramp_to": "25.2 degC", "rate": "1 K/min"},
+    ]
+    own = {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": programme}
+    made = hand_recipe(**own)
+    assert len(made.motion) == 2
+    assert not read_at_rest(made.motion)
 
 
 def test_an_axis_whose_angle_is_typed_is_not_read_at_rest() -> None:

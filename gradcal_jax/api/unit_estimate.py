@@ -34,7 +34,13 @@ from gradcal_jax.api.contradictions import (
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.log_rows import bridged_temperature, time_of, usable_rows, with_options
-from gradcal_jax.api.path_dependence import HEATING_AGAINST_COOLING, PathDependence, path_dependence
+from gradcal_jax.api.path_dependence import (
+    HEATING_AGAINST_COOLING,
+    BiasCurve,
+    PathDependence,
+    bias_curves,
+    path_dependence,
+)
 from gradcal_jax.api.prediction import unit_requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.systematic import (
@@ -121,6 +127,8 @@ class UnitReport(NamedTuple):
     messages: tuple[str, ...]
     path: PathDependence | None = None
     """Where heating and cooling disagree, what they differ by, and the play that explains it."""
+    curves: tuple[BiasCurve, ...] = ()
+    """The bias of every channel over the path of the temperature."""
 
     __repr__ = summary
 
@@ -263,12 +271,19 @@ def _report(
     if HEATING_AGAINST_COOLING in contradicted:
         warm = temperature[done.rows[at.first]][at.row_segment][used]
         path = path_dependence(built.spec, readings, solution, warm, subsets[HEATING_AGAINST_COOLING])
-    report = UnitReport(name, built, done, solution, calibration, requirements, tests, channels, *seen, (), path)
+    curves = bias_curves(readings, solution)
+    report = UnitReport(
+        name, built, done, solution, calibration, requirements, tests, channels, *seen, (), path, curves
+    )
     names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
     lesser = counting_less(solution.weights, of_segment[at.row_segment][used], names)
-    of_path = () if path is None else path.sentences
-    of_path = *of_path, *one_way_sentences(built, solution.known, done.motion.line), *branch_sentences(built.spec)
-    beside = *of_path, *omitted_sentences(built.spec, temperature[record]), *beyond
+    shown_of_path = () if path is None else path.sentences
+    shown_of_path = (
+        *shown_of_path,
+        *one_way_sentences(built, solution.known, done.motion.line),
+        *branch_sentences(built.spec),
+    )
+    beside = *shown_of_path, *omitted_sentences(built.spec, temperature[record]), *beyond
     turned = np.concatenate([[0], np.cumsum(done.motion.axis >= 0)])
     moved = (turned[at.last + 1] > turned[at.first])[at.row_segment][used]
     looks = diagnosis_sentences(solution.estimate.residuals[0], of_segment[at.row_segment][used], moved)

@@ -119,8 +119,8 @@ def _draw_path(
         sizes = np.array([float(p.prior) * float(p.width) for p in plays])
         if len(sizes):
             width = float(np.average([float(p.width) for p in plays], weights=sizes))
-            size = float(np.sqrt(np.sum(sizes**2))) * random.standard_normal(3)
-            loops.append(LoopTruth(own, _three(size), width, int(random.integers(2**31)), of_input))
+            size: Vectors = float(np.sqrt(np.sum(sizes**2))) * random.standard_normal(3)
+            loops.append(LoopTruth(own, _three(size), width, int(random.integers(1 << 31)), of_input))
     transients = tuple(
         (_three(float(t.prior) * random.standard_normal(3)), float(t.time_constant)) for t in triad.turn_on_transient
     )

@@ -34,6 +34,7 @@ from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM
 from gradcal_jax.api.prediction import requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.standard_estimate import point_channel
+from gradcal_jax.api.structure_tests import MeasuredDiscrepancy, discrepancies, structure_in_words
 from gradcal_jax.api.systematic import (
     CountedPosteriors,
     EstimatedRun,
@@ -42,7 +43,6 @@ from gradcal_jax.api.systematic import (
     ramp_of_record,
     unseen_errors,
 )
-from gradcal_jax.api.tested_maps import MeasuredDiscrepancy, discrepancies, structure_in_words
 from gradcal_jax.api.unit_channel import UnitChannel
 from gradcal_jax.display import html, summary
 from gradcal_jax.estimation import Consistency, Test, contradictions

@@ -35,7 +35,7 @@ from gradcal_jax.files.spec import expect_whole, goes_on
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import segments_of
-from gradcal_jax.model import AXIS_NAMES, Channel, Map, SignalMap
+from gradcal_jax.model import AXIS_NAMES, Channel, Hysteresis, Map, PathTerm, SignalMap, TurnOnTransient
 from gradcal_jax.trajectory import Move, frames
 
 _CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_functions="monomial")
@@ -265,8 +265,21 @@ def _channel_row(channel: Channel, triad: GyroTriad | AccelerometerTriad | None)
     if isinstance(triad, GyroTriad):
         own["rate_random_walk"] = triad.rate_random_walk or 0.0
     terms = [_term_row(channel, term, triad) for term in channel.model.terms if isinstance(term, Map | SignalMap)]
+    own["path"] = tuple(_path_row(channel, term) for term in channel.model.terms if isinstance(term, PathTerm))
     axis = AXIS_NAMES[channel.axis]
     return unit_rows.ChannelRow(name=channel.name, kind=channel.kind, axis=cast("Any", axis), terms=tuple(terms), **own)
+
+
+def _path_row(channel: Channel, term: PathTerm) -> unit_rows.PathTermRow:
+    kind: Any = "temperature gradient"
+    own: dict[str, float] = {}
+    if isinstance(term, Hysteresis):
+        kind, own = "hysteresis", {"width": float(term.width)}
+    elif isinstance(term, TurnOnTransient):
+        kind, own = "transient", {"time_constant": float(term.time_constant)}
+    names = tuple(f"{channel.name}.{name}" for name in term.names())
+    stds = tuple((1.0 / np.diagonal(term.prior_rows())).tolist())
+    return unit_rows.PathTermRow(kind=kind, signals=term.signals, parameters=names, stds=stds, unit=term.unit, **own)
 
 
 def _term_row(channel: Channel, term: Map | SignalMap, triad: GyroTriad | AccelerometerTriad) -> unit_rows.UnitTermRow:

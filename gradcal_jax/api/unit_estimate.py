@@ -31,10 +31,17 @@ from gradcal_jax.api.estimated_calibration import calibrated_channels, calibrati
 from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.fitted_lag import Lag, fitted_lag
 from gradcal_jax.api.log_rows import with_options
-from gradcal_jax.api.path_dependence import HEATING_AGAINST_COOLING, PathDependence, path_dependence
+from gradcal_jax.api.path_dependence import (
+    HEATING_AGAINST_COOLING,
+    BiasCurve,
+    PathDependence,
+    bias_curves,
+    path_dependence,
+)
 from gradcal_jax.api.prediction import unit_requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.recorded_rows import read_by_events, unit_rows
+from gradcal_jax.api.structure_tests import structure_in_words, structure_tests
 from gradcal_jax.api.systematic import (
     EstimatedRun,
     budget_of_unit_estimate,
@@ -42,7 +49,6 @@ from gradcal_jax.api.systematic import (
     ramp_of_record,
     unseen_errors,
 )
-from gradcal_jax.api.tested_maps import structure_in_words, structure_tests
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_residual import internal_misalignments
@@ -115,8 +121,11 @@ class UnitReport(NamedTuple):
     gravity: tuple[float, float] | None
     messages: tuple[str, ...]
     path: PathDependence | None = None
-    structure: tuple[tuple[str, StructureTest], ...] = ()
     """Where heating and cooling disagree, what they differ by, and the play that explains it."""
+    structure: tuple[tuple[str, StructureTest], ...] = ()
+    """Of each gyro (by name), a test of every polynomial map for more structure."""
+    curves: tuple[BiasCurve, ...] = ()
+    """The bias of every channel over the path of the temperature."""
 
     __repr__ = summary
 
@@ -256,9 +265,9 @@ def _report(
     if HEATING_AGAINST_COOLING in contradicted:
         warm = temperature[done.rows[at.first]][at.row_segment][used]
         path = path_dependence(built.spec, readings, solution, warm, subsets[HEATING_AGAINST_COOLING])
-    structure = () if options.robust else tuple(structure_tests(built.spec, readings, solution))
+    beside_tests = path, structure, bias_curves(readings, solution)
     report = UnitReport(
-        name, built, done, solution, calibration, requirements, tests, channels, *seen, (), path, structure
+        name, built, done, solution, calibration, requirements, tests, channels, *seen, (), *beside_tests
     )
     names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
     lesser = counting_less(solution.weights, of_segment[at.row_segment][used], names)

@@ -40,7 +40,7 @@ from gradcal_jax.files.design import ALL, WORST, UnitDesign
 from gradcal_jax.files.unit_plan import UnitSchedule, quickest_turn
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.information import Posterior, unit_system, whiten
-from gradcal_jax.model import UnitModel
+from gradcal_jax.model import PathTerm, UnitModel
 
 EVALUATIONS, QUICK_EVALUATIONS = 12000, 800
 # Cycles that descend side by side.
@@ -60,6 +60,8 @@ _SPARE, _SLOTS = 0.5, 4
 _LARGEST = 6.0 * math.pi
 # Temperatures at which cycles stand for all others of a slope, where bases are no polynomials.
 _SAMPLES = 5
+# ... and where a term depends on the path of temperature.
+_SAMPLES_ON_A_PATH = 12
 # Cycles whose noise is filtered together, from the longest correlation time over the period: the objective then agrees
 # with that of all cycles to a per cent at most.
 _BEFORE, _MEMORY, _LONGEST_WINDOW = 0.5, 1.2, 4
@@ -294,14 +296,21 @@ class CyclePlan:
         model, lag = self.built.model, self.spec.sensor.lag or 0.0
         mountings = len(self.spec.rig.table.mounting)
         polynomials, ramps = model.shifts(np.zeros(1)) is not None, []
+        of_path = any(isinstance(term, PathTerm) for c in model.channels for term in c.model.terms)
+        samples = _SAMPLES_ON_A_PATH if of_path else _SAMPLES
+        past = [] if self.built.motion.history is None else self.built.motion.history.tolist()
         for part in _parts(self.spec.plain_schedule, counts, period):
             mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0] - part.slope * lag
             step, number = part.slope * period, len(part.temperatures)
             if not polynomials:
-                at = np.linspace(0, number - 1, _SAMPLES).round().astype(int)
+                at = np.linspace(0, number - 1, samples).round().astype(int)
                 every = math.sqrt(number / len(at)) * np.eye(model.size)[None]
                 before = self._window - 1
-                ramps += [Ramp(begins + step * (k - before), part.slope, mounting, 0.0, every) for k in at]
+                history = np.array([*past, *part.history]) if of_path else np.zeros(0)
+                ramps += [
+                    Ramp(begins + step * (k - before), part.slope, mounting, 0.0, every, elapsed, history)
+                    for k, elapsed in zip(at, part.begun_s + period * (at - before), strict=True)
+                ]
                 continue
             # A stretch begins with cycles that nothing precedes; elsewhere a window's first cycles are those before.
             begun = self._window - 1
@@ -310,6 +319,9 @@ class CyclePlan:
             shifts = model.shifts(later) if len(later) else None
             matrices = np.zeros((1, model.size, model.size)) if shifts is None else further(shifts)
             ramps.append(Ramp(begins - (0.0 if first else begun * step), part.slope, mounting, float(first), matrices))
+        if longest := max(len(r.history) for r in ramps):
+            padded = (np.pad(r.history, (longest - len(r.history), 0), mode="edge") for r in ramps)
+            ramps = [r._replace(history=history) for r, history in zip(ramps, padded, strict=True)]
         most = self.built.points if polynomials else 1
         ramps = [r._replace(further=np.pad(r.further, ((0, most - len(r.further)), (0, 0), (0, 0)))) for r in ramps]
         return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
@@ -412,12 +424,15 @@ class CycleCourse(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """Cycles on one slope (K/s): the `temperatures` (°C) at which they begin; whether the stretch begins with them."""
+    """Cycles on one slope (K/s): the `temperatures` (°C) at which they begin; whether the stretch begins with them; the
+    time of the first (s), and the chamber's turning points before it (°C)."""
 
     stretch: int
     first: bool
     slope: float
     temperatures: np.ndarray
+    begun_s: float
+    history: tuple[float, ...]
 
 
 def _parts(schedule: UnitSchedule, counts: Sequence[int], period: float) -> list[_Part]:
@@ -435,7 +450,10 @@ def _parts(schedule: UnitSchedule, counts: Sequence[int], period: float) -> list
         for k in np.unique(where):
             s, own = segments[k], times[where == k]
             temperatures = s.temperature_start + s.slope * (own - s.start)
-            parts.append(_Part(number, bool(where[0] == k), float(s.slope), temperatures))
+            earlier = [e for e in schedule.segments if e.end <= s.start + _SLACK]
+            history = (schedule.segments[0].temperature_start, *(e.temperature_end for e in earlier))
+            at = float(own[0]), tuple(map(float, history))
+            parts.append(_Part(number, bool(where[0] == k), float(s.slope), temperatures, *at))
     return parts
 
 

@@ -27,7 +27,7 @@ from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
     from gradcal_jax.api.calibration import EstimateReport
-    from gradcal_jax.api.tested_maps import MeasuredDiscrepancy
+    from gradcal_jax.api.structure_tests import MeasuredDiscrepancy
     from gradcal_jax.api.unit_channel import UnitChannel
     from gradcal_jax.files import Spec
     from gradcal_jax.files.calibration import UnseenError
@@ -161,7 +161,7 @@ def estimate(
         descriptions = [described(one, str(path)) for one, path in zip(logs, paths, strict=True)]
         status = say_units(reports, descriptions, text_of_estimate, unit_estimate_rows, files, json=json)
         if not json and robust is False:
-            from gradcal_jax.api.tested_maps import discrepancies
+            from gradcal_jax.api.structure_tests import discrepancies
 
             measured = discrepancies(model, (test for report in reports for test in report.structure))
             print("\n".join(line for row in measured if row.low > 0.0 for line in _discrepancy(row)))

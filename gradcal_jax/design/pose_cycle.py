@@ -93,6 +93,8 @@ class Ramp(NamedTuple):
     mounting: Int[AnyArray, ""]
     first: Float[AnyArray, ""]
     further: Float[AnyArray, "d p p"]
+    elapsed: float | Float[AnyArray, ""] = 0.0
+    history: Float[AnyArray, " H"] = np.zeros(0)
 
 
 class CycleStructure(NamedTuple):
@@ -362,7 +364,11 @@ class CycleObjective:
         kind = np.arange(len(move)) % count
         nodes = self._nodes(turns[:count], np.asarray(line.pieces.varying)[:count])
         mounting = jnp.full(len(move), ramp.mounting)
-        motion = TableMotion(track, axis, mounting, self.geometry, np.asarray(limits.start), kind, example, nodes)
+        history = None
+        if ramp.history.shape[0]:
+            history, track = ramp.history, replace(track, start=track.start + ramp.elapsed)
+        start = np.asarray(limits.start)
+        motion = TableMotion(track, axis, mounting, self.geometry, start, kind, example, nodes, history)
         return motion, self._segments(line, turns, of, model)
 
     def _nodes(self, turns: np.ndarray, varying: np.ndarray) -> np.ndarray:

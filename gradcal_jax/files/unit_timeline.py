@@ -82,6 +82,30 @@ class UnitTermRow(MapRow):
     """Of each coefficient, in SI."""
 
 
+class PathTermRow(Section):
+    """A function of the path of temperature times the product of `signals`, as of `UnitTermRow`. By `kind`:
+
+    "hysteresis": of the two extreme states of a play, `P = max(T − width, min(T + width, P⁻))` from P = T ± width at
+    the begin of the course, soaks included: the functions (high + low)/2 − T and (high − low)/(2 width). "temperature
+    gradient": dT/dt. "transient": exp(−t/time_constant), t from the begin of the plan.
+    """
+
+    kind: Literal["hysteresis", "temperature gradient", "transient"]
+    """Which function."""
+    signals: tuple[str, ...]
+    """Its factors; none: 1."""
+    parameters: tuple[str, ...]
+    """Names of the coefficients in a prediction."""
+    stds: tuple[Size, ...]
+    """Prior standard deviation of each."""
+    unit: str
+    """Of the first coefficient, in SI."""
+    width: Size | None = None
+    """Half-width of the play (K)."""
+    time_constant: Size | None = None
+    """Of the transient (s)."""
+
+
 class ChannelRow(Section):
     """A gyro (rad) or accelerometer (m/s) along one axis of the body."""
 
@@ -107,6 +131,8 @@ class ChannelRow(Section):
     """Bias in proportion to dT/dt, estimated."""
     terms: tuple[UnitTermRow, ...]
     """What is estimated."""
+    path: tuple[PathTermRow, ...] = ()
+    """What is estimated of the path of temperature."""
 
 
 class InstallationRow(Section):

@@ -1,12 +1,17 @@
 """Figures of a whole unit's estimate: terms over temperature, and residuals of the rows or of gravity."""
 
+from itertools import pairwise
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from gradcal_jax.api.hand_estimate import HandReport
+from gradcal_jax.api.path_dependence import BiasCurve
 from gradcal_jax.api.unit_estimate import UnitReport
+from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.information import segments_of
 from gradcal_jax.plots.calibration_maps import draw_calibrated_term, panels_of
 from gradcal_jax.plots.style import PALETTE, new_axes
@@ -69,15 +74,57 @@ def draw_by_hand(report: HandReport) -> Figure:
     return figure
 
 
+def draw_loop(curve: BiasCurve, *, ax: Axes | None = None) -> tuple[Axes, list[Line2D]]:
+    """The bias of a channel beyond its map over temperature, on every leg: measured, and the model with ± 2 standard
+    deviations of it."""
+    ax = new_axes(ax)
+    unit, factor = UNITS_OF_TERMS[curve.si_unit]
+    lines: list[Line2D] = []
+    for first, end in legs_of(curve.temperature_c):
+        own = slice(first, end)
+        heats = curve.temperature_c[end - 1] > curve.temperature_c[first]
+        at, colour = curve.temperature_c[own], PALETTE[1 if heats else 0]
+        seen, fitted = ((v - curve.map)[own] * factor for v in (curve.measured, curve.model))
+        std = curve.std[own] * factor
+        lines += ax.plot(at, seen, ".", markersize=3, color=colour)
+        dash = "-" if heats else "--"
+        lines += ax.plot(at, fitted, dash, color=colour, label="heating" if heats else "cooling")
+        ax.fill_between(at, fitted - 2.0 * std, fitted + 2.0 * std, alpha=0.15, color=colour)
+    handles, labels = ax.get_legend_handles_labels()
+    by_label = dict(zip(labels, handles, strict=True))
+    ax.legend(by_label.values(), by_label.keys(), fontsize="small")
+    ax.set(xlabel="temperature, °C", ylabel=unit, title=f"{curve.channel.replace('_', ' ')}: bias beyond its map")
+    return ax, lines
+
+
+def legs_of(temperature: np.ndarray) -> list[tuple[int, int]]:
+    """Rows `first … end − 1` of every heating or cooling leg of more than a twentieth of the range."""
+    least, legs = 0.05 * float(np.ptp(temperature)), [0]
+    highest = lowest = 0
+    # A leg ends where the temperature has returned by that from its extreme.
+    way = 0
+    for k, t in enumerate(temperature):
+        highest, lowest = (k if t > temperature[highest] else highest), (k if t < temperature[lowest] else lowest)
+        if way >= 0 and temperature[highest] - t > least:
+            legs, way, lowest = [*legs, highest], -1, k
+        elif way <= 0 and t - temperature[lowest] > least:
+            legs, way, highest = [*legs, lowest], 1, k
+    edges = [*legs, len(temperature) - 1]
+    return [(a, b + 1) for a, b in pairwise(edges) if abs(temperature[b] - temperature[a]) >= least]
+
+
 def draw_unit_estimate(report: UnitReport) -> Figure:
-    """The terms of a calibration, and the residuals."""
+    """The terms of a calibration, the loops over temperature where it has any, and the residuals."""
     calibration = report.calibration
     panels = panels_of(calibration)
-    rows = (len(panels) + 1) // 2 + 1
+    loops = report.curves if report.path is not None or calibration.path else ()
+    rows = (len(panels) + len(loops) + 1) // 2 + 1
     figure = Figure(figsize=(10.0, 3.2 * rows), layout="constrained")
     grid = figure.add_gridspec(rows, 2)
     for k, (kind, name) in enumerate(panels):
         draw_calibrated_term(calibration, kind, name, ax=figure.add_subplot(grid[k // 2, k % 2]))
+    for k, curve in enumerate(loops, start=len(panels)):
+        draw_loop(curve, ax=figure.add_subplot(grid[k // 2, k % 2]))
     draw_unit_residuals(report, ax=figure.add_subplot(grid[rows - 1, :]))
     simulated = ", SIMULATED" if calibration.simulated else ""
     figure.suptitle(f"calibration of {calibration.serial_number}{simulated}")

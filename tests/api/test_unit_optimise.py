@@ -90,20 +90,27 @@ def turning() -> str:
     )
 
 
+BOTH_WAYS = {
+    "plan.temperature": None,
+    "plan.gradient": None,
+    "plan.programme": [
+        {"soak": "30 min", "at": "-30 degC", "used": True},
+        {"ramp_to": "70 degC", "rate": "2 K/min"},
+        {"ramp_to": "-30 degC", "rate": "1 K/min"},
+    ],
+}
+PATH = {
+    "sensor.gyro.hysteresis": [{"width": "10 K", "prior": "2 deg/h/K"}],
+    "sensor.gyro.scale_factor_hysteresis": [{"width": "10 K", "prior": "5 ppm/K"}],
+    "sensor.gyro.turn_on_transient": [{"time_constant": "20 min", "prior": "5 deg/h"}],
+    "requirement[0].branch": "both",
+    "requirement[1].branch": "both",
+}
 PLANS = {
     "one ramp": ({}, 4e-3),
-    "both ways": (
-        {
-            "plan.temperature": None,
-            "plan.gradient": None,
-            "plan.programme": [
-                {"soak": "30 min", "at": "-30 degC", "used": True},
-                {"ramp_to": "70 degC", "rate": "2 K/min"},
-                {"ramp_to": "-30 degC", "rate": "1 K/min"},
-            ],
-        },
-        0.03,
-    ),
+    "both ways": (BOTH_WAYS, 0.03),
+    # The state of a play at twelve temperatures of a slope stands for that at all others.
+    "a path": (BOTH_WAYS | PATH, 0.1),
     "bins": (
         {
             "sensor.accelerometer.bias.temperature": {

@@ -1,16 +1,20 @@
 """Terms of the path of temperature, against a play that is stepped sample by sample, and dense integrals."""
 
+import json
 from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import jsonschema
 import numpy as np
 import pytest
 
+import gradcal_jax as gj
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
 from gradcal_jax.estimation.unit_executed import turning_points
 from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.schemas import schema
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.model import play_states
 from gradcal_jax.trajectory import TableMotion, body_nodes
@@ -237,6 +241,20 @@ def test_a_plan_that_goes_on_keeps_the_state_of_the_play():
     tables["sensor"]["gyro"]["turn_on_transient"] = [{"time_constant": "5 min", "prior": "3 deg/h"}]
     with pytest.raises(SpecError, match="since power-on is not known"):
         unit_spec_of(tables)
+
+
+def test_a_timeline_lists_the_terms_of_the_path():
+    document = json.loads(gj.timeline(spec_with({"gyro": GYRO, "accelerometer": FORCE})).model_dump_json())
+    jsonschema.Draft202012Validator(schema("unit-timeline")).validate(document)
+    gyro, force = (channel["path"] for channel in document["channels"])
+    kinds = ["hysteresis"] * 3 + ["temperature gradient", "transient"]
+    assert [row["kind"] for row in gyro] == kinds
+    assert gyro[1] == {
+        "kind": "hysteresis", "signals": [], "unit": "rad/s/K", "width": 9.0, "time_constant": None,
+        "parameters": ["gyro_z.hysteresis_9K", "gyro_z.hysteresis_9K_start"],
+        "stds": pytest.approx([2.0 * HOUR, 3.0 * 9.0 * 2.0 * HOUR]),
+    }  # fmt: skip
+    assert [row["signals"] for row in force] == [[], ["force z"]]
 
 
 def test_two_entries_of_one_width_are_refused():

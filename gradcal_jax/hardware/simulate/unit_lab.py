@@ -146,10 +146,9 @@ def _draw_path(triad: Any, truth: TriadTruth, random: np.random.Generator, law: 
     for plays, of_input in both:
         sizes = np.array([float(p.prior) * float(p.width) for p in plays])
         if len(sizes):
-            widths: list[float] = [float(p.width) for p in plays]
-            width = float(np.average(widths, weights=sizes))
-            size = float(np.sqrt(np.sum(sizes**2))) * random.standard_normal(3)
-            loops.append(LoopTruth(own, _three(size), width, int(random.integers(2**31)), of_input))
+            width = float(np.average([float(p.width) for p in plays], weights=sizes))
+            size: Vectors = float(np.sqrt(np.sum(sizes**2))) * random.standard_normal(3)
+            loops.append(LoopTruth(own, _three(size), width, int(random.integers(1 << 31)), of_input))
     transients = tuple(
         (_three(float(t.prior or 0.0) * random.standard_normal(3)), float(t.time_constant))
         for t in triad.turn_on_transient

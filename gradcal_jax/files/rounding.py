@@ -264,7 +264,9 @@ def _unit_cycle(spec: UnitSpec, schedule: UnitSchedule, cycle: Table, rounder: _
         moves.append(_turn(angle, move, shape, steepest, fastest, rounder) | kept)
         at[k] += move.repeat * units.parse(moves[-1]["turn"], "angle") if "turn" in moves[-1] else move.repeat * angle
     cycle["moves"] = moves
-    over = math.fsum(_duration(move) for move in moves) - schedule.period
+    by_hand = sum(step.move.repeat for step in schedule.steps if step.move.shape == "hand")
+    answers = by_hand * float(spec.rig.table.answer_time)
+    over = math.fsum([answers, *(_duration(move) for move in moves)]) - schedule.period
     longest = max((m for m in moves if "rest" in m and "repeat" not in m), key=_duration, default=None)
     if longest is not None and over > 1e-9 * schedule.period:
         left = _duration(longest) - over

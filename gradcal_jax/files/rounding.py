@@ -236,7 +236,8 @@ def _cycle(spec: Spec, cycle: Table, schedule: GradientSchedule, planned: Resolv
     cycle["moves"] = moves
     rounder.entries(cycle.get("other_axes", {}), duration="time", read_every="time")
     rounder.entries(cycle, duration="time")
-    _keep_period(cycle, schedule.stretches, planned.moving, planned.duration, planned.idle, rounder)
+    numbers = planned.moving, planned.duration, planned.idle, float(spec.rig.table.answer_time)
+    _keep_period(cycle, schedule.stretches, *numbers, rounder)
 
 
 def _unit_cycle(spec: UnitSpec, schedule: UnitSchedule, cycle: Table, rounder: _Rounder) -> None:
@@ -277,10 +278,11 @@ def _unit_cycle(spec: UnitSpec, schedule: UnitSchedule, cycle: Table, rounder: _
         moves.append(_turn(angle, move, shape, steepest, fastest, rounder) | kept)
         at[k] += move.repeat * units.parse(moves[-1]["turn"], "angle") if "turn" in moves[-1] else move.repeat * angle
     cycle["moves"] = moves
+    answer_s = float(spec.rig.table.answer_time)
     idle = duration_of(schedule.after) - units.parse(cycle.get("other_axes", {}).get("duration", "0 s"), "time")
     rounder.entries(cycle.get("other_axes", {}), duration="time", read_every="time")
     rounder.entries(cycle, duration="time")
-    _keep_period(cycle, schedule.stretches, duration_of(schedule.steps), schedule.period, idle, rounder)
+    _keep_period(cycle, schedule.stretches, duration_of(schedule.steps), schedule.period, idle, answer_s, rounder)
 
 
 def _reading_of(move: Table, rounder: _Rounder) -> Table:
@@ -296,13 +298,20 @@ def _duration(move: Table) -> float:
 
 
 def _keep_period(
-    cycle: Table, stretches: Sequence[Stretch], own: float, period: float, idle: float, rounder: _Rounder
+    cycle: Table,
+    stretches: Sequence[Stretch],
+    own: float,
+    period: float,
+    idle: float,
+    answer_s: float,
+    rounder: _Rounder,
 ) -> None:
     """Shorten the longest standstill by the time that rounding added, so that as many repetitions fit as before, or
     make it longer by the time that it took off the turns. `own`, `period`, `idle`: of the planned cycle, the duration
-    of its moves, of all of it, and of what it idles, s."""
+    of its moves, of all of it, and of what it idles, s; `answer_s`: the operator's time for each turn by hand."""
     rests = [(units.parse(move["rest"], "time"), move, "rest") for move in cycle["moves"] if "rest" in move]
-    moving, others = math.fsum(_duration(move) for move in cycle["moves"]), 0.0
+    answers = answer_s * sum(int(m.get("repeat", 1)) for m in cycle["moves"] if m.get("shape") == "hand")
+    moving, others = math.fsum([answers, *(_duration(move) for move in cycle["moves"])]), 0.0
     if "other_axes" in cycle:
         other = cycle["other_axes"]
         others = units.parse(other["duration"], "time")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gradcal_jax.estimation import UnitRows, motion_by_readings
+from gradcal_jax.estimation import UnitRows, column_readings, motion_by_readings
 from gradcal_jax.trajectory import Geometry
 
 STEP = 0.01
@@ -86,3 +86,12 @@ def test_one_reading_is_too_few():
     only = np.arange(len(rows.time_s)) == np.flatnonzero(rows.at_a_stop)[0]
     with pytest.raises(ValueError, match="two readings"):
         motion_by_readings(rows._replace(at_a_stop=only), geometry())
+
+
+def test_an_angle_that_never_changes_is_read_as_often_as_the_spec_says():
+    time = np.arange(0.0, 100.0, 1.0)
+    still, constant = np.ones(len(time), bool), np.zeros(len(time))
+    assert column_readings(time, constant, still, 10.0).sum() == 11
+    # One value that stays is one poll, where others show the table's noise.
+    polled = np.where(time < 50.0, 0.0, 1e-5)
+    assert column_readings(time, polled, still, 10.0).sum() == 4

@@ -383,6 +383,11 @@ def unit_rows(
         part.standing[np.flatnonzero(np.diff(mounting, prepend=mounting[0] if k == 0 else -1))] = False
         parts.append(part._replace(time_s=shifted, mounting=mounting))
         end = shifted[-1]
+    if len(logs) > 1 and any(isinstance(t, PathTerm) for c in built.model.channels for t in c.model.terms):
+        messages.append(
+            "between the logs the course of the temperature is not known: plays go straight from one to the next, and "
+            "power-on is at the beginning of the first"
+        )
     whole = UnitRows(*(np.concatenate([getattr(part, field) for part in parts]) for field in UnitRows._fields))
     return whole, tuple(dict.fromkeys(messages))
 

@@ -25,7 +25,7 @@ from gradcal_jax.api.posterior_of_plan import (
 )
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.systematic import CountedPosteriors, budget_of_plan, budget_of_unit, shares_of_variance
-from gradcal_jax.api.tested_maps import noticing
+from gradcal_jax.api.tested_maps import noticing, noticing_of_imu
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.api.unit_sentences import unit_warnings
@@ -62,6 +62,7 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
         after = posterior_of_unit(unit)
         return Prediction(
             requirements=tuple(_between(_unit_rows(unit, after), extremes(spec) if limits else [])),
+            notices=noticing_of_imu(unit) if notices else (),
             warnings=tuple(unit_warnings(unit, after)),
             omitted=omitted,
             **_of_plan(spec, unit.model, {"unit": after}),

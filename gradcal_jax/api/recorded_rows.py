@@ -14,6 +14,7 @@ from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.model import PathTerm
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
 _REHUNG_S = 6 * 3600.0
@@ -36,6 +37,11 @@ def unit_rows(
         part.standing[np.flatnonzero(np.diff(mounting, prepend=mounting[0] if k == 0 else -1))] = False
         parts.append(part._replace(time_s=shifted, mounting=mounting))
         end = shifted[-1]
+    if len(logs) > 1 and any(isinstance(t, PathTerm) for c in built.model.channels for t in c.model.terms):
+        messages.append(
+            "between the logs the course of the temperature is not known: plays go straight from one to the next, and "
+            "power-on is at the beginning of the first"
+        )
     fields = ([getattr(part, field) for part in parts] for field in UnitRows._fields)
     whole: Any = (None if any(x is None for x in field) else np.concatenate(field) for field in fields)
     whole = UnitRows(*whole)

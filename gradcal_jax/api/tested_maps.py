@@ -1,5 +1,6 @@
 """Tests for hidden structure of a map, by polynomials of higher degree, and the power of these tests."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
@@ -7,10 +8,10 @@ import numpy as np
 
 from gradcal_jax.api.build import Assembled, basis
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
+from gradcal_jax.api.unit_build import AssembledUnit
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.contracts import NoticeRow
-from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.sensor import GyroTriad, ScaleFactor, Sensor
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import (
@@ -21,9 +22,20 @@ from gradcal_jax.information import (
     noticed_from,
     power,
     square_root,
+    unit_information,
     where_hidden,
 )
-from gradcal_jax.model import BIAS, DISCREPANCY, SCALE_FACTOR, Discrepancy, SensorModel, make_map
+from gradcal_jax.model import (
+    AXIS_NAMES,
+    BIAS,
+    DISCREPANCY,
+    SCALE_FACTOR,
+    Discrepancy,
+    SensorModel,
+    UnitModel,
+    make_map,
+)
+from gradcal_jax.trajectory import body_nodes
 
 FALSE_ALARM = 0.01
 """Level of the test where the spec's [design] has no other."""
@@ -147,12 +159,49 @@ def _without(info: SquareRootInformation, model: SensorModel, others: list[str],
     return term, slice(begin, begin + term.size), square_root(rows)
 
 
-def _row(quantity: str, axis: Axis, of: TestedMap, gain: np.ndarray) -> NoticeRow:
+def noticing_of_imu(unit: AssembledUnit) -> tuple[NoticeRow, ...]:
+    """As `noticing`, for each gyro of an IMU."""
+    tested, spec = tested_maps(unit.spec), unit.spec
+    gyros = [c for c in unit.model.channels if c.kind == "gyro"]
+    if not tested or not gyros:
+        return ()
+    channels, added = list(unit.model.channels), list[tuple[int, str]]()
+    for number, channel in enumerate(channels):
+        of = channel.model
+        for quantity in tested if channel.kind == "gyro" else ():
+            if where_hidden(of, quantity) is None:
+                added.append((channel.axis, quantity))
+            of = with_hidden(spec, of, quantity)
+            place = next(k for k, t in enumerate(of.terms) if t.name == DISCREPANCY.format(quantity))
+            of = eqx.tree_at(lambda m, k=place: m.terms[k].std, of, np.asarray(NOTIONAL[quantity]))
+        channels[number] = replace(channel, model=of)
+    model = UnitModel(tuple(channels), unit.model.installation, unit.model.encoder)
+    built = unit._replace(model=model)
+    motions = [(motion, body_nodes(motion, built.points)) for motion in (*built.past, built.motion)]
+    info = unit_information(motions, model)
+    where = lambda axis, quantity: model.where("gyro", axis, DISCREPANCY.format(quantity))  # noqa: E731
+    rows: list[NoticeRow] = []
+    for channel in gyros:
+        for quantity, of in tested.items():
+            keep = np.ones(model.size, bool)
+            for axis, other in added:
+                if (axis, other) != (channel.axis, quantity):
+                    keep[where(axis, other)] = False
+            own = where(channel.axis, quantity)
+            begin = int(keep[: own.start].sum())
+            believed = square_root((info.factor * info.scale[None, :])[:, keep])
+            shares = kept(believed, slice(begin, begin + own.stop - own.start), np.asarray(NOTIONAL[quantity]))
+            gains = gains_of_shares(np.asarray(shares), NOTIONAL[quantity])
+            rows.append(_row(quantity, AXIS_NAMES[channel.axis], of, gains))
+    return tuple(rows)
+
+
+def _row(quantity: str, axis: str, of: TestedMap, gain: np.ndarray) -> NoticeRow:
     unit, factor = UNIT_OF[quantity]
     least = noticed_from(gain, of.power, of.false_alarm)
     return NoticeRow(
         quantity=cast("Any", quantity),
-        axis=axis,
+        axis=cast("Any", axis),
         temperature_degree=of.temperature_degree,
         rate_degree=None if quantity == BIAS else of.rate_degree,
         unit=cast("Any", unit),

@@ -80,6 +80,20 @@ def test_an_axis_is_judged_the_same_as_an_imu(name):
             _same(getattr(other, field), getattr(one, field), 1e-12)
 
 
+@pytest.mark.parametrize("name", ["dynamic standard 5", "preset tactical-mems", "static gradient 3", "tactical 10"])
+def test_an_axis_notices_the_same_as_an_imu(name):
+    """The power of the tests for more structure of the maps."""
+    tables = KEPT[name]["tables"]
+    axis, imu = (predict(s, notices=True).notices for s in (spec_of(tables), unit_spec_of(axis_as_imu(tables))))
+    assert len(axis) > 0
+    for one, other in zip(axis, imu, strict=True):
+        assert one.model_copy(update={"sure_from": None, "power": None}) == other.model_copy(
+            update={"sure_from": None, "power": None}
+        )
+        _same(other.sure_from, one.sure_from, 1e-9)
+        _same(other.power, one.power, 1e-9)
+
+
 @pytest.mark.parametrize("name", sorted(name for name in KEPT if KEPT[name]["tables"]["rig"].get("chamber")))
 def test_an_axis_has_the_same_recipe_as_an_imu(name):
     """What the chamber and the table are told."""

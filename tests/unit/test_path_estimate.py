@@ -1,5 +1,6 @@
 """Estimates of units with a loop over temperature: what is said, offered, written and drawn."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -64,6 +65,29 @@ def test_with_plays_the_fit_is_far_better_and_the_calibration_states_them(tmp_pa
         notes = " ".join(export(report.calibration, target).notes)
         assert "bias of gyro x: the mean of heating and cooling; hysteresis, up to " in notes
     assert "gyro x hysteresis 10K" in text_of_estimate(report)
+
+
+def test_an_exact_play_is_recovered():
+    """A play of 10 K, stepped sample by sample, on top of a unit without a loop."""
+    spec = spec_of(back=True)
+    truth = draw_unit_truth(spec_of(back=True, size=1e-6), 36, 9, "relays")
+    log = recorded(truth, spec, back=True, seed=11)
+    assert log.temperature_c is not None
+    temperature, state = log.temperature_c[0], float(log.temperature_c[0, 0]) + 10.0
+    behind = np.empty_like(temperature)
+    for k, t in enumerate(temperature):
+        state = max(t - 10.0, min(t + 10.0, state))
+        behind[k] = state - t
+    given = np.array([0.8, -0.3, 0.0]) * HOUR
+    (report,) = estimate_units(spec, [replace(log, rate_rad_per_s=log.rate_rad_per_s + behind[None, :, None] * given)])
+    assert report.calibration.contradicted == ()
+    found = {(one.channel, float(one.width)): one for one in report.calibration.path if one.width is not None}
+    for axis, value in zip("xyz", given, strict=True):
+        for width in WIDTHS:
+            one = found[f"gyro_{axis}", width]
+            expected = value if width == 10.0 else 0.0
+            assert abs(one.value - expected) < 4.0 * one.standard_deviation, (axis, width)
+            assert one.standard_deviation < 0.4 * HOUR
 
 
 def test_a_one_way_record_says_what_remains():

@@ -50,7 +50,7 @@ from gradcal_jax.api.systematic import (
     ramp_of_record,
     unseen_errors,
 )
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, course_before
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_residual import internal_misalignments
 from gradcal_jax.api.unit_sentences import one_way_sentences, prior_deviations, unobserved_parameters
@@ -331,6 +331,7 @@ def _read(
         encoder = built.model.encoder
         spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
         done = estimation.executed_unit(seen, built.motion.geometry, planned=planned_moves(built), **spacing)
+        done = done._replace(motion=replace(done.motion, history=course_before(built.spec)))
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
     readings = estimation.readings_of(built.model, done, rows, temperature, 0 if built.rough else built.points, felt)

@@ -100,7 +100,7 @@ def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
     of_path = [t for c in model_.channels for t in c.model.terms if isinstance(t, PathTerm)]
     exponential = spec.sensor.lag is not None or any(isinstance(t, TurnOnTransient) for t in of_path)
     points = max(degree + 1, _LAGGED if exponential else 2 if of_path else 1)
-    past, history = list[TableMotion](), None
+    past, history = list[TableMotion](), course_before(spec)
     for part in spec.past:
         past.append(motion_of(part, spec, model_, history))
         history = _turning_points(past[-1])
@@ -110,6 +110,14 @@ def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
         motion = _broken_off(motion, until_s, _fineness(spec, model_, motion.line))
     past = tuple(past)
     return AssembledUnit(spec, model_, motion, points, rough, past, until_s)
+
+
+def course_before(spec: UnitSpec) -> np.ndarray | None:
+    """Turning points of the temperature (°C) before the spec's plan or, of a run that goes on, before its first
+    part."""
+    first = spec.done[0].plan if spec.done else spec.plan
+    before = () if isinstance(first, StandardPlan) else first.before
+    return np.array([float(t) for t in before]) if before else None
 
 
 def _turning_points(motion: TableMotion) -> np.ndarray:

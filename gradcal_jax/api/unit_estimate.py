@@ -49,7 +49,7 @@ from gradcal_jax.api.systematic import (
     ramp_of_record,
     unseen_errors,
 )
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, course_before
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_residual import internal_misalignments
 from gradcal_jax.api.unit_sentences import one_way_sentences, prior_deviations
@@ -329,6 +329,7 @@ def _read(
     estimate, linearised about `about`."""
     try:
         done = _executed(built, seen)
+        done = done._replace(motion=replace(done.motion, history=course_before(built.spec)))
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
     readings = estimation.readings_of(built.model, done, rows, temperature, 0 if built.rough else built.points, felt)

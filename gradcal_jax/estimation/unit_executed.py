@@ -515,7 +515,8 @@ def nodes_of_rows(
     begin, end = temperature_c[done.rows[:-1]], temperature_c[done.rows[1:]]
     axes = frames(geometry, seen_before, motion.mounting).axes
     at = groups, motion.kind, end - begin, seen_before, seen_after, axes, motion.axis, motion.mounting
-    return BodyNodes(*at, begin, turning_points(temperature_c[: done.rows[0] + 1]))
+    earlier = np.zeros(0) if done.motion.history is None else np.asarray(done.motion.history)
+    return BodyNodes(*at, begin, np.concatenate([earlier, turning_points(temperature_c[: done.rows[0] + 1])]))
 
 
 def turning_points(temperature: np.ndarray) -> np.ndarray:

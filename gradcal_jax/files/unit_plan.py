@@ -19,7 +19,7 @@ from gradcal_jax.files.bench import TableAxis, UnitRig
 from gradcal_jax.files.moves import Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse, OtherAxes, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
-from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Text, Time
+from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Temperature, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
 from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
 
@@ -154,6 +154,9 @@ class UnitPlan(ChamberCourse):
     """The method."""
     cycle: UnitCycle | None = None
     """Motion that repeats; absent: the table stands, and is read every `read_every` of its axes."""
+    before: Annotated[tuple[Temperature, ...], Field(max_length=100)] = ()
+    """Turning points of the unit's temperature before the plan, in order, such as that of the room: a hysteresis begins
+    in the state that they leave. Absent: in an unknown one."""
 
     def _problems(self) -> Iterable[Problem]:
         return self.course_problems(with_cycle=self.cycle is not None)

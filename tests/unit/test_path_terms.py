@@ -217,6 +217,29 @@ def test_the_initial_state_counts_until_a_traverse_of_twice_the_width():
     assert built.model.prior_rows()[name, name] == pytest.approx(1.0 / prior)
 
 
+def test_what_is_known_before_the_plan_settles_the_initial_state():
+    """From the room to 0 degC, and then up: the first 2w of the ramp show the hysteresis. Half a traverse of 2w leaves
+    half of the range of the state."""
+    programme = [{"soak": "1 min", "at": "0 degC"}, {"ramp_to": "60 degC", "rate": "1 K/min"}]
+    own = {k: v for k, v in GYRO.items() if k in ("axes", "angle_random_walk", "bias")}
+    gyro = own | {"hysteresis": [{"width": "6 K", "prior": "5 deg/h/K"}]}
+    starts, known = [], []
+    for before in ([], ["6 degC"], ["20 degC"], ["-40 degC", "20 degC"]):
+        plan = {"method": "gradient", "programme": programme, "before": before}
+        built = assemble_unit(spec_with({"gyro": gyro}, plan, "read"))
+        names = built.model.names()
+        used = np.flatnonzero(~built.motion.line.gap)
+        columns = built.model.own_columns(built.body_nodes())[0][used[0]] / built.motion.line.duration[used[0]]
+        starts.append([columns[names.index(f"gyro_z.hysteresis_6K{ending}")] for ending in ("", "_start")])
+        known.append(
+            posterior_of_unit(built).deviations(np.eye(built.model.size)[[names.index("gyro_z.hysteresis_6K")]])
+        )
+    begins = np.array([[0.0, 1.0], [3.0, 0.5], [6.0, 0.0], [6.0, 0.0]])
+    assert np.array(starts) == pytest.approx(begins, abs=0.05)
+    assert known[2] < 0.2 * known[0]
+    assert known[3] == pytest.approx(known[2], rel=1e-9)
+
+
 def test_a_plan_that_goes_on_keeps_the_state_of_the_play():
     """[[done]]: half of a programme and then the other half have the columns of the whole."""
     gyro = {"hysteresis": [{"width": "6 K", "prior": "5 deg/h/K"}]}

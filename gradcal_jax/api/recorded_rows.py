@@ -87,9 +87,13 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
     mounting = np.zeros(len(time), int) if log.mounting is None else log.mounting
     worth = rate = None
     if standard:
-        angles, at_a_stop, rate = np.full((len(time), 1), np.nan), np.zeros(len(time), bool), _table_rate(built, log)
+        angles, at_a_stop, rate = (
+            np.full((len(time), 1), np.nan),
+            np.zeros(len(time), bool),
+            _table_rate(built, log, options.table_axis),
+        )
     elif read_by_events(built.spec):
-        place = _places_of(built, log)[0]
+        place = _places_of(built, log, options.table_axis)[0]
         every, noise = float(built.model.encoder.every[0]), float(built.model.encoder.reading[0])
         read, standing = table_readings(log, place, standing, every, messages, noise)
         at_a_stop, worth = np.zeros(len(time), bool), np.ones(len(time))
@@ -97,7 +101,7 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
         angles = np.full((len(time), 1), np.nan)
         angles[read.rows, 0] = read.angle
     else:
-        angles, at_a_stop = _table_angles(built, log)
+        angles, at_a_stop = _table_angles(built, log, options.table_axis)
     return UnitRows(time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop, worth, rate), messages
 
 
@@ -106,9 +110,9 @@ def read_by_events(spec: UnitSpec) -> bool:
     return len(spec.rig.table.axis) == 1 and spec.rig.table.standing == "read"
 
 
-def _table_rate(built: AssembledUnit, log: Log) -> np.ndarray:
+def _table_rate(built: AssembledUnit, log: Log, chosen: str | None) -> np.ndarray:
     """The rate held by the table's only axis, rad/s. Raises `LogError`."""
-    place = _places_of(built, log)[0] if log.table_axes else None
+    place = _places_of(built, log, chosen)[0] if log.table_axes else None
     if place is not None and log.table_rate_rad_per_s is not None:
         return log.table_rate_rad_per_s[:, place]
     if place is not None and log.table_angle_rad is not None:
@@ -120,11 +124,15 @@ def _table_rate(built: AssembledUnit, log: Log) -> np.ndarray:
     return np.zeros(len(log.time_s))
 
 
-def _places_of(built: AssembledUnit, log: Log) -> list[int]:
-    """Where the axes of the spec's table stand among the log's."""
+def _places_of(built: AssembledUnit, log: Log, chosen: str | None) -> list[int]:
+    """Where the axes of the spec's table stand among the log's; `chosen`: the log's name of the only one."""
     names = [axis.name for axis in built.spec.rig.table.axis]
+    if chosen is not None:
+        if len(names) > 1:
+            raise LogError("--table-axis is for a table of one axis: name the axes alike in spec and log")
+        names = [chosen]
     if missing := [name for name in names if name not in log.table_axes]:
-        if not len(names) == len(log.table_axes) == 1:
+        if chosen is not None or not len(names) == len(log.table_axes) == 1:
             raise LogError(
                 f"the log has no table axis {', '.join(missing)}: it has {', '.join(log.table_axes) or 'none'}. Name "
                 "the axes alike in the spec's [[rig.table.axis]] and in the log's column map"
@@ -133,14 +141,14 @@ def _places_of(built: AssembledUnit, log: Log) -> list[int]:
     return [log.table_axes.index(name) for name in names]
 
 
-def _table_angles(built: AssembledUnit, log: Log) -> tuple[np.ndarray, np.ndarray]:
+def _table_angles(built: AssembledUnit, log: Log, chosen: str | None) -> tuple[np.ndarray, np.ndarray]:
     """The table's angles `(n, L)` about the spec's axes, in its order, NaN where not read, and whether a row's are
     readings of standing axes."""
     count = len(log.time_s)
     if log.table_angle_rad is None and log.readings is None:
         names = ", ".join(axis.name for axis in built.spec.rig.table.axis)
         raise LogError(f"the log has no angles of the table ({names}), which are the reference")
-    places = _places_of(built, log)
+    places = _places_of(built, log, chosen)
     if log.readings is None:
         assert log.table_angle_rad is not None
         return log.table_angle_rad[:, places], np.zeros(count, bool)

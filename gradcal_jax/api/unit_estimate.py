@@ -4,6 +4,7 @@ The spec describes the noise, the table and the terms; the executed motion is re
 """
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -73,9 +74,11 @@ from gradcal_jax.files.calibration.correction import correct_triads, followed
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.information import Posterior, segments_of
 from gradcal_jax.model import (
     KINDS,
@@ -175,6 +178,8 @@ def estimate_units(
     if not names:
         raise LogError("no unit is in all of the logs")
     lacks = lacks_of(spec, logs)
+    if options.earth_rate is not None:
+        spec = _with_earth(spec, options.earth_rate)
     spec, options, said = with_options(spec, logs, options)
     for log, name in itertools.product(logs, names):
         if log.temperature_c is not None:
@@ -193,6 +198,22 @@ def estimate_units(
         messages = *([lacks] if lacks else []), *said, *faults[name].sentences, *report.messages
         reports.append(report._replace(messages=messages))
     return reports
+
+
+def _with_earth(spec: UnitSpec, earth_rate: float) -> UnitSpec:
+    """The spec of a gyro along its table's only axis, at the latitude at which an axis that points up has that rate of
+    the Earth (rad/s). Raises `ValueError` for other specs, whose rate of the Earth changes with the table's angles."""
+    gyro, hung = spec.sensor.gyro, spec.rig.table.mounting[0]
+    along = "" if gyro is None or not spec.is_one_axis else str(getattr(hung, gyro.axes[0]))
+    if along not in ("+z", "-z"):
+        raise ValueError(
+            "--earth-rate and --latitude are for one gyro along a table's only axis that points up: for others the "
+            "spec has [rig.site] latitude"
+        )
+    up = earth_rate if along == "+z" else -earth_rate
+    latitude = math.asin(max(-1.0, min(up / EARTH_RATE, 1.0)))
+    site = spec.rig.site.model_copy(update={"latitude": Quantity.of(latitude, "deg")})
+    return spec.model_copy(update={"rig": spec.rig.model_copy(update={"site": site})})
 
 
 def _report(

@@ -146,6 +146,7 @@ def estimate(
     model = None if spec is None and recipe is None else _spec(spec, recipe)
     if isinstance(model, UnitSpec):
         taken = ("--spec", "--recipe", "--robust", "--lag", "--read-every", "a second log")
+        taken = (*taken, "--earth-rate", "--latitude", "--table-axis")
         _refuse(in_use, taken, "for one gyro axis alone, and the spec is of a whole unit")
         paths = (log, *more)
         logs = [load(path, source) for path in paths]
@@ -157,7 +158,9 @@ def estimate(
         from gradcal_jax.cli.unit_estimate import say_units, text_of_estimate
 
         sources = {"log": ", ".join(path.name for path in paths), "spec": (spec or recipe or Path()).name}
-        reports = estimate_units(model, logs, units=unit, options=Options(**options, robust=robust), sources=sources)
+        reports = estimate_units(
+            model, logs, units=unit, options=Options(**options, table_axis=table_axis, robust=robust), sources=sources
+        )
         descriptions = [described(one, str(path)) for one, path in zip(logs, paths, strict=True)]
         status = say_units(reports, descriptions, text_of_estimate, unit_estimate_rows, files, json=json)
         if not json and robust is False:

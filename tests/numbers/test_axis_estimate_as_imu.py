@@ -22,6 +22,7 @@ from gradcal_jax.api.unit_estimate import estimate_units
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.axis_as_imu import axis_as_imu
 from gradcal_jax.files.changes import tables_of
+from gradcal_jax.files.log import LogError
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 
 UNWEIGHTED = STANDARD.replace('"standard"', '"standard"\nestimator = "least squares"')
@@ -103,3 +104,24 @@ def test_the_lag_of_an_imus_maps_is_found(lag_s: float) -> None:
     lag = report.calibration.channel[0].thermal_lag
     assert float(lag or 0.0) == pytest.approx(lag_s, abs=3.0)
     assert any(("late (1σ" if lag_s else "no lag of the maps shows") in m for m in report.messages)
+
+
+def test_the_earths_rate_and_the_tables_axis_may_be_given_with_the_log() -> None:
+    spec = spec_of()
+    log = simulate_log(spec, sample_rate_hz=20.0, seed=4).log
+    imu, along = as_imu(spec), np.radians(10.0) / 3600.0
+    log.rate_rad_per_s[:] += along
+    table = log.table_axes[0]
+    plain, known = (
+        estimate_units(imu, [log], options=Options(earth_rate=rate, table_axis=table))[0].calibration.values()
+        for rate in (None, along)
+    )
+    # What is known to turn has the scale factor's error, too.
+    assert plain["gyro_x.a0"] - known["gyro_x.a0"] == pytest.approx(along, rel=5e-3)
+    with pytest.raises(LogError, match="no table axis tilt"):
+        estimate_units(imu, [log], options=Options(table_axis="tilt"))
+    sideways = tables_of(imu)
+    sideways["rig"]["table"]["axis"][0]["direction"] = [1.0, 0.0, 0.0]
+    sideways["rig"]["table"]["mounting"] = [{"x": "+x", "y": "+y", "z": "+z"}]
+    with pytest.raises(ValueError, match="only axis that points up"):
+        estimate_units(unit_spec_of(sideways), [log], options=Options(earth_rate=along))

@@ -142,16 +142,21 @@ def _uneven(unevenness: float) -> tuple[float, ...]:
     return _terms(one=0.5, cos2=-0.5, sin4=-e / 4, sin6=e / 2, sin8=-e / 4)
 
 
-def shape_pieces(shape: str, *, unevenness: float = 0.0) -> list[tuple[str, float, tuple[float, ...]]]:
+def shape_pieces(
+    shape: str, *, unevenness: float = 0.0, stands: bool = False
+) -> list[tuple[str, float, tuple[float, ...]]]:
     """The smooth pieces of a shape for unit peak rate, as `(what, share, coefficients)`.
 
-    `what` is "ramp" (lasts the ramp time), "flat" (what the two ramps leave) or "share" (that share of the whole
-    duration). Errors: `ValueError` for an unknown shape.
+    `what` is "ramp" (lasts the ramp time), "flat" (what the two ramps leave), "turn" (likewise, of a rate that varies)
+    or "share" (that share of the whole duration). `stands`: a turn by hand that stands for the ramp time before and
+    after turning. Errors: `ValueError` for an unknown shape.
     """
     if shape == "cosine ramps":
         return [("ramp", 1.0, _COSINE_UP), ("flat", 1.0, CONSTANT), ("ramp", 1.0, _COSINE_DOWN)]
     if shape == "linear ramps":
         return [("ramp", 1.0, _LINEAR_UP), ("flat", 1.0, CONSTANT), ("ramp", 1.0, _LINEAR_DOWN)]
+    if shape == "hand" and stands:
+        return [("ramp", 1.0, _terms()), ("turn", 1.0, _uneven(unevenness)), ("ramp", 1.0, _terms())]
     if shape == "hand":
         return [("share", 1.0, _uneven(unevenness))]
     raise ValueError(f"unknown motion shape {shape!r}; known: {', '.join(SHAPES)}")
@@ -162,7 +167,7 @@ def turned_angle(shape: str, peak_rate: Array, duration: Array, ramp: Array = 0.
     if shape in RAMPED_SHAPES:
         return peak_rate * (duration - ramp)
     if shape == "hand":
-        return peak_rate * duration / 2.0
+        return peak_rate * (duration - 2.0 * ramp) / 2.0
     raise ValueError(f"unknown motion shape {shape!r}; known: {', '.join(SHAPES)}")
 
 

@@ -27,12 +27,14 @@ from gradcal_jax.api.contradictions import (
 )
 from gradcal_jax.api.estimate import common_axes, estimate_channels
 from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.estimated_calibration import residuals_of
 from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.log_rows import with_options
-from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM, UNIT_OF
+from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM
 from gradcal_jax.api.prediction import requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.standard_estimate import point_channel
+from gradcal_jax.api.structure_tests import MeasuredDiscrepancy, discrepancies, structure_in_words
 from gradcal_jax.api.systematic import (
     CountedPosteriors,
     EstimatedRun,
@@ -41,10 +43,9 @@ from gradcal_jax.api.systematic import (
     ramp_of_record,
     unseen_errors,
 )
-from gradcal_jax.api.tested_maps import tested_maps
 from gradcal_jax.api.unit_channel import UnitChannel
 from gradcal_jax.display import html, summary
-from gradcal_jax.estimation import Consistency, StructureTest, Test, contradictions, size_of
+from gradcal_jax.estimation import Consistency, Test, contradictions
 from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import (
     FORMAT,
@@ -56,7 +57,6 @@ from gradcal_jax.files.calibration import (
     Covariance,
     FitTest,
     Noise,
-    Residuals,
     UnseenError,
     build_term,
 )
@@ -75,20 +75,6 @@ _APART = 3.3
 
 
 CountedByChannel = Mapping[tuple[str, str], CountedPosteriors]
-
-
-class MeasuredDiscrepancy(NamedTuple):
-    """The discrepancy of one map and axis, from `units` units together: standard deviation (`unit`) of the coefficients
-    beyond the structure, with its 95 % interval (`high` None: unbounded). `block`: its table in a spec."""
-
-    quantity: str
-    axis: str
-    units: int
-    unit: str
-    standard_deviation: float
-    low: float
-    high: float | None
-    block: str
 
 
 class EstimateReport(NamedTuple):
@@ -152,7 +138,13 @@ def estimate_calibration(
     if log.temperature_c is not None:
         for name in units or log.units:
             refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
-    channels = estimate_channels(spec, log, axes=axes, units=units, options=options)
+    try:
+        channels = estimate_channels(spec, log, axes=axes, units=units, options=options)
+    except ValueError as error:
+        # What is missing may be what was left out.
+        if not (also := "".join(dict.fromkeys(of_unit.also for of_unit in faults.values()))):
+            raise
+        raise LogError(f"{error}{also}") from None
     report = _report(spec, log, channels, options, sources, [*([lacks] if lacks else []), *said], faults)
     whole = (c.model_copy(update={"lacks": lacks} if lacks else {}) for c in report.calibrations)
     return report._replace(calibrations=tuple(whole))
@@ -209,7 +201,8 @@ def _report(
         _calibration(spec, log, unit, own, budgets, verdicts[unit], options, sources or {})
         for unit, own in by_unit.items()
     )
-    measured = tuple(discrepancies(spec, channels))
+    tests = [(f"gyro_{c.axis}", test) for c in channels for test in c.structure]
+    measured = tuple(discrepancies(spec, tests))
     return EstimateReport(calibrations, tuple(channels), verdicts, messages, measured)
 
 
@@ -340,37 +333,6 @@ def noise_sentences(tests: Consistency, larger: bool, what: str) -> list[str]:
     ]
 
 
-def structure_in_words(test: StructureTest) -> str:
-    """A sentence on the degrees of a map that the data need."""
-    assert test.asked is not None
-    of_temperature, of_rate = test.asked
-    degree = f"degree {of_temperature} in temperature" + (f" and {of_rate} in rate" if test.quantity != BIAS else "")
-    return (
-        f"the {test.quantity.replace('_', ' ')} has more structure than the model (chance "
-        f"{test.test.probability:.1g}): the data ask for {degree}"
-    )
-
-
-def discrepancies(spec: Spec, channels: Sequence[UnitChannel]) -> list[MeasuredDiscrepancy]:
-    """The discrepancy of each map and axis, from all units together."""
-    rows: list[MeasuredDiscrepancy] = []
-    for axis in dict.fromkeys(c.axis for c in channels):
-        for quantity, of in tested_maps(spec).items():
-            tests = [t for c in channels if c.axis == axis for t in c.structure if t.quantity == quantity]
-            size = size_of([t.components for t in tests]) if tests else None
-            if size is None:
-                continue
-            unit, factor = UNIT_OF[quantity]
-            high = None if size.high is None else size.high * factor
-            degrees = f"temperature_degree = {of.temperature_degree}"
-            degrees += "" if quantity == BIAS else f", rate_degree = {of.rate_degree}"
-            std = f'standard_deviation = "{size.std * factor:.3g} {unit}"'
-            block = f"[sensor.{quantity}]\ndiscrepancy = {{ {std}, {degrees} }}"
-            stated = (size.std * factor, size.low * factor, high)
-            rows.append(MeasuredDiscrepancy(quantity, axis, len(tests), unit, *stated, block if size.std else ""))
-    return rows
-
-
 def _calibration(
     spec: Spec,
     log: Log,
@@ -429,13 +391,6 @@ def _estimator(options: Options, channel: UnitChannel) -> str:
     return "; ".join(parts)
 
 
-def _residuals(white: np.ndarray) -> Residuals:
-    """The histogram of whitened residuals (in standard deviations, in order of time), and their rms along the run."""
-    counts = np.histogram(white, np.concatenate([[-np.inf], np.arange(-4.0, 4.25, 0.5), [np.inf]]))[0]
-    tenths = np.array_split(white, 10) if len(white) >= 100 else []
-    return Residuals(counts=tuple(counts.tolist()), rms=tuple(float(np.sqrt(np.mean(part**2))) for part in tenths))
-
-
 class ChannelPart(NamedTuple):
     """What one channel's estimate adds to a calibration file, with the names of the file."""
 
@@ -478,7 +433,7 @@ def _channel(spec: Spec, channel: UnitChannel, budget: CountedPosteriors) -> Cha
             valid_temperature=(_shown(low, 1.0, "degC"), _shown(high, 1.0, "degC")),
             valid_rate=(_shown(slow, DEG_PER_S, "deg/s"), _shown(fast, DEG_PER_S, "deg/s")),
             term=tuple(terms),
-            residuals=_residuals(channel.estimate.residuals[0]),
+            residuals=residuals_of(channel.estimate.residuals[0]),
             **lag,
         ),
         Covariance(names=tuple(names[k] for k in seen), matrix=tuple(map(tuple, covariance.tolist()))),

@@ -4,18 +4,17 @@ The spec describes the sensor's noise, the table's readings and the maps; the ex
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from scipy import optimize
 
 from gradcal_jax import estimation
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.fitted_lag import fitted_lag
 from gradcal_jax.api.log_rows import Rows, count_rows, rows_of, temperature_followed, with_options
 from gradcal_jax.api.standard_estimate import standard_channel
 from gradcal_jax.api.tested_maps import hidden_maps
-from gradcal_jax.api.unit_channel import LONGEST_LAG_S, Recorded, UnitChannel, finished_channel, integrated_rows, within
+from gradcal_jax.api.unit_channel import Recorded, UnitChannel, finished_channel, integrated_rows, within
 from gradcal_jax.estimation import Estimate, Observations, Whitened
 from gradcal_jax.files import Spec
 from gradcal_jax.files.log import Log, LogError
@@ -153,7 +152,15 @@ def _gradient_channels(
             parameters = estimate.parameters
         return observations, white, estimate, moved  # pyright: ignore[reportPossiblyUnboundVariable]
 
-    lag, lag_std = _fitted_lag(settle) if options.lag == "fit" else (float(options.lag), None)
+    last: list[np.ndarray | None] = [None]
+
+    def chi_squared(lag: float) -> float:
+        """Of all units together."""
+        minimum = settle(lag, last[0])[2]
+        last[0] = minimum.parameters
+        return float(minimum.chi_squared.sum())
+
+    lag, lag_std = fitted_lag(chi_squared) if options.lag == "fit" else (float(options.lag), None)
     observations, white, settled, moved = settle(lag)
     if moved >= _SETTLED:
         messages.append(
@@ -193,28 +200,3 @@ def _moved(estimate: Estimate, before: np.ndarray, model: SensorModel) -> float:
         seen = np.isfinite(std) & (std > 0.0)
         largest = max(largest, float(np.max(change[seen] / std[seen], initial=0.0)))
     return largest
-
-
-def _fitted_lag(settle) -> tuple[float, float]:
-    """The lag that minimises χ² of all units together, and its standard deviation (from the curvature of χ²)."""
-    known: dict[float, float] = {}
-    last: list[np.ndarray | None] = [None]
-
-    def chi_squared(lag: float) -> float:
-        if lag not in known:
-            _, _, minimum, _ = settle(lag, last[0])
-            last[0] = minimum.parameters
-            known[lag] = float(minimum.chi_squared.sum())
-        return known[lag]
-
-    grid = [0.0, *np.geomspace(5.0, LONGEST_LAG_S, 12)]
-    values = [chi_squared(lag) for lag in grid]
-    best = int(np.argmin(values))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    minimum: Any = optimize.minimize_scalar(chi_squared, bounds=(low, high), method="bounded", options={"xatol": 0.05})
-    lag = float(minimum.x) if minimum.fun < values[best] else grid[best]
-    # Three different lags, also where the minimum is at zero.
-    width = max(0.05 * lag, 1.0)
-    around = max(lag - width, 0.0) + width * np.arange(3.0)
-    bend = np.polyfit(around, [chi_squared(x) for x in around], 2)[0]
-    return lag, float(1.0 / np.sqrt(bend)) if bend > 0.0 else float("inf")

@@ -25,7 +25,7 @@ from gradcal_jax.api.posterior_of_plan import (
 )
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.systematic import CountedPosteriors, budget_of_plan, budget_of_unit, shares_of_variance
-from gradcal_jax.api.tested_maps import noticing
+from gradcal_jax.api.tested_maps import noticing, noticing_of_imu
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.api.unit_sentences import unit_warnings
@@ -50,18 +50,24 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
     `limits`: also the error sources that limit each requirement, and its range where noise figures are `uncertain`.
-    `notices`: also which hidden structure of the maps the plan would notice. `outlook`: also the chance that a unit
-    meets a target. The covariance is the exact one of generalised least squares under the spec's noise
-    (`gradcal_jax.information`); verdicts and risks also count every term that the spec omits, at its class's typical
-    figure. What cannot be observed is None, with a warning. Errors: none; `read_spec` has validated the spec.
+    `notices`: also which hidden structure of the maps the plan would notice. `outlook`: also the chance that an axis
+    meets a target, and the risks of a second run that checks it. The covariance is the exact one of generalised least
+    squares under the spec's noise (`gradcal_jax.information`); verdicts and risks also count every term that the spec
+    omits, at its class's typical figure. What cannot be observed is None, with a warning. Errors: none; `read_spec` has
+    validated the spec.
     """
     absent = absent_terms(spec if isinstance(spec, UnitSpec) else expect_spec(spec))
     omitted = tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent)
     if isinstance(spec, UnitSpec):
         unit = assemble_unit(spec)
         after = posterior_of_unit(unit)
+        rows = _unit_rows(unit, after)
+        if outlook:
+            pairs = zip(spec.requirement, rows, strict=True)
+            rows = [row.model_copy(update=_checked(requirement, row)) for requirement, row in pairs]
         return Prediction(
-            requirements=tuple(_between(_unit_rows(unit, after), extremes(spec) if limits else [])),
+            requirements=tuple(_between(rows, extremes(spec) if limits else [])),
+            notices=noticing_of_imu(unit) if notices else (),
             warnings=tuple(unit_warnings(unit, after)),
             omitted=omitted,
             **_of_plan(spec, unit.model, {"unit": after}),
@@ -291,13 +297,22 @@ def _risks(budget: CountedPosteriors, requirement: Requirement, row: Requirement
     places = contrasts_of(model, requirement, requirement.statistic, (temperatures, rates))
     shape, target = (len(temperatures), len(rates)), float(requirement.target or 0.0)
     chances = chance_of_keeping(known, model, places, shape, requirement.statistic, target)
+    return _checked(requirement, row) | (
+        {} if chances is None else dict(zip(("chance", "chance_everywhere"), chances, strict=True))
+    )
+
+
+def _checked(requirement: Requirement | UnitRequirement, row: RequirementRow) -> dict[str, Any]:
+    """The risks of a second run that checks the first one: as uncertain as that and independent of it."""
+    if row.target is None or not row.worst:
+        return {}
     acceptance: float | None = row.target
     if requirement.risk is not None:
         acceptance = acceptance_limit(row.worst, row.target, float(requirement.risk))
     if acceptance is None:
-        check = CheckRow(accepted=0.0, false_accept=0.0, false_reject=1.0 - specific_risk(0.0, row.worst, row.target))
-    else:
-        check = CheckRow(**global_risks(row.worst, row.worst, row.target, acceptance)._asdict())
-    return {"check": check} | (
-        {} if chances is None else dict(zip(("chance", "chance_everywhere"), chances, strict=True))
-    )
+        return {
+            "check": CheckRow(
+                accepted=0.0, false_accept=0.0, false_reject=1.0 - specific_risk(0.0, row.worst, row.target)
+            )
+        }
+    return {"check": CheckRow(**global_risks(row.worst, row.worst, row.target, acceptance)._asdict())}

@@ -1,5 +1,6 @@
 """Tests for hidden structure of a map, by polynomials of higher degree, and the power of these tests."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
@@ -7,11 +8,12 @@ import numpy as np
 
 from gradcal_jax.api.build import Assembled, basis
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
+from gradcal_jax.api.unit_build import AssembledUnit
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.contracts import NoticeRow
-from gradcal_jax.files.moves import Axis
-from gradcal_jax.files.sensor import ScaleFactor
+from gradcal_jax.files.sensor import GyroTriad, ScaleFactor, Sensor
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import (
     SquareRootInformation,
     gains_of_shares,
@@ -20,9 +22,20 @@ from gradcal_jax.information import (
     noticed_from,
     power,
     square_root,
+    unit_information,
     where_hidden,
 )
-from gradcal_jax.model import BIAS, DISCREPANCY, SCALE_FACTOR, Discrepancy, SensorModel, make_map
+from gradcal_jax.model import (
+    AXIS_NAMES,
+    BIAS,
+    DISCREPANCY,
+    SCALE_FACTOR,
+    Discrepancy,
+    SensorModel,
+    UnitModel,
+    make_map,
+)
+from gradcal_jax.trajectory import body_nodes
 
 FALSE_ALARM = 0.01
 """Level of the test where the spec's [design] has no other."""
@@ -45,10 +58,13 @@ class TestedMap(NamedTuple):
     __test__ = False
 
 
-def tested_maps(spec: Spec) -> dict[str, TestedMap]:
+def tested_maps(spec: Spec | UnitSpec) -> dict[str, TestedMap]:
     """The test of every polynomial map, by quantity, with degrees and size of its discrepancy or `notice`."""
     maps: dict[str, TestedMap] = {}
-    bias, scale = spec.sensor.bias, spec.sensor.scale_factor
+    gyro = _gyro(spec)
+    if gyro is None:
+        return maps
+    bias, scale = gyro.bias, gyro.scale_factor
     if bias is not None and isinstance(bias.temperature, TemperaturePolynomial):
         of = bias.discrepancy
         degree = bias.temperature.degree + _MORE if of is None else of.temperature_degree
@@ -57,7 +73,8 @@ def tested_maps(spec: Spec) -> dict[str, TestedMap]:
         return maps
     if not isinstance(scale.rate, RatePolynomial):
         return maps
-    of, notice = scale.discrepancy, None if spec.design is None else spec.design.notice
+    of = scale.discrepancy
+    notice = spec.design.notice if isinstance(spec, Spec) and spec.design is not None else None
     degrees = [scale.temperature.degree + _MORE, scale.rate.degree + _MORE]
     if of is not None:
         degrees = [of.temperature_degree, of.rate_degree]
@@ -74,7 +91,11 @@ def tested_maps(spec: Spec) -> dict[str, TestedMap]:
     return maps
 
 
-def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
+def _gyro(spec: Spec | UnitSpec) -> Sensor | GyroTriad | None:
+    return spec.sensor if isinstance(spec, Spec) else spec.sensor.gyro
+
+
+def with_hidden(spec: Spec | UnitSpec, model: SensorModel, quantity: str) -> SensorModel:
     """The model with the hidden map of a quantity as its last term, where it has no discrepancy of its own.
 
     No criterion includes that term: it is only tested for.
@@ -82,7 +103,9 @@ def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
     if where_hidden(model, quantity) is not None:
         return model
     of = tested_maps(spec)[quantity]
-    section = spec.sensor.bias if quantity == BIAS else spec.sensor.scale_factor
+    gyro = _gyro(spec)
+    assert gyro is not None
+    section = gyro.bias if quantity == BIAS else gyro.scale_factor
     assert section is not None
     beyond = make_map(
         basis(section.temperature),
@@ -93,7 +116,7 @@ def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
     return eqx.tree_at(lambda m: m.terms, model, (*model.terms, beyond))
 
 
-def hidden_maps(spec: Spec, model: SensorModel) -> list[tuple[Discrepancy, float]]:
+def hidden_maps(spec: Spec | UnitSpec, model: SensorModel) -> list[tuple[Discrepancy, float]]:
     """The hidden maps that a log of the spec's sensor is tested for, with the false-alarm level of each test."""
     maps = [(where_hidden(with_hidden(spec, model, name), name), of) for name, of in tested_maps(spec).items()]
     return [(hidden[0], of.false_alarm) for hidden, of in maps if hidden is not None]
@@ -136,12 +159,49 @@ def _without(info: SquareRootInformation, model: SensorModel, others: list[str],
     return term, slice(begin, begin + term.size), square_root(rows)
 
 
-def _row(quantity: str, axis: Axis, of: TestedMap, gain: np.ndarray) -> NoticeRow:
+def noticing_of_imu(unit: AssembledUnit) -> tuple[NoticeRow, ...]:
+    """As `noticing`, for each gyro of an IMU."""
+    tested, spec = tested_maps(unit.spec), unit.spec
+    gyros = [c for c in unit.model.channels if c.kind == "gyro"]
+    if not tested or not gyros:
+        return ()
+    channels, added = list(unit.model.channels), list[tuple[int, str]]()
+    for number, channel in enumerate(channels):
+        of = channel.model
+        for quantity in tested if channel.kind == "gyro" else ():
+            if where_hidden(of, quantity) is None:
+                added.append((channel.axis, quantity))
+            of = with_hidden(spec, of, quantity)
+            place = next(k for k, t in enumerate(of.terms) if t.name == DISCREPANCY.format(quantity))
+            of = eqx.tree_at(lambda m, k=place: m.terms[k].std, of, np.asarray(NOTIONAL[quantity]))
+        channels[number] = replace(channel, model=of)
+    model = UnitModel(tuple(channels), unit.model.installation, unit.model.encoder)
+    built = unit._replace(model=model)
+    motions = [(motion, body_nodes(motion, built.points)) for motion in (*built.past, built.motion)]
+    info = unit_information(motions, model)
+    where = lambda axis, quantity: model.where("gyro", axis, DISCREPANCY.format(quantity))  # noqa: E731
+    rows: list[NoticeRow] = []
+    for channel in gyros:
+        for quantity, of in tested.items():
+            keep = np.ones(model.size, bool)
+            for axis, other in added:
+                if (axis, other) != (channel.axis, quantity):
+                    keep[where(axis, other)] = False
+            own = where(channel.axis, quantity)
+            begin = int(keep[: own.start].sum())
+            believed = square_root((info.factor * info.scale[None, :])[:, keep])
+            shares = kept(believed, slice(begin, begin + own.stop - own.start), np.asarray(NOTIONAL[quantity]))
+            gains = gains_of_shares(np.asarray(shares), NOTIONAL[quantity])
+            rows.append(_row(quantity, AXIS_NAMES[channel.axis], of, gains))
+    return tuple(rows)
+
+
+def _row(quantity: str, axis: str, of: TestedMap, gain: np.ndarray) -> NoticeRow:
     unit, factor = UNIT_OF[quantity]
     least = noticed_from(gain, of.power, of.false_alarm)
     return NoticeRow(
         quantity=cast("Any", quantity),
-        axis=axis,
+        axis=cast("Any", axis),
         temperature_degree=of.temperature_degree,
         rate_degree=None if quantity == BIAS else of.rate_degree,
         unit=cast("Any", unit),

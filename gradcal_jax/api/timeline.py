@@ -381,6 +381,7 @@ def _shape_row(move: Move | ResolvedMove, angle: float) -> dict[str, Any]:
         row["ramp"] = float(move.ramp)
     elif move.shape == "hand":
         row["unevenness"] = float(move.unevenness)
+        row |= {"ramp": float(move.ramp)} if move.ramp else {}
     return row
 
 

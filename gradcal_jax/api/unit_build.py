@@ -373,13 +373,13 @@ def _schedule(
     longest = np.inf if gyro is None else longest_piece(gyro)
 
     def move(of: ResolvedMove) -> trajectory.Move:
-        # A rest that does not say when it is read is read as the table is.
-        plain = of.is_rest and of.read_every is None and of.read_end
-        return move_of(replace(of, axis="x", read_every=every if plain else of.read_every), None, longest)
+        spacing = every if of.reads_as_table else of.read_every
+        return move_of(replace(of, axis="x", read_every=spacing), None, longest)
 
     steps, after = ([s for s in part for _ in range(s.move.repeat)] for part in (plan.steps, plan.after))
     moves = (tuple(move(s.move) for s in part) for part in (steps, after))
-    left = None if every is None or np.isinf(every) else every
+    # What no cycle fills is read once at its end, but by an operator, who types angles after turns only.
+    left = None if every is None or (np.isinf(every) and table.drive == "motor") else every
     schedule = trajectory.gradient_plan(course, *moves, used=used, read_every=left)
     return schedule, [s.axis for s in (*steps, *after)], np.array(plan.start)
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from gradcal_jax import estimation
 from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.fitted_lag import LONGEST_LAG_S
 from gradcal_jax.api.log_rows import Rows, temperature_followed
 from gradcal_jax.display import summary
 from gradcal_jax.estimation import Estimate, Observations, Smoothness, StructureTest, Whitened
 from gradcal_jax.information import noise_steps
 from gradcal_jax.model import SCALE_FACTOR, Discrepancy, SensorModel
 
-LONGEST_LAG_S = 1800.0
 # Steps to which the ranges of a calibration are rounded, outwards.
 _TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
 

@@ -26,7 +26,8 @@ from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns as table
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.calibration import EstimateReport, MeasuredDiscrepancy
+    from gradcal_jax.api.calibration import EstimateReport
+    from gradcal_jax.api.structure_tests import MeasuredDiscrepancy
     from gradcal_jax.api.unit_channel import UnitChannel
     from gradcal_jax.files import Spec
     from gradcal_jax.files.calibration import UnseenError
@@ -159,6 +160,11 @@ def estimate(
         reports = estimate_units(model, logs, units=unit, options=Options(**options, robust=robust), sources=sources)
         descriptions = [described(one, str(path)) for one, path in zip(logs, paths, strict=True)]
         status = say_units(reports, descriptions, text_of_estimate, unit_estimate_rows, files, json=json)
+        if not json and robust is False:
+            from gradcal_jax.api.structure_tests import discrepancies
+
+            measured = discrepancies(model, (test for report in reports for test in report.structure))
+            print("\n".join(line for row in measured if row.low > 0.0 for line in _discrepancy(row)))
         save_figure(lambda plots: plots.unit_calibration.draw_unit_estimate(reports[0]), plot, quiet=json)
         return status
     if more:

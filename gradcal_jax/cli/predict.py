@@ -49,12 +49,9 @@ def predict(
     from gradcal_jax import api
 
     rows, tests, limits = (), {}, not json or bool(specification.sensor.uncertain_figures())
-    if isinstance(specification, UnitSpec):
-        prediction = api.predict(specification, limits=limits)
-    else:
-        prediction = api.predict(specification, limits=limits, notices=True, outlook=True)
-        if monte_carlo is not None:
-            rows, tests = api.monte_carlo(specification, monte_carlo, seed)
+    prediction = api.predict(specification, limits=limits, notices=True, outlook=True)
+    if monte_carlo is not None and not isinstance(specification, UnitSpec):
+        rows, tests = api.monte_carlo(specification, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
         simulated["covariance"] = {

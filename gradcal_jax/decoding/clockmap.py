@@ -6,9 +6,10 @@ so the line is fitted to the quickest: the quickest of each of many stretches of
 the line as they are. Calibration needs the rate (a sensor's clock is a scale factor); the offset includes the latency
 of the quickest arrivals.
 
-The scatter of many stamps averages out, their resolution does not: if both ends of a line are known to the resolution,
-the rate is uncertain by resolution over span, however small the scatter (which is only rounding in virtual time, where
-bytes take no time).
+The scatter of many stamps does not average out: how long the quickest arrivals take changes with what else the computer
+does, for minutes, so that either end of the line may be late by as much as the arrivals along it differ. Nor does the
+resolution of the stamps: the rate is uncertain by both over the span, however many arrivals there are (in virtual time,
+where bytes take no time, both are only rounding).
 """
 
 import math
@@ -121,13 +122,10 @@ def fit_arrivals(device: Column, host: Column, *, resolution_s: float = 0.0) -> 
             used, squares = used + len(x), squares + float((residual**2).sum())
             largest = max(largest, float(np.max(np.abs(residual))))
             low, high = min(low, float(x.min())), max(high, float(x.max()))
-    centre = sum(float(x.sum()) for x, _ in kept()) / used
-    lever = math.sqrt(sum(float(np.sum((x - centre) ** 2)) for x, _ in kept()))
-    rms = math.sqrt(squares / used)
-    # An error anywhere within a step of the grid, at either end: √2 · resolution / √12.
-    grid = resolution_s / math.sqrt(6.0) / (high - low)
-    rate_std = max(math.hypot(rms / lever, grid), unknown)
-    return ClockMap(offset - rate * middle, rate, rate_std, rms, largest, used, count - used)
+    # Errors at both ends, each anywhere within the residuals (± a/√3) and within a step of the grid (resolution / √12).
+    ends = math.hypot(largest / math.sqrt(3.0), resolution_s / math.sqrt(12.0))
+    rate_std = max(math.sqrt(2.0) * ends / (high - low), unknown)
+    return ClockMap(offset - rate * middle, rate, rate_std, math.sqrt(squares / used), largest, used, count - used)
 
 
 def _increasing(column: Column) -> bool:

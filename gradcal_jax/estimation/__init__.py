@@ -14,7 +14,8 @@ from gradcal_jax.estimation.diagnosis import diagnosis as diagnosis
 from gradcal_jax.estimation.executed import Executed, column_readings, executed, standing_with
 from gradcal_jax.estimation.neighbours import Group, closest_neighbours, like_rates, moves_between_rests
 from gradcal_jax.estimation.planned_moves import PlannedMove
-from gradcal_jax.estimation.plateaus import plateaus
+from gradcal_jax.estimation.plateaus import Plateaus, plateaus
+from gradcal_jax.estimation.read_motion import motion_at_points, motion_by_readings
 from gradcal_jax.estimation.robust import HUBER, estimate_robustly
 from gradcal_jax.estimation.samples import integrated_error, sample_nodes, true_rate
 from gradcal_jax.estimation.settling import settling as settling
@@ -24,4 +25,10 @@ from gradcal_jax.estimation.standstill import find_standstills
 from gradcal_jax.estimation.structure import StructureTest, chi_squared, components, size_of, structure_test
 from gradcal_jax.estimation.temperature import smoothed_temperature
 from gradcal_jax.estimation.unit_executed import ExecutedUnit, UnitRows, executed_unit
-from gradcal_jax.estimation.unit_solve import UnitEstimate, UnitReadings, estimate_unit, readings_of
+from gradcal_jax.estimation.unit_solve import (
+    UnitEstimate,
+    UnitReadings,
+    estimate_unit,
+    estimate_unweighted,
+    readings_of,
+)

@@ -102,11 +102,14 @@ def column_readings(
     first and the last, and between them those `read_every` s apart.
 
     A value equal to that of the row before was not polled again and is no reading, but one that stays for more than
-    three times `read_every` is read at its last row, too. Errors: `ValueError` where `read_every` is not positive.
+    three times `read_every` is read at its last row, too. An angle that never changes in the whole log says that the
+    table stands, and shows no polls. Errors: `ValueError` where `read_every` is not positive.
     """
     if not read_every > 0.0:
         raise ValueError(f"the spacing of readings must be positive, not {read_every}")
     result = np.zeros(len(time_s), bool)
+    if angle_rad is not None and np.all(angle_rad[standing] == angle_rad[standing][:1]):
+        angle_rad = None
     for first, end in runs(standing).tolist():
         time = time_s[first:end]
         polled = np.ones(end - first, bool)

@@ -23,7 +23,7 @@ from gradcal_jax.model import BodyGroup, BodyNodes
 from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, held, lagrange, quadrature
 
 # A rest is one row of each channel, as in a plan, but its temperature is followed in pieces of this duration.
-_PIECE_S = 60.0
+PIECE_S = 60.0
 # Time after and before, over which dT/dt is measured, s.
 _AROUND_S = 30.0
 # Equal parts of a piece of rest in which functions of temperature with jumps are summed.
@@ -43,14 +43,15 @@ _FOLLOWS, _BIAS = 0.05, np.radians(3.0)
 _NODE = np.radians(3.0)
 _FEWEST_NODES = 16
 # Least share of an axis's rate along the gyros at which it is observable.
-_SEEN = 0.3
+SEEN = 0.3
 
 
 class UnitRows(NamedTuple):
     """One unit's rows of a log, `(n,)` unless stated. `rates` `(n, 3)` rad/s and `force` `(n, 3)` m/s² along the body's
     axes, NaN for missing ones; `angles` `(n, L)` rad of the table's axes, NaN where not read; `standing`: all of them
     stand; `usable`: the row may be integrated; `mounting`: its number; `at_a_stop`: the row's angles are readings of
-    axes that stand there, if only for an instant.
+    axes that stand there, if only for an instant. `worth`: the readings of the spec's noise that a row's are worth
+    (None: one); `table_rate`: the rate held by the table's only axis, rad/s.
     """
 
     time_s: np.ndarray
@@ -62,6 +63,8 @@ class UnitRows(NamedTuple):
     usable: np.ndarray
     mounting: np.ndarray
     at_a_stop: np.ndarray
+    worth: np.ndarray | None = None
+    table_rate: np.ndarray | None = None
 
 
 class ExecutedUnit(NamedTuple):
@@ -77,7 +80,7 @@ class ExecutedUnit(NamedTuple):
 def executed_unit(
     log: UnitRows,
     geometry: Geometry,
-    read_every: float = _PIECE_S,
+    read_every: float = PIECE_S,
     planned: Sequence[Sequence[PlannedMove]] = (),
 ) -> ExecutedUnit:
     """The motion in a log's rows. `read_every` s: the spacing of readings of a table that is read while it stands;
@@ -91,7 +94,7 @@ def executed_unit(
     spans = stands if log.at_a_stop.any() else [_inner(log.time_s, *stand) for stand in stands]
     if len(spans) < 2:
         raise ValueError("the table stands still less than twice in the log, so there is no pose to compare")
-    if read_every < _PIECE_S and log.at_a_stop.any():
+    if read_every < PIECE_S and log.at_a_stop.any():
         # Every reading is a reference: a standstill is that from its first to its last.
         read = [np.flatnonzero(log.at_a_stop[a : b + 1]) + a for a, b in stands]
         spans = [(int(rows[0]), int(rows[-1])) for rows in read if len(rows)]
@@ -265,7 +268,7 @@ def _which(
 ) -> tuple[int, float]:
     """Axis (and angle, rad) along which the gyros' integral points; of several the one with the angle `left`."""
     axes = frames(geometry, at[None], np.array([mounting])).axes[0][:, seen]
-    angle = (axes @ total) / np.maximum(np.sum(axes**2, axis=1), _SEEN**2)
+    angle = (axes @ total) / np.maximum(np.sum(axes**2, axis=1), SEEN**2)
     missed = np.linalg.norm(total[None] - angle[:, None] * axes, axis=1)
     along = missed <= np.min(missed) + _FOLLOWS * np.linalg.norm(total)
     best = int(np.argmin(np.where(along, np.abs(angle - left), np.inf)))
@@ -367,24 +370,28 @@ def _way(log: UnitRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: fl
     """The angle (rad) of a move by the gyros, adjusted to the encoder's, at the edges of equal parts of its time."""
     time = time_s[leg.begin : leg.end + 1]
     if leg.timed is not None:
-        count = _FEWEST_NODES
-        while count * _NODE < abs(whole):
-            count *= 2
+        count = nodes_of_way(abs(whole))
         share = leg.timed.share(np.linspace(time[0], time[-1], count + 1))
         return whole * (share - share[0]) / max(share[-1] - share[0], 1e-12)
     direction = frames(geometry, at[None], log.mounting[[leg.begin]]).axes[0][leg.axis]
     rates = log.rates[leg.begin + 1 : leg.end + 1]
     direction = np.where(np.isfinite(rates).all(axis=0), direction, 0.0)
     size = float(direction @ direction)
-    speed = np.nan_to_num(rates) @ direction / size if size > _SEEN**2 else np.full(len(rates), whole)
+    speed = np.nan_to_num(rates) @ direction / size if size > SEEN**2 else np.full(len(rates), whole)
     turned = np.concatenate([[0.0], np.cumsum(speed * np.diff(time))])
     path = np.concatenate([[0.0], np.cumsum(np.abs(speed) * np.diff(time))])
     if path[-1] > 0.0:
         turned = turned + (whole - turned[-1]) * path / path[-1]
-    count = _FEWEST_NODES
-    while count * _NODE < path[-1]:
-        count *= 2
+    count = nodes_of_way(path[-1])
     return np.interp(np.linspace(time[0], time[-1], count + 1), time, turned)
+
+
+def nodes_of_way(path: float) -> int:
+    """The number of nodes of a move over a path (rad)."""
+    count = _FEWEST_NODES
+    while count * _NODE < path:
+        count *= 2
+    return count
 
 
 def across_stops(done: ExecutedUnit, log: UnitRows) -> np.ndarray:
@@ -419,7 +426,7 @@ def across_stops(done: ExecutedUnit, log: UnitRows) -> np.ndarray:
         mounting = done.motion.mounting[[k + 1]]
         axes = frames(done.motion.geometry, before[[k + 1]], mounting).axes[0][[axis[k], axis[k + 1]]] * seen
         both = turned[near - rows[k] - 1]
-        if not np.isfinite(both[:, seen]).all() or np.linalg.svd(axes, compute_uv=False)[-1] < _SEEN:
+        if not np.isfinite(both[:, seen]).all() or np.linalg.svd(axes, compute_uv=False)[-1] < SEEN:
             continue
         if late_s:
             # A row of a slow log holds degrees: each move is along the direction in which the gyros sense it, not along

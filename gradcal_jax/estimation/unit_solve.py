@@ -11,6 +11,7 @@ factor of about the installation's error: 1 mrad gains three digits a step.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -24,10 +25,12 @@ from gradcal_jax.information import (
     Posterior,
     SquareRootInformation,
     encoder_rows,
+    least_squares_of_means,
     posterior,
     row_of_steps,
     segments_of,
     unit_system,
+    unweighted_of_unit,
     whiten,
 )
 from gradcal_jax.information.posterior import OBSERVABLE
@@ -39,6 +42,7 @@ from gradcal_jax.model import (
     CommonScale,
     MountingError,
     NonOrthogonality,
+    Term,
     UnitModel,
 )
 from gradcal_jax.trajectory import Geometry, rotation
@@ -148,6 +152,20 @@ class UnitReadings(NamedTuple):
         row = row_of_steps(self.done.motion, self.model)
         return np.where(row >= 0, values[row], np.zeros((), values.dtype))
 
+    def whitened_term(self, channel: int, term: Term) -> np.ndarray:
+        """The whitened columns `(n, k)` of a term, of the rows used, if the channel of this number had it."""
+        steps, _ = self.linear(None)
+        nodes, at = self.nominal(), segments_of(self.done.motion, self.model)
+        of = self.model.channels[channel]
+        alone = eqx.tree_at(lambda m: m.terms, of.model, (term,))
+        (columns,) = UnitModel((replace(of, model=alone),), (), self.model.encoder).own_columns(nodes)
+        rows = np.zeros((len(at.row_segment), term.size))
+        own = at.row_channel == channel
+        rows[own] = at.sums(np.asarray(columns))[at.row_segment[own]]
+        row = row_of_steps(self.done.motion, self.model)
+        white = np.asarray(whiten(steps, np.where((row >= 0)[:, None], rows[row], 0.0)))
+        return white[self.by_steps(np.asarray(at.used))]
+
     def nominal(self) -> BodyNodes:
         """The nodes of the nominal table."""
         return self._nodes(self.done.motion.geometry)
@@ -203,7 +221,7 @@ def readings_of(
         rows = at.row_channel == i
         observed[rows] = whole[at.row_segment[rows]]
     readings = UnitReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), felt)
-    if model.encoder.held:
+    if model.encoder.held or done.motion.line.rates:
         return readings
     # The motion is that of the mean angles; the reference is each reading.
     before, after = done.motion.angles()
@@ -231,7 +249,8 @@ def _angles_read(log: UnitRows, rows: np.ndarray, moved: np.ndarray) -> np.ndarr
 class UnitEstimate(NamedTuple):
     """One unit's `estimate` (`U` = 1), and its `white` rows, linearised about it, for those of the `R` rows that are
     `used`. `taken`: the same rows of an orthonormal basis of the fitted columns. `moved`: size of the last of the
-    `rounds`, in standard deviations. `weights`: of the rows used, 1 for full weight.
+    `rounds`, in standard deviations. `weights`: of the rows used, 1 for full weight; `channel`: of each of
+    them, its number.
     """
 
     estimate: Estimate
@@ -241,11 +260,16 @@ class UnitEstimate(NamedTuple):
     moved: float
     rounds: int
     weights: np.ndarray
+    channel: np.ndarray
 
     @property
     def parameters(self) -> np.ndarray:
         """`(p,)`, in the engine's coordinates."""
         return self.estimate.parameters[0]
+
+    def residuals_of(self, channel: int) -> np.ndarray:
+        """The whitened residuals of one channel's rows, in standard deviations."""
+        return self.estimate.residuals[0][self.channel == channel]
 
     @property
     def known(self) -> Posterior:
@@ -276,6 +300,24 @@ def estimate_unit(
     kept = readings.by_steps(used)
     estimate, weights = reweighted(steps, kept, estimate, lambda e: e.estimate.residuals[0], again, threshold, _ROUNDS)
     return estimate._replace(weights=weights)
+
+
+def estimate_unweighted(readings: UnitReadings) -> UnitEstimate:
+    """Parameters by ordinary least squares on the mean errors of the points of a standard plan, without priors and
+    weights; the installation's errors are taken as zero, and count in the covariance."""
+    motion, model = readings.done.motion, readings.model
+    at, weighted = segments_of(motion, model), estimate_unit(readings)
+    steps, columns = readings.linear(None)
+    row, own = row_of_steps(motion, model), model.calibrated
+    duration = at.sums(motion.line.duration)[at.row_segment[np.maximum(row, 0)]]
+    estimator = least_squares_of_means(columns[:, :own], np.asarray(steps.used), duration)
+    nothing = np.zeros(model.size)
+    apart = readings.by_steps(np.where(at.used, readings.observed - readings.expected(nothing), 0.0))
+    beta = np.append(estimator.back @ (estimator.weights.T @ apart), nothing[own:])
+    rest = weighted.white.data[0] - weighted.white.rows[0] @ beta
+    known = unweighted_of_unit(motion, model, readings.nominal())
+    fitted = weighted.estimate._replace(parameters=beta[None], known=(known,), residuals=rest[None])
+    return weighted._replace(estimate=fitted)
 
 
 def _solved(
@@ -312,4 +354,5 @@ def _solved(
     taken = orthogonal[: len(jacobian)] @ left[:, seen]
     estimate = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
     white = Whitened(jacobian[None], (rest + jacobian @ beta)[None], prior)
-    return UnitEstimate(estimate, white, used, taken, moved, rounds, np.ones(len(rest)))
+    channel = segments_of(readings.done.motion, model).row_channel[used]
+    return UnitEstimate(estimate, white, used, taken, moved, rounds, np.ones(len(rest)), channel)

@@ -7,9 +7,9 @@ from typing import Any, Final, cast
 
 from pydantic import TypeAdapter
 
-from gradcal_jax.files.moves import AXES, Axis, Move
+from gradcal_jax.files.moves import AXES, Axis, Move, ResolvedMove
 from gradcal_jax.files.problems import Problem, SpecError
-from gradcal_jax.files.quantity import PositiveAcceleration, Quantity
+from gradcal_jax.files.quantity import PositiveAcceleration, Quantity, SizeOfTime
 from gradcal_jax.formulas import EARTH_RATE
 
 Tables = dict[str, Any]
@@ -17,7 +17,7 @@ Tables = dict[str, Any]
 _OF_IMU: Final = (
     "name", "grade", "thermal_lag", "clock", "sample_clock_error", "temperature_offset", "temperature_lag",
 )  # fmt: skip
-_OF_TABLE: Final = ("drive", "rate_accuracy")
+_OF_TABLE: Final = ("drive", "answer_time", "rate_accuracy")
 # The body's axes on a table whose axis points up: the gyro's own is along it.
 _MOUNTINGS: Final[Mapping[str, Tables]] = {
     "x": {"x": "+z", "y": "+x", "z": "+y"},
@@ -44,7 +44,7 @@ def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables
     seen = axis or turned[0]
     sensor, rig = spec["sensor"], spec["rig"]
     table = dict(rig["table"])
-    plan, every = _plan(spec["plan"], seen, table)
+    plan, every = _plan(spec["plan"], seen, rig["table"])
     result: Tables = {key: spec[key] for key in ("format", "title") if key in spec}
     result["sensor"] = _sensor(sensor, seen)
     common = {key: table.pop(key) for key in _OF_TABLE if key in table}
@@ -58,7 +58,7 @@ def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables
     result["requirement"] = [_requirement(row, seen) for row in spec.get("requirement", ())]
     result["plan"] = plan
     if "done" in spec:
-        result["done"] = [part | {"plan": _plan(part["plan"], seen, table)[0]} for part in spec["done"]]
+        result["done"] = [part | {"plan": _plan(part["plan"], seen, rig["table"])[0]} for part in spec["done"]]
     return result
 
 
@@ -121,6 +121,8 @@ def _move(move: Tables, axis: Axis, of_others: Tables, table: Tables) -> Tables:
     if move.get("axis", AXES[0]) == axis:
         return plain
     limit = TypeAdapter(PositiveAcceleration).validate_python(table["max_acceleration"])
-    lasts = cast("Any", TypeAdapter(Move).validate_python(move)).resolve(float(limit)).duration
+    answer_time = TypeAdapter(SizeOfTime).validate_python(table.get("answer_time", "0 s"))
+    resolved: ResolvedMove = cast("Any", TypeAdapter(Move).validate_python(move)).resolve(float(limit))
+    lasts = resolved.answered(float(answer_time)).duration
     repeated = {"repeat": move["repeat"]} if "repeat" in move else {}
     return {"rest": Quantity.of(lasts, _SECONDS).text, **repeated, **of_others}

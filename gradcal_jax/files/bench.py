@@ -33,6 +33,8 @@ from gradcal_jax.files.quantity import (
 from gradcal_jax.files.rig import Name
 from gradcal_jax.files.section import Section
 
+NO_TIME: Final = Quantity(0.0, "0 s", "time")
+
 
 class Harmonic(Section):
     """Repeatable error of the encoder: the angle's error repeats with the angle."""
@@ -75,6 +77,8 @@ class Table(Section):
     """Standard deviation of the reference rate of the standard method, a ratio; absent: exact."""
     drive: Literal["motor", "hand"] = "motor"
     """Whether a motor or a hand turns it."""
+    answer_time: SizeOfTime = NO_TIME
+    """What an operator needs for each turn by hand beside its duration: half to read the request, half to answer."""
     mounting_accuracy: SizeOfAngle | None = None
     """Standard deviation of each of the two angles between the sensor's input axis and the table's axis: its cosine is
     an error of the scale factor."""
@@ -266,6 +270,8 @@ class UnitTable(Section):
     """"held": a standing axis is known not to turn; "read": its angle is what each reading says, every `read_every`."""
     drive: Literal["motor", "hand"] = "motor"
     """"hand": a gimbal that the operator turns."""
+    answer_time: SizeOfTime = NO_TIME
+    """What an operator needs for each turn by hand beside its duration: half to read the request, half to answer."""
     tilt: SizeOfAngle = NO_ANGLE
     """Standard deviation of the base's two tilts."""
     azimuth: SizeOfAngle = NO_ANGLE

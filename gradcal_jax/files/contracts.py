@@ -185,7 +185,7 @@ class SegmentRow(Section):
     angle: Finite = 0.0
     """Angle turned, signed (rad)."""
     ramp: Size | None = None
-    """Time from rest to the peak rate (s)."""
+    """Time from rest to the peak rate (s); of a turn by hand, how long it stands before and after turning."""
     unevenness: Size | None = None
     """Of a turn by hand, as a share of the rate."""
     temperature_start: Finite

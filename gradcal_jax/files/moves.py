@@ -7,6 +7,8 @@ Kinematics (D duration, A peak rate, r ramp time, θ angle):
     linear ramps    A(D − r)     A/r                   turn|turns, peak_rate, duration, ramp
     hand            AD/2         largest slope         turn|turns, duration, unevenness
 
+A turn by hand lasts longer by the table's `answer_time`, half of it before and half of it after turning.
+
 The keys must determine the motion; with two keys for a ramped shape the ramps are as short as the table's largest
 acceleration allows. More keys are allowed if they agree within 0.5 % (as rounded figures of a paper do); then angle and
 duration are exact. The sign of the motion is that of `turn`; where the angle follows from the other keys, that of
@@ -16,7 +18,7 @@ duration are exact. The sign of the motion is that of `turn`; where the angle fo
 import math
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import Field, model_validator
@@ -39,6 +41,7 @@ class ResolvedMove:
     `peak_rate` (rad/s, signed like `angle`) and the shape's parameters are those of
     `gradcal_jax.formulas.shape_pieces`.
     `fastest` and `peak_acceleration` are true maxima of the magnitude.
+    `ramp` of a turn by hand is how long it stands before and after turning.
     `low` and `high` bound the angle during the move, from its start. The move is made `repeat` times.
     A reading is taken at the end (`read_end`), or every `read_every` seconds from the start. `other_axes`: a rest
     during which the table is other axes'.
@@ -64,6 +67,17 @@ class ResolvedMove:
     def is_rest(self) -> bool:
         """Whether the axis stands still."""
         return self.shape == "rest"
+
+    def answered(self, answer_time: float) -> "ResolvedMove":
+        """Of a turn by hand the one with the operator's time (s) to read the request and to answer; else the move."""
+        if self.shape != "hand" or answer_time == 0.0:
+            return self
+        return replace(self, duration=self.duration + answer_time, ramp=0.5 * answer_time)
+
+    @property
+    def reads_as_table(self) -> bool:
+        """Whether it is a rest that does not say when it is read."""
+        return self.is_rest and self.read_every is None and self.read_end
 
     @property
     def words(self) -> str:

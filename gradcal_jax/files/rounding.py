@@ -8,7 +8,7 @@ so that rounding errors of poses do not add up, and every pose is replaced by it
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from typing import Any, Final, Generic, cast
@@ -17,7 +17,7 @@ from gradcal_jax import units
 from gradcal_jax.files.bench import Resolution
 from gradcal_jax.files.changes import AnySpec, any_spec_of, differences, tables_of
 from gradcal_jax.files.moves import ResolvedMove
-from gradcal_jax.files.plan import Cycle
+from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.problems import ABSENT, Problem, SpecError, dotted
 from gradcal_jax.files.quantity import (
     Angle,
@@ -28,11 +28,11 @@ from gradcal_jax.files.quantity import (
     Quantity,
     Time,
 )
-from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, resolve_cycle
+from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, Stretch
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.tracks import makeable_acceleration, trapezoid_acceleration
-from gradcal_jax.files.unit_plan import UnitSchedule
+from gradcal_jax.files.unit_plan import UnitSchedule, duration_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.formulas import repetitions
 
@@ -105,10 +105,13 @@ def rounded(spec: AnySpec, steps: ControllerSteps | None = None, *, keep_shapes:
     plan: Table = tables["plan"]
     result: Spec | UnitSpec
     if isinstance(spec, UnitSpec):
-        schedule = spec.plain_schedule
-        _temperatures(plan, rounder)
-        _unit_cycle(spec, schedule, plan["cycle"], rounder)
-        result = _keep_cycles(spec, tables, rounder)
+        if isinstance(spec.plan, StandardPlan):
+            result = _standard(tables, rounder)
+        else:
+            _temperatures(plan, rounder)
+            if spec.plan.cycle is not None:
+                _unit_cycle(spec, spec.executable_schedule, plan["cycle"], rounder)
+            result = _keep_cycles(spec, tables, rounder)
     elif isinstance(schedule := spec.schedule, GradientSchedule):
         _temperatures(plan, rounder)
         rounder.entries(plan, read_every="time")
@@ -116,13 +119,18 @@ def rounded(spec: AnySpec, steps: ControllerSteps | None = None, *, keep_shapes:
             _cycle(spec, plan["cycle"], schedule, schedule.cycle, rounder)
         result = _keep_cycles(spec, tables, rounder)
     else:
-        rounder.entries(plan, temperatures="temperature", soak="longer time", integration="time", rates="rate")
-        result = any_spec_of(tables)
+        result = _standard(tables, rounder)
     changes = (
         f"{dotted(key)}: {_shown(before)} -> {_shown(after)}"
         for key, before, after in differences(tables_of(spec)["plan"], tables_of(result)["plan"], ("plan",))
     )
     return Rounded(cast("AnySpec", result), tuple(changes), tuple(rounder.notes))
+
+
+def _standard(tables: Table, rounder: "_Rounder") -> Spec | UnitSpec:
+    kinds = {"temperatures": "temperature", "soak": "longer time", "integration": "time", "rates": "rate"}
+    rounder.entries(tables["plan"], **kinds)
+    return any_spec_of(tables)
 
 
 class _Rounder:
@@ -228,7 +236,8 @@ def _cycle(spec: Spec, cycle: Table, schedule: GradientSchedule, planned: Resolv
     cycle["moves"] = moves
     rounder.entries(cycle.get("other_axes", {}), duration="time", read_every="time")
     rounder.entries(cycle, duration="time")
-    _keep_period(cycle, spec, schedule, planned, rounder)
+    numbers = planned.moving, planned.duration, planned.idle, float(spec.rig.table.answer_time)
+    _keep_period(cycle, schedule.stretches, *numbers, rounder)
 
 
 def _unit_cycle(spec: UnitSpec, schedule: UnitSchedule, cycle: Table, rounder: _Rounder) -> None:
@@ -243,16 +252,21 @@ def _unit_cycle(spec: UnitSpec, schedule: UnitSchedule, cycle: Table, rounder: _
     for step in schedule.steps:
         move, k = step.move, step.axis
         if k < 0:
+            read = _reading_of(moves_of_file[step.source], rounder)
             again = {"repeat": move.repeat} if move.repeat > 1 else {}
-            moves.append({"rest": rounder.to("time", move.duration) if move.duration else "0 s"} | again)
+            moves.append({"rest": rounder.to("time", move.duration) if move.duration else "0 s"} | again | read)
             continue
         before[k] += move.repeat * move.angle
         kept = {"axis": axes[k].name} | ({"repeat": move.repeat} if move.repeat > 1 else {})
+        kept |= _reading_of(moves_of_file[step.source], rounder)
         fastest = min(float(axes[k].max_rate), usable)
         steepest = float(axes[k].max_acceleration)
         if move.shape == "hand":
             turns = _moves(dict(moves_of_file[step.source]), move, steepest, fastest, rounder)
-            moves += [{name: value for name, value in table.items() if name != "read"} for table in turns]
+            held = spec.rig.table.standing == "held"
+            moves += [
+                {name: value for name, value in table.items() if not (held and name == "read")} for table in turns
+            ]
             at[k] += move.repeat * move.angle
             continue
         shape = rounder.shape(move)
@@ -264,12 +278,18 @@ def _unit_cycle(spec: UnitSpec, schedule: UnitSchedule, cycle: Table, rounder: _
         moves.append(_turn(angle, move, shape, steepest, fastest, rounder) | kept)
         at[k] += move.repeat * units.parse(moves[-1]["turn"], "angle") if "turn" in moves[-1] else move.repeat * angle
     cycle["moves"] = moves
-    over = math.fsum(_duration(move) for move in moves) - schedule.period
-    longest = max((m for m in moves if "rest" in m and "repeat" not in m), key=_duration, default=None)
-    if longest is not None and over > 1e-9 * schedule.period:
-        left = _duration(longest) - over
-        if left >= 2.0 * float(rounder.steps.time):
-            longest["rest"] = rounder.to("time", left, ROUND_FLOOR)
+    answer_s = float(spec.rig.table.answer_time)
+    idle = duration_of(schedule.after) - units.parse(cycle.get("other_axes", {}).get("duration", "0 s"), "time")
+    rounder.entries(cycle.get("other_axes", {}), duration="time", read_every="time")
+    rounder.entries(cycle, duration="time")
+    _keep_period(cycle, schedule.stretches, duration_of(schedule.steps), schedule.period, idle, answer_s, rounder)
+
+
+def _reading_of(move: Table, rounder: _Rounder) -> Table:
+    """The keys of a rest or turn that say when it is read, as far as it has any."""
+    read = {key: move[key] for key in ("read", "read_every", "other_axes") if key in move}
+    rounder.entries(read, read_every="time")
+    return read
 
 
 def _duration(move: Table) -> float:
@@ -278,26 +298,34 @@ def _duration(move: Table) -> float:
 
 
 def _keep_period(
-    cycle: Table, spec: Spec, schedule: GradientSchedule, planned: ResolvedCycle, rounder: _Rounder
+    cycle: Table,
+    stretches: Sequence[Stretch],
+    own: float,
+    period: float,
+    idle: float,
+    answer_s: float,
+    rounder: _Rounder,
 ) -> None:
     """Shorten the longest standstill by the time that rounding added, so that as many repetitions fit as before, or
-    make it longer by the time that it took off the turns."""
-    own, period = planned.moving, planned.duration
+    make it longer by the time that it took off the turns. `own`, `period`, `idle`: of the planned cycle, the duration
+    of its moves, of all of it, and of what it idles, s; `answer_s`: the operator's time for each turn by hand."""
     rests = [(units.parse(move["rest"], "time"), move, "rest") for move in cycle["moves"] if "rest" in move]
+    answers = answer_s * sum(int(m.get("repeat", 1)) for m in cycle["moves"] if m.get("shape") == "hand")
+    moving, others = math.fsum([answers, *(_duration(move) for move in cycle["moves"])]), 0.0
     if "other_axes" in cycle:
         other = cycle["other_axes"]
-        rests.append((units.parse(other["duration"], "time"), other, "duration"))
-    resolved = resolve_cycle(Cycle.model_validate(cycle), spec.rig)
-    over = resolved.moving + resolved.other - period
-    if any(repetitions(s.duration, resolved.moving, period)[0] < s.cycles for s in schedule.stretches):
+        others = units.parse(other["duration"], "time")
+        rests.append((others, other, "duration"))
+    over = moving + others - period
+    if any(repetitions(s.duration, moving, period)[0] < s.cycles for s in stretches):
         # The moves themselves no longer fit at the end: the time of the other axes does not help.
         rests = [entry for entry in rests if entry[2] == "rest"]
-        over = max(over, resolved.moving - own)
+        over = max(over, moving - own)
     alone = [entry for entry in rests if entry[1].get("repeat", 1) == 1]
     if not alone:
         return
     longest, table, key = max(alone, key=lambda entry: entry[0])
-    moved = over > 0.0 or planned.idle == 0.0  # idle time makes up for shorter turns by itself
+    moved = over > 0.0 or idle == 0.0  # idle time makes up for shorter turns by itself
     if moved and abs(over) > 1e-9 * period and longest - over >= 2.0 * float(rounder.steps.time):
         table[key] = rounder.to("time", longest - over, ROUND_FLOOR)
 

@@ -59,7 +59,7 @@ class ResolvedCycle:
     """One cycle in SI: the moves one after the other, then the other axes' time, then idle standing (not read).
 
     `other_read_every` is None where the axis is not read while the others turn; `left_read_every`, of the rest of a
-    stretch that no cycle fills, where it is read at its end alone.
+    stretch that no cycle fills, where it is read at its end alone; infinite where it is not read.
     """
 
     moves: tuple[ResolvedMove, ...]
@@ -224,11 +224,13 @@ def resolve_cycle(cycle: Cycle, rig: Rig) -> ResolvedCycle:
     problems: list[Problem] = []
     for i, move in enumerate(cycle.moves):
         try:
-            moves.append(move.resolve(float(rig.table.max_acceleration)))
+            resolved = move.resolve(float(rig.table.max_acceleration))
+            moves.append(resolved.answered(float(rig.table.answer_time)))
         except SpecError as error:
             problems += [problem.under("cycle", "moves", i) for problem in error.problems]
     other, every = 0.0, None
-    spacings = [move.read_every for move in moves if move.is_rest and move.read_every is not None]
+    rests = [move for move in moves if move.is_rest]
+    spacings = [move.read_every for move in rests if move.read_every is not None]
     if cycle.other_axes is not None:
         other = float(cycle.other_axes.duration)
         if cycle.other_axes.read:
@@ -248,7 +250,9 @@ def resolve_cycle(cycle: Cycle, rig: Rig) -> ResolvedCycle:
             problems.append(Problem(("cycle", "duration"), message, cycle.duration.text))
         idle = max(0.0, idle)
     refuse(*problems)
-    left = every if every is not None else next(iter(spacings), None)
+    # An operator types an angle after each turn, and nothing while the axis stands.
+    typed = rig.table.drive == "hand" and all(move.read_every is None and not move.read_end for move in rests)
+    left = every if every is not None else next(iter(spacings), math.inf if typed else None)
     return ResolvedCycle(tuple(moves), moving, other, every, left, idle)
 
 

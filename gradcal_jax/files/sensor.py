@@ -243,8 +243,8 @@ def _gyro(value: object) -> object:
 
 
 HOST_CLOCK: Final = 1e-6
-"""Standard deviation, a ratio, of a sensor's clock that a run compares with the computer's. The comparison itself is
-good to 0.02 ppm after some minutes; the computer's own clock, kept by a time server, is good to about 1 ppm."""
+"""Standard deviation, a ratio, of a sensor's clock that a run compares with the computer's. The comparison itself,
+some 1 ms at either end, is good to 0.1 ppm over hours; the computer's own clock, kept by a time server, to 1 ppm."""
 
 
 class _Instrument(Section):

@@ -150,8 +150,10 @@ def tracks_of(
     """The two tracks of a spec's plan. `acceleration_step` of the table's controller, rad/s²; None: it makes any."""
     schedule = spec.schedule
     if isinstance(spec, UnitSpec):
-        segments = _course(spec.plain_schedule.segments)
-        blocks = _unit_blocks(spec.plain_schedule, spec.rig, segments)
+        if isinstance(spec.plan, StandardPlan):
+            return _standard(spec.plan, spec.rig.table.axis[0].name)
+        segments = _course(spec.executable_schedule.segments)
+        blocks = _unit_blocks(spec.executable_schedule, spec.rig, segments)
         strongest = {str(axis.name): float(axis.max_acceleration) for axis in spec.rig.table.axis}
     elif isinstance(schedule, GradientSchedule):
         segments = _course(schedule.segments)
@@ -159,10 +161,19 @@ def tracks_of(
         strongest = dict[str, float].fromkeys("xyz", float(spec.rig.table.max_acceleration))
     else:
         assert isinstance(spec.plan, StandardPlan)
-        return _standard(spec.plan)
+        return _standard(spec.plan, "x")
     if acceleration_step is not None:
         blocks = tuple(_makeable(block, acceleration_step, strongest) for block in blocks)
     return ChamberTrack(programme=tuple(segments)), blocks
+
+
+def read_at_rest(blocks: Sequence[MotionBlock]) -> bool:
+    """Whether axes are read while they stand: of one that an operator turns, that takes an encoder."""
+    return any(
+        block.read_every_after is not None
+        or any(move.read_every is not None or (move.do == "rest" and move.read == "end") for move in block.moves)
+        for block in blocks
+    )
 
 
 def _makeable(block: MotionBlock, step: float, strongest: Mapping[str, float]) -> MotionBlock:
@@ -239,11 +250,11 @@ def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple
     for number, stretch in enumerate(schedule.stretches, 1):
         first = _first(stretch, segments)
         if cycle is None or not stretch.cycles:
-            stand = _line(0.0, stretch.duration, do="rest", **_reading(every))
+            stand = _line(0.0, stretch.duration, do="rest", **_reading(schedule.read_every if cycle is None else left))
             blocks.append(_block(number, first, [stand], stretch.duration))
         else:
             more: dict[str, Any] = {"repeat": stretch.cycles}
-            if stretch.leftover > 0.0:
+            if stretch.leftover > 0.0 and left != math.inf:
                 more["read_every_after"] = _in("s", stretch.leftover if left is None else left)
             blocks.append(_block(number, first, moves, cycle.duration, stretch.leftover, **more))
     return tuple(blocks)
@@ -254,15 +265,24 @@ def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple
 
 def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
     axes, hung = rig.table.axis, rig.table.mounting
-    every: dict[str, Any] = {"read_every": _in("s", min(float(axis.angle.read_every) for axis in axes))}
+    spacing = min(float(axis.angle.read_every) for axis in axes)
+    held, once = rig.table.standing == "held", math.isinf(spacing)
+    # A held table that an operator turns is read where a turn ends, and then stands.
+    typed = held and once and rig.table.drive == "hand"
     moves: list[TrackMove] = []
     clock = 0.0
-    for step in schedule.steps:
-        own: dict[str, Any] = {"do": "rest"} if step.axis < 0 else {"axis": axes[step.axis].name, **_motion(step.move)}
-        if step.move.repeat > 1:
-            own["repeat"] = step.move.repeat
-        moves.append(_line(clock, step.move.duration, **own, **every))
-        clock += step.move.repeat * step.move.duration
+    for step in (*schedule.steps, *schedule.after):
+        move = step.move
+        own: dict[str, Any] = {"do": "rest"} if step.axis < 0 else {"axis": axes[step.axis].name, **_motion(move)}
+        if step.source < 0:
+            own["do"] = "wait"
+        if move.repeat > 1:
+            own["repeat"] = move.repeat
+        every, ends = spacing if held or move.reads_as_table else move.read_every, move.read_end
+        moves.append(
+            _line(clock, move.duration, **own, **_readings(every, at_end=ends and not (typed and step.axis < 0)))
+        )
+        clock += move.repeat * move.duration
     blocks: list[MotionBlock] = []
     for number, stretch in enumerate(schedule.stretches):
         where = min(number, len(hung) - 1)
@@ -270,18 +290,23 @@ def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSeg
         if len(hung) > 1:
             hang = {"mounting": where + 1, "hang": hanging(hung[where], where + 1)}
         start = {axis.name: _in("deg", math.degrees(at)) for axis, at in zip(axes, schedule.start, strict=True)}
-        more: dict[str, Any] = {
-            **hang,
-            "start": start,
-            "read_every_after": every["read_every"],
-            "repeat": max(stretch.cycles, 1),
-        }
-        first, standing = _first(stretch, segments), [_line(0.0, stretch.duration, do="rest", **every)]
+        left = stretch.leftover if once and rig.table.drive == "motor" and stretch.leftover > 0.0 else spacing
+        after: dict[str, Any] = {} if math.isinf(left) else {"read_every_after": _in("s", left)}
+        more: dict[str, Any] = {**hang, "start": start, "repeat": max(stretch.cycles, 1), **after}
+        first = _first(stretch, segments)
         if stretch.cycles:
             blocks.append(_block(number + 1, first, moves, schedule.period, stretch.leftover, **more))
         else:
-            blocks.append(_block(number + 1, first, standing, stretch.duration, **more))
+            standing = _line(0.0, stretch.duration, do="rest", **_readings(spacing, at_end=True))
+            blocks.append(_block(number + 1, first, [standing], stretch.duration, **more))
     return tuple(blocks)
+
+
+def _readings(every: float | None, *, at_end: bool) -> dict[str, Any]:
+    """The readings of a rest or turn: spaced, or one at its end (`every` None or infinite), or none."""
+    if every is None or math.isinf(every):
+        return {"read": "end" if at_end else "none"}
+    return {"read_every": _in("s", every)}
 
 
 def hanging(mounting: UnitMounting, number: int) -> str:
@@ -328,17 +353,17 @@ def makeable_acceleration(acceleration: float, step: float | None, steepest: flo
 
 def trapezoid_acceleration(move: ResolvedMove) -> float:
     """Acceleration of the trapezoid with a move's angle, peak rate and duration (rad/s²)."""
-    return abs(move.peak_rate) / (0.5 * move.duration if move.shape == "hand" else move.ramp)
+    return abs(move.peak_rate) / (0.5 * move.duration - move.ramp if move.shape == "hand" else move.ramp)
 
 
 def _reading(every: float | None) -> dict[str, Any]:
-    return {"read": "none"} if every is None else {"read_every": _in("s", every)}
+    return {"read": "none"} if every is None or math.isinf(every) else {"read_every": _in("s", every)}
 
 
 # ------------------------------------------------------------------------------------------------- standard method
 
 
-def _standard(plan: StandardPlan) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
+def _standard(plan: StandardPlan, axis: str) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
     rates = plan.rates or (_in("deg/s", 0.0),)
     stay = len(rates) * plan.integration
     segments: list[ChamberSegment] = []
@@ -357,7 +382,9 @@ def _standard(plan: StandardPlan) -> tuple[ChamberTrack, tuple[MotionBlock, ...]
         moves: list[TrackMove] = []
         for place, rate in enumerate(rates):
             what: dict[str, Any] = {"do": "spin", "rate": rate} if rate else {"do": "rest", "read": "end"}
-            moves.append(TrackMove(start=_in("s", place * plan.integration), duration=plan.integration, **what))
+            moves.append(
+                TrackMove(axis=axis, start=_in("s", place * plan.integration), duration=plan.integration, **what)
+            )
         blocks.append(_block(number, points, moves, stay))
     return ChamberTrack(programme=tuple(segments)), tuple(blocks)
 

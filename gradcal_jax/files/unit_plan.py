@@ -355,6 +355,7 @@ def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[
                 move = replace(quickest_turn(item.angle, axis, item.peak_rate), repeat=item.repeat)
             else:
                 move = cast("Any", item.move).resolve(float(axis.max_acceleration))
+                move = cast("ResolvedMove", move).answered(float(rig.table.answer_time))
         except SpecError as error:
             problems += [p.under(*key) for p in error.problems]
             continue

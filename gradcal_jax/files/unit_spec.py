@@ -183,13 +183,23 @@ class UnitSpec(TitledFile):
         return self.schedule
 
     @property
+    def executable_schedule(self) -> UnitSchedule:
+        """A schedule that can be made into a recipe. Raises `ValueError` for one whose readings no estimate knows: of a
+        table of several axes that is read while it stands, other than as its `read_every` says."""
+        return self.gradient_schedule if len(self.rig.table.axis) == 1 else self.plain_schedule
+
+    @property
     def plain_schedule(self) -> UnitSchedule:
         """A schedule of nothing but a cycle that is read as the table is. Raises `ValueError` for any other."""
-        spaced = all(math.isfinite(axis.angle.read_every) for axis in self.rig.table.axis)
+        table = self.rig.table
+        once = [math.isinf(axis.angle.read_every) for axis in table.axis]
+        # An operator types one angle in each rest.
+        spaced = not any(once) or (all(once) and table.drive == "hand" and table.standing == "held")
         if not ((schedule := self.gradient_schedule).is_plain and spaced):
             raise ValueError(
                 "for an IMU this needs a plan with a cycle that leaves out read, read_every, other_axes and duration, "
-                'on a table whose read_every is a time and not "rest"; all else is predicted, and not executed yet'
+                'on a table whose read_every is a time and not "rest" (or one that a hand turns and that is held, with '
+                '"rest" for every axis); all else is predicted, and not executed yet'
             )
         return schedule
 

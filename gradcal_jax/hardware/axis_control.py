@@ -2,7 +2,7 @@
 
 A motor does a turn in the track's time; it is read from its planned end on until it stands. An operator's turn may take
 longer: while an axis is turned by hand nothing else of the track begins, and everything after it is delayed by as much
-as the turn was late (`late_s`), so that every rest keeps its length.
+as the turn was late (`late_s`), so that every rest keeps its length; early turns make up for late ones.
 
 Deviations from the track are `amiss`: a late command, a turn that ended late or at another angle, a spin at another
 rate. The allowed rate of an axis (`allowed`) follows from its commands, and `interlocks` compares the readings with it.
@@ -258,7 +258,7 @@ class AxisControl:
             axis.move_to(goal, move.rate_dps, move.acceleration_dps2)
             self._goal_deg[name] = goal
             self._spinning.discard(name)
-            ends_s = began + (move.duration_s if move.kind == "turn" else 0.0)
+            ends_s = began + (move.duration_s + move.answer_s if move.kind == "turn" else 0.0)
             if name in self._by_hand:
                 self._planned_end_s[name], self._turning[name] = ends_s, began
             else:
@@ -291,8 +291,9 @@ class AxisControl:
             self._awaited.discard(name)
             self._turning.pop(name, None)
             self._ends_s.pop(name, None)
-            planned_s = self._planned_end_s.pop(name, math.inf)
-            self.late_s += max(0.0, reading.time_s - planned_s)
+            planned_s = self._planned_end_s.pop(name, reading.time_s)
+            # An early turn makes up for late ones before it.
+            self.late_s = max(0.0, self.late_s + reading.time_s - planned_s)
             if name not in self._spinning:
                 self._stood(name, reading)
         return reading

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 from ..files.recipe import Recipe
 from ..files.sensor import Sensor, UnitSensor
-from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove
+from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove, read_at_rest
 from ..files.unit_spec import UnitSpec
 from ..formulas import reading_times
 from ..units import to_unit
@@ -47,7 +47,7 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
             steps.append(_unused(segments[0], recipe.stability, first=not steps))
         else:
             steps += _stretch(block, segments, recipe.stability, names, first=not steps, ends=ends)
-    return Track(tuple(steps), _gyro_errors(recipe.spec.sensor))
+    return Track(tuple(steps), _gyro_errors(recipe.spec.sensor), read_at_rest(recipe.motion))
 
 
 def _gyro_errors(sensor: Sensor | UnitSensor) -> GyroErrors | None:
@@ -265,7 +265,11 @@ def _commands(move: TrackMove, start: float, axis: str) -> list[AxisCommand]:
     assert move.acceleration is not None
     angle, rate = to_unit(float(move.angle), "deg"), to_unit(float(move.rate), "deg/s")
     acceleration = to_unit(float(move.acceleration), "deg/s^2")
-    return [_turn(start, axis, angle, rate, acceleration)]
+    turn = _turn(start, axis, angle, rate, acceleration)
+    by_hand = move.do == "turn by hand"
+    # Beyond the rounding of the recipe's numbers.
+    more_s = round(float(move.duration) - turn.duration_s, 3)
+    return [replace(turn, answer_s=max(0.0, more_s)) if by_hand else turn]
 
 
 def _turn(start: float, axis: str, angle: float, rate: float, acceleration: float) -> AxisCommand:

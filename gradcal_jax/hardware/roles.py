@@ -106,8 +106,8 @@ class TemperatureChamber(Protocol):
 
 @dataclass(frozen=True)
 class AxisLimits:
-    """The axis's limits. Travel is None for an endless axis; `by_hand`: the operator turns it; accelerations are
-    multiples of `acceleration_step_dps2` (0: any)."""
+    """The axis's limits. Travel is None for an endless axis; `by_hand`: the operator turns it; `typed`: and types its
+    angle; accelerations are multiples of `acceleration_step_dps2` (0: any)."""
 
     max_rate_dps: float
     max_acceleration_dps2: float
@@ -117,6 +117,7 @@ class AxisLimits:
     hardware_watchdog: bool
     by_hand: bool = False
     acceleration_step_dps2: float = 0.0
+    typed: bool = False
 
     @property
     def travel_deg(self) -> tuple[float, float]:

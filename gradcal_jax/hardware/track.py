@@ -15,6 +15,10 @@ from .roles import AxisLimits, ChamberLimits
 _LIKE_ACCELERATION = 0.05
 
 
+# How a spec says it, of an axis and of a whole unit.
+_ONE_READING = 'rests with read = "none", or rig.table.axis[].angle.read_every = "rest"'
+
+
 @dataclass(frozen=True)
 class Stable:
     """The temperature (the load's where the chamber measures it, else the air's) stays within `band_k` of its goal and
@@ -30,7 +34,8 @@ class AxisCommand:
     """One command to one axis, `start_s` after the step's own time began.
 
     "go" moves to the absolute `position_deg`; "turn" moves by `angle_deg` from where the last "go" or "turn" was to
-    end, so that errors do not add up; "spin" turns at the signed `rate_dps`; "stop" ends a spin.
+    end, so that errors do not add up; "spin" turns at the signed `rate_dps`; "stop" ends a spin. `answer_s`: what the
+    plan gives an operator beside the turning.
     """
 
     start_s: float
@@ -40,6 +45,7 @@ class AxisCommand:
     rate_dps: float = 0.0
     acceleration_dps2: float = 0.0
     angle_deg: float = 0.0
+    answer_s: float = 0.0
 
     @property
     def duration_s(self) -> float:
@@ -135,10 +141,12 @@ class GyroErrors:
 
 @dataclass(frozen=True)
 class Track:
-    """The whole run. `gyros`: None where the unit has none. Errors: `ValueError` for inconsistent times."""
+    """The whole run. `gyros`: None where the unit has none; `read_at_rest`: axes are read while they stand. Errors:
+    `ValueError` for inconsistent times."""
 
     steps: tuple[TrackStep, ...]
     gyros: GyroErrors | None = GyroErrors()
+    read_at_rest: bool = False
 
     def __post_init__(self) -> None:
         if not self.steps:
@@ -170,7 +178,12 @@ class Track:
 
 def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> list[str]:
     """Every sentence names a step and what the devices do not accept. Empty: the run may start."""
-    problems: list[str] = []
+    problems = [
+        f"The recipe reads axis {name!r} while it stands, and its angle is typed, once in each rest: give it an "
+        f"[axis.encoder] in the rig file, or make the recipe of a plan with one reading in each rest ({_ONE_READING})."
+        for name in track.moved
+        if track.read_at_rest and name in axes and axes[name].typed
+    ]
     at = dict.fromkeys(axes, 0.0)
     for step in track.steps:
         where = f"Step {step.name!r}"

@@ -20,6 +20,7 @@ from gradcal_jax.information.posterior import (
     SquareRootInformation,
     information,
     least_squares,
+    least_squares_of_means,
     posterior,
     square_root,
     unweighted,

@@ -303,8 +303,9 @@ def _encoder_errors(motion: TableMotion, model: UnitModel, at: Segments) -> _Enc
             continue
         stands = reads * xp.where(motion.turns[at.last, k], at_rest, 1.0)
         white, drawn = of.reading[k] ** 2, of.offset[k] ** 2
+        share = xp.asarray(line.share)[at.last]
         timed = xp.square(line.end_rate()[at.last] * (xp.zeros(axes) + of.timing)[k]) * (reads - stands)
-        covariance.append(((every, now, now), reads * white + timed + stands * moved * drawn))
+        covariance.append(((every, now, now), reads * white / share + timed + stands * moved * drawn))
         initial.append(((now, now), white + drawn))
         if kinds == 3:
             both = stands * moved * drawn

@@ -150,8 +150,11 @@ def calibration_pictures(calibration: Calibration) -> list[Picture]:
             draw.append(
                 (f"{kind}-{name}", words, lambda ax, k=kind, n=name: draw_calibrated_term(calibration, k, n, ax=ax))
             )
+    # Of six channels, those that a test contradicts.
+    failed = {name.partition(":")[0] for name in calibration.contradicted}
     for channel in calibration.channel:
-        if channel.residuals is not None and sum(channel.residuals.counts):
+        wanted = len(calibration.channel) <= 3 or channel.name in failed
+        if wanted and channel.residuals is not None and sum(channel.residuals.counts):
             words = f"Residuals of {channel.label}, in standard deviations of what the noise of the spec says."
             draw.append((f"residuals-{channel.name}", words, lambda ax, c=channel: draw_residuals(c, ax=ax)))
             if channel.residuals.rms:

@@ -41,8 +41,8 @@ class PieceTable(NamedTuple):
 class Move:
     """A turn (any of `formulas.SHAPES`), or a rest (`shape="rest"`), of the table axis `axis`.
 
-    `peak_rate` rad/s, signed; `duration` s, the whole move's; `ramp` s, each ramp's; `unevenness` of a
-    turn by hand. `divisions`: of each smooth part; `division_at_rest`: for
+    `peak_rate` rad/s, signed; `duration` s, the whole move's; `ramp` s, each ramp's, of a turn by hand the standing
+    before and after turning; `unevenness` of a turn by hand. `divisions`: of each smooth part; `division_at_rest`: for
     an axis that stands during the move.
     """
 
@@ -69,7 +69,7 @@ class Move:
         """The move on a channel: its own motion, or standing while another axis moves."""
         if self.shape == "rest" or channel != self.axis:
             return standing(self.division_at_rest)
-        return turning(self.shape, self.divisions, self.unevenness)
+        return turning(self.shape, self.divisions, self.unevenness, stands=self.ramp > 0.0)
 
 
 @lru_cache(maxsize=4096)
@@ -83,13 +83,14 @@ def standing(division: Division) -> PieceTable:
 
 
 @lru_cache(maxsize=4096)
-def turning(shape: str, divisions: tuple[Division, ...], unevenness: float) -> PieceTable:
-    """A turn of unit peak rate with the division of each of its smooth parts."""
-    parts = formulas.shape_pieces(shape, unevenness=unevenness)
+def turning(shape: str, divisions: tuple[Division, ...], unevenness: float, *, stands: bool = True) -> PieceTable:
+    """A turn of unit peak rate with the division of each of its smooth parts; `stands`: see `formulas.shape_pieces`."""
+    parts = formulas.shape_pieces(shape, unevenness=unevenness, stands=stands)
     blocks = []
     for i, ((what, share, coefficients), (edges, read)) in enumerate(zip(parts, divisions, strict=True)):
         count, at = len(read), np.asarray(edges)
-        by_duration, by_ramp = {"ramp": (0.0, 1.0), "flat": (1.0, -2.0)}.get(what, (share, 0.0))
+        lasts = {"ramp": (0.0, 1.0), "flat": (1.0, -2.0), "turn": (1.0, -2.0)}
+        by_duration, by_ramp = lasts.get(what, (share, 0.0))
         ends_move = np.arange(count) == (count - 1 if i == len(parts) - 1 else count)
         yes = np.ones(count, bool)
         lasting, rates = (np.full(count, by_duration), np.full(count, by_ramp)), np.tile(coefficients, (count, 1))
@@ -161,13 +162,14 @@ def turn(
     """
     if 2.0 * ramp > duration * (1 + 1e-9):
         raise ValueError(f"two ramps of {ramp} s do not fit into a move of {duration} s: shorten the ramp or the rate")
-    lasting = {"ramp": ramp, "flat": max(duration - 2.0 * ramp, 0.0)}
+    between = max(duration - 2.0 * ramp, 0.0)
+    lasting = {"ramp": ramp, "flat": between, "turn": between}
     if shape == "hand":
         # Its rate oscillates four times, and its powers in M(T, ω) are too fast for one quadrature.
-        longest_piece = min(longest_piece, duration / 8)
+        longest_piece = min(longest_piece, between / 8)
     readings = formulas.reading_times(duration, read_every) or ([duration] if read_at_end else [])
     divisions, begin = [], 0.0
-    parts = formulas.shape_pieces(shape, unevenness=unevenness)
+    parts = formulas.shape_pieces(shape, unevenness=unevenness, stands=ramp > 0.0)
     for i, (what, share, _) in enumerate(parts):
         part = lasting.get(what, share * duration)
         last = i == len(parts) - 1

@@ -9,7 +9,10 @@ import tomlkit
 import gradcal_jax as gj
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets, to_toml
+from gradcal_jax.files.contracts import CheckRow
 from gradcal_jax.files.schemas import schema
+from gradcal_jax.files.unit_spec import parse_unit_spec
+from gradcal_jax.information.conformity import global_risks
 
 # What each leaves, roughly: gyro scale factor ppm, bias deg/h, misalignment urad; accelerometer bias ug, scale factor
 # ppm, misalignment urad. From the known answers of the same kind of plan and noise, where there are any (six faces once
@@ -26,7 +29,7 @@ LEFT = {
     "two-axis-table": (6.1, 0.41, 3.0, 23.0, 7.5, 6.0),
     "one-axis-table": (5.8, 0.35, 57.7, 18.0, 5.5, 57.7),
     "standard-three-axes": (3.0, 0.41, 3.0, 23.0, 8.0, 7.4),
-    "gimbal-by-hand": (97.0, 0.47, 42.0, 34.0, 20.0, 42.0),
+    "gimbal-by-hand": (51.4, 0.454, 41.0, 32.5, 17.6, 41.3),
 }
 QUANTITIES = (
     "gyro_scale_factor", "gyro_bias", "gyro_misalignment", "accelerometer_bias", "accelerometer_scale_factor",
@@ -125,3 +128,14 @@ def test_a_move_whose_angle_follows_from_rate_and_duration_is_written_with_its_s
     moves += [{"shape": "cosine ramps", "peak_rate": rate, "duration": "3 s"} for rate in ("100 deg/s", "-100 deg/s")]
     spec = gj.parse_unit_spec(to_toml(gj.parse_unit_spec(tomlkit.dumps(document))))
     assert gj.tables_of(spec)["plan"]["cycle"]["moves"][-2:] == moves[-2:]
+
+
+def test_a_second_run_that_checks_an_imu_has_its_risks():
+    """As of an axis: both runs are as uncertain, and independent."""
+    spec = parse_unit_spec(presets.text("two-axis-table"))
+    plain, told = gj.predict(spec), gj.predict(spec, outlook=True)
+    for before, row in zip(plain.requirements, told.requirements, strict=True):
+        assert (row.check is None) == (row.target is None)
+        assert row.model_copy(update={"check": None}) == before
+        if row.check is not None and row.worst:
+            assert row.check == CheckRow(**global_risks(row.worst, row.worst, row.target, row.target)._asdict())

@@ -103,7 +103,6 @@ def test_all_numbers_as_json(folder, capsys):
     ("extra", "said"),
     [
         (["--axis", "x"], "--axis: for one gyro axis alone"),
-        (["--lag", "fit"], "the lag of a whole unit is not fitted"),
         (["--unit", "nobody"], "no unit 'nobody'"),
     ],
 )

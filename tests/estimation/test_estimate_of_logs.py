@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +11,9 @@ from simulated_log import simulate_log
 
 from gradcal_jax.api import assemble, posterior_of_plan
 from gradcal_jax.api.calibration import estimate_calibration
-from gradcal_jax.api.estimate import _fitted_lag, estimate_channels
+from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.fitted_lag import fitted_lag
 from gradcal_jax.api.log_rows import Rows, host_time, temperature_followed
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.calibration.correction import term_values
@@ -234,11 +234,7 @@ def test_a_lag_goes_on_over_samples_that_were_lost():
 
 @pytest.mark.parametrize(("at_s", "std_s"), [(-3.0, 4.0), (0.3, 0.5), (40.0, 2.0)])
 def test_how_well_a_lag_is_known_is_told_also_where_there_is_none(at_s, std_s):
-    def settle(lag, parameters):
-        result = SimpleNamespace(parameters=np.zeros(1), chi_squared=np.array([((lag - at_s) / std_s) ** 2]))
-        return None, None, result, 0.0
-
-    lag, known = _fitted_lag(settle)
+    lag, known = fitted_lag(lambda lag: ((lag - at_s) / std_s) ** 2)
     assert lag == pytest.approx(max(at_s, 0.0), abs=0.1)
     assert known == pytest.approx(std_s, rel=1e-6)
 

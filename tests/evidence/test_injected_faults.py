@@ -22,14 +22,16 @@ import re
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fault_list import AXIS, AXIS_FULL, FAULTS, UNIT, UNIT_FULL, Fault, none
 from fault_scenes import Judged, judge
+from scipy.stats import binom
 
 from gradcal_jax.cli import main
 
-SEED = 3
+SEED, SEEDS = 3, 20
 # In the suite itself; the others are marked as evidence.
 QUICK = ("the Earth's rate, no latitude, axis, lean", "wrong sign of the axis, axis, lean", "forces in g, unit, full")
 REPORT = Path(__file__).parents[2] / "experiments" / "evidence" / "faults.md"
@@ -160,13 +162,13 @@ def test_a_fault_is_covered_or_named(fault: Fault, tmp_path: Path) -> None:
 @pytest.mark.evidence
 @pytest.mark.parametrize("scene", [AXIS, AXIS_FULL, UNIT, UNIT_FULL])
 def test_without_a_fault_nothing_is_said(scene: str, tmp_path: Path) -> None:
-    """Eight seeds: one may be beyond U, as two standard deviations allow, or alarm, as tests at 1 % do; of a spec
-    that gives every term all verdicts are "met"."""
-    fault, outside, accused = Fault("no fault", scene, ACCUSES.pattern, none), [], []
-    for seed in range(1, 9):
+    """Of each requirement one error in twenty may be beyond U, as two standard deviations allow, and one run in twenty
+    alarm, as several tests at 1 % do; of a spec that gives every term all verdicts are "met"."""
+    fault, outside, accused = Fault("no fault", scene, ACCUSES.pattern, none), dict[str, list[Any]](), []
+    for seed in range(1, SEEDS + 1):
         found = outcome(fault, tmp_path, seed)
-        if found.beyond:
-            outside.append((seed, found.beyond))
+        for one in found.beyond:
+            outside.setdefault(one.name, []).append((seed, one))
         alarms = [line for line in found.sentences if ACCUSES.search(line)]
         wished = found.status == 0 and all(one.verdict == "met" for one in found.judged)
         if alarms or ("full" in scene and not wished):
@@ -175,5 +177,6 @@ def test_without_a_fault_nothing_is_said(scene: str, tmp_path: Path) -> None:
             report(fault, found, bool(found.judged) and not found.beyond and not alarms)
             assert not found.beyond
             assert not alarms
-    assert len(outside) <= 1, outside
-    assert len(accused) <= 1, accused
+    most = int(binom.ppf(0.995, SEEDS, 0.05))
+    assert max(map(len, outside.values()), default=0) <= most, outside
+    assert len(accused) <= most, accused

@@ -6,14 +6,19 @@ every second, at their end, or not at all; what is left of a cycle when its ramp
 soaks between them that are not used; tables that hold their axes or read them; poses.
 """
 
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import tomlkit
-from chain import AIR_LAG_S, chain, predicted_of, recipe_of
+from chain import AIR_LAG_S, Chain, chain, predicted_of, recipe_of
 from scipy.stats import chi2
+
+REPORT = Path(__file__).parents[2] / "experiments" / "evidence" / "random_plans.md"
+# By how much an estimated standard deviation may differ from the predicted one.
+MOST = 0.05
 
 Tables = dict[str, Any]
 _WARM = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "40 K"}
@@ -177,8 +182,8 @@ def unit_plan(rng: np.random.Generator) -> Tables:
 PLANS = {"axis": axis_plan, "unit": unit_plan}
 
 
-def differences(kind: str, number: int, folder: Path) -> dict[str, float]:
-    """Of every parameter that the plan says anything of: estimated standard deviation over the predicted one."""
+def executed(kind: str, number: int, folder: Path) -> Chain:
+    """A plan's simulated run and estimate, whose data fit."""
     spec = folder / "spec.toml"
     spec.write_text(tomlkit.dumps(PLANS[kind](np.random.default_rng([number, 40]))), encoding="utf-8")
     recipe = recipe_of(spec, folder)
@@ -186,22 +191,50 @@ def differences(kind: str, number: int, folder: Path) -> dict[str, float]:
     done = chain(recipe, predicted, folder, seed=number)
     assert done.sigmas, done.printed
     assert chi2.sf(*done.fit) > 1e-4, f"the run's own data do not fit: χ² {done.fit[0]:.0f} of {done.fit[1]}"
-    return done.sigmas
+    return done
 
 
-def check(kind: str, number: int, folder: Path) -> None:
-    found = differences(kind, number, folder)
-    apart = {name: round(float(ratio), 3) for name, ratio in found.items() if abs(ratio - 1.0) > 0.05}
-    assert not apart, f"{len(apart)} of {len(found)}: {apart}"
+def apart(done: Chain) -> dict[str, float]:
+    """Of parameters by name the estimated standard deviation over the predicted one, where they differ."""
+    return {name: round(float(ratio), 3) for name, ratio in done.sigmas.items() if abs(ratio - 1.0) > MOST}
+
+
+_HEAD = """# Random plans: what is predicted is what is estimated
+
+Made by `pytest -m evidence tests/evidence/test_random_plans.py`, which says what is drawn: recipe, run on simulated
+devices, log and estimate by the command line. Of every parameter that the plan says anything of, the estimated standard
+deviation over the predicted one, which may differ by 5 %. χ² of the run's own data.
+
+| plan | parameters | estimated over predicted | beyond 5 % | χ² of the data | of |
+|---|---|---|---|---|---|
+"""
+
+
+def report(kind: str, number: int, done: Chain) -> None:
+    """Write or replace the row of a plan."""
+    rows: dict[str, str] = {}
+    if REPORT.exists():
+        for line in REPORT.read_text(encoding="utf-8").splitlines():
+            if line.startswith(("| axis", "| unit")):
+                rows[line.split(" | ")[0]] = line
+    ratios, beyond = list(done.sigmas.values()), apart(done)
+    beyond_words = ", ".join(f"{name} {ratio}" for name, ratio in beyond.items())[:160] or "–"
+    cells = (f"{len(ratios)}", f"{min(ratios):.3f} … {max(ratios):.3f}", beyond_words, f"{done.fit[0]:.0f}")
+    rows[f"| {kind} {number:02d}"] = f"| {kind} {number:02d} | {' | '.join(cells)} | {done.fit[1]} |"
+    good = sum(" | – | " in row for row in rows.values())
+    foot = f"\n{good} of {len(rows)} within 5 % in every parameter; {time.strftime('%Y-%m-%d')}.\n"
+    REPORT.write_text(_HEAD + "\n".join(rows[name] for name in sorted(rows)) + "\n" + foot, encoding="utf-8")
 
 
 @pytest.mark.parametrize(("kind", "number"), [("axis", 1), ("axis", 2), ("axis", 8), ("unit", 1), ("unit", 8)])
 def test_what_is_predicted_is_what_is_estimated(kind: str, number: int, tmp_path: Path) -> None:
-    check(kind, number, tmp_path)
+    assert not apart(executed(kind, number, tmp_path))
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize("number", range(3, 21))
+@pytest.mark.parametrize("number", range(1, 21))
 @pytest.mark.parametrize("kind", PLANS)
 def test_twenty_plans_of_each_kind(kind: str, number: int, tmp_path: Path) -> None:
-    check(kind, number, tmp_path)
+    done = executed(kind, number, tmp_path)
+    report(kind, number, done)
+    assert not apart(done)

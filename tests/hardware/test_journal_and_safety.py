@@ -290,6 +290,17 @@ def test_clock_map_finds_the_rate_through_late_arrivals() -> None:
     )
 
 
+def test_a_clock_map_knows_what_delays_that_last_for_minutes_can_do_to_its_rate() -> None:
+    """A busy computer delays even the quickest arrivals, now and for a while: no number of them averages that out."""
+    generator, squares = np.random.default_rng(7), list[float]()
+    device = np.arange(0.0, 100.0, 0.5)
+    for _ in range(50):
+        busy = 0.005 * generator.random(10)[(device // 10.0).astype(int)]
+        fitted = fit_clock(device, device + busy + generator.exponential(0.002, device.size))
+        squares.append((fitted.rate_error / fitted.rate_std) ** 2)
+    assert 0.3 < np.mean(squares) < 2.0
+
+
 def test_clock_map_uses_the_last_sample_of_a_chunk_and_needs_three() -> None:
     device = np.arange(160) * 0.008
     host = 5.0 + np.repeat(device[15::16], 16)
@@ -306,6 +317,7 @@ def test_a_clock_map_knows_no_rate_better_than_the_stamps_grid_allows() -> None:
     perfect = 5.0 + 0.512 * (number // 64)
     fitted = fit_clock(device, perfect, resolution_s=0.5e-3)
     # Stamps without any scatter: what is left is the grid, over an hour.
+    assert fitted.residual_max_s < 1e-9
     assert fitted.rate_std == pytest.approx(0.5e-3 / np.sqrt(6.0) / 3584.0, rel=1e-2)
     assert fit_clock(device, perfect).rate_std < 1e-12
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,20 +23,26 @@ from simulated_devices.zaber import SimulatedZaber
 from gradcal_jax.decoding import run_log
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import Quantity, changed, parse_spec, presets
+from gradcal_jax.files.log import ReadingKind
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
+from gradcal_jax.files.tracks import read_at_rest
 from gradcal_jax.files.writing import to_toml, write_toml
+from gradcal_jax.hardware.axis_control import AxisControl
+from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.clock import Clock, RealClock
 from gradcal_jax.hardware.drivers import operator, zaber
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded
 from gradcal_jax.hardware.execute import run
 from gradcal_jax.hardware.journal import Chunk, read_journal
-from gradcal_jax.hardware.roles import AxisSafe
+from gradcal_jax.hardware.roles import AxisLimits, AxisSafe, ChamberLimits
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import open_rig
+from gradcal_jax.hardware.simulate.devices import HandTurnedAxis, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
+from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.terminal import Terminal
 from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, beyond_limits
 from gradcal_jax.units import UnitError
@@ -282,20 +289,21 @@ def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
 
 
 def hand_recipe(**more: object) -> Recipe:
-    """Of the preset whose gimbal is moved by hand: a minute of it."""
+    """Of the preset whose gimbal is moved by hand: a minute of it, its angles typed."""
     moves = [
-        {"rest": "6 s", "read_every": "1 s"},
+        {"rest": "6 s", "read": "none"},
         {"turns": 1, "duration": "8 s", "unevenness": 0.3, "shape": "hand"},
-        {"rest": "6 s", "read_every": "1 s"},
+        {"rest": "6 s", "read": "none"},
         {"turns": -1, "duration": "8 s", "unevenness": 0.3, "shape": "hand"},
-        {"rest": "6 s", "read_every": "1 s"},
+        {"rest": "6 s", "read": "none"},
     ]
     keys = {
         "plan.temperature": ["23 degC", "25 degC"],
         "plan.gradient": "1 K/min",
         "plan.soak.duration": "2 s",
         "plan.cycle.moves": moves,
-        "plan.cycle.other_axes.duration": "20 s",
+        "plan.cycle.other_axes": {"duration": "20 s", "read": False},
+        "rig.table.answer_time": "0 s",
         "requirement": None,
     }
     return unpredicted(changed(parse_spec(presets.text("rig-hand")), keys | more))
@@ -314,6 +322,79 @@ def test_a_rehearsal_turns_by_hand_too(tmp_path: Path) -> None:
         assert np.count_nonzero(rows) >= 5.8 * 125.0
         (angle,) = set(np.degrees(log.table_course_rad[rows, 0]))
         assert 0.0 < abs((angle + 180.0) % 360.0 - 180.0) < 2.0
+
+
+READ_AT_REST = [
+    move | ({"read_every": "1 s"} if "rest" in move else {})
+    for move in ({"rest": "6 s"}, {"turns": 1, "duration": "8 s", "shape": "hand"}, {"rest": "6 s"})
+]
+
+
+def readings_of_rests(folder: Path, made: Recipe) -> list[int]:
+    """Of a simulated run's log: how many planned readings each standstill has."""
+    assert run(made, folder, simulate=True, seed=3).exit_status == "success"
+    log = run_log.log(folder)
+    assert log.standstill is not None
+    assert log.readings is not None
+    rows = log.readings.of_axis(0, ReadingKind.PLANNED).row
+    return np.bincount(log.standstill[rows] + 1)[1:].tolist()
+
+
+def test_a_log_has_the_readings_that_the_plan_counts(tmp_path: Path) -> None:
+    """One typed angle in each rest; with an encoder one each second besides, also of the time that no cycle fills."""
+    typed = hand_recipe()
+    assert readings_of_rests(tmp_path / "typed", typed) == [1] * (2 * typed.motion[0].repeat + 1)
+    others = {"duration": "20 s", "read": True}
+    keys = {"plan.cycle.moves": READ_AT_REST, "plan.cycle.other_axes": others, "rig.table.answer_time": "4 s"}
+    first, *middle, _ = readings_of_rests(tmp_path / "encoder", hand_recipe(**keys))
+    assert first >= 6
+    # Somebody who is late has less time for other axes.
+    assert middle == pytest.approx([1 + 6 + 20 + 6] * len(middle), abs=5)
+
+
+def test_a_stretch_in_which_no_cycle_fits_is_not_read_where_angles_are_typed() -> None:
+    programme = [
+        {"soak": "2 s", "at": "23 degC"},
+        {"ramp_to": "25 degC", "rate": "1 K/min"},
+        {"soak": "1 min"},
+        {"ramp_to": "25.2 degC", "rate": "1 K/min"},
+    ]
+    own = {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": programme}
+    made = hand_recipe(**own)
+    assert len(made.motion) == 2
+    assert not read_at_rest(made.motion)
+
+
+def test_an_axis_whose_angle_is_typed_is_not_read_at_rest() -> None:
+    typed = AxisLimits(120.0, 200.0, None, None, 0.01, hardware_watchdog=False, by_hand=True, typed=True)
+    encoder = replace(typed, typed=False)
+    typed_plan, read_plan = (
+        track_of(made, ["x"]) for made in (hand_recipe(), hand_recipe(**{"plan.cycle.moves": READ_AT_REST}))
+    )
+    chamber = ChamberLimits(-50.0, 90.0, 0.1, hardware_ramp=True)
+    for track, limits in ((typed_plan, typed), (typed_plan, encoder), (read_plan, encoder)):
+        assert not beyond_limits(track, chamber, {"x": limits})
+    (problem,) = beyond_limits(read_plan, chamber, {"x": typed})
+    assert "its angle is typed, once in each rest: give it an [axis.encoder]" in problem
+
+
+def test_early_turns_make_up_for_late_ones() -> None:
+    clock = VirtualClock()
+    limits = AxisLimits(120.0, 200.0, None, None, 0.01, hardware_watchdog=False, by_hand=True, typed=True)
+    person = SimulatedPerson(reaction_s=9.0, pace_spread=0.0)
+    axis = HandTurnedAxis(AxisPlant(), clock, limits, person, 1)
+    control = AxisControl({"x": axis}, clock, lambda *_, **__: None)
+    turn = AxisCommand(0.0, "x", "turn", rate_dps=60.0, acceleration_dps2=60.0, angle_deg=90.0, answer_s=4.0)
+    with clock.party():
+        control.home(["x"], lambda: None)
+        late = []
+        for axis._hand in (person, replace(person, reaction_s=0.0), replace(person, reaction_s=0.0)):
+            control.move("turns", turn, clock.now(), lambda: None)
+            control.settle("x", lambda: None)
+            late.append(control.late_s)
+    assert 4.0 < late[0] < 12.0
+    # Each takes two of the four seconds.
+    assert late[1:] == pytest.approx([late[0] - 2.0, late[0] - 4.0], abs=0.3)
 
 
 def test_a_run_by_hand_from_recipe_to_log(tmp_path: Path) -> None:
@@ -423,11 +504,11 @@ class AtTerminal:
 def quick_hand_recipe(folder: Path) -> Path:
     """In real time: a second here, two there."""
     moves = [
-        {"rest": "1 s", "read_every": "1 s"},
+        {"rest": "1 s", "read": "none"},
         {"turns": 1, "duration": "6 s", "unevenness": 0.3, "shape": "hand"},
-        {"rest": "1 s", "read_every": "1 s"},
+        {"rest": "1 s", "read": "none"},
         {"turns": -1, "duration": "6 s", "unevenness": 0.3, "shape": "hand"},
-        {"rest": "1 s", "read_every": "1 s"},
+        {"rest": "1 s", "read": "none"},
     ]
     made = hand_recipe(
         **{

@@ -14,9 +14,10 @@ from gradcal_jax.api import predict
 from gradcal_jax.api.timeline import unit_timeline
 from gradcal_jax.files import SpecError, spec_of
 from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
-from gradcal_jax.files.rounding import rounded
+from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import tracks_of
 from gradcal_jax.files.unit_spec import unit_spec_of
+from gradcal_jax.formulas import reading_times
 
 KEPT = recorded.read("predictions")
 # Apart by 2e-12. The program of one axis shifts the edges of bins in rate by a hundred rounding errors; and unweighted
@@ -79,12 +80,47 @@ def test_an_axis_is_judged_the_same_as_an_imu(name):
             _same(getattr(other, field), getattr(one, field), 1e-12)
 
 
-@pytest.mark.parametrize("name", ["static standard 1", "preset paper-static-gradient", "tactical 3"])
-def test_what_is_predicted_alone_is_not_made_a_recipe(name):
-    spec = unit_spec_of(axis_as_imu(KEPT[name]["tables"]))
-    for command in (rounded, tracks_of, unit_timeline):
-        with pytest.raises(ValueError, match=r"needs a plan (of method|with a cycle)"):
-            command(spec)
+@pytest.mark.parametrize("name", ["dynamic standard 5", "preset tactical-mems", "static gradient 3", "tactical 10"])
+def test_an_axis_notices_the_same_as_an_imu(name):
+    """The power of the tests for more structure of the maps."""
+    tables = KEPT[name]["tables"]
+    axis, imu = (predict(s, notices=True).notices for s in (spec_of(tables), unit_spec_of(axis_as_imu(tables))))
+    assert len(axis) > 0
+    for one, other in zip(axis, imu, strict=True):
+        assert one.model_copy(update={"sure_from": None, "power": None}) == other.model_copy(
+            update={"sure_from": None, "power": None}
+        )
+        _same(other.sure_from, one.sure_from, 1e-9)
+        _same(other.power, one.power, 1e-9)
+
+
+@pytest.mark.parametrize("name", sorted(name for name in KEPT if KEPT[name]["tables"]["rig"].get("chamber")))
+def test_an_axis_has_the_same_recipe_as_an_imu(name):
+    """What the chamber and the table are told."""
+    tables = KEPT[name]["tables"]
+    if len(turned_axes(tables)) > 1:
+        pytest.skip("no table turns several axes of a sensor alone")
+    told = []
+    for spec in (spec_of(tables), unit_spec_of(axis_as_imu(tables))):
+        made = rounded(spec)
+        step = steps_of(made.spec).acceleration
+        chamber, blocks = tracks_of(made.spec, None if step is None else float(step))
+        rows = [block.model_dump(exclude={"start", "read_every_after"}) for block in blocks]
+        for row, block in zip(rows, blocks, strict=True):
+            standing = block.standing_after if block.read_every_after is not None and block.standing_after else None
+            row["read_at"] = standing and reading_times(float(standing), float(block.read_every_after))
+            row["angles"] = [float(np.degrees(move.angle)) for move in block.moves if move.angle is not None]
+            row["moves"] = [move | {"axis": "", "angle": ""} for move in row["moves"]]
+        told.append((chamber, rows, made.notes))
+    # The angles of an IMU's table are rounded, not those of its turns, so that errors do not add up.
+    for one, other in zip(told[0][1], told[1][1], strict=True):
+        assert one.pop("angles") == pytest.approx(other.pop("angles"), abs=1.001e-3)
+    assert told[0] == told[1]
+
+
+def test_a_timeline_of_an_imu_is_one_of_a_plain_cycle():
+    with pytest.raises(ValueError, match="needs a plan with a cycle"):
+        unit_timeline(unit_spec_of(axis_as_imu(KEPT["tactical 3"]["tables"])))
 
 
 def test_several_axes_that_turn_alone_are_no_table():

@@ -80,13 +80,26 @@ def _shape(s: Json) -> list[tuple[float, float, Callable, Callable, int]]:
         ]
         return [p for p in parts if p[1] - p[0] > 1e-12 * d]
     if shape == "hand":
-        e, w = s.get("unevenness", 0.0), 2.0 * pi / d
-        rate = lambda t: peak * np.sin(w * t / 2.0) ** 2 * (1.0 + e * np.sin(3.0 * w * t))  # noqa: E731
-        slope = lambda t: (  # noqa: E731
-            peak * w * (0.5 * np.sin(w * t) * (1.0 + e * np.sin(3.0 * w * t)))
-            + peak * w * np.sin(w * t / 2.0) ** 2 * 3.0 * e * np.cos(3.0 * w * t)
-        )
-        return [(0.0, d, rate, slope, 24)]
+        r = s.get("ramp") or 0.0
+        e, w = s.get("unevenness", 0.0), 2.0 * pi / (d - 2.0 * r)
+
+        def rate(t):
+            t = t - r
+            return peak * np.sin(w * t / 2.0) ** 2 * (1.0 + e * np.sin(3.0 * w * t))
+
+        def slope(t):
+            t = t - r
+            return (
+                peak
+                * w
+                * (
+                    0.5 * np.sin(w * t) * (1.0 + e * np.sin(3.0 * w * t))
+                    + np.sin(w * t / 2.0) ** 2 * 3.0 * e * np.cos(3.0 * w * t)
+                )
+            )
+
+        parts = [(0.0, r, _still, _still, 1), (r, d - r, rate, slope, 24), (d - r, d, _still, _still, 1)]
+        return [p for p in parts if p[1] - p[0] > 1e-12 * d]
     raise ValueError(f"a shape that this recomputation does not know: {shape}")
 
 

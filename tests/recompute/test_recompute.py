@@ -246,7 +246,19 @@ def long_rest_behind_a_step():
     return tables
 
 
-@pytest.mark.parametrize("tables", [turning_point_by_a_break(), long_rest_behind_a_step()], ids=["turning", "lag"])
+def by_hand():
+    """Turns by hand, with the time that the operator needs beside them, and one typed angle in each rest."""
+    tables = copy.deepcopy(EVERYTHING)
+    tables["rig"]["table"] |= {"drive": "hand", "answer_time": "4 s"}
+    turn = {"shape": "hand", "duration": "9 s", "unevenness": 0.3}
+    rest = {"rest": "5 s", "read": "none"}
+    tables["plan"]["cycle"]["moves"] = [rest, turn | {"turns": 1}, rest, turn | {"turn": "-500 deg"}]
+    return tables
+
+
+@pytest.mark.parametrize(
+    "tables", [turning_point_by_a_break(), long_rest_behind_a_step(), by_hand()], ids=["turning", "lag", "by hand"]
+)
 def test_integrals_follow_every_turning_point_and_decay(tables):
     spec = spec_of(tables)
     expected = {"x": [p.std for p in predict(spec).parameters]}

@@ -63,6 +63,7 @@ class Leg:
     angle: float = 0.0
     peak: float = 0.0
     ramp: float = 0.0
+    stands: float = 0.0  # before and after a turn by hand
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,9 @@ def commanded(legs: list[Leg], start, t: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def turned(leg: Leg, t: np.ndarray) -> np.ndarray:
     if leg.ramp == 0.0:  # a hand: a raised cosine, whatever the plan calls it
-        return leg.angle * (t / leg.duration - np.sin(2.0 * np.pi * t / leg.duration) / (2.0 * np.pi))
+        lasts = leg.duration - 2.0 * leg.stands
+        share = np.clip(t - leg.stands, 0.0, lasts) / lasts
+        return leg.angle * (share - np.sin(2.0 * np.pi * share) / (2.0 * np.pi))
 
     def up(x):
         return 0.5 * leg.peak * (x - leg.ramp / np.pi * np.sin(np.pi * x / leg.ramp))
@@ -130,7 +133,8 @@ def turned(leg: Leg, t: np.ndarray) -> np.ndarray:
 
 def speed(leg: Leg, t: np.ndarray) -> np.ndarray:
     if leg.ramp == 0.0:
-        return leg.angle / leg.duration * (1.0 - np.cos(2.0 * np.pi * t / leg.duration))
+        lasts = leg.duration - 2.0 * leg.stands
+        return leg.angle / lasts * (1.0 - np.cos(2.0 * np.pi * np.clip(t - leg.stands, 0.0, lasts) / lasts))
     near = np.clip(np.minimum(t, leg.duration - t), 0.0, leg.ramp)
     return 0.5 * leg.peak * (1.0 - np.cos(np.pi * near / leg.ramp))
 
@@ -311,7 +315,8 @@ def legs_of(steps, cycles: int) -> list[Leg]:
     once = []
     for step in steps:
         move = step.move
-        turns = Leg(step.axis, move.duration, move.angle, move.peak_rate or 0.0, move.ramp or 0.0)
+        ramp, stands = (0.0, move.ramp) if move.shape == "hand" else (move.ramp, 0.0)
+        turns = Leg(step.axis, move.duration, move.angle, move.peak_rate or 0.0, ramp or 0.0, stands)
         once += [turns if step.axis >= 0 else Leg(-1, move.duration)] * move.repeat
     return once * cycles
 

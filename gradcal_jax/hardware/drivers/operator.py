@@ -151,7 +151,13 @@ class OperatorAxis(Unwatched):
         ends = (None, None) if math.isinf(config.travel_deg) else (-config.travel_deg, config.travel_deg)
         grid = config.resolution_deg if self._encoder is None else self._encoder.limits().resolution_deg
         return AxisLimits(
-            config.max_rate_dps, config.max_acceleration_dps2, *ends, grid, hardware_watchdog=False, by_hand=True
+            config.max_rate_dps,
+            config.max_acceleration_dps2,
+            *ends,
+            grid,
+            hardware_watchdog=False,
+            by_hand=True,
+            typed=self._encoder is None,
         )
 
     def read(self) -> AxisReading:

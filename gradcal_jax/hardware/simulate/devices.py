@@ -173,7 +173,8 @@ class SimulatedPerson:
 
 
 class HandTurnedAxis(Unwatched):
-    """Roles `MotionAxis` and `DrawnAxis`, on a plant that a person turns."""
+    """Roles `MotionAxis` and `DrawnAxis`, on a plant that a person turns, who types its angle or, where the limits do
+    not say `typed`, confirms that it stands and lets an encoder be read."""
 
     def __init__(self, plant: AxisPlant, clock: Clock, limits: AxisLimits, hand: SimulatedPerson, number: int) -> None:
         self.plant, self._clock, self._limits, self._hand = plant, clock, limits, hand
@@ -183,7 +184,7 @@ class HandTurnedAxis(Unwatched):
         self._stands: AxisReading | None = None
 
     def identify(self) -> Identity:
-        return Identity("simulated", "turned by hand, angles typed")
+        return Identity("simulated", f"turned by hand, {'angles typed' if self._limits.typed else 'with an encoder'}")
 
     def limits(self) -> AxisLimits:
         return self._limits
@@ -195,6 +196,8 @@ class HandTurnedAxis(Unwatched):
             angle = nearest_turn_deg(shown, self._goal_deg)
             self._stands = AxisReading(self._answers_s, angle, 0.0, False, True, (), ())
             self._answers_s = math.inf
+        if not self._limits.typed:
+            return AxisReading(now, self.plant.reading(now), 0.0, self._stands is None, True, (), ())
         return self._stands or AxisReading(now, math.nan, 0.0, True, False, (), ())
 
     def home(self) -> None:

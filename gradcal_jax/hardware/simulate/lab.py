@@ -1,6 +1,7 @@
 """A whole simulated laboratory for a recipe: chamber, table and one sensor, with hidden truth.
 
-Where the spec's table is driven by hand, a person turns it and types its angles; the sensor is a STIM300. The seed
+Where the spec's table is driven by hand, a person turns it, and types its angles where the plan does not read the axis
+at rest; else an encoder is read. The sensor is a STIM300. The seed
 draws the true parameters from the spec's priors and the noise from its error model; for a flat prior typical values. A
 single table axis points east, where the Earth's rate has no component; with several axes the Earth's rate is zero. The
 sensor's mounting is perfect and its structure is the spec's: a `discrepancy` is not drawn.
@@ -16,9 +17,9 @@ from ...files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, Te
 from ...files.bench import Chamber, Table, TableAxis
 from ...files.moves import AXES, Axis
 from ...files.rig import RigFile, rig_of
-from ...files.sensor import Sensor
+from ...files.sensor import TemperatureError
 from ...files.spec import Spec
-from ...files.tracks import tracks_of
+from ...files.tracks import read_at_rest, tracks_of
 from ...units import to_unit
 from ..clock import Clock
 from ..drivers.stim300 import Stim300Config
@@ -44,7 +45,7 @@ _BAUDRATE_AT_FULL_RATE: Final = 1_843_200
 _AXIS_STEP_DEG: Final = 360.0 / 1_152_000
 _HAND_STEP_DEG: Final = 0.01
 # A plan may use all of its allowed travel: the cable's hard end is this far beyond.
-_BEYOND_DEG: Final = 2.0
+BEYOND_DEG: Final = 2.0
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
         (ErrorTerm(bias[:, None, :], bias_basis, "one"), ScaleFactors(scale, temperature_basis, rate_basis)),
         float(sensor.angle_random_walk),
         float(sensor.rate_random_walk or 0.0),
-        _processes(sensor),
+        processes_of(sensor.drift, sensor.scale_factor_instability, sensor.temperature_error),
         (float(gradient[0]), float(gradient[1]), float(gradient[2])),
     )
     clock_error = float(sensor.sample_clock_error or 0.0) * float(random.standard_normal())
@@ -100,8 +101,8 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
         cosine, sine = np.degrees(float(harmonic.amplitude)) * random.standard_normal(2)
         harmonics.append((harmonic.order, float(cosine), float(sine)))
     encoder = AxisTruth(
-        lowest_deg=None if limited is None else -limited - _BEYOND_DEG,
-        highest_deg=None if limited is None else limited + _BEYOND_DEG,
+        lowest_deg=None if limited is None else -limited - BEYOND_DEG,
+        highest_deg=None if limited is None else limited + BEYOND_DEG,
         harmonics=tuple(harmonics),
         standstill_offset_deg=float(np.degrees(angle.standstill_offset)),
         reading_noise_deg=float(np.degrees(angle.reading_noise)),
@@ -112,20 +113,17 @@ def draw_truth(spec: Spec, seed: int) -> HiddenTruth:
     return HiddenTruth(unit, encoder, coefficients)
 
 
-def _processes(sensor: Sensor) -> tuple[Process, ...]:
-    processes = processes_of(sensor.drift, sensor.scale_factor_instability)
-    if (error := sensor.temperature_error) is not None:
-        lasts = np.inf if error.correlation_time is None else float(error.correlation_time)
-        gains = (float(error.bias_slope or 0.0), float(error.scale_factor_slope or 0.0))
-        processes += (Process(float(error.standard_deviation), float(lasts), *gains),)
-    return processes
-
-
-def processes_of(drift: Sequence[Any], instability: Sequence[Any] = ()) -> tuple[Process, ...]:
-    """The processes of a spec's drifts and scale-factor errors."""
+def processes_of(
+    drift: Sequence[Any], instability: Sequence[Any], error: TemperatureError | None
+) -> tuple[Process, ...]:
+    """The processes of a spec's drifts, scale-factor errors, and error of the measured temperature."""
     biases = (Process(float(d.standard_deviation), float(d.correlation_time), 1.0) for d in drift)
     scales = (Process(float(d.standard_deviation), float(d.correlation_time), 0.0, 1.0) for d in instability)
-    return (*biases, *scales)
+    if error is None:
+        return (*biases, *scales)
+    lasts = np.inf if error.correlation_time is None else float(error.correlation_time)
+    gains = (float(error.bias_slope or 0.0), float(error.scale_factor_slope or 0.0))
+    return (*biases, *scales, Process(float(error.standard_deviation), lasts, *gains))
 
 
 def basis_truth(section: Any, unit: str = "") -> TruthBasis:
@@ -168,12 +166,14 @@ class SimulatedDevices:
         sensors: Mapping[str, SampledSensor],
         *,
         by_hand: bool,
+        typed: bool,
         hang: Callable[[int], None] | None = None,
         seed: int,
         sample_rate_hz: float,
         burst_s: float,
     ) -> None:
-        """Make the devices. Axes may be turned `by_hand`; `hang` hangs the units anew, as a numbered mounting."""
+        """Make the devices. Axes may be turned `by_hand`, their angles `typed` or read from an encoder; `hang` hangs
+        the units anew, as a numbered mounting."""
         clock = self._clock
         baudrate = _BAUDRATE if sample_rate_hz < RATES_HZ[-1] else _BAUDRATE_AT_FULL_RATE
         settings = {"sample_rate": f"{sample_rate_hz:g} Hz", "baudrate": baudrate}
@@ -189,7 +189,7 @@ class SimulatedDevices:
         self.rig = rig_of(tables)
         self.bench = Bench(self.rig, SimulatedChamber(self.chamber_plant, clock, *self.range_c), simulated=True)
         for number, (name, says) in enumerate(axes.items()):
-            plant, limits = self.axis_plants[number], _limits_of(says, by_hand)
+            plant, limits = self.axis_plants[number], _limits_of(says, by_hand, typed)
             self.bench.axes[name] = (
                 HandTurnedAxis(plant, clock, limits, SimulatedPerson(seed), number)
                 if by_hand
@@ -202,13 +202,14 @@ class SimulatedDevices:
             self.bench.console = HangingOperator(clock, hang)
 
 
-def _limits_of(says: Table | TableAxis, by_hand: bool) -> AxisLimits:
+def _limits_of(says: Table | TableAxis, by_hand: bool, typed: bool) -> AxisLimits:
     """The limits of a table's axis in the spec."""
     rate, acceleration = to_unit(float(says.max_rate), "deg/s"), to_unit(float(says.max_acceleration), "deg/s^2")
     travel = float(np.degrees(float(says.travel)))
     lowest, highest = (None, None) if np.isinf(travel) else (-travel, travel)
     step = _HAND_STEP_DEG if by_hand else _AXIS_STEP_DEG
-    return AxisLimits(rate, acceleration, lowest, highest, step, hardware_watchdog=False, by_hand=by_hand)
+    hand: dict[str, bool] = {"by_hand": by_hand, "typed": by_hand and typed}
+    return AxisLimits(rate, acceleration, lowest, highest, step, hardware_watchdog=False, **hand)
 
 
 class SimulatedLab(SimulatedDevices):
@@ -262,6 +263,7 @@ class SimulatedLab(SimulatedDevices):
             dict.fromkeys(self.axes, table),
             {_SENSOR_NAME: self.sensor},
             by_hand=table.drive == "hand",
+            typed=not read_at_rest(tracks_of(spec)[1]),
             seed=seed,
             sample_rate_hz=sample_rate_hz,
             burst_s=burst_s,

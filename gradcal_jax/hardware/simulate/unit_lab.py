@@ -11,16 +11,18 @@ seed draws, too.
 """
 
 import itertools
+import re
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from ...files.sensor import AccelerometerTriad, GyroTriad
+from ...files.tracks import read_at_rest, tracks_of
 from ...files.unit_spec import UnitSpec
 from ..clock import Clock
 from ..pose import turn_by
-from .lab import SimulatedDevices, basis_truth, processes_of
+from .lab import BEYOND_DEG, SimulatedDevices, basis_truth, processes_of
 from .loops import LAWS, Law, LoopTruth
 from .plants import AxisPlant, AxisTruth
 from .sensor import TruthBasis, Vectors
@@ -30,6 +32,8 @@ _XYZ: Final = "xyz"
 # Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
 _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
+_GRADIENT: Final = "bias_temperature_gradient"
+_TYPICAL_GRADIENT: Final[dict[Kind, float]] = {"gyro": np.radians(1.0) / 60.0, "accelerometer": 1e-3 * 9.8 * 60.0}
 _OTHERS: Final = [["" if a == b else f"m_{b}" for b in _XYZ] for a in _XYZ]
 # The errors of each kind of sensor, in the order of their draws: section of the spec, size for a flat prior (SI),
 # factors, and names of the coefficients by sensor axis, "" for none. The scale factor of gyros is M(T, ω).
@@ -75,11 +79,36 @@ class _Draws:
                     errors.append(self._term(kind, section, size, factors, symbols, triad.axes))
                 else:
                     errors.append(self._scale_factors(section, size, triad.axes))
-        if isinstance(triad, GyroTriad):
-            drifts = processes_of(triad.drift, triad.scale_factor_instability)
-            noise = float(triad.angle_random_walk), float(triad.rate_random_walk or 0.0)
-            return TriadTruth(tuple(errors), *noise, drifts)
-        return TriadTruth(tuple(errors), float(triad.velocity_random_walk), drifts=processes_of(triad.drift))
+        if triad.turn_on_bias:
+            errors.append(self._turn_on(kind, float(triad.turn_on_bias), triad.axes))
+        gradient = self._gradient(kind, triad)
+        white, walk = (
+            (float(triad.angle_random_walk), float(triad.rate_random_walk or 0.0))
+            if isinstance(triad, GyroTriad)
+            else (float(triad.velocity_random_walk), 0.0)
+        )
+        drifts = processes_of(triad.drift, triad.scale_factor_instability, triad.thermometer_noise)
+        return TriadTruth(tuple(errors), white, walk, drifts, gradient)
+
+    def _turn_on(self, kind: Kind, size: float, axes: tuple[str, ...]) -> ErrorTerm:
+        """The bias of this power-on, a part of the bias's constant; splines and bins sum to one."""
+        values = size * self.random.standard_normal((3, 1, 1))
+        for row, axis in enumerate(_XYZ):
+            for name in self.values:
+                if axis in axes and re.fullmatch(rf"{kind}_{axis}\.a(0|_(bin|spline)\d+)?", name):
+                    self.values[name] += float(values[row, 0, 0])
+        return ErrorTerm(values, TruthBasis(), "one")
+
+    def _gradient(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> tuple[float, float, float]:
+        """The bias for each K/s."""
+        if triad.bias_temperature_gradient is None:
+            return (0.0, 0.0, 0.0)
+        typical = _TYPICAL_GRADIENT[kind] if triad.gradient_sensitivity is not None else 0.0
+        x, y, z = (triad.gradient_std or typical) * self.random.standard_normal(3)
+        if triad.gradient_sensitivity is not None:
+            named = zip(_XYZ, (x, y, z), strict=True)
+            self.values |= {f"{kind}_{a}.{_GRADIENT}": float(v) for a, v in named if a in triad.axes}
+        return float(x), float(y), float(z)
 
     def _term(
         self, kind: Kind, section: Any, size: float, factors: str, symbols: list[list[str]], axes: tuple[str, ...]
@@ -109,23 +138,22 @@ class _Draws:
         return ScaleFactors(values, of_t, of_w)
 
 
-def _draw_path(
-    triad: GyroTriad | AccelerometerTriad, truth: TriadTruth, random: np.random.Generator, law: Law | None
-) -> TriadTruth:
+def _draw_path(triad: Any, truth: TriadTruth, random: np.random.Generator, law: Law | None) -> TriadTruth:
     """The truth of three sensors with what depends on the path of temperature, of the sizes that the spec names."""
     own = law or LAWS[int(random.integers(len(LAWS)))]
     loops: list[LoopTruth] = []
-    for plays, of_input in ((triad.hysteresis, False), (triad.scale_factor_hysteresis, True)):
+    both: list[tuple[Any, bool]] = [(triad.hysteresis, False), (triad.scale_factor_hysteresis, True)]
+    for plays, of_input in both:
         sizes = np.array([float(p.prior) * float(p.width) for p in plays])
         if len(sizes):
             width = float(np.average([float(p.width) for p in plays], weights=sizes))
             size: Vectors = float(np.sqrt(np.sum(sizes**2))) * random.standard_normal(3)
             loops.append(LoopTruth(own, _three(size), width, int(random.integers(1 << 31)), of_input))
     transients = tuple(
-        (_three(float(t.prior) * random.standard_normal(3)), float(t.time_constant)) for t in triad.turn_on_transient
+        (_three(float(t.prior or 0.0) * random.standard_normal(3)), float(t.time_constant))
+        for t in triad.turn_on_transient
     )
-    gradient = _three(triad.gradient_std * random.standard_normal(3))
-    return replace(truth, loops=tuple(loops), transients=transients, gradient=gradient)
+    return replace(truth, loops=tuple(loops), transients=transients)
 
 
 def _three(values: Vectors) -> tuple[float, float, float]:
@@ -175,7 +203,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
             cosine = draw(size, f"angle_{axis.name}_cos{order}")
             sine = draw(size, f"angle_{axis.name}_sin{order}")
             waves.append((order, -float(np.degrees(cosine)), -float(np.degrees(sine))))
-        limit = None if np.isinf(axis.travel) else float(np.degrees(axis.travel))
+        limit = None if np.isinf(axis.travel) else float(np.degrees(axis.travel)) + BEYOND_DEG
         encoders.append(
             AxisTruth(
                 lowest_deg=None if limit is None else -limit,
@@ -183,6 +211,8 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
                 harmonics=tuple(waves),
                 standstill_offset_deg=float(np.degrees(axis.angle.standstill_offset)),
                 reading_noise_deg=float(np.degrees(axis.angle.reading_noise)),
+                timing_error_s=float(axis.angle.timing_error),
+                rate_accuracy=float(table.rate_accuracy or 0.0),
                 seed=16 * seed + number,
             )
         )
@@ -242,7 +272,8 @@ class SimulatedUnitLab(SimulatedDevices):
         self._connect(
             {axis.name: axis for axis in table.axis},
             self.units,
-            by_hand=any(step.move.shape == "hand" for step in spec.gradient_schedule.steps),
+            by_hand=table.drive == "hand",
+            typed=not read_at_rest(tracks_of(spec)[1]),
             hang=self._hang if len(table.mounting) > 1 else None,
             seed=seed,
             sample_rate_hz=sample_rate_hz,

@@ -28,11 +28,13 @@ class OnPorts(lab.SimulatedDevices):
         sensors: Mapping[str, SampledSensor],
         *,
         by_hand: bool,
+        typed: bool,
         hang: Callable[[int], None] | None = None,
         seed: int,
         sample_rate_hz: float,
         burst_s: float,
     ) -> None:
+        del typed  # no encoder hangs on a port
         clock = self._clock
         low_c, high_c = self.range_c
         self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=high_c, low_c=low_c))

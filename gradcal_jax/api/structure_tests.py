@@ -1,0 +1,78 @@
+"""Tests of an estimate's maps for more structure than their polynomials have, and the size of what they lack."""
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from gradcal_jax.api.posterior_of_plan import UNIT_OF
+from gradcal_jax.api.tested_maps import hidden_maps, tested_maps
+from gradcal_jax.estimation import StructureTest, UnitEstimate, UnitReadings, Whitened, size_of, structure_test
+from gradcal_jax.files import Spec
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.model import BIAS
+
+
+class MeasuredDiscrepancy(NamedTuple):
+    """The discrepancy of one map and axis, from `units` units together: standard deviation (`unit`) of the coefficients
+    beyond the structure, with its 95 % interval (`high` None: unbounded). `block`: its table in a spec."""
+
+    quantity: str
+    axis: str
+    units: int
+    unit: str
+    standard_deviation: float
+    low: float
+    high: float | None
+    block: str
+
+
+def structure_tests(
+    spec: UnitSpec, readings: UnitReadings, solution: UnitEstimate
+) -> Iterator[tuple[str, StructureTest]]:
+    """The test of each polynomial map of each gyro of an estimate, with the name of its channel."""
+    model = readings.model
+    for number, channel in enumerate(model.channels):
+        if channel.kind != "gyro":
+            continue
+        for term, level in hidden_maps(spec, channel.model):
+            own = np.zeros(model.size, bool)
+            own[model.where("gyro", channel.axis, term.name)] = True
+            prior = solution.white.prior
+            kept = ~np.any(prior[:, own] != 0.0, axis=1)
+            white = Whitened(solution.white.rows[:, :, ~own], solution.white.data, prior[kept][:, ~own])
+            test = structure_test(white, readings.whitened_term(number, term), term, level)
+            if test is not None:
+                yield channel.name, test
+
+
+def structure_in_words(test: StructureTest) -> str:
+    """A sentence on the degrees of a map that the data need."""
+    assert test.asked is not None
+    of_temperature, of_rate = test.asked
+    degree = f"degree {of_temperature} in temperature" + (f" and {of_rate} in rate" if test.quantity != BIAS else "")
+    return (
+        f"the {test.quantity.replace('_', ' ')} has more structure than the model (chance "
+        f"{test.test.probability:.1g}): the data ask for {degree}"
+    )
+
+
+def discrepancies(spec: Spec | UnitSpec, tests: Iterable[tuple[str, StructureTest]]) -> Iterator[MeasuredDiscrepancy]:
+    """The discrepancy of each map and channel, from all units together; `tests` with the names of their channels."""
+    table = "sensor" if isinstance(spec, Spec) else "sensor.gyro"
+    of_map: dict[tuple[str, str], list[StructureTest]] = {}
+    for channel, test in tests:
+        of_map.setdefault((channel, test.quantity), []).append(test)
+    for (channel, quantity), own in of_map.items():
+        size = size_of([test.components for test in own])
+        if size is None:
+            continue
+        of = tested_maps(spec)[quantity]
+        unit, factor = UNIT_OF[quantity]
+        high = None if size.high is None else size.high * factor
+        degrees = f"temperature_degree = {of.temperature_degree}"
+        degrees += "" if quantity == BIAS else f", rate_degree = {of.rate_degree}"
+        std = f'standard_deviation = "{size.std * factor:.3g} {unit}"'
+        block = f"[{table}.{quantity}]\ndiscrepancy = {{ {std}, {degrees} }}"
+        stated = (size.std * factor, size.low * factor, high)
+        yield MeasuredDiscrepancy(quantity, channel[-1], len(own), unit, *stated, block if size.std else "")

@@ -1,0 +1,105 @@
+"""The log of a gyro axis, estimated by its own spec and by that of an IMU of one gyro: the same calibration.
+
+Two estimators of different construction: whitened readings of one axis, with maps and true rates in turn; and
+Gauss-Newton through the finite geometry of a table.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[1] / "estimation"))
+
+from logs_zoo import GRADIENT, STANDARD, spec_of
+from simulated_log import simulate_log
+
+from gradcal_jax.api.calibration import estimate_calibration
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.structure_tests import discrepancies
+from gradcal_jax.api.unit_estimate import estimate_units
+from gradcal_jax.files import Spec, changed
+from gradcal_jax.files.axis_as_imu import axis_as_imu
+from gradcal_jax.files.changes import tables_of
+from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+
+UNWEIGHTED = STANDARD.replace('"standard"', '"standard"\nestimator = "least squares"')
+STATIC = GRADIENT[: GRADIENT.index("[plan.cycle]")] + 'read_every = "2 s"\n'
+CASES = {
+    "moves without rests": GRADIENT,
+    "unread rests": GRADIENT.replace('"5 s", read_every = "1 s"', '"5 s", read = "none"'),
+    "standing": STATIC[: STATIC.index("[sensor.scale_factor]")] + STATIC[STATIC.index("[rig.table]") :],
+    "standard": STANDARD,
+    "standard, unweighted": UNWEIGHTED,
+}
+
+
+def as_imu(spec: Spec) -> UnitSpec:
+    return unit_spec_of(axis_as_imu(tables_of(spec)))
+
+
+def text_of(name: str) -> str:
+    text = CASES[name]
+    if name == "standing":
+        text = text.replace('[[requirement]]\nname = "map"', '[[requirement]]\nname = "other"')
+        text = text.replace('quantity = "scale_factor"', 'quantity = "bias"').replace('target = "2000 ppm"\n', "")
+        text = text.replace('rate = ["-300 deg/s", "300 deg/s"]\n', "")
+    return text
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_one_log_gives_one_calibration(name: str) -> None:
+    spec = spec_of(text_of(name))
+    made = simulate_log(
+        spec, units=1, sample_rate_hz=50.0, seed=3, readings=name != "standing" and "standard" not in name
+    )
+    axis = estimate_calibration(spec, made.log).calibrations[0]
+    (report,) = estimate_units(as_imu(spec), [made.log])
+    imu = report.calibration
+    std = dict(zip(axis.covariance.names, np.sqrt(np.diag(axis.covariance.matrix)), strict=True))
+    other = dict(zip(imu.covariance.names, np.sqrt(np.diag(imu.covariance.matrix)), strict=True))
+    assert set(std) == set(other)
+    here, there = axis.values(), imu.values()
+    for key, own in std.items():
+        assert other[key] == pytest.approx(own, rel=0.02)
+        assert abs(there[key] - here[key]) < 0.1 * own, key
+    for one, two in zip(axis.result, imu.result, strict=True):
+        assert two.value == pytest.approx(one.value, rel=0.02)
+        assert two.verdict == one.verdict
+
+
+def test_an_imu_is_tested_for_more_structure_and_what_it_lacks_is_measured() -> None:
+    spec = spec_of()
+    higher = changed(spec, {"sensor.scale_factor.temperature.degree": 3})
+    (quiet,) = estimate_units(as_imu(spec), [simulate_log(spec, sample_rate_hz=20.0, seed=5).log])
+    assert not any(test.noticed for _, test in quiet.structure)
+    made = simulate_log(higher, sample_rate_hz=20.0, seed=6)
+    (report,) = estimate_units(as_imu(spec), [made.log])
+    (test,) = (test for channel, test in report.structure if (channel, test.quantity) == ("gyro_x", "scale_factor"))
+    assert test.noticed
+    assert test.asked == (3, 1)
+    assert any("gyro x: the scale factor has more structure" in m for m in report.messages)
+    assert "gyro_x: structure of the scale factor" in report.calibration.contradicted
+    (row,) = (row for row in discrepancies(as_imu(spec), report.structure) if row.quantity == "scale_factor")
+    assert row.low > 0.0
+    assert row.block.startswith("[sensor.gyro.scale_factor]\ndiscrepancy = {")
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 40.0])
+def test_the_lag_of_an_imus_maps_is_found(lag_s: float) -> None:
+    both = 'temperature = ["0 degC", "40 degC"]\ngradient = "4 K/min"'
+    legs = '{ soak = "1 min", at = "0 degC" }, { ramp_to = "40 degC", rate = "4 K/min" }'
+    programme = f'programme = [{legs}, {{ ramp_to = "0 degC", rate = "4 K/min" }}]'
+    spec = spec_of(GRADIENT.replace(both, programme))
+    behind = changed(spec, {"sensor.thermal_lag": f"{lag_s} s"}) if lag_s else spec
+    log = simulate_log(behind, sample_rate_hz=20.0, seed=8).log
+    if lag_s:
+        # What the log has is the air's temperature.
+        times = np.array([s.start for s in spec.schedule.segments] + [spec.schedule.segments[-1].end])
+        air = [s.temperature_start for s in spec.schedule.segments] + [spec.schedule.segments[-1].temperature_end]
+        log.temperature_c[:] = np.interp(log.time_s, times, air)
+    (report,) = estimate_units(as_imu(spec), [log], options=Options(lag="fit"))
+    lag = report.calibration.channel[0].thermal_lag
+    assert float(lag or 0.0) == pytest.approx(lag_s, abs=3.0)
+    assert any(("late (1σ" if lag_s else "no lag of the maps shows") in m for m in report.messages)

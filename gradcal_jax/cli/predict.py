@@ -43,14 +43,12 @@ def predict(
 
     drawable(plot)
     specification = any_spec_in(spec)
-    if isinstance(specification, UnitSpec) and monte_carlo is not None:
-        raise ValueError("--monte-carlo simulates one gyro axis, not yet a whole unit: leave it out")
     use_float64()
     from gradcal_jax import api
 
     rows, tests, limits = (), {}, not json or bool(specification.sensor.uncertain_figures())
     prediction = api.predict(specification, limits=limits, notices=True, outlook=True)
-    if monte_carlo is not None and not isinstance(specification, UnitSpec):
+    if monte_carlo is not None:
         rows, tests = api.monte_carlo(specification, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}

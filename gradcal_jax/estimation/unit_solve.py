@@ -25,7 +25,7 @@ from gradcal_jax.information import (
     Posterior,
     SquareRootInformation,
     encoder_rows,
-    least_squares_of_means,
+    estimator_of_means,
     posterior,
     row_of_steps,
     segments_of,
@@ -308,9 +308,7 @@ def estimate_unweighted(readings: UnitReadings) -> UnitEstimate:
     motion, model = readings.done.motion, readings.model
     at, weighted = segments_of(motion, model), estimate_unit(readings)
     steps, columns = readings.linear(None)
-    row, own = row_of_steps(motion, model), model.calibrated
-    duration = at.sums(motion.line.duration)[at.row_segment[np.maximum(row, 0)]]
-    estimator = least_squares_of_means(columns[:, :own], np.asarray(steps.used), duration)
+    estimator, own = estimator_of_means(motion, model, steps, columns), model.calibrated
     nothing = np.zeros(model.size)
     apart = readings.by_steps(np.where(at.used, readings.observed - readings.expected(nothing), 0.0))
     beta = np.append(estimator.back @ (estimator.weights.T @ apart), nothing[own:])

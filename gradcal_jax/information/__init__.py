@@ -1,7 +1,13 @@
 """From a timeline and an error model to square-root information, the residual map and its Monte Carlo twin."""
 
 from gradcal_jax.information.adjoint import gram, whitened_factor
-from gradcal_jax.information.montecarlo import WishartTest, monte_carlo_errors, simulate_noise, wishart_test
+from gradcal_jax.information.montecarlo import (
+    WishartTest,
+    monte_carlo_errors,
+    simulate_noise,
+    simulated_errors,
+    wishart_test,
+)
 from gradcal_jax.information.native import begin_filter
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_states, noise_steps
 from gradcal_jax.information.noticing import (
@@ -20,7 +26,6 @@ from gradcal_jax.information.posterior import (
     SquareRootInformation,
     information,
     least_squares,
-    least_squares_of_means,
     posterior,
     square_root,
     unweighted,
@@ -29,6 +34,7 @@ from gradcal_jax.information.regressors import at_readings, since_origin
 from gradcal_jax.information.residual import STATISTICS, contrasts, residual, statistic
 from gradcal_jax.information.unit_rows import (
     encoder_rows,
+    estimator_of_means,
     row_of_steps,
     segments_of,
     unit_information,

@@ -10,7 +10,7 @@ import numpy as np
 
 from gradcal_jax.display import summary
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
-from gradcal_jax.information.posterior import Posterior, least_squares, posterior, square_root, unweighted
+from gradcal_jax.information.posterior import LeastSquares, Posterior, least_squares, posterior, square_root, unweighted
 from gradcal_jax.information.regressors import at_readings
 from gradcal_jax.information.whitening import whiten
 from gradcal_jax.model import Discrepancy, SensorModel
@@ -36,30 +36,46 @@ def monte_carlo_errors(
     Not `weighted`: estimate and prediction by ordinary least squares (`posterior.unweighted`). Errors: `ValueError`
     where the plan leaves something unobservable, since its estimate would be arbitrary.
     """
-    steps, columns = noise_steps(line, model), at_readings(line, model)
-    rows = model.prior_rows()
+    system = noise_steps(line, model), at_readings(line, model)
+    plain = None if weighted else (least_squares(line, model), unweighted(line, model))
+    carried = np.concatenate([np.full(t.size, not isinstance(t, Discrepancy)) for t in model.terms])
+    return simulated_errors(*system, model.prior_rows(), carried, runs, seed, tile, plain=plain)
+
+
+def simulated_errors(
+    steps: NoiseSteps,
+    columns: np.ndarray,
+    prior: np.ndarray,
+    carried: np.ndarray,
+    runs: int,
+    seed: int = 0,
+    tile: int = 256,
+    *,
+    plain: tuple[LeastSquares, Posterior] | None = None,
+) -> Twin:
+    """As `monte_carlo_errors`, of any linear system with the rows `prior` `(m, p)` of its priors; `carried` `(p,)`:
+    whether a calibration has a parameter. `plain`: an unweighted estimator and its posterior; it leaves the last
+    parameters, which are noise to it, at zero."""
     rng = np.random.default_rng(seed)
-    plain = None if weighted else least_squares(line, model)
-    known = (
-        posterior(square_root(np.concatenate([whiten(steps, columns), rows]))) if weighted else unweighted(line, model)
-    )
+    known = posterior(square_root(np.concatenate([whiten(steps, columns), prior]))) if plain is None else plain[1]
     if known.hidden.shape[1]:
         raise ValueError(
             "the plan leaves some parameters unobservable, so no estimate of them can be compared: give them a prior"
         )
-    p = model.size
+    p = columns.shape[1]
+    drawn = np.linalg.pinv(prior) if len(prior) else np.zeros((p, 0))
     errors, left = [], []
-    carried = np.concatenate([np.full(t.size, 0.0 if isinstance(t, Discrepancy) else 1.0) for t in model.terms])
     for begin in range(0, runs, tile):
         size = min(tile, runs - begin)
-        truth = np.linalg.pinv(rows) @ rng.standard_normal((rows.shape[0], size)) if len(rows) else np.zeros((p, size))
+        truth = drawn @ rng.standard_normal((len(prior), size))
         readings = simulate_noise(steps, size, rng) + columns @ truth
         if plain is not None:
-            estimate = plain.back @ (plain.weights.T @ readings)
+            own = plain[0].back @ (plain[0].weights.T @ readings)
+            estimate = np.concatenate([own, truth[len(own) :]])
         else:
             both = whiten(steps, np.concatenate([columns, readings], axis=1))
-            design = np.concatenate([both[:, :p], rows])
-            data = np.concatenate([both[:, p:], np.zeros((len(rows), size))])
+            design = np.concatenate([both[:, :p], prior])
+            data = np.concatenate([both[:, p:], np.zeros((len(prior), size))])
             scale = np.linalg.norm(design, axis=0)
             estimate = np.linalg.lstsq(design / scale, data, rcond=None)[0] / scale[:, None]
         errors.append((estimate - truth).T)

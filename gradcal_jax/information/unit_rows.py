@@ -30,6 +30,7 @@ from jaxtyping import Bool, Float, Int
 from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed
 from gradcal_jax.information.noise_steps import NoiseSteps, constant_drive, drive_rates, varying_drive
 from gradcal_jax.information.posterior import (
+    LeastSquares,
     Posterior,
     SquareRootInformation,
     least_squares_of_means,
@@ -106,15 +107,21 @@ def unweighted_of_unit(motion: TableMotion, model: UnitModel, nodes: BodyNodes) 
     """Covariance of ordinary least squares on the mean errors of all points of a standard plan. The installation's
     errors are noise: nothing is known of them but their priors, which such an estimate does not use."""
     steps, columns = unit_system(motion, model, nodes)
-    at, own = segments_of(motion, model), model.calibrated
-    row = row_of_steps(motion, model)
-    duration = at.sums(motion.line.duration)[at.row_segment[np.maximum(row, 0)]]
-    estimator = least_squares_of_means(columns[:, :own], np.asarray(steps.used), duration)
+    own, estimator = model.calibrated, estimator_of_means(motion, model, steps, columns)
     stds = [term.stds for term in model.installation]
     shared = (estimator.weights.T @ columns[:, own:]) * np.concatenate([*stds, np.zeros(0)])
     known = spread_of(estimator, noise_of_sums(steps, estimator.weights) + shared @ shared.T)
     beyond = [(0, model.size - own), (0, 0)]
     return Posterior(np.pad(known.spread, beyond), np.pad(known.hidden, beyond))
+
+
+def estimator_of_means(
+    motion: TableMotion, model: UnitModel, steps: NoiseSteps, columns: Float[AnyArray, "R p"]
+) -> LeastSquares:
+    """Ordinary least squares of the calibrated parameters on the mean errors of all points of a standard plan."""
+    at, row = segments_of(motion, model), row_of_steps(motion, model)
+    duration = at.sums(motion.line.duration)[at.row_segment[np.maximum(row, 0)]]
+    return least_squares_of_means(columns[:, : model.calibrated], np.asarray(steps.used), duration)
 
 
 def unit_system(

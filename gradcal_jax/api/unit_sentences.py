@@ -1,5 +1,7 @@
 """Sentences on what a unit's plan cannot observe, and on changes that would help."""
 
+import re
+
 import numpy as np
 
 from gradcal_jax.api.unit_build import (
@@ -253,7 +255,7 @@ def _cures(built: AssembledUnit, axes: np.ndarray, names: set[str]) -> list[str]
                 if not np.any(sign * up[:, c.axis] > 0.5):
                     sentences.append(f"accelerometer {axis} never points {where}: add a pose")
         turned = np.any(np.abs(axes[moves, motion.axis[moves], c.axis]) > _SEEN)
-        if c.kind == "gyro" and any(".b" in name for name in blind) and not turned:
+        if c.kind == "gyro" and any(re.search(r"\.b[\d_]", name) for name in blind) and not turned:
             sentences.append(f"no turn is about gyro {axis}: add one while a table axis lies along it")
     if any(".g_" in name for name in names) and len(up):
         spread = np.linalg.svd(np.column_stack([np.ones(len(up)), up]), compute_uv=False)

@@ -16,18 +16,25 @@ class Lag(NamedTuple):
     std: float | None = None
 
     @property
-    def sentences(self) -> list[str]:
-        """What is said of a fitted lag."""
+    def doubts(self) -> list[str]:
+        """What speaks against a fitted lag, in sentences."""
         if self.std is None:
             return []
-        said = [f"the maps follow the temperature {self.seconds:.4g} s late (1σ {self.std:.2g} s)"]
+        said: list[str] = []
         if self.seconds > 0.99 * LONGEST_LAG_S:
-            return [f"the lag is at the longest allowed, {self.seconds:.0f} s: the data do not determine it"]
+            said.append(f"the lag is at the longest allowed, {self.seconds:.0f} s: the data do not determine it")
         if self.seconds < 2.0 * self.std:
-            said = [
+            said.append(
                 f"no lag of the maps shows: the estimate is {self.seconds:.2g} s, its uncertainty (1σ) {self.std:.2g} s"
-            ]
+            )
         return said
+
+    @property
+    def sentences(self) -> list[str]:
+        """What is said of a fitted lag."""
+        if self.std is None or self.doubts:
+            return self.doubts
+        return [f"the maps follow the temperature {self.seconds:.4g} s late (1σ {self.std:.2g} s)"]
 
 
 def fitted_lag(chi_squared: Callable[[float], float]) -> Lag:

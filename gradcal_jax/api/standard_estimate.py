@@ -44,18 +44,7 @@ def standard_channel(built: Assembled, log: Log, axis: str, unit: int, rows: Row
         float(schedule.integration),
         points=schedule.shared,
     )
-    messages = list(rows.messages)
-    if points.missing:
-        t, w = points.missing[0]
-        messages.append(
-            f"{len(points.missing)} of the plan's points are not in the log, the first at {t:g} degC and "
-            f"{np.degrees(w):.4g} deg/s"
-        )
-    if points.unplanned:
-        messages.append(
-            f"the log has {points.unplanned} points, at held rates and stable temperatures, that are not in the plan: "
-            "they are used"
-        )
+    messages = [*rows.messages, *points.sentences]
     done = points.done
     counts = count_rows(log, unit, integrated_rows(done, len(log.time_s)))
     return _of_points(built, Recorded(axis, log.units[unit], rows, done, counts, messages), table_rate, options)

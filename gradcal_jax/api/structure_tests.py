@@ -3,11 +3,9 @@
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-import numpy as np
-
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.tested_maps import hidden_maps, tested_maps
-from gradcal_jax.estimation import StructureTest, UnitEstimate, UnitReadings, Whitened, size_of, structure_test
+from gradcal_jax.estimation import StructureTest, UnitEstimate, UnitReadings, size_of, structure_test
 from gradcal_jax.files import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.model import BIAS
@@ -36,11 +34,7 @@ def structure_tests(
         if channel.kind != "gyro":
             continue
         for term, level in hidden_maps(spec, channel.model):
-            own = np.zeros(model.size, bool)
-            own[model.where("gyro", channel.axis, term.name)] = True
-            prior = solution.white.prior
-            kept = ~np.any(prior[:, own] != 0.0, axis=1)
-            white = Whitened(solution.white.rows[:, :, ~own], solution.white.data, prior[kept][:, ~own])
+            white = solution.white.without(model.where("gyro", channel.axis, term.name))
             test = structure_test(white, readings.whitened_term(number, term), term, level)
             if test is not None:
                 yield channel.name, test

@@ -1,5 +1,6 @@
 """Tests for hidden structure of a map, by polynomials of higher degree, and the power of these tests."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
@@ -149,14 +150,18 @@ def _without(info: SquareRootInformation, model: SensorModel, others: list[str],
     hidden = where_hidden(model, quantity)
     assert hidden is not None
     term, where = hidden
-    keep = np.ones(model.size, bool)
+    gone = [found[1] for other in others if (found := where_hidden(model, other)) is not None]
+    return term, *_knowing(info, where, gone)
+
+
+def _knowing(info: SquareRootInformation, own: slice, others: Sequence[slice]) -> tuple[slice, SquareRootInformation]:
+    """Where `own` parameters stand in the information with those of `others` known to be zero, and that information."""
+    keep = np.ones(len(info.scale), bool)
     for other in others:
-        gone = where_hidden(model, other)
-        assert gone is not None
-        keep[gone[1]] = False
-    begin = int(keep[: where.start].sum())
+        keep[other] = False
+    begin = int(keep[: own.start].sum())
     rows = (info.factor * info.scale[None, :])[:, keep]
-    return term, slice(begin, begin + term.size), square_root(rows)
+    return slice(begin, begin + own.stop - own.start), square_root(rows)
 
 
 def noticing_of_imu(unit: AssembledUnit) -> tuple[NoticeRow, ...]:
@@ -176,21 +181,15 @@ def noticing_of_imu(unit: AssembledUnit) -> tuple[NoticeRow, ...]:
             of = eqx.tree_at(lambda m, k=place: m.terms[k].std, of, np.asarray(NOTIONAL[quantity]))
         channels[number] = replace(channel, model=of)
     model = UnitModel(tuple(channels), unit.model.installation, unit.model.encoder)
-    built = unit._replace(model=model)
-    motions = [(motion, body_nodes(motion, built.points)) for motion in (*built.past, built.motion)]
+    motions = [(motion, body_nodes(motion, unit.points)) for motion in (*unit.past, unit.motion)]
     info = unit_information(motions, model)
     where = lambda axis, quantity: model.where("gyro", axis, DISCREPANCY.format(quantity))  # noqa: E731
     rows: list[NoticeRow] = []
     for channel in gyros:
         for quantity, of in tested.items():
-            keep = np.ones(model.size, bool)
-            for axis, other in added:
-                if (axis, other) != (channel.axis, quantity):
-                    keep[where(axis, other)] = False
-            own = where(channel.axis, quantity)
-            begin = int(keep[: own.start].sum())
-            believed = square_root((info.factor * info.scale[None, :])[:, keep])
-            shares = kept(believed, slice(begin, begin + own.stop - own.start), np.asarray(NOTIONAL[quantity]))
+            others = [where(*other) for other in added if other != (channel.axis, quantity)]
+            own, believed = _knowing(info, where(channel.axis, quantity), others)
+            shares = kept(believed, own, np.asarray(NOTIONAL[quantity]))
             gains = gains_of_shares(np.asarray(shares), NOTIONAL[quantity])
             rows.append(_row(quantity, AXIS_NAMES[channel.axis], of, gains))
     return tuple(rows)

@@ -8,7 +8,7 @@ import numpy as np
 
 from gradcal_jax import estimation
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.fitted_lag import LONGEST_LAG_S
+from gradcal_jax.api.fitted_lag import Lag
 from gradcal_jax.api.log_rows import Rows, temperature_followed
 from gradcal_jax.display import summary
 from gradcal_jax.estimation import Estimate, Observations, Smoothness, StructureTest, Whitened
@@ -82,7 +82,7 @@ def finished_channel(
         if smoothness.at_edge:
             messages.append("the data do not determine the smoothness of the maps: it is at the edge of its range")
     structure = [
-        estimation.structure_test(_without(white, model, term.name), columns, term, level)
+        estimation.structure_test(white.without(model.where(term.name)), columns, term, level)
         for term, level, columns in hidden
     ]
     estimate = estimation.solve(white)
@@ -95,10 +95,7 @@ def finished_channel(
     compared = estimation.whitened(observations, model, constant) if not options.robust else white
     subsets = _subsets(observations, rows)
     tests = estimation.consistency(estimate, white, 0, subsets, model.to_reported, compared=compared)
-    if lag_std is not None and lag > 0.99 * LONGEST_LAG_S:
-        messages.append(f"the lag is at the longest allowed, {lag:.0f} s: the data do not determine it")
-    if lag_std is not None and lag < 2.0 * lag_std:
-        messages.append(f"no lag of the maps shows: the estimate is {lag:.2g} s, its uncertainty (1σ) {lag_std:.2g} s")
+    messages += Lag(lag, lag_std).doubts
     integrated = integrated_rows(done, len(rows.time))
     inside = rows.temperature[integrated]
     groups: tuple[estimation.Group, ...] = ()
@@ -127,14 +124,6 @@ def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str] 
         return []
     named = ", ".join(f"{f'{names[k]} ' if names else ''}at {time_s[k]:.6g} s" for k in low[:5])
     return [f"{len(low)} of {len(weights)} readings have less than full weight, the least {named}"]
-
-
-def _without(white: Whitened, model: SensorModel, name: str) -> Whitened:
-    """The rows without a term's columns and priors."""
-    own = np.zeros(model.size, bool)
-    own[model.where(name)] = True
-    kept = ~np.any(white.prior[:, own] != 0.0, axis=1)
-    return Whitened(white.rows[:, :, ~own], white.data, white.prior[kept][:, ~own])
 
 
 def _neighbours(

@@ -234,6 +234,8 @@ def _report(
     lag = _lag_of(built, name, rows, temperature_of) if options.lag == "fit" else Lag(float(options.lag))
     temperature = temperature_of(lag.seconds)
     done, readings, solution = fitted_twice(built, name, rows, temperature, threshold)
+    if isinstance(built.spec.plan, StandardPlan):
+        messages = *messages, *points_of(built, rows).sentences
     at = segments_of(done.motion, model)
     half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
     of_segment = rows.time_s[done.rows[at.first + 1]]

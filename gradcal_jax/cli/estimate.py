@@ -163,11 +163,13 @@ def estimate(
         )
         descriptions = [described(one, str(path)) for one, path in zip(logs, paths, strict=True)]
         status = say_units(reports, descriptions, text_of_estimate, unit_estimate_rows, files, json=json)
-        if not json and robust is False:
+        if not json:
             from gradcal_jax.api.structure_tests import discrepancies
 
             measured = discrepancies(model, (test for report in reports for test in report.structure))
-            print("\n".join(line for row in measured if row.low > 0.0 for line in _discrepancy(row)))
+            for row in measured:
+                if row.low > 0.0:
+                    print("\n".join(_discrepancy(row)))
         save_figure(lambda plots: plots.unit_calibration.draw_unit_estimate(reports[0]), plot, quiet=json)
         return status
     if more:

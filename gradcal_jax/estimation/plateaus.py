@@ -34,6 +34,23 @@ class Plateaus(NamedTuple):
     unplanned: int
     """Number of points of the log that are not in the plan."""
 
+    @property
+    def sentences(self) -> list[str]:
+        """In words, where log and plan have other points."""
+        said: list[str] = []
+        if self.missing:
+            t, w = self.missing[0]
+            said.append(
+                f"{len(self.missing)} of the plan's points are not in the log, the first at {t:g} degC and "
+                f"{np.degrees(w):.4g} deg/s"
+            )
+        if self.unplanned:
+            said.append(
+                f"the log has {self.unplanned} points, at held rates and stable temperatures, that are not in the "
+                "plan: they are used"
+            )
+        return said
+
 
 def plateaus(
     time_s: np.ndarray,

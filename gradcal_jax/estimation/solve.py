@@ -69,6 +69,11 @@ class Whitened(NamedTuple):
         """A subset of the readings `(n,)`: whitened rows are independent, so any subset is an experiment of its own."""
         return Whitened(self.rows[:, subset], self.data[:, subset], self.prior)
 
+    def without(self, own: slice) -> "Whitened":
+        """The rows without the columns `own` and their priors."""
+        kept = ~np.any(self.prior[:, own] != 0.0, axis=1)
+        return Whitened(np.delete(self.rows, own, axis=2), self.data, np.delete(self.prior[kept], own, axis=1))
+
     def condensed(self) -> "Whitened":
         """p + 1 rows with the same least squares and χ², also joined with those of the complement of a subset."""
         rows, data = [], []

@@ -83,9 +83,16 @@ class PathTerm(Term):
         """The functions of the path at the points of every group."""
 
     @property
-    @abstractmethod
+    def size(self) -> int:
+        return 1
+
+    def names(self) -> list[str]:
+        return [self.name]
+
+    @property
     def nuisances(self) -> list[str]:
         """Names of parameters that describe the recording and not the sensor."""
+        return []
 
     def prior_rows(self) -> Float[AnyArray, "q size"]:
         return namespace(self.std).reshape(1.0 / self.std, (1, 1))
@@ -170,17 +177,6 @@ class GradientOfScale(PathTerm):
     name: str = eqx.field(static=True)
     si_unit: str = eqx.field(static=True, default="s/K")
 
-    @property
-    def size(self) -> int:
-        return 1
-
-    def names(self) -> list[str]:
-        return [self.name]
-
-    @property
-    def nuisances(self) -> list[str]:
-        return []
-
     def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m 1"]]:
         return [g.slope[..., None] for g in _shared(nodes) if g.slope is not None]
 
@@ -194,17 +190,6 @@ class TurnOnTransient(PathTerm):
     signals: tuple[str, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
     si_unit: str = eqx.field(static=True)
-
-    @property
-    def size(self) -> int:
-        return 1
-
-    def names(self) -> list[str]:
-        return [self.name]
-
-    @property
-    def nuisances(self) -> list[str]:
-        return []
 
     def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m 1"]]:
         xp = namespace(nodes.temperature_change)
@@ -228,10 +213,6 @@ class HalfDifference(PathTerm):
 
     def names(self) -> list[str]:
         return [f"{self.name}{k}" for k in range(self.size)]
-
-    @property
-    def nuisances(self) -> list[str]:
-        return []
 
     def prior_rows(self) -> Float[AnyArray, "q q"]:
         return namespace(self.std).eye(self.size) / self.std

@@ -125,3 +125,10 @@ def test_the_earths_rate_and_the_tables_axis_may_be_given_with_the_log() -> None
     sideways["rig"]["table"]["mounting"] = [{"x": "+x", "y": "+y", "z": "+z"}]
     with pytest.raises(ValueError, match="only axis that points up"):
         estimate_units(unit_spec_of(sideways), [log], options=Options(earth_rate=along))
+
+
+def test_points_that_a_log_lacks_are_named() -> None:
+    made = simulate_log(spec_of(STANDARD), sample_rate_hz=20.0, seed=4)
+    longer = as_imu(spec_of(STANDARD.replace('"40 degC"]\nsoak', '"40 degC", "60 degC"]\nsoak')))
+    (report,) = estimate_units(longer, [made.log])
+    assert any("5 of the plan's points are not in the log, the first at 60 degC" in m for m in report.messages)

@@ -189,12 +189,12 @@ def _offered(
     tried = np.zeros(extended.size, bool)
     for own in (place for of_channel in places for place in of_channel):
         tried[own] = True
-    best, first = None, solve(_columns_of(white, ~tried))
+    best, first = None, solve(white.without(tried))
     for k, width in enumerate(widths):
         kept = ~tried
         for of_channel in places:
             kept[of_channel[k]] = True
-        chosen = _columns_of(white, kept)
+        chosen = white.without(~kept)
         fit = solve(chosen)
         if best is None or fit.chi_squared[0] < best[1].chi_squared[0]:
             best = width, fit, chosen, np.flatnonzero(kept), k
@@ -214,12 +214,6 @@ def _offered(
         coefficients[c.name] = float(fit.parameters[0][at]), float(deviations[at])
     before, now = (float(f.chi_squared[0]) / max(int(f.degrees[0]), 1) for f in (first, fit))
     return OfferedPlay(width, before, now, 1.0 if after is None else after.agreement.probability, coefficients)
-
-
-def _columns_of(white: Whitened, kept: np.ndarray) -> Whitened:
-    """The rows with some columns alone, and the priors of these."""
-    prior = white.prior[~np.any(white.prior[:, ~kept] != 0.0, axis=1)]
-    return Whitened(white.rows[:, :, kept], white.data, prior[:, kept])
 
 
 def _sentences(spec: UnitSpec, differences: Sequence[BranchDifference], offer: OfferedPlay | None) -> list[str]:

@@ -69,8 +69,8 @@ class Whitened(NamedTuple):
         """A subset of the readings `(n,)`: whitened rows are independent, so any subset is an experiment of its own."""
         return Whitened(self.rows[:, subset], self.data[:, subset], self.prior)
 
-    def without(self, own: slice) -> "Whitened":
-        """The rows without the columns `own` and their priors."""
+    def without(self, own: slice | np.ndarray) -> "Whitened":
+        """The rows without the columns `own` (a slice, or a mask) and the priors that concern them."""
         kept = ~np.any(self.prior[:, own] != 0.0, axis=1)
         return Whitened(np.delete(self.rows, own, axis=2), self.data, np.delete(self.prior[kept], own, axis=1))
 

@@ -9,7 +9,7 @@ from gradcal_jax.files.log import Log
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.unit import SimulatedUnit, UnitTruth
-from gradcal_jax.hardware.simulate.unit_lab import draw_table
+from gradcal_jax.hardware.simulate.draws import draw_table
 
 COLD, WARM, LASTING_S = -20.0, 60.0, 4800.0
 SIZE, WIDTHS = 10.0, (3.0, 10.0, 30.0)

@@ -1,17 +1,21 @@
-"""The spec of one gyro axis in the general form: `[sensor.gyro]` of one axis, along the only axis of a table."""
+"""The spec of one gyro axis, as earlier versions wrote it, in the general form: `[sensor.gyro]` of one axis, along the
+only axis of a table.
+
+Tables are converted before they are validated, so what is wrong in them stays wrong; `keys_of_axis` gives a problem the
+key that the file has.
+"""
 
 import copy
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final, cast
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from gradcal_jax.files.moves import AXES, Axis, Move, ResolvedMove
-from gradcal_jax.files.problems import Problem, SpecError
-from gradcal_jax.files.quantity import PositiveAcceleration, Quantity, SizeOfTime
-from gradcal_jax.files.spec import Spec
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.problems import Key, Problem, SpecError, from_validation
+from gradcal_jax.files.quantity import EarthRate, PositiveAcceleration, Quantity, SizeOfTime
 from gradcal_jax.formulas import EARTH_RATE
 
 Tables = dict[str, Any]
@@ -20,6 +24,8 @@ _OF_IMU: Final = (
     "name", "grade", "thermal_lag", "clock", "sample_clock_error", "temperature_offset", "temperature_lag",
 )  # fmt: skip
 _OF_TABLE: Final = ("drive", "answer_time", "rate_accuracy")
+_OF_AXIS: Final = ("max_rate", "max_acceleration", "travel", "angle", "keep_out")
+_PARTS: Final = ("gyro", "accelerometer", "frame", "uncertain")
 # The body's axes on a table whose axis points up: the gyro's own is along it.
 _MOUNTINGS: Final[Mapping[str, Tables]] = {
     "x": {"x": "+z", "y": "+x", "z": "+y"},
@@ -31,95 +37,155 @@ _NO_SUCH_TABLE: Final = (
     "(gradcal new two-axis-table)"
 )
 _SECONDS: Final = "s"
+_MAPS: Final = ("bias", "scale_factor")
 
 
-def general(spec: Spec | UnitSpec) -> UnitSpec:
-    """A spec in the general form. Errors: `SpecError` for a plan that turns several axes of a sensor."""
-    if isinstance(spec, UnitSpec):
-        return spec
-    return unit_spec_of(axis_as_imu(spec.model_dump(mode="json", exclude_unset=True)))
+def is_of_axis(document: Mapping[str, Any]) -> bool:
+    """Whether tables are the spec of one gyro axis: its figures stand in [sensor] itself."""
+    sensor = document.get("sensor")
+    return isinstance(sensor, Mapping) and not {"gyro", "accelerometer"} & set(cast("Tables", sensor))
 
 
 def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables:
     """The tables of a one-axis spec as those of an IMU of one gyro, which predict the same; not validated.
 
-    `axis`: of a plan that turns several, the one whose gyro is seen; moves of the others are rests. `[design]` is left
-    out. Errors: `SpecError` for a plan that turns several axes, without `axis`, and for moves that are not determined.
+    `axis`: of a plan that turns several, the one whose gyro is seen; moves of the others are rests. Errors: `SpecError`
+    for a plan that turns several axes, without `axis`, and for moves of other axes that are not determined.
     """
     spec = copy.deepcopy(dict(document))
     turned = turned_axes(spec)
     if axis is None and len(turned) > 1:
         raise SpecError([Problem(("plan", "cycle", "moves"), _NO_SUCH_TABLE.format(", ".join(turned)))])
     seen = axis or turned[0]
-    sensor, rig = spec["sensor"], spec["rig"]
-    table = dict(rig["table"])
-    plan, every = _plan(spec["plan"], seen, rig["table"])
-    result: Tables = {key: spec[key] for key in ("format", "title") if key in spec}
-    result["sensor"] = _sensor(sensor, seen)
-    common = {key: table.pop(key) for key in _OF_TABLE if key in table}
-    mounting = _MOUNTINGS[seen] | ({"accuracy": table.pop("mounting_accuracy")} if "mounting_accuracy" in table else {})
-    turn = {"name": seen, "direction": [0.0, 0.0, 1.0], **table}
-    turn["angle"] = table.get("angle", {}) | {"read_every": every}
-    result["rig"] = {key: rig[key] for key in ("name", "chamber", "resolution") if key in rig}
-    result["rig"]["table"] = {"standing": "read", **common, "axis": [turn], "mounting": mounting}
+    rig = _table(spec.get("rig"))
+    table = dict(_table(rig.get("table")))
+    plan, every = _plan(spec.get("plan"), seen, table)
+    of_rig = {key: value for key, value in rig.items() if key != "earth_rate"}
+    if isinstance(rig.get("table"), Mapping):
+        of_rig["table"] = _table_of(table, seen, every)
     if "earth_rate" in rig:
-        result["rig"]["site"] = {"latitude": _latitude(rig["earth_rate"])}
-    result["requirement"] = [_requirement(row, seen) for row in spec.get("requirement", ())]
-    result["plan"] = plan
-    if "done" in spec:
-        result["done"] = [part | {"plan": _plan(part["plan"], seen, rig["table"])[0]} for part in spec["done"]]
+        of_rig["site"] = {"latitude": _latitude(rig["earth_rate"])}
+    own: Tables = {"sensor": _sensor(spec.get("sensor"), seen), "rig": of_rig, "plan": plan}
+    result = spec | {name: value for name, value in own.items() if isinstance(spec.get(name), Mapping)}
+    if isinstance(rows := spec.get("requirement"), list):
+        result["requirement"] = [_requirement(row, seen) for row in cast("list[Any]", rows)]
+    if isinstance(parts := spec.get("done"), list):
+        done = (dict(_table(part)) for part in cast("list[Any]", parts))
+        result["done"] = [part | {"plan": _plan(part.get("plan"), seen, table)[0]} for part in done]
     return result
+
+
+def keys_of_axis(problem: Problem) -> Problem:
+    """A problem of converted tables, with the key that the file of one axis has."""
+    key: Key
+    match problem.key:
+        case ("sensor", "gyro", *rest):
+            key = ("sensor", *rest)
+        case ("rig", "table", "mounting", *_, "accuracy"):
+            key = ("rig", "table", "mounting_accuracy")
+        case ("rig", "table", "axis", 0, *rest):
+            key = ("rig", "table", *rest)
+        case ("rig", "site", *_):
+            key = ("rig", "earth_rate")
+        case _:
+            return problem
+    return replace(problem, key=key)
+
+
+def change_of_imu(tables: Mapping[str, Any], key: Key, value: object) -> tuple[Key, object]:
+    """The key and the value of the general form for ones of a spec of one axis, where an IMU of `tables` is one."""
+    sensor, table = tables.get("sensor", {}), tables.get("rig", {}).get("table", {})
+    match key:
+        case ("sensor", str() as name, *rest) if name not in (*_OF_IMU, *_PARTS) and {"gyro"} == set(sensor) & {"gyro", "accelerometer"}:
+            return ("sensor", "gyro", name, *rest), value
+        case ("rig", "earth_rate"):
+            return ("rig", "site", "latitude"), value if value is None else _latitude(value)
+        case ("rig", "table", "mounting_accuracy"):
+            return ("rig", "table", "mounting", *([0] if isinstance(table.get("mounting"), list) else []), "accuracy"), value
+        case ("rig", "table", str() as name, *rest) if name in _OF_AXIS and len(table.get("axis", ())) == 1:
+            return ("rig", "table", "axis", 0, name, *rest), value
+        case _:
+            return key, value
 
 
 def turned_axes(document: Mapping[str, Any]) -> Sequence[Axis]:
     """The sensor axes that a spec's plan turns, in order; x for one that stands."""
-    moves = document["plan"].get("cycle", {}).get("moves", ())
-    return tuple(dict.fromkeys(move.get("axis", AXES[0]) for move in moves if "rest" not in move)) or AXES[:1]
+    moves = _moves_of(_table(document.get("plan")))
+    turned = (_table(move).get("axis", AXES[0]) for move in moves if "rest" not in _table(move))
+    return tuple(name for name in dict.fromkeys(turned) if name in AXES) or AXES[:1]
 
 
-def _sensor(sensor: Tables, axis: Axis) -> Tables:
-    imu = {key: sensor[key] for key in _OF_IMU if key in sensor}
-    gyro = {"axes": [axis]} | {k: v for k, v in sensor.items() if k not in (*_OF_IMU, "quantity", "uncertain")}
-    uncertain = sensor.get("uncertain")
-    if isinstance(uncertain, str):
-        gyro["uncertain"] = imu["uncertain"] = uncertain
+def _table(value: object) -> Tables:
+    """The value where it is a table; what is none is found when the spec is validated."""
+    return dict(cast("Tables", value)) if isinstance(value, Mapping) else {}
+
+
+def _moves_of(plan: Tables) -> list[Any]:
+    moves = _table(plan.get("cycle")).get("moves")
+    return cast("list[Any]", moves) if isinstance(moves, list) else []
+
+
+def _sensor(sensor: object, axis: Axis) -> Tables:
+    of_file = _table(sensor)
+    imu = {key: of_file[key] for key in _OF_IMU if key in of_file}
+    gyro = {"axes": [axis]} | {k: v for k, v in of_file.items() if k not in (*_OF_IMU, "quantity", "uncertain")}
+    if of_file.get("quantity", "gyro") != "gyro":
+        message = 'expected "gyro": one axis is a gyro\'s; accelerometers are in [sensor.accelerometer]'
+        raise SpecError([Problem(("sensor", "quantity"), message, of_file["quantity"])])
+    uncertain = of_file.get("uncertain")
+    if isinstance(uncertain, Mapping):
+        of = _table(uncertain)
+        for part, keys in ((imu, _OF_IMU), (gyro, set(of) - set(_OF_IMU))):
+            if own := {key: of[key] for key in of if key in keys}:
+                part["uncertain"] = own
     elif uncertain is not None:
-        for of, keys in ((imu, _OF_IMU), (gyro, set(uncertain) - set(_OF_IMU))):
-            if own := {key: uncertain[key] for key in uncertain if key in keys}:
-                of["uncertain"] = own
+        gyro["uncertain"] = imu["uncertain"] = uncertain
     return imu | {"gyro": gyro}
 
 
-def _latitude(earth_rate: str) -> str:
+def _table_of(table: Tables, axis: Axis, every: Any) -> Tables:
+    common = {key: table.pop(key) for key in _OF_TABLE if key in table}
+    mounting = _MOUNTINGS[axis] | ({"accuracy": table.pop("mounting_accuracy")} if "mounting_accuracy" in table else {})
+    angle = table.get("angle", {})
+    turn = {"name": axis, "direction": [0.0, 0.0, 1.0], **table}
+    turn["angle"] = _table(angle) | {"read_every": every} if isinstance(angle, Mapping) else angle
+    return {"standing": "read", **common, "axis": [turn], "mounting": mounting}
+
+
+def _latitude(earth_rate: object) -> object:
     """Where an axis that points up has this rate of the Earth."""
     if earth_rate == "unknown":
         return earth_rate
-    sine = Quantity.read(earth_rate, "angular rate") / EARTH_RATE
-    return Quantity.of(math.asin(max(-1.0, min(sine, 1.0))), "deg").text
+    try:
+        rate = TypeAdapter(EarthRate).validate_python(earth_rate)
+    except ValidationError as error:
+        raise SpecError(problem.under("rig", "earth_rate") for problem in from_validation(error)) from None
+    return Quantity.of(math.asin(max(-1.0, min(rate / EARTH_RATE, 1.0))), "deg").text
 
 
-def _requirement(row: Tables, axis: Axis) -> Tables:
+def _requirement(row: Any, axis: Axis) -> Any:
     """Requirements on a map are on that of the gyro; all others are as they are."""
-    of_maps = row.get("quantity") in ("bias", "scale_factor")
-    return row | ({"quantity": f"gyro_{row['quantity']}", "axis": axis} if of_maps else {})
+    of_maps = isinstance(row, Mapping) and _table(row).get("quantity") in _MAPS
+    return _table(row) | ({"quantity": f"gyro_{row['quantity']}", "axis": axis}) if of_maps else row
 
 
-def _plan(plan: Tables, axis: Axis, table: Tables) -> tuple[Tables, str]:
+def _plan(of_file: object, axis: Axis, table: Tables) -> tuple[Any, Any]:
     """The plan, and the spacing of the table's readings where the plan does not say it."""
-    every: str = plan.get("read_every", "rest")
-    plan = {key: value for key, value in plan.items() if key not in ("read_every", "reference")}
-    if "cycle" not in plan:
+    if not isinstance(of_file, Mapping):
+        return of_file, "rest"
+    plan = _table(of_file)
+    every = plan.pop("read_every", "rest")
+    plan.pop("reference", None)
+    if not isinstance(plan.get("cycle"), Mapping) or not (moves := _moves_of(plan)):
         return plan, every
-    cycle = plan["cycle"]
-    moves: list[Tables] = cycle["moves"]
+    cycle = plan["cycle"] = _table(plan["cycle"])
     of_others: Tables = {"read": "none"}
-    spacings = [move["read_every"] for move in moves if "rest" in move and "read_every" in move]
-    every = next(iter(spacings), "rest")
-    others = cycle.get("other_axes", {})
-    if others.get("read"):
+    rests = [move for move in map(_table, moves) if "rest" in move]
+    every = next((move["read_every"] for move in rests if "read_every" in move), "rest")
+    if (others := _table(cycle.get("other_axes"))).get("read"):
         every = others.setdefault("read_every", every)
-        of_others = {"read_every": every}
-    cycle["moves"] = [_move(move, axis, of_others, table) for move in moves]
+        of_others, cycle["other_axes"] = {"read_every": every}, others
+    cycle["moves"] = [_move(_table(m), axis, of_others, table) if isinstance(m, Mapping) else m for m in moves]
     return plan, every
 
 
@@ -127,11 +193,16 @@ def _move(move: Tables, axis: Axis, of_others: Tables, table: Tables) -> Tables:
     plain = {key: value for key, value in move.items() if key != "axis"}
     if "rest" in move:
         return plain if {"read", "read_every"} & set(move) else plain | {"read": "end"}
-    if move.get("axis", AXES[0]) == axis:
+    if (of := move.get("axis", AXES[0])) == axis:
         return plain
-    limit = TypeAdapter(PositiveAcceleration).validate_python(table["max_acceleration"])
-    answer_time = TypeAdapter(SizeOfTime).validate_python(table.get("answer_time", "0 s"))
-    resolved: ResolvedMove = cast("Any", TypeAdapter(Move).validate_python(move)).resolve(float(limit))
+    if of not in AXES:
+        return move
+    try:
+        limit = TypeAdapter(PositiveAcceleration).validate_python(table.get("max_acceleration"))
+        answer_time = TypeAdapter(SizeOfTime).validate_python(table.get("answer_time", "0 s"))
+        resolved: ResolvedMove = cast("Any", TypeAdapter(Move).validate_python(move)).resolve(float(limit))
+    except ValidationError:
+        return move
     lasts = resolved.answered(float(answer_time)).duration
     repeated = {"repeat": move["repeat"]} if "repeat" in move else {}
     return {"rest": Quantity.of(lasts, _SECONDS).text, **repeated, **of_others}

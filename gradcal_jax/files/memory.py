@@ -2,22 +2,35 @@
 
 import contextlib
 import os
-from typing import Final
+from typing import Any, Final
 
-from gradcal_jax.files.schedule import GradientSchedule
-from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.section import Section
+from gradcal_jax.files.unit_plan import UnitSchedule, row_count
+from gradcal_jax.files.unit_spec import UnitSpec
 
 # For the whitened rows and their computation, by reading and column; measured: 2.6 kB a reading with 39 columns.
 _BYTES: Final = 68.0
 
 
-def needed_bytes(spec: Spec) -> float:
+def needed_bytes(spec: UnitSpec) -> float:
     """Memory that a prediction of the spec takes beside the program's own, to a factor of two."""
-    schedule, sensor = spec.schedule, spec.sensor
-    readings = schedule.readings if isinstance(schedule, GradientSchedule) else len(schedule.points)
-    columns = sum(part.size for part in (sensor.bias, sensor.scale_factor) if part is not None)
-    columns += 4 + len(sensor.drift) + len(sensor.scale_factor_instability) + 2 * len(spec.rig.table.angle.harmonics)
-    return _BYTES * readings * columns
+    rows, table = len(spec.schedule.points) if isinstance(spec.schedule, StandardSchedule) else 0, spec.rig.table
+    if isinstance(spec.schedule, UnitSchedule):
+        rows = row_count(spec.schedule, table)
+    columns, channels = 2 * sum(len(axis.angle.harmonics) for axis in table.axis), 0
+    for triad in (spec.sensor.gyro, spec.sensor.accelerometer):
+        if triad is not None:
+            parts = [part for _, part in triad if isinstance(part, Section)]
+            columns += len(triad.axes) * (4 + sum(map(_size, parts)) + len(triad.drift) + len(triad.scale_factor_instability))
+            channels += len(triad.axes)
+    return _BYTES * rows * columns * channels
+
+
+def _size(section: Section) -> int:
+    """Number of coefficients of an error term."""
+    of: Any = getattr(section, "temperature", None)
+    return int(getattr(section, "size", 1 if of is None else of.size))
 
 
 def available_bytes() -> float:
@@ -33,7 +46,7 @@ def available_bytes() -> float:
         return float("inf")
 
 
-def too_large(spec: Spec) -> str:
+def too_large(spec: UnitSpec) -> str:
     """A sentence where the spec's readings need more memory than there is; empty otherwise."""
     needed, there = needed_bytes(spec), available_bytes()
     if needed <= there:

@@ -36,9 +36,8 @@ from gradcal_jax.files.document import TitledFile, parsed, read_text, read_toml
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Count, Text, Whole
-from gradcal_jax.files.recipe import axis_spec_of, spec_or_recipes_of
+from gradcal_jax.files.recipe import spec_or_recipes_of
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
 FORMAT: Final = "gradcal-sweep/1"
@@ -273,7 +272,7 @@ class Sweep:
 
     file: SweepFile
     text: str
-    base: Spec | UnitSpec
+    base: UnitSpec
 
     __repr__ = summary
 
@@ -304,11 +303,11 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     return Sweep(file, text, base)
 
 
-def named_spec(name: str, folder: Path, source: str = "") -> Spec:
+def named_spec(name: str, folder: Path, source: str = "") -> UnitSpec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
     tables, place = _named(name, folder, source)
     with missions_from(Path(place).parent):
-        return axis_spec_of(tables, place)
+        return spec_or_recipes_of(tables, place)
 
 
 def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str]:
@@ -320,7 +319,7 @@ def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str
     raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal new --list')], source)
 
 
-def _known(axis: Axis, base: Spec | UnitSpec) -> None:
+def _known(axis: Axis, base: UnitSpec) -> None:
     """A key that no spec has is a slip, and is said at once, not a thousand times."""
     trial = {key: axis.at(0.0) for key in axis.changes}
     try:

@@ -15,13 +15,14 @@ from pydantic import Field, GetJsonSchemaHandler, ValidationError, model_seriali
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from gradcal_jax.files.bench import TableAxis, UnitRig
+from gradcal_jax.files.bench import TableAxis, UnitRig, UnitTable
 from gradcal_jax.files.moves import Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse, OtherAxes, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Temperature, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
 from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
+from gradcal_jax.formulas import reading_count
 
 _SLACK = 1e-6
 # Tolerance of a whole cycle, as a fraction, for the times of a journal.
@@ -198,6 +199,32 @@ class UnitSchedule(CourseTimes):
         """Whether there is a cycle, all of whose rests and moves are read as the table is."""
         own = (not s.move.read_end or s.move.read_every is not None for s in self.steps)
         return bool(self.steps) and not self.after and not any(own)
+
+
+def row_count(schedule: UnitSchedule, table: UnitTable) -> int:
+    """Rows of data of each channel: of a table that is read while it stands the readings of its angle, else a row for
+    each rest and turn; the first reading of each stretch not counted."""
+    spacing = min(float(axis.angle.read_every) for axis in table.axis)
+
+    def rows(steps: Iterable[UnitStep]) -> int:
+        return sum(step.move.repeat * _rows(step.move, spacing, table) for step in steps)
+
+    cycle, after = rows(schedule.steps), rows(schedule.after)
+    total = 0
+    for stretch in schedule.stretches:
+        total += stretch.cycles * cycle + max(0, stretch.cycles - 1) * after
+        stands = stretch.leftover if stretch.cycles else stretch.duration
+        total += _rows(ResolvedMove("rest", "x", stands), spacing, table) if stands > 0.0 else 0
+    return total
+
+
+def _rows(move: ResolvedMove, spacing: float, table: UnitTable) -> int:
+    every = spacing if move.reads_as_table else move.read_every
+    if table.standing == "held":
+        return 1
+    if every is None or math.isinf(every):
+        return int(move.read_end)
+    return reading_count(move.duration, every)
 
 
 def duration_of(steps: Iterable[UnitStep]) -> float:

@@ -1,17 +1,16 @@
 """gradcal-spec/1 of a whole unit: `[sensor.gyro]` and `[sensor.accelerometer]` on a table of one to three axes."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import cached_property
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
-from gradcal_jax.files.bench import Rig, Table, UnitRig
-from gradcal_jax.files.checks import course_within, standard_within
+from gradcal_jax.files.bench import UnitRig
+from gradcal_jax.files.checks import beyond_full_scale, course_within, inside_basis, standard_within
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
-from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
+from gradcal_jax.files.document import TitledFile
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, hint, one_of
 from gradcal_jax.files.quantity import SizeOfTime, Text, Time
@@ -25,9 +24,11 @@ from gradcal_jax.files.requirement import (
 )
 from gradcal_jax.files.schedule import StandardSchedule, standard_schedule
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.sensor import UnitSensor
-from gradcal_jax.files.spec import FORMAT
+from gradcal_jax.files.sensor import GyroTriad, UnitSensor
 from gradcal_jax.files.unit_plan import AnyUnitPlan, UnitPlan, UnitSchedule, cycles_between, unit_schedule
+
+
+FORMAT: Final = "gradcal-spec/1"
 
 
 class CyclesDone(Section):
@@ -71,13 +72,17 @@ class UnitSpec(TitledFile):
         except SpecError as error:
             yield from (p.under("plan") for p in error.problems)
             return
+        along = self.sensor.gyro if self.is_one_axis else None
         if isinstance(self.plan, StandardPlan):
-            yield from (p.under("plan") for p in _standard(self.plan, self.rig))
+            yield from (p.under("plan") for p in _standard(self.plan, self.rig, along))
             if self.done:
                 yield Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone')
         else:
             segments = self.gradient_schedule.segments
             yield from (p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments))
+            for step in (step for step in steps if step.axis >= 0):
+                key = ("plan", "cycle", "moves", step.source)
+                yield from beyond_full_scale(step.move.fastest, along, key, step.move.words)
         yield from self._site()
         for kind in ("gyro", "accelerometer") if self.done else ():
             if (triad := getattr(self.sensor, kind)) is not None and triad.turn_on_transient:
@@ -112,6 +117,7 @@ class UnitSpec(TitledFile):
                 assert triad is not None
                 if requirement.axis not in triad.axes:
                     yield Problem(("requirement", i, "axis"), "the unit has no such axis", requirement.axis)
+            yield from (p.under("requirement", i) for p in self._outside_maps(requirement))
         accelerometer, frame = self.sensor.accelerometer, self.sensor.frame
         slow = 0.0 if accelerometer is None else float(accelerometer.read_on_moves_below or 0.0)
         read = not steps or any(step.axis < 0 or step.move.fastest <= slow for step in steps)
@@ -137,6 +143,17 @@ class UnitSpec(TitledFile):
                 if not mounting.accuracy:
                     message = 'must be above zero: the frame is the case\'s (sensor.frame.fixed_by = "case")'
                     yield Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg")
+
+    def _outside_maps(self, requirement: UnitRequirement) -> Iterator[Problem]:
+        """Where a requirement goes beyond the bases of a gyro's maps."""
+        gyro = self.sensor.gyro
+        if gyro is None or requirement.quantity not in ("gyro_bias", "gyro_scale_factor"):
+            return
+        section = gyro.bias if requirement.quantity == "gyro_bias" else gyro.scale_factor
+        if section is not None:
+            yield from inside_basis(requirement.temperature, section.temperature.span, ("temperature",))
+        if requirement.quantity == "gyro_scale_factor" and gyro.scale_factor is not None:
+            yield from inside_basis(requirement.rate, gyro.scale_factor.rate.span, ("rate",))
 
     def _site(self) -> Iterator[Problem]:
         """The latitude may be absent where the Earth's rate is the same all the time."""
@@ -210,13 +227,12 @@ class UnitSpec(TitledFile):
         return tuple(part for part in parts if part is not None)
 
 
-def _standard(plan: StandardPlan, rig: UnitRig) -> Iterator[Problem]:
-    """Problems of the standard method, keys relative to the plan: as of one axis, about the table's only axis."""
+def _standard(plan: StandardPlan, rig: UnitRig, gyro: GyroTriad | None) -> Iterator[Problem]:
+    """Problems of the standard method, keys relative to the plan."""
     axis, *others = rig.table.axis
     if others:
         yield Problem(("method",), "the standard method holds the rate of a table of one axis", "standard")
-    same = {name: getattr(axis, name) for name in ("max_rate", "max_acceleration", "travel")}
-    yield from standard_within(plan, Rig(table=Table(**same), chamber=rig.chamber), None)
+    yield from standard_within(plan, axis, rig.chamber, gyro)
 
 
 def _needed_axes(requirement: UnitRequirement) -> list[tuple[str, str]]:
@@ -249,21 +265,3 @@ def _needs(requirement: UnitRequirement) -> tuple[str, ...]:
         "tilt": ("accelerometer.bias",),
         "heading": ("gyro.scale_factor",),
     }[requirement.quantity]
-
-
-def read_unit_spec(path: str | Path) -> UnitSpec:
-    """Read the spec of a whole unit; quantities as text with units, SI (°C) inside.
-
-    Errors: `SpecError` that lists everything wrong with it, each with its key and what was expected.
-    """
-    return parse_unit_spec(read_text(path), str(path))
-
-
-def parse_unit_spec(text: str, source: str = "") -> UnitSpec:
-    """A unit's spec from the text of a TOML file; `source` names it in messages. Errors: `SpecError`."""
-    return from_text(unit_spec_of, text, source)
-
-
-def unit_spec_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:
-    """A unit's spec from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
-    return model_of(UnitSpec, document, FORMAT, source, lambda _: ())

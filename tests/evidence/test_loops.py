@@ -18,7 +18,7 @@ from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.files.changes import changed
 from gradcal_jax.hardware.simulate.loops import LAWS, Law
 from gradcal_jax.hardware.simulate.unit import UnitTruth
-from gradcal_jax.hardware.simulate.unit_lab import draw_unit_truth
+from gradcal_jax.hardware.simulate.draws import draw_truth
 
 pytestmark = pytest.mark.evidence
 
@@ -66,7 +66,7 @@ def runs(law: Law | None, *, back: bool, size: float = SIZE, plays: bool = True,
     spec, results = spec_of(back=back, size=size, plays=plays), []
     drawn = spec_of(back=back, size=size if law else 1e-6)
     for number in range(units):
-        truth = draw_unit_truth(drawn, 36, number, law)
+        truth = draw_truth(drawn, 36, number, law)
         (report,) = estimate_units(spec, [recorded(truth, spec, back=back, seed=1000 + number)])
         results.append(apart(report, truth))
     return tuple(np.stack(of) for of in zip(*results, strict=True))

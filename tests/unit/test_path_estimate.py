@@ -13,7 +13,7 @@ from gradcal_jax.cli.unit_estimate import text_of_estimate
 from gradcal_jax.files.calibration import read_calibration, write_calibration
 from gradcal_jax.files.calibration.exports import export
 from gradcal_jax.hardware.simulate.unit import UnitTruth
-from gradcal_jax.hardware.simulate.unit_lab import draw_unit_truth
+from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.plots.unit_calibration import draw_loop, draw_unit_estimate, legs_of
 
 HOUR = np.pi / 180.0 / 3600.0
@@ -22,7 +22,7 @@ HOUR = np.pi / 180.0 / 3600.0
 @lru_cache
 def estimated(*, back: bool = True, plays: bool = True) -> tuple[UnitReport, UnitTruth]:
     """A unit with relays of tens of deg/h in the place of a play."""
-    truth = draw_unit_truth(spec_of(back=back, size=40.0), 36, 4, "relays")
+    truth = draw_truth(spec_of(back=back, size=40.0), 36, 4, "relays")
     spec = spec_of(back=back, size=40.0, plays=plays)
     (report,) = estimate_units(spec, [recorded(truth, spec, back=back, seed=7)])
     return report, truth
@@ -70,7 +70,7 @@ def test_with_plays_the_fit_is_far_better_and_the_calibration_states_them(tmp_pa
 def test_an_exact_play_is_recovered():
     """A play of 10 K, stepped sample by sample, on top of a unit without a loop."""
     spec = spec_of(back=True)
-    truth = draw_unit_truth(spec_of(back=True, size=1e-6), 36, 9, "relays")
+    truth = draw_truth(spec_of(back=True, size=1e-6), 36, 9, "relays")
     log = recorded(truth, spec, back=True, seed=11)
     assert log.temperature_c is not None
     temperature, state = log.temperature_c[0], float(log.temperature_c[0, 0]) + 10.0

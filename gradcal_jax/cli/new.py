@@ -36,7 +36,7 @@ def new(
     from gradcal_jax.files import column_guess, points, presets
 
     if listing:
-        rows = [(name, presets.title(name)) for name in (*presets.names(), *presets.unit_names())]
+        rows = [(name, presets.title(name)) for name in presets.names()]
         rows += [(_COLUMN_MAP, "What the columns of a recording mean, for --columns")]
         print(columns([*rows, (_POINT_MAP, "What the columns of a table of points mean, for --points")], indent=""))
         return DONE

@@ -314,7 +314,7 @@ def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str
     path = folder / name
     if path.suffix or path.exists():
         return read_toml(read_text(path), str(path)), str(path)
-    if name in (*presets.names(), *presets.unit_names()):
+    if name in presets.names():
         return read_toml(presets.text(name), name), name
     raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal new --list')], source)
 

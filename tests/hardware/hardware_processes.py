@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from simulated_devices.port_lab import SimulatedLab, SimulatedLab
+from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.rig import read_rig

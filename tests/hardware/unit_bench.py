@@ -12,7 +12,8 @@ from gradcal_jax.api.unit_estimate import fitted_twice, unit_rows
 from gradcal_jax.files import changed
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec, read_unit_spec
+from gradcal_jax.files.spec import parse_spec, read_spec
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.information import segments_of, unit_system, whiten
@@ -47,7 +48,7 @@ def hand(minutes: float, **changes: Any) -> UnitSpec:
         "rig.chamber.max_cooling": "60 K/min",
         "sensor.gyro.scale_factor.prior": "1000 ppm",
     }
-    return changed(read_unit_spec(HAND), keys | changes)
+    return changed(read_spec(HAND), keys | changes)
 
 
 def short(cycles: int = 1) -> UnitSpec:
@@ -64,7 +65,7 @@ def short(cycles: int = 1) -> UnitSpec:
         "sensor.accelerometer.scale_factor.temperature": temperature,
     }
     text = HAND.read_text(encoding="utf-8").replace('["-30 degC", "70 degC"]', '["20 degC", "30 degC"]')
-    return changed(parse_unit_spec(text), keys | {"rig.chamber.max_heating": "60 K/min"})
+    return changed(parse_spec(text), keys | {"rig.chamber.max_heating": "60 K/min"})
 
 
 def made(spec: UnitSpec) -> Recipe:

@@ -43,8 +43,8 @@ def general(spec: Spec | UnitSpec) -> UnitSpec:
 def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables:
     """The tables of a one-axis spec as those of an IMU of one gyro, which predict the same; not validated.
 
-    `axis`: of a plan that turns several, the one whose gyro is seen; moves of the others are rests. `[design]` is left
-    out. Errors: `SpecError` for a plan that turns several axes, without `axis`, and for moves that are not determined.
+    `axis`: of a plan that turns several, the one whose gyro is seen; moves of the others are rests. Errors: `SpecError`
+    for a plan that turns several axes, without `axis`, and for moves that are not determined.
     """
     spec = copy.deepcopy(dict(document))
     turned = turned_axes(spec)
@@ -66,6 +66,8 @@ def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables
         result["rig"]["site"] = {"latitude": _latitude(rig["earth_rate"])}
     result["requirement"] = [_requirement(row, seen) for row in spec.get("requirement", ())]
     result["plan"] = plan
+    if "design" in spec:
+        result["design"] = _design(spec["design"])
     if "done" in spec:
         result["done"] = [part | {"plan": _plan(part["plan"], seen, rig["table"])[0]} for part in spec["done"]]
     return result
@@ -88,6 +90,30 @@ def _sensor(sensor: Tables, axis: Axis) -> Tables:
             if own := {key: uncertain[key] for key in uncertain if key in keys}:
                 of["uncertain"] = own
     return imu | {"gyro": gyro}
+
+
+def _design(design: Tables) -> Tables:
+    """The scenarios change keys where they are in the general form."""
+    if "scenario" not in design:
+        return design
+    return design | {"scenario": [_scenario(scenario) for scenario in design["scenario"]]}
+
+
+def _scenario(scenario: Tables) -> Tables:
+    sensor, rig = dict(scenario.get("sensor", {})), dict(scenario.get("rig", {}))
+    result = {key: scenario[key] for key in ("name", "weight") if key in scenario}
+    if sensor:
+        of_imu, gyro = ({k: v for k, v in sensor.items() if (k in _OF_IMU) == own} for own in (True, False))
+        result["sensor"] = of_imu | ({"gyro": gyro} if gyro else {})
+    if rig:
+        table = dict(rig.pop("table", {}))
+        common = {key: table.pop(key) for key in _OF_TABLE if key in table}
+        if "mounting_accuracy" in table:
+            common["mounting[0]"] = {"accuracy": table.pop("mounting_accuracy")}
+        if "earth_rate" in rig:
+            rig["site"] = {"latitude": _latitude(rig.pop("earth_rate"))}
+        result["rig"] = rig | ({"table": common | ({"axis[0]": table} if table else {})} if common or table else {})
+    return result
 
 
 def _latitude(earth_rate: str) -> str:

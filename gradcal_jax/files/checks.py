@@ -8,16 +8,15 @@ import contextlib
 import math
 from collections.abc import Iterator, Sequence
 
-from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.bench import Chamber, Rig
-from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Notice
+from gradcal_jax.files.design import Design, design_problems, notice_problems
 from gradcal_jax.files.moves import AXES, ResolvedMove
 from gradcal_jax.files.plan import ChamberCourse, GradientPlan, RampItem, StandardPlan
-from gradcal_jax.files.problems import Key, Problem, SpecError, hint, one_of
+from gradcal_jax.files.problems import Key, Problem, SpecError
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement import HeadingRequirement, Requirement, ScaleFactorRequirement
 from gradcal_jax.files.schedule import GradientSchedule, TemperatureSegment, gradient_schedule, resolve_cycle
-from gradcal_jax.files.sensor import ScaleFactor, Sensor
+from gradcal_jax.files.sensor import Sensor
 
 # Rounded figures (a ramp rounded to hundredths of a second) may exceed a limit by this share.
 _SLACK = 1e-6
@@ -39,31 +38,14 @@ def between_sections(
             for i, requirement in enumerate(requirements):
                 yield from _missions(i, requirement, visited, "the plan")
         if design is not None:
-            yield from _design(design, [requirement.name for requirement in requirements])
+            names = [requirement.name for requirement in requirements]
+            yield from (p.under("design") for p in design_problems(design, names, of_axis=True))
     if design is not None and design.notice is not None and sensor is not None:
-        yield from (p.under("design", "notice") for p in _notice(design.notice, sensor.scale_factor))
+        yield from (p.under("design", "notice") for p in notice_problems(design.notice, sensor.scale_factor))
     if isinstance(plan, StandardPlan):
         yield from (p.under("plan") for p in standard_within(plan, rig, sensor))
     elif plan is not None and rig is not None:
         yield from (p.under("plan") for p in _gradient(plan, rig, sensor))
-
-
-def _notice(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
-    if scale is None or not isinstance(scale.temperature, TemperaturePolynomial):
-        yield Problem((), "is of a scale factor that is a polynomial; the sensor has none")
-        return
-    if not isinstance(scale.rate, RatePolynomial):
-        yield Problem((), "is of a scale factor that is a polynomial in rate; the sensor's is not")
-        return
-    own = {"temperature_degree": scale.temperature.degree, "rate_degree": scale.rate.degree}
-    for name, degree in own.items():
-        hidden = getattr(notice, name)
-        if hidden is None:
-            continue
-        if scale.discrepancy is not None and hidden != getattr(scale.discrepancy, name):
-            yield Problem((name,), "must be that of the scale factor's discrepancy; leave it out", hidden)
-        elif hidden <= degree:
-            yield Problem((name,), f"must exceed the map's degree, {degree}: only what is beyond it is hidden", hidden)
 
 
 def visited_temperatures(plan: GradientPlan | StandardPlan, rig: Rig | None) -> tuple[float, float] | None:
@@ -133,15 +115,6 @@ def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, ke
         for i, end in enumerate(box)
         if not span[0] <= end <= span[1]
     ]
-
-
-def _design(design: Design, names: Sequence[str]) -> list[Problem]:
-    others = (*TIMES, *OPTIMALITIES)
-    if design.minimise in names or design.minimise in others:
-        return []
-    ending = hint(design.minimise, [*names, *others])
-    message = f"expected the name of a requirement ({one_of(names)}) or {one_of(others)}{ending}"
-    return [Problem(("design", "minimise"), message, design.minimise)]
 
 
 def standard_within(plan: StandardPlan, rig: Rig | None, sensor: Sensor | None) -> Iterator[Problem]:

@@ -1,6 +1,7 @@
 """A spec in the core's terms: its error model and its plan."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -13,7 +14,8 @@ from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.schedule import GradientSchedule, StandardSchedule, gradient_schedule
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, Sensor
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_plan import UnitSchedule
+from gradcal_jax.files.unit_plan import UnitSchedule, unit_schedule
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.model import Map, PathTerm, Processes, Reference, SensorModel, SignalMap
 from gradcal_jax.trajectory import Move, Past, Schedule
 
@@ -22,14 +24,14 @@ _CORRELATION_TIMES_A_PIECE = 3.0
 
 
 class Assembled(NamedTuple):
-    """A spec in the core's terms: the model of a channel, and the schedule of each.
+    """A spec of one gyro in the core's terms: the model of a channel, and the schedule of each.
 
     `moves`: the first moves of every schedule, with their shapes. `sources`: the indices of the model's noise processes
     by the name of their error source. `past`: the motion before the plan begins. `until_s`: where the plan is broken
     off, on its clock.
     """
 
-    spec: Spec
+    spec: Spec | UnitSpec
     model: SensorModel
     schedules: dict[Axis, Schedule]
     moves: tuple[Move, ...]
@@ -52,11 +54,14 @@ class Assembled(NamedTuple):
         return self.past[channel].then(line) if channel in self.past else line
 
 
-def assemble(spec: Spec, until_s: float = np.inf) -> Assembled:
-    """Sensor model and schedules of a spec, whose plan is broken off at `until_s` of its clock.
+def assemble(spec: Spec | UnitSpec, until_s: float = np.inf) -> Assembled:
+    """Sensor model and schedules of a spec of one gyro, whose plan is broken off at `until_s` of its clock.
 
-    Errors: `TypeError` for anything but a spec, `MemoryError` for a plan with more readings than this machine can hold.
+    Errors: `TypeError` for anything but a spec, `ValueError` for one of several sensors or axes of the table,
+    `MemoryError` for a plan with more readings than this machine can hold.
     """
+    if isinstance(spec, UnitSpec):
+        return _assembled(spec, until_s)
     expect_spec(spec)
     if too := too_large(spec):
         raise MemoryError(too)
@@ -66,6 +71,55 @@ def assemble(spec: Spec, until_s: float = np.inf) -> Assembled:
     harmonics = {h.order: float(h.amplitude) for h in spec.rig.table.angle.harmonics}
     channel = gyro_channel(sensor, processes, _reference(spec), harmonics=harmonics)
     return Assembled(spec, channel, *_schedules(spec.schedule, sensor), lag, sources, _past(spec, lag), until_s)
+
+
+def _assembled(spec: UnitSpec, until_s: float) -> Assembled:
+    gyro, site = spec.sensor.gyro, spec.rig.site
+    if gyro is None or not spec.turns_one_gyro:
+        raise ValueError(
+            "this needs a spec of nothing but one gyro along the only axis of a table that stands level and is read "
+            '([rig.table] standing = "read"), without terms that depend on the path of temperature'
+        )
+    parts = named_processes(gyro, clock=spec.sensor.clock_error, earth_is_unknown=site.is_unknown)
+    processes, sources = processes_of(parts)
+    table, angle = spec.rig.table, spec.rig.table.axis[0].angle
+    reference = model.angle_reference(
+        float(angle.reading_noise),
+        float(angle.standstill_offset),
+        float(angle.timing_error),
+        float(table.rate_accuracy or 0.0),
+    )
+    harmonics = {h.order: float(h.amplitude) for h in angle.harmonics}
+    channel, lag = gyro_channel(gyro, processes, reference, harmonics=harmonics), spec.sensor.lag
+    axis = cast("Axis", gyro.axes[0])
+    schedule, moves = table_schedule(spec.schedule, spec)
+    past: Past | None = None
+    for part in spec.done:
+        plan, _ = table_schedule(unit_schedule(part.plan, spec.rig), spec)
+        line = plan.trajectory(lag).between(float(part.start), float(part.end))
+        past = Past(line if past is None else past.then(line), np.asarray(float(part.pause)))
+    pasts = {} if past is None else {axis: past}
+    return Assembled(spec, channel, {axis: schedule}, moves, lag, sources, pasts, until_s)
+
+
+def table_schedule(plan: UnitSchedule | StandardSchedule, spec: UnitSpec) -> tuple[Schedule, tuple[Move, ...]]:
+    """The schedule of a plan as a channel sees it that every axis turns, and the moves of its cycle."""
+    if isinstance(plan, StandardSchedule):
+        return held_rates(plan), ()
+    table, gyro = spec.rig.table, spec.sensor.gyro
+    course, used = chamber_programme(plan)
+    every = float(table.axis[0].angle.read_every) if table.standing == "read" else None
+    longest = np.inf if gyro is None else longest_piece(gyro)
+
+    def move(of: ResolvedMove) -> Move:
+        spacing = every if of.reads_as_table else of.read_every
+        return move_of(replace(of, axis="x", read_every=spacing), None, longest)
+
+    # (Steps behind the cycle are made once.)
+    moves, after = (tuple(move(s.move) for s in part) for part in (plan.every_step, plan.after))
+    # What no cycle fills is read once at its end, but by an operator, who types angles after turns only.
+    left = None if every is None or (np.isinf(every) and table.drive == "motor") else every
+    return trajectory.gradient_plan(course, moves, after, used=used, read_every=left), (*moves, *after)
 
 
 def _past(spec: Spec, lag: float | None) -> dict[Axis, Past]:

@@ -9,12 +9,13 @@ import numpy as np
 from gradcal_jax.api.optimise import Checkpoint
 from gradcal_jax.design import SearchState
 from gradcal_jax.files import Spec, to_toml
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.files.writing import whole
 
 _FORMAT = "gradcal-search/1"
 
 
-def write_checkpoint(path: Path, spec: Spec, checkpoint: Checkpoint) -> None:
+def write_checkpoint(path: Path, spec: Spec | UnitSpec, checkpoint: Checkpoint) -> None:
     """Write a checkpoint, atomically."""
     arrays: dict[str, np.ndarray] = {"format": np.array(_FORMAT), "spec": np.array(_fingerprint(spec))}
     arrays["at"] = np.array([checkpoint.structure, checkpoint.best_structure])
@@ -24,7 +25,7 @@ def write_checkpoint(path: Path, spec: Spec, checkpoint: Checkpoint) -> None:
         np.savez(stream, allow_pickle=False, **arrays)
 
 
-def read(path: Path, spec: Spec) -> Checkpoint:
+def read(path: Path, spec: Spec | UnitSpec) -> Checkpoint:
     """Read the checkpoint of a spec. Errors: `ValueError` for a file of another spec or format."""
     if not path.exists():
         raise ValueError(f"there is no interrupted search to go on from: {path} does not exist")
@@ -46,5 +47,5 @@ def read(path: Path, spec: Spec) -> Checkpoint:
     return Checkpoint(at[0], states[0], at[1], states[1])
 
 
-def _fingerprint(spec: Spec) -> str:
+def _fingerprint(spec: Spec | UnitSpec) -> str:
     return hashlib.sha256(to_toml(spec).encode()).hexdigest()

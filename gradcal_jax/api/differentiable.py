@@ -17,8 +17,9 @@ from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.design import Criterion
 from gradcal_jax.display import summary
 from gradcal_jax.files import Spec
-from gradcal_jax.files.moves import Axis
-from gradcal_jax.files.spec import expect_whole
+from gradcal_jax.files.axis_as_imu import general
+from gradcal_jax.files.spec import goes_on
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information
 from gradcal_jax.model import SensorModel
 from gradcal_jax.trajectory import Rule, Schedule, rule_of
@@ -96,18 +97,18 @@ class Differentiable(eqx.Module):
         return model
 
 
-def differentiable(spec: Spec, axis: Axis | None = None) -> Differentiable:
-    """A spec's requirements as a pure function of the sensor's, the rig's and the plan's figures, for one `axis`
-    (default: the first). At the spec's own `quantities` it equals `predict`, in ppm or deg/h.
+def differentiable(spec: Spec | UnitSpec) -> Differentiable:
+    """A spec's requirements as a pure function of the sensor's, the rig's and the plan's figures, of one gyro
+    along the only axis of a table. At the spec's own `quantities` it equals `predict`, in ppm or deg/h.
 
     Needs float64 (`jax_enable_x64`). The quadrature rule is that of the spec's own plan. Errors: `ValueError` for a
-    spec without requirements, or an axis that the plan does not turn.
+    spec without requirements, and for one of several sensors or axes of the table.
     """
-    expect_whole(spec, "a function of the plan's figures")
+    spec = general(spec)
+    if spec.done:
+        raise goes_on("a function of the plan's figures")
     built = assemble(spec)
-    channel = built.channels[0] if axis is None else axis
-    if channel not in built.channels:
-        raise ValueError(f"the plan does not turn axis {channel!r}: it turns {', '.join(built.channels)}")
+    channel = built.channels[0]
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is nothing to compute: add one")
     schedule = built.schedules[channel]

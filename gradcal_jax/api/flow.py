@@ -45,7 +45,7 @@ def compare(*specs: Spec | UnitSpec) -> list[Prediction]:
 
 
 def optimise(
-    spec: Spec,
+    spec: Spec | UnitSpec,
     *,
     steps: int = search.STEPS,
     quick: bool = False,
@@ -64,7 +64,6 @@ def optimise(
     Errors: `ValueError` without a [design], where limits exclude each other, where nothing can be observed, for
     targets that are not met in the time allowed, and for `until_met` without a target or with a minimised time.
     """
-    expect_spec(spec)
     shortest = spec.design is not None and spec.design.minimise in TIMES
     if shortest and until_met:
         raise ValueError(NO_UNTIL_MET)
@@ -90,11 +89,13 @@ def limit(spec: Spec | UnitSpec) -> list[PlanLimit]:
     return unit_limits(spec) if isinstance(spec, UnitSpec) else limits(expect_spec(spec))
 
 
-def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int = search.STEPS) -> list[frontiers.FrontierPoint]:
+def frontier(
+    spec: Spec | UnitSpec, motion_s: Sequence[float], *, steps: int = search.STEPS
+) -> list[frontiers.FrontierPoint]:
     """The best residual for each of several durations of the ramp, `motion_s` in s, soaks not counted.
 
     Each `api.frontier.FrontierPoint` has `motion` (s) and its `plan` as `optimise` gives it, or None and the `reason`.
 
     Errors: as `optimise`, where no duration has a plan and only one was asked for.
     """
-    return list(frontiers.frontier(expect_spec(spec), list(motion_s), steps=steps))
+    return list(frontiers.frontier(spec, list(motion_s), steps=steps))

@@ -8,6 +8,7 @@ import numpy as np
 from gradcal_jax.api.optimise import STEPS, Optimised, SearchStep, optimise
 from gradcal_jax.display import summary
 from gradcal_jax.files import Spec
+from gradcal_jax.files.unit_spec import UnitSpec
 
 _BLIND: Final = (
     "no plan found for this duration observes all that is required: try more moves at each turn at the table"
@@ -25,7 +26,7 @@ class FrontierPoint(NamedTuple):
 
 
 def frontier(
-    spec: Spec,
+    spec: Spec | UnitSpec,
     times: list[float],
     *,
     steps: int = STEPS,

@@ -13,7 +13,7 @@ from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.measure import design_of
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, criterion_of, residual_map
 from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.api.structures import LEAST_TURN, largest_rate, motion_time, ramp_ends
+from gradcal_jax.api.structures import LEAST_TURN, cycle_of, largest_rate, motion_time, ramp_ends
 from gradcal_jax.api.systematic import floor_of_plan
 from gradcal_jax.design import (
     PRIOR_OF_WALK,
@@ -30,10 +30,12 @@ from gradcal_jax.design.noise_floor import Course
 from gradcal_jax.display import summary
 from gradcal_jax.files import Spec
 from gradcal_jax.files.absent import with_typical
+from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.design import TIMES
-from gradcal_jax.files.requirement import Requirement
-from gradcal_jax.files.schedule import ResolvedCycle, StandardSchedule
-from gradcal_jax.files.spec import expect_whole
+from gradcal_jax.files.requirement import UnitRequirement
+from gradcal_jax.files.schedule import ResolvedCycle
+from gradcal_jax.files.spec import goes_on
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information, statistic
 from gradcal_jax.model import BIAS, SCALE_FACTOR, Map, Processes, SensorModel, gyro_model
 from gradcal_jax.trajectory import Programme, programme
@@ -94,19 +96,21 @@ def plan_limit(
     return PlanLimit(requirement.name, requirement.statistic, of[0], certified, reached, value, efficiency, *words)
 
 
-def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
+def limits(spec: Spec | UnitSpec, *, motion: float | None = None) -> list[PlanLimit]:
     """The limit of every requirement of a gradient plan with motion.
 
     `motion` s: time without soaks, in the place of the plan's or [design]'s; values and efficiencies are the plan's.
     Errors: `ValueError` where there is no requirement, no proof for one, or another kind of plan.
     """
-    expect_whole(spec, "a limit")
-    if isinstance(spec.schedule, StandardSchedule) or spec.schedule.cycle is None:
+    spec = general(spec)
+    if spec.done:
+        raise goes_on("a limit")
+    if cycle_of(spec) is None:
         raise ValueError("a limit is proven for gradient plans with moves; this plan has none")
     if not spec.requirement:
         raise ValueError("a limit is proven for requirements; the spec has none: add a [[requirement]]")
     built = assemble(spec)
-    predicted = {row.name: row for row in requirement_rows(spec) if row.axis == built.channels[0]}
+    predicted = {row.name: row for row in requirement_rows(spec)}
     window = _window(spec, built, motion)
     # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value in the box.
     floors = [floor_of_plan(one, built.channels[0]) for one in (spec, with_typical(spec))]
@@ -128,7 +132,7 @@ class _Window(NamedTuple):
     is free. `spans`: of all used data, not divided at the programme's `knots`.
     """
 
-    spec: Spec
+    spec: UnitSpec
     built: Assembled
     time: float
     every: float
@@ -143,10 +147,10 @@ class _Window(NamedTuple):
     relaxed: tuple[str, ...]
     kept: tuple[str, ...]
 
-    def limit(self, requirement: Requirement, row) -> PlanLimit:
+    def limit(self, requirement: UnitRequirement, row) -> PlanLimit:
         model = self.built.model
         criterion = criterion_of(model, requirement)
-        if requirement.quantity == "scale_factor":
+        if requirement.quantity.endswith("scale_factor"):
             temperature, rate = box(requirement)
             sure = scale_factor_floor(model, self.windows, self.temperature, temperature)
             result, relaxed = self._of_scale_factor(criterion, np.repeat(sure, len(rate))), self.relaxed
@@ -273,10 +277,10 @@ def look_at(windows: Windows, course: Course, longest: float) -> Look:
     return Look(at[:-1], np.diff(at), temperature[:-1], temperature[1:], np.concatenate(used))
 
 
-def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
+def _window(spec: UnitSpec, built: Assembled, motion: float | None) -> _Window:
     schedule, design = spec.gradient_schedule, spec.design
     free = set() if design is None else set(design.free)
-    cycle = schedule.cycle
+    cycle = cycle_of(spec)
     assert cycle is not None
     # A cycle that fills the ramp, as in a recipe, fits only that ramp.
     as_is = motion is None and (design is None or design.minimise in TIMES or 2.0 * cycle.duration > schedule.motion)
@@ -301,8 +305,6 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
     total = max(sum(end - begin for begin, end in visits), every * own / cycle.duration)
     tied = alone or ("cycle" not in free and len(visits) <= _MOST_WINDOWS)
     density, relaxed = noise_density(built.model, *_spacing(built, cycle), visits if tied else None)
-    if len(built.channels) > 1:
-        relaxed.append("the axis turns whenever any axis does")
     if not tied:
         relaxed.append("the axis has its time at the table when it likes")
     followed = sensor_course(chamber, built.thermal_lag)

@@ -8,13 +8,15 @@ import numpy as np
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of, limit_of
 from gradcal_jax.api.scenarios import scenario_specs
+from gradcal_jax.api.structures import gyro_of
 from gradcal_jax.api.systematic import counted_criterion
 from gradcal_jax.api.tested_maps import tested_maps, with_hidden
 from gradcal_jax.design import AnyCoordinates, Case, Compiled, Coordinates, Criterion, Missed, Objective, Optimality
 from gradcal_jax.files import Spec, changed
-from gradcal_jax.files.design import OPTIMALITIES, TIMES, Design, Notice
+from gradcal_jax.files.design import ALL, OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.requirement import UnitRequirement
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import begin_filter, noise_states, quantiles, where_hidden
 from gradcal_jax.model import BIAS, SCALE_FACTOR
 from gradcal_jax.trajectory import Schedule, rule_of
@@ -58,7 +60,7 @@ class Measure(NamedTuple):
         return float(objective.of_schedule(schedule)[0])
 
 
-def design_of(spec: Spec) -> Design:
+def design_of(spec: UnitSpec) -> Design:
     """The spec's [design]. Errors: `ValueError` where it has none."""
     if spec.design is None:
         raise ValueError(
@@ -67,22 +69,24 @@ def design_of(spec: Spec) -> Design:
     return spec.design
 
 
-def design_block(spec: Spec) -> str:
+def design_block(spec: Spec | UnitSpec) -> str:
     """A [design] for the spec's own requirement and kind of plan, as text to paste."""
     name = spec.requirement[0].name if spec.requirement else "D-optimality"
     if isinstance(spec.plan, StandardPlan):
         free = '"temperatures", "integration"' + (', "rates"' if any(spec.plan.rates or ()) else "")
+    elif isinstance(spec, UnitSpec) and not spec.turns_one_gyro:
+        return f'[design]\nminimise = "{name if spec.requirement else ALL}"'
     else:
         free = '"duration", "peak_rate"' if spec.plan.cycle is not None else '"programme"'
     return f'[design]\nminimise = "{name}"\nfree     = [{free}]\nstarts   = 8'
 
 
-def measure(spec: Spec) -> Measure:
+def measure(spec: UnitSpec) -> Measure:
     """The objective of the spec's [design]; for a minimised time, the largest residual over its target."""
     design = design_of(spec)
     if design.whole_turns:
         # Whole turns cancel the encoder's harmonics; while turns are not yet whole, these only disturb the search.
-        spec = changed(spec, {"rig.table.angle.harmonics": None})
+        spec = changed(spec, {"rig.table.axis[0].angle.harmonics": None})
     scenarios = [(s, assemble(s), weight) for s, weight in scenario_specs(spec)]
     limiting = [r for r in spec.requirement if r.target is not None and r.name != design.minimise]
     if design.minimise in TIMES:
@@ -93,7 +97,7 @@ def measure(spec: Spec) -> Measure:
         factors = [1.0 / _limit(r) for r in limiting]
         limiting = []
     elif design.minimise in OPTIMALITIES:
-        name, unit = design.minimise, "ppm" if spec.sensor.scale_factor is not None else "deg/h"
+        name, unit = design.minimise, "ppm" if gyro_of(spec).scale_factor is not None else "deg/h"
         mains = [[_optimality(built, design.minimise)] for _, built, _ in scenarios]
         factors = [UNIT_OF["scale_factor" if unit == "ppm" else "bias"][1]]
     else:
@@ -128,7 +132,7 @@ def measure(spec: Spec) -> Measure:
     return Measure(name, unit, names, cases, np.array(factors, dtype=float), targets, robust)
 
 
-def _noticing(scenarios: list[tuple[Spec, Assembled, float]], notice: Notice):
+def _noticing(scenarios: list[tuple[UnitSpec, Assembled, float]], notice: Notice):
     """Models with the hidden map among their parameters, the criterion of missing it, and the number of parameters of
     the believed model (None: all, where the sensor has a discrepancy of its own)."""
     models, missing, believed = [], [], None
@@ -146,14 +150,14 @@ def _noticing(scenarios: list[tuple[Spec, Assembled, float]], notice: Notice):
     return models, missing, believed
 
 
-def _limit(requirement: Requirement) -> float:
+def _limit(requirement: UnitRequirement) -> float:
     """The largest allowed value of the limiting statistic, in SI."""
     limit = limit_of(requirement)
     assert limit is not None  # only requirements with a target limit a search
     return limit[1] / UNIT_OF[requirement.quantity][1]
 
 
-def _criterion(built: Assembled, requirement: Requirement, *, limited: bool = False) -> Criterion:
+def _criterion(built: Assembled, requirement: UnitRequirement, *, limited: bool = False) -> Criterion:
     """The criterion of a requirement's own statistic or, if `limited`, of the one that its target limits."""
     limit = limit_of(requirement) if limited else None
     criterion = criterion_of(built.model, requirement, None if limit is None else limit[0], _GRID)

@@ -7,9 +7,11 @@ import numpy as np
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.optimise import STEPS, Optimised, Price, SearchStep, optimise
 from gradcal_jax.api.posterior_of_plan import limit_of
-from gradcal_jax.api.structures import motion_time, ramp_ends
+from gradcal_jax.api.structures import cycle_of, motion_time, ramp_ends
 from gradcal_jax.files import Spec
+from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.unit_spec import UnitSpec
 
 NO_UNTIL_MET = "a search for the shortest plan ends where its targets are just met: leave --until-met out"
 # Relative accuracy of the time; the largest number of durations that are tried.
@@ -20,7 +22,7 @@ _SHORTEST = 1.0 / 20.0
 
 
 def minimise_time(
-    spec: Spec, *, steps: int = STEPS, quick: bool = False, stop: Callable[[], bool] = lambda: False
+    spec: Spec | UnitSpec, *, steps: int = STEPS, quick: bool = False, stop: Callable[[], bool] = lambda: False
 ) -> Iterator[SearchStep | Optimised]:
     """As `optimise`, for [design] that minimises "motion time" or "total time" under the requirements' targets.
 
@@ -28,6 +30,7 @@ def minimise_time(
     targets are not met in the time allowed, with the best plan's residual; `KeyboardInterrupt` where `stop` ends the
     search before any plan meets them.
     """
+    spec = general(spec)
     assert spec.design is not None
     longest = motion_time(spec, spec.design)
     _refuse_what_no_plan_meets(spec, longest)
@@ -75,7 +78,7 @@ def minimise_time(
     yield _as_time(spec, best, long, longest)
 
 
-def _refuse_what_no_plan_meets(spec: Spec, longest: float) -> None:
+def _refuse_what_no_plan_meets(spec: UnitSpec, longest: float) -> None:
     """A target below the proven limit needs no search."""
     try:
         rows = {row.name: row for row in limits(spec, motion=longest)}
@@ -92,14 +95,14 @@ def _refuse_what_no_plan_meets(spec: Spec, longest: float) -> None:
             )
 
 
-def _least(spec: Spec, longest: float) -> float:
+def _least(spec: UnitSpec, longest: float) -> float:
     """A lower bound on the duration: the steepest ramp of the chamber, with one turn at the table."""
-    schedule = spec.schedule
-    if isinstance(schedule, StandardSchedule) or schedule.cycle is None:
+    cycle = cycle_of(spec)
+    if cycle is None:
         return longest * _SHORTEST
     start, end = ramp_ends(spec)
     slope = float(spec.rig.chamber.max_heating if end > start else spec.rig.chamber.max_cooling)
-    return min(longest, max(abs(end - start) / slope, schedule.cycle.moving))
+    return min(longest, max(abs(end - start) / slope, cycle.moving))
 
 
 def _between(short: float, long: float, too_much: float | None, enough: float) -> float:
@@ -108,7 +111,7 @@ def _between(short: float, long: float, too_much: float | None, enough: float) -
     return float(short * (long / short) ** np.clip(share, 0.1, 0.9))
 
 
-def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimised:
+def _as_time(spec: UnitSpec, best: Optimised, time: float, longest: float) -> Optimised:
     """The result in minutes; the price of a limit follows from the residual's derivatives: −(∂r/∂limit)/(∂r/∂time)."""
     minutes = time / 60.0
     per_minute = next((p.change for p in best.prices if p.per == "minute"), 0.0)

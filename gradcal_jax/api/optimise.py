@@ -1,6 +1,6 @@
 """`optimise`: from a spec with [design] to the best plan of a search, rounded, with the limits that bind it."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Final, NamedTuple
 
@@ -10,10 +10,10 @@ from gradcal_jax.api.build import assemble
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.measure import Measure, design_of, measure
 from gradcal_jax.api.plan_to_spec import plan_to_spec
-from gradcal_jax.api.posterior_of_plan import limit_of
-from gradcal_jax.api.prediction import requirement_rows
+from gradcal_jax.api.posterior_of_plan import limit_of, posterior_of_plan, residual_map, statistic_of
 from gradcal_jax.api.scenarios import scenario_specs
-from gradcal_jax.api.structures import Structure, structures
+from gradcal_jax.api.structures import Structure, gyro_of, structures
+from gradcal_jax.api.systematic import columns_of_plan, widened
 from gradcal_jax.design import (
     KEPT,
     AnyCoordinates,
@@ -31,9 +31,12 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.display import summary
 from gradcal_jax.files import Spec, SpecError
+from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.requirement import UnitRequirement
 from gradcal_jax.files.rounding import rounded, steps_of
-from gradcal_jax.information.residual import Statistic
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.information.residual import STATISTICS, Statistic
 
 STEPS: Final = 240
 MARGIN: Final = 0.1
@@ -105,7 +108,7 @@ class Optimised(NamedTuple):
     `active`: the limits that bind, in words.
     """
 
-    spec: Spec
+    spec: UnitSpec
     name: str
     unit: str
     before: float | None
@@ -122,9 +125,9 @@ class Optimised(NamedTuple):
     __repr__ = summary
 
 
-def belief_of(spec: Spec) -> str:
+def belief_of(spec: UnitSpec) -> str:
     """A sentence on the maps that a design takes as exact; empty where each has a discrepancy or smoothness."""
-    sections = {"bias": spec.sensor.bias, "scale factor": spec.sensor.scale_factor}
+    sections = {"bias": gyro_of(spec).bias, "scale factor": gyro_of(spec).scale_factor}
     sure = [name for name, s in sections.items() if s is not None and s.discrepancy is None and s.smoothness is None]
     if not sure:
         return ""
@@ -157,20 +160,26 @@ def record_of(best: Optimised) -> dict[str, object]:
     return {name: value for name, value in record.items() if value is not None}
 
 
-def exact(spec: Spec, of: Measure) -> float:
+def exact(spec: UnitSpec, of: Measure) -> float:
     """The exact value of a spec's own plan, on the requirement's own grid; `inf` where it observes too little."""
-    design = design_of(spec)
-    rows = [row for row in spec.requirement if row.name == design.minimise]
-    if rows and len(of.cases) == 1:
-        # Of several axes the worst.
-        values = [row.decisive for row in requirement_rows(spec) if row.name == rows[0].name]
-        return max(np.inf if value is None else value for value in values)
+    wanted = [r for r in spec.requirement if r.name == design_of(spec).minimise]
+    if wanted and len(of.cases) == 1:
+        return residual_of_plan(spec, wanted)[wanted[0].name][wanted[0].statistic]
     built = assemble(spec)
     value = of.exact(built.schedules[built.channels[0]])
     return value if np.isfinite(value) else np.inf
 
 
-def targets_met(spec: Spec) -> bool:
+def residual_of_plan(spec: UnitSpec, of: Sequence[UnitRequirement]) -> dict[str, dict[Statistic, float]]:
+    """The statistics (`UNIT_OF`) that a spec's own plan leaves of requirements, by the terms that the spec names;
+    infinite where they are not observable."""
+    built = assemble(spec)
+    known = widened(posterior_of_plan(built), columns_of_plan(built, built.channels[0]))
+    maps = {r.name: (r, residual_map(built, known, r)[2]) for r in of}
+    return {n: {s: statistic_of(r, values, s) for s in STATISTICS} for n, (r, values) in maps.items()}
+
+
+def targets_met(spec: UnitSpec) -> bool:
     """Whether a plan meets every target by its rule, with `MARGIN`. Errors: `ValueError` where there is no target."""
     limits = {r.name: limit for r in spec.requirement if (limit := limit_of(r)) is not None}
     if not limits:
@@ -178,19 +187,14 @@ def targets_met(spec: Spec) -> bool:
     return _within(spec, limits, 1.0 - MARGIN)
 
 
-def _within(spec: Spec, limits: Mapping[str, tuple[Statistic, float]], share: float) -> bool:
+def _within(spec: UnitSpec, limits: Mapping[str, tuple[Statistic, float]], share: float) -> bool:
     """Whether the named requirements are within that share of their limits, by the terms that the spec names."""
-    for row in requirement_rows(spec):
-        if row.name in limits:
-            name, most = limits[row.name]
-            value = {"mean of max": row.mean_of_max, "max": row.max, "mean": row.mean, "rms": row.rms}[name]
-            if value is None or value > share * most:
-                return False
-    return True
+    found = residual_of_plan(spec, [r for r in spec.requirement if r.name in limits])
+    return all(found[name][statistic] <= share * most for name, (statistic, most) in limits.items())
 
 
 def optimise(
-    spec: Spec,
+    spec: Spec | UnitSpec,
     *,
     steps: int = STEPS,
     quick: bool = False,
@@ -207,6 +211,7 @@ def optimise(
     plan so far is finished. Errors: `ValueError` when limits exclude each other, nothing can be observed, the table is
     turned by hand or, with `until_met`, there is no target.
     """
+    spec = general(spec)
     design = design_of(spec)
     if spec.rig.table.drive == "hand" and not (isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None):
         raise ValueError(BY_HAND)
@@ -214,7 +219,7 @@ def optimise(
     before = exact(spec, of)
     known = finite(before)
 
-    def enough(plan: Callable[[], Spec], value: float, words: str, sentence: str) -> Optimised | None:
+    def enough(plan: Callable[[], UnitSpec], value: float, words: str, sentence: str) -> Optimised | None:
         """The rounded plan, where it meets every target with margin in every scenario."""
         try:
             candidate = rounded(plan(), steps_of(spec)).spec
@@ -281,7 +286,7 @@ def optimise(
 
 
 def finished(
-    spec: Spec,
+    spec: UnitSpec,
     of: Measure,
     before: float | None,
     structure: Structure,
@@ -381,7 +386,7 @@ def polished(
     return coordinates, optimum
 
 
-def _within_limits(spec: Spec, of: Measure) -> bool:
+def _within_limits(spec: UnitSpec, of: Measure) -> bool:
     """Whether the prediction of the spec's own plan meets the targets that limit the search."""
     limits = {r.name: limit for r in spec.requirement if r.name in of.limits and (limit := limit_of(r)) is not None}
     return not of.limits or _within(spec, limits, 1.0)

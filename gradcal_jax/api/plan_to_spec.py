@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.structures import axes_of
+from gradcal_jax.api.structures import reading_spacing
 from gradcal_jax.design import (
     STEEPNESS,
     AnyCoordinates,
@@ -17,8 +17,9 @@ from gradcal_jax.design import (
     ProgrammeKnots,
     StandardCoordinates,
 )
-from gradcal_jax.files import Spec, changed
+from gradcal_jax.files import changed
 from gradcal_jax.files.rounding import ControllerSteps, steps_of
+from gradcal_jax.files.unit_spec import UnitSpec
 
 DEG = math.pi / 180.0
 # A stretch of fewer steps of slope becomes a soak: rounding would change its duration too much.
@@ -31,7 +32,7 @@ _LEFT = 1e-6
 _ROUNDING = 1.0 + 1e-9
 
 
-def plan_to_spec(spec: Spec, coordinates: AnyCoordinates, point: np.ndarray) -> Spec:
+def plan_to_spec(spec: UnitSpec, coordinates: AnyCoordinates, point: np.ndarray) -> UnitSpec:
     """The spec with the plan of a point of the coordinates, rounded to the controllers' steps."""
     if isinstance(coordinates, StandardCoordinates):
         return _standard(spec, *coordinates.plan_of(point))
@@ -40,7 +41,7 @@ def plan_to_spec(spec: Spec, coordinates: AnyCoordinates, point: np.ndarray) -> 
     return _cycle(spec, coordinates, coordinates.cycle(point))
 
 
-def _standard(spec: Spec, temperatures: np.ndarray, rates: np.ndarray, integration: float) -> Spec:
+def _standard(spec: UnitSpec, temperatures: np.ndarray, rates: np.ndarray, integration: float) -> UnitSpec:
     steps = steps_of(spec)
     warm, quick, brief = (float(v) for v in (steps.temperature, steps.rate, steps.time))
     temperatures = np.round(temperatures / warm) * warm
@@ -54,7 +55,7 @@ def _standard(spec: Spec, temperatures: np.ndarray, rates: np.ndarray, integrati
     return changed(spec, keys)
 
 
-def _static(spec: Spec, coordinates: ProgrammeCoordinates | ProgrammeKnots, point: np.ndarray) -> Spec:
+def _static(spec: UnitSpec, coordinates: ProgrammeCoordinates | ProgrammeKnots, point: np.ndarray) -> UnitSpec:
     """Stretches at slopes and temperatures of the controller's steps, no steeper than the chamber allows."""
     programme, steps = coordinates.programme(point), steps_of(spec)
     here = _on_grid(float(programme.start), float(steps.temperature))
@@ -111,14 +112,12 @@ def _stretches(
     return items
 
 
-def _cycle(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> Spec:
+def _cycle(spec: UnitSpec, coordinates: Coordinates, cycle: CycleNumbers) -> UnitSpec:
     """Rests become whole numbers of readings; turns are written by angle, rate and duration, each on its grid."""
     frame = coordinates.frame
     every = float(frame.read_every)
-    reading = {"read_every": _s(every)} if coordinates.others_read else {"read": "none"}
+    reading = {} if coordinates.others_read else {"read": "none"}
     visits: list[list[_Move]] = [[] for _ in range(coordinates.groups)]
-    original = spec.gradient_schedule.cycle
-    axes = ["x"] if original is None else axes_of(original)
     for move in _moves(spec, coordinates, cycle):
         moves = visits[move.element.group]
         if not move.angle and moves and not moves[-1].angle:
@@ -126,24 +125,18 @@ def _cycle(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> Spec:
             moves[-1] = moves[-1]._replace(duration=moves[-1].duration + move.duration)
         else:
             moves.append(move)
-    # The time between turns at the table less the plan's other axes belongs to axes that are not in the plan.
-    idle = float(frame.other_time) - (len(axes) - 1) * float(frame.own_time)
-    idle = idle if idle > 1e-6 else 0.0
+    idle = float(frame.other_time) if frame.other_time > 1e-6 else 0.0
     every_move: list[dict[str, object]] = []
     for group, moves in enumerate(visits):
         if group and idle:
             every_move.append({"rest": _s(idle), "other_axes": True, **reading})
-        for axis in axes:
-            for move in moves:
-                rest: dict[str, object] = {"rest": _s(move.duration), "read_every": _s(every)}
-                every_move.append({"axis": axis, **move.keys()} if move.angle else rest)
+        every_move += [move.keys() if move.angle else {"rest": _s(move.duration)} for move in moves]
     cycle_tables: dict[str, object] = {"moves": every_move}
     if idle:
-        other: dict[str, object] = {"duration": _s(idle), "read": coordinates.others_read}
-        if coordinates.others_read:
-            other["read_every"] = _s(every)
-        cycle_tables["other_axes"] = other
-    return changed(spec, {"plan.cycle": cycle_tables, **_programme(spec, coordinates, cycle)})
+        cycle_tables["other_axes"] = {"duration": _s(idle), "read": coordinates.others_read}
+    # Every rest is read as the table is.
+    spacing = {} if every == reading_spacing(spec) else {"rig.table.axis[0].angle.read_every": _s(every)}
+    return changed(spec, {"plan.cycle": cycle_tables, **spacing, **_programme(spec, coordinates, cycle)})
 
 
 class _Move(NamedTuple):
@@ -188,7 +181,7 @@ class _Move(NamedTuple):
         return short._replace(angle=count * fine).lasting(duration, limits, step) if count else None
 
 
-def _moves(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> list[_Move]:
+def _moves(spec: UnitSpec, coordinates: Coordinates, cycle: CycleNumbers) -> list[_Move]:
     """The moves on the controllers' grids.
 
     Rates are kept or, where travel is limited, the positions at which turns end: rounding then does not accumulate over
@@ -276,7 +269,7 @@ def _rounded(coordinates: Coordinates, durations: np.ndarray, every: float, step
     return rounded
 
 
-def _programme(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> dict[str, object]:
+def _programme(spec: UnitSpec, coordinates: Coordinates, cycle: CycleNumbers) -> dict[str, object]:
     """The ramp: one slope, or one from each turn at the table to the next."""
     frame = coordinates.frame
     start, end = float(frame.temperature_start), float(frame.temperature_end)

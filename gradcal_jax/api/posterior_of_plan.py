@@ -13,6 +13,7 @@ from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
 from gradcal_jax.files.requirement import HeadingRequirement, NorthRequirement, Requirement, UnitRequirement
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, contrasts, information, posterior, residual, statistic, unweighted
 from gradcal_jax.information.conformity import coverage_of_risk
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
@@ -51,7 +52,7 @@ def posteriors_of_plan(built: Assembled) -> dict[Axis, Posterior]:
     return {channel: posterior_of_plan(built, channel) for channel in built.channels}
 
 
-def unweighted_estimator(spec: Spec) -> bool:
+def unweighted_estimator(spec: Spec | UnitSpec) -> bool:
     """Whether the spec's estimator is ordinary least squares on the points' rates, as in the paper's figure."""
     return isinstance(spec.plan, StandardPlanSection) and spec.plan.estimator == "least squares"
 
@@ -75,7 +76,7 @@ def survey(built: Assembled, channel: Axis | None = None) -> Survey:
 
 
 def residual_map(
-    built: Assembled, known: Posterior, requirement: Requirement, *, si: bool = False
+    built: Assembled, known: Posterior, requirement: Requirement | UnitRequirement, *, si: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Temperatures (°C), rates (deg/s) and the residual `(n_T, n_ω)` in the unit of `UNIT_OF`, on a requirement's box;
     for missions `(n, 1)`, with mission indices in the place of temperatures.
@@ -92,21 +93,24 @@ def residual_map(
     return temperatures, rates * DEG_PER_S, values * UNIT_OF[requirement.quantity][1]
 
 
-def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+def box(requirement: Requirement | UnitRequirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side; for missions
     their indices."""
     if isinstance(requirement, HeadingRequirement):
         return np.arange(float(len(requirement.mission))), np.zeros(1)
     cold, warm = requirement.temperature
     temperatures = np.linspace(float(cold), float(warm), min(most or requirement.grid[0], requirement.grid[0]))
-    if requirement.quantity != "scale_factor":
+    if not requirement.quantity.endswith("scale_factor"):
         return temperatures, np.zeros(1)
     slow, fast = requirement.rate
     return temperatures, np.linspace(float(slow), float(fast), min(most or requirement.grid[1], requirement.grid[1]))
 
 
 def contrasts_of(
-    model: SensorModel, requirement: Requirement, name: Statistic, at: tuple[np.ndarray, np.ndarray] | None = None
+    model: SensorModel,
+    requirement: Requirement | UnitRequirement,
+    name: Statistic,
+    at: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Contrasts:
     """The residual on a grid (by default `box`) as linear functions of the parameters; those of missions are scaled
     such that the unweighted statistic `name` is the weighted one."""
@@ -118,7 +122,10 @@ def contrasts_of(
 
 
 def criterion_of(
-    model: SensorModel, requirement: Requirement, name: Statistic | None = None, most: int | None = None
+    model: SensorModel,
+    requirement: Requirement | UnitRequirement,
+    name: Statistic | None = None,
+    most: int | None = None,
 ) -> Criterion:
     """A requirement's statistic, or the one of that `name`, for a design (SI). `most`: see `box`; for a search, which
     interpolates a polynomial map between few places."""
@@ -143,7 +150,7 @@ def _few_places(of: Map, temperatures: np.ndarray, rates: np.ndarray):
     return (few_t, few_w), (by_t, by_w)
 
 
-def weights(requirement: Requirement, name: Statistic) -> np.ndarray:
+def weights(requirement: Requirement | UnitRequirement, name: Statistic) -> np.ndarray:
     """Factors `(n, 1)` of the residuals of missions that make a plain statistic the weighted one."""
     if not isinstance(requirement, HeadingRequirement) or name not in ("rms", "mean"):
         return np.ones((1, 1))
@@ -152,17 +159,19 @@ def weights(requirement: Requirement, name: Statistic) -> np.ndarray:
     return np.sqrt(share) if name == "rms" else share
 
 
-def statistic_of(requirement: Requirement, values: np.ndarray, name: Statistic | None = None) -> float:
+def statistic_of(
+    requirement: Requirement | UnitRequirement, values: np.ndarray, name: Statistic | None = None
+) -> float:
     """The requirement's statistic of its residuals, or the one of that `name`."""
     name = name or requirement.statistic
     return statistic(name, values * weights(requirement, name))
 
 
-def _map_of(requirement: Requirement) -> Literal["bias", "scale_factor"]:
-    return SCALE_FACTOR if requirement.quantity == "scale_factor" else BIAS
+def _map_of(requirement: Requirement | UnitRequirement) -> Literal["bias", "scale_factor"]:
+    return SCALE_FACTOR if requirement.quantity.endswith("scale_factor") else BIAS
 
 
-def _gain(requirement: Requirement) -> float:
+def _gain(requirement: Requirement | UnitRequirement) -> float:
     return earth_gain(requirement) if isinstance(requirement, NorthRequirement) else 1.0
 
 

@@ -25,7 +25,7 @@ def scenario_specs(spec: AnySpec) -> list[tuple[AnySpec, float]]:
     mean, the figures are as written, and each end of each alone, all with the same weight.
     """
     robust = "mean" if spec.design is None else spec.design.robust
-    scenarios = spec.design.scenario if isinstance(spec, Spec) and spec.design is not None else ()
+    scenarios = spec.design.scenario if spec.design is not None else ()
     chosen = [(changed(spec, overrides(s)), float(s.weight)) for s in scenarios]
     return [
         (changed(one, values) if values else one, weight)

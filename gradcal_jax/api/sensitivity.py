@@ -27,9 +27,9 @@ from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.design import Criterion
 from gradcal_jax.display import summary
 from gradcal_jax.files import Spec
+from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.changes import changed, tables_of
-from gradcal_jax.files.moves import Axis
-from gradcal_jax.files.spec import expect_whole
+from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, information
 from gradcal_jax.model import Discrepancy, EncoderHarmonics, SensorModel
@@ -69,11 +69,12 @@ def sensitivity(spec: Spec | UnitSpec) -> Sensitivities:
 
     Errors: `ValueError` for a spec without requirements, or with one that the plan cannot observe.
     """
-    if not isinstance(spec, UnitSpec):
-        expect_whole(spec, "a sensitivity")
+    spec = general(spec)
+    if spec.turns_one_gyro and spec.done:
+        raise goes_on("a sensitivity")
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is nothing to be sensitive: add one")
-    residuals, slopes = _of_unit(spec) if isinstance(spec, UnitSpec) else _of_axes(spec)
+    residuals, slopes = _of_axis(spec) if spec.turns_one_gyro else _of_unit(spec)
     rows = [
         Elasticity(r.name, figure, float(of[i]))
         for i, r in enumerate(spec.requirement)
@@ -87,38 +88,31 @@ def sensitivity(spec: Spec | UnitSpec) -> Sensitivities:
 # --- one axis ---------------------------------------------------------------------------------------------------------
 
 
-def _of_axes(spec: Spec) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """The residual of every requirement on its worst axis, and the elasticities of all by figure."""
+def _of_axis(spec: UnitSpec) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """The residual of every requirement, and the elasticities of all by figure."""
     built = assemble(spec)
     criteria = tuple(criterion_of(built.model, r) for r in spec.requirement)
-    names = _names(built)
-    by_axis: list[tuple[np.ndarray, np.ndarray]] = []
-    for axis in built.channels:
-        schedule = built.schedules[axis]
-        rule = rule_of(built.model, schedule.trajectory(built.thermal_lag))
-        figures = _Figures(built.model, schedule.padded(), criteria, built.thermal_lag, built.sources, rule)
-        values, slopes = _logs_and_slopes(figures, tuple(names), jnp.ones(len(names)))
-        by_axis.append((np.asarray(values), np.asarray(slopes)))
-    if not all(np.all(np.isfinite(values)) and np.all(np.isfinite(slopes)) for values, slopes in by_axis):
+    names, (schedule,) = _names(built), built.schedules.values()
+    rule = rule_of(built.model, schedule.trajectory(built.thermal_lag))
+    figures = _Figures(built.model, schedule.padded(), criteria, built.thermal_lag, built.sources, rule)
+    values, slopes = map(np.asarray, _logs_and_slopes(figures, tuple(names), jnp.ones(len(names))))
+    if not (np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))):
         raise ValueError(
             "the plan cannot observe what is required, so its sensitivity is not defined: see gradcal check"
         )
-    worst = [max(range(len(by_axis)), key=lambda k: by_axis[k][0][i]) for i in range(len(criteria))]
-    values = np.array([by_axis[k][0][i] for i, k in enumerate(worst)])
-    slopes = np.stack([by_axis[k][1][i] for i, k in enumerate(worst)])
     factors = np.array([UNIT_OF[r.quantity][1] for r in spec.requirement])
-    residuals, rows = np.exp(values) * factors, dict(zip(names, slopes.T, strict=True))
-    return _with_unseen(built, [built.channels[k] for k in worst], residuals, rows)
+    return _with_unseen(built, np.exp(values) * factors, dict(zip(names, slopes.T, strict=True)))
 
 
 def _with_unseen(
-    built: Assembled, channels: list[Axis], residuals: np.ndarray, rows: dict[str, np.ndarray]
+    built: Assembled, residuals: np.ndarray, rows: dict[str, np.ndarray]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Residuals and elasticities with what no residual of a run shows, as far as the spec names it."""
     unseen: list[dict[str, float]] = []
     fits: list[float] = []
-    for requirement, channel in zip(built.spec.requirement, channels, strict=True):
-        budget = budget_of_plan(built, posterior_of_plan(built, channel), channel, built)
+    channel = built.channels[0]
+    budget = budget_of_plan(built, posterior_of_plan(built, channel), channel, built)
+    for requirement in built.spec.requirement:
 
         def value(of: Posterior, requirement=requirement) -> float:
             return statistic_of(requirement, residual_map(built, of, requirement)[2])

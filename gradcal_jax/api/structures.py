@@ -4,7 +4,9 @@ The integers of a plan (numbers of visits and of moves) have no gradient: a few 
 taken. Moves that a structure has in excess shrink to nothing and are pruned.
 """
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple, cast
 
 import numpy as np
@@ -21,10 +23,12 @@ from gradcal_jax.design import (
     StandardCoordinates,
     make_coordinates,
 )
-from gradcal_jax.files import Spec
 from gradcal_jax.files.design import Design
 from gradcal_jax.files.moves import Axis, ResolvedMove
-from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, StandardSchedule
+from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.schedule import ResolvedCycle, StandardSchedule
+from gradcal_jax.files.sensor import GyroTriad
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.formulas import RAMPED_SHAPES, repetitions
 
 # Shortest useful turn; s.
@@ -51,18 +55,18 @@ class Structure(NamedTuple):
     alone: bool = False
 
 
-def limits_of(spec: Spec, scenarios: list[Spec]) -> Limits:
+def limits_of(spec: UnitSpec, scenarios: list[UnitSpec]) -> Limits:
     """The strictest of the rig's and the sensor's limits, over all scenarios."""
     every, (start, end) = [spec, *scenarios], ramp_ends(spec)
     return Limits(
         largest_rate(spec, scenarios),
-        min(float(s.rig.table.max_acceleration) for s in every),
-        min(float(s.rig.table.travel) for s in every),
+        min(float(s.rig.table.axis[0].max_acceleration) for s in every),
+        min(float(s.rig.table.axis[0].travel) for s in every),
         min(float(s.rig.chamber.max_heating if end > start else s.rig.chamber.max_cooling) for s in every),
     )
 
 
-def ramp_ends(spec: Spec) -> tuple[float, float]:
+def ramp_ends(spec: UnitSpec) -> tuple[float, float]:
     """Where the one ramp of a gradient plan begins and ends, °C. Errors: `ValueError` for any other programme."""
     ramps = [s for s in spec.gradient_schedule.segments if s.kind == "ramp"]
     others = [s for s in spec.gradient_schedule.segments if s.kind == "step" or (s.kind == "soak" and s.used)]
@@ -75,9 +79,9 @@ def ramp_ends(spec: Spec) -> tuple[float, float]:
     return ramps[0].temperature_start, ramps[-1].temperature_end
 
 
-def motion_time(spec: Spec, design: Design) -> float:
+def motion_time(spec: UnitSpec, design: Design) -> float:
     """The duration of the ramp (s) by [design], else the plan's. Errors: `ValueError` where no time is left."""
-    schedule = cast("GradientSchedule", spec.schedule)
+    schedule = spec.gradient_schedule
     limits = [] if design.max_motion is None else [float(design.max_motion)]
     if design.max_total is not None:
         limits.append(float(design.max_total) - schedule.soak)
@@ -89,7 +93,7 @@ def motion_time(spec: Spec, design: Design) -> float:
     return min(limits)
 
 
-def structures(spec: Spec, scenarios: list[Spec], *, motion: float | None = None) -> list[Structure]:
+def structures(spec: UnitSpec, scenarios: list[UnitSpec], *, motion: float | None = None) -> list[Structure]:
     """The structures to search; `motion` s replaces the time that [design] gives (without soaks).
 
     Errors: `ValueError` where [design] frees a quantity that such a plan lacks, or leaves no time.
@@ -98,11 +102,46 @@ def structures(spec: Spec, scenarios: list[Spec], *, motion: float | None = None
     if isinstance(spec.schedule, StandardSchedule):
         _only(design, ("temperatures", "rates", "integration"), "a standard plan")
         return _standard(spec, scenarios, design, motion)
-    if spec.schedule.cycle is None:
+    cycle = cycle_of(spec)
+    if cycle is None:
         _only(design, ("programme", "gradient"), "a gradient plan whose axis stands")
         return _programmes(spec, scenarios, design, motion)
     _only(design, ("duration", "rest", "turn", "peak_rate", "ramp", "gradient", "cycle"), "a gradient plan with moves")
-    return _cycles(spec, scenarios, design, motion)
+    return _cycles(spec, scenarios, cycle, design, motion)
+
+
+def gyro_of(spec: UnitSpec) -> GyroTriad:
+    """The gyro of a spec that has one."""
+    assert spec.sensor.gyro is not None
+    return spec.sensor.gyro
+
+
+def cycle_of(spec: UnitSpec) -> ResolvedCycle | None:
+    """The cycle of a plan about the only axis of a table; None where the axis stands.
+
+    A rest that is read once, at its end, has no spacing; nor has a time of other axes in which nothing is read.
+    """
+    if isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None:
+        return None
+    schedule, others = spec.gradient_schedule, spec.plan.cycle.other_axes
+    every = reading_spacing(spec)
+    moves: list[ResolvedMove] = []
+    for step in schedule.every_step:
+        spacing = every if step.move.reads_as_table else step.move.read_every
+        spaced = spacing is not None and math.isfinite(spacing)
+        moves.append(replace(step.move, repeat=1, read_every=spacing if spaced else None))
+    moving, behind = math.fsum(move.duration for move in moves), math.fsum(s.move.duration for s in schedule.after)
+    other = 0.0 if others is None else float(others.duration)
+    other_every = None
+    if others is not None and others.read:
+        spacing = every if others.read_every is None else float(others.read_every)
+        other_every = min(spacing, other)
+    return ResolvedCycle(tuple(moves), moving, other, other_every, None, behind - other)
+
+
+def reading_spacing(spec: UnitSpec) -> float:
+    """Spacing (s) of the readings of the only axis where the plan does not say it; infinite: at the end of a rest."""
+    return float(spec.rig.table.axis[0].angle.read_every)
 
 
 def _only(design: Design, possible: tuple[str, ...], plan: str) -> None:
@@ -111,10 +150,10 @@ def _only(design: Design, possible: tuple[str, ...], plan: str) -> None:
         raise ValueError(f"design.free: {plan} has no {wrong[0]!r} to change; it has {', '.join(possible)}")
 
 
-def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
+def _standard(spec: UnitSpec, scenarios: list[UnitSpec], design: Design, motion: float | None) -> list[Structure]:
     schedule = cast("StandardSchedule", spec.schedule)
     soak = schedule.soak_each
-    fewest = max(s.temperature.size for s in (spec.sensor.bias, spec.sensor.scale_factor) if s is not None)
+    fewest = max(s.temperature.size for s in (gyro_of(spec).bias, gyro_of(spec).scale_factor) if s is not None)
     if design.max_total is not None:
         time = float(design.max_total)
     elif design.max_motion is not None:
@@ -144,7 +183,7 @@ def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float |
     ]
 
 
-def _programmes(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
+def _programmes(spec: UnitSpec, scenarios: list[UnitSpec], design: Design, motion: float | None) -> list[Structure]:
     schedule = spec.gradient_schedule
     first = schedule.segments[0]
     soak = first.duration if first.kind == "soak" else 0.0
@@ -155,7 +194,9 @@ def _programmes(spec: Spec, scenarios: list[Spec], design: Design, motion: float
     every = [spec, *scenarios]
     heating = min(float(s.rig.chamber.max_heating) for s in every)
     cooling = min(float(s.rig.chamber.max_cooling) for s in every)
-    numbers = [np.asarray(float(v)) for v in (soak, time, schedule.read_every or 1.0, low, high, heating, cooling)]
+    numbers = [
+        np.asarray(float(v)) for v in (soak, time, min(reading_spacing(spec), soak + time), low, high, heating, cooling)
+    ]
     ramps = schedule.segments[1:]
     begin, scale = schedule.segments[0].temperature_end, time / max(sum(s.duration for s in ramps), 1e-9)
     own = begin, np.array([s.duration * scale for s in ramps]), np.array([s.slope / scale for s in ramps])
@@ -166,17 +207,17 @@ def _programmes(spec: Spec, scenarios: list[Spec], design: Design, motion: float
     ]
 
 
-def temperatures_of(spec: Spec, scenarios: list[Spec]) -> tuple[float, float]:
+def temperatures_of(spec: UnitSpec, scenarios: list[UnitSpec]) -> tuple[float, float]:
     """The range that every scenario's chamber reaches, °C."""
     ranges = [s.rig.chamber.range for s in (spec, *scenarios)]
     return max(float(r[0]) for r in ranges), min(float(r[1]) for r in ranges)
 
 
-def largest_rate(spec: Spec, scenarios: list[Spec]) -> float:
+def largest_rate(spec: UnitSpec, scenarios: list[UnitSpec]) -> float:
     """The largest rate that every scenario's table and sensor allow, rad/s."""
     every = [spec, *scenarios]
-    rates = [float(s.rig.table.max_rate) for s in every]
-    return min(rates + [float(s.sensor.usable_rate) for s in every if s.sensor.usable_rate is not None])
+    rates = [float(s.rig.table.axis[0].max_rate) for s in every]
+    return min(rates + [float(usable) for s in every if (usable := gyro_of(s).usable_rate) is not None])
 
 
 def axes_of(cycle: ResolvedCycle) -> list[Axis]:
@@ -191,38 +232,29 @@ def visit_times(cycle: ResolvedCycle) -> tuple[float, float]:
     return each, others[0] if others else cycle.duration - cycle.moving
 
 
-def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
-    cycle = cast("ResolvedCycle", spec.gradient_schedule.cycle)
-    axes = axes_of(cycle)
+def _cycles(
+    spec: UnitSpec, scenarios: list[UnitSpec], cycle: ResolvedCycle, design: Design, motion: float | None
+) -> list[Structure]:
     time = motion_time(spec, design) if motion is None else motion
     free = frozenset(_FREE.get(name, name) for name in design.free) - {"cycle"}
-    # Several axes make the same moves in turn: the first is designed, which stands while the others move.
-    each, between = visit_times(cycle)
-    own = each / len(axes)
-    other = each + between - own
+    own, other = visit_times(cycle)
     share = own / (own + other)
     if "duration" not in free:
-        if len(axes) > 1:
-            raise ValueError("the moves of several axes are designed together: add duration to design.free")
-        moves = [move for move in cycle.moves for _ in range(move.repeat)]
-        if refused := _unsuited(moves):
+        if refused := _unsuited(cycle.moves):
             raise ValueError(refused)
         return [_spec_cycle(spec, scenarios, cycle, free, time)]
     if "cycle" in design.free:
-        # The axis keeps its share of the time. The last turn at the table of a single axis ends with the ramp.
-        after = 0 if len(axes) == 1 else 1
-        choices = [(n, share * time / n, (1.0 - share) * time / (n - 1 + after)) for n in _FREE_VISITS]
+        # The axis keeps its share of the time. The last turn at the table ends with the ramp.
+        choices = [(n, share * time / n, (1.0 - share) * time / (n - 1)) for n in _FREE_VISITS]
     else:
-        choices = [(repetitions(time, own * len(axes), own + other)[0], own, other)]
+        choices = [(repetitions(time, own, own + other)[0], own, other)]
         if choices[0][0] == 0:
-            raise ValueError(
-                f"one turn at the table takes {own * len(axes):.4g} s, the ramp only {time:.4g} s: give it more time"
-            )
+            raise ValueError(f"one turn at the table takes {own:.4g} s, the ramp only {time:.4g} s: give it more time")
     candidates = []
     # Many short visits have more numbers than a search can tell apart: they begin with the same moves in each.
     many = choices[0][0] > _MOST_OWN and "cycles" not in design.model_fields_set
     own_plan: Structure | None = None
-    if "cycle" not in design.free and len(axes) == 1 and not _unsuited(cycle.moves):
+    if "cycle" not in design.free and not _unsuited(cycle.moves):
         own_plan = _spec_cycle(spec, scenarios, cycle, free, time)
         if many:
             return [own_plan]
@@ -245,11 +277,10 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
             cycles=cycles,
             others_read=cycle.other_read_every is not None,
             free=free,
-            longest_piece=min(longest_piece(s.sensor) for s in (spec, *scenarios)),
+            longest_piece=min(longest_piece(gyro_of(s)) for s in (spec, *scenarios)),
         )
         kind = "the same moves in each" if alike else "moves of their own"
-        of = "" if len(axes) == 1 else f" of each of {len(axes)} axes"
-        words = f"{cycles * groups} turns at the table{of} of {each:.4g} s, {kind}"
+        words = f"{cycles * groups} turns at the table of {each:.4g} s, {kind}"
         start = None if own_plan is None else _among(coordinates, cycle.moves)
         candidates.append(Structure(coordinates, words, start))
     # A program of its own, for a plan of more moves than are searched.
@@ -257,7 +288,7 @@ def _cycles(spec: Spec, scenarios: list[Spec], design: Design, motion: float | N
     return candidates + ([own_plan._replace(alone=True)] if own_plan is not None and outside else [])
 
 
-def _frame(spec: Spec, cycle: ResolvedCycle, own: float, other: float, time: float) -> Frame:
+def _frame(spec: UnitSpec, cycle: ResolvedCycle, own: float, other: float, time: float) -> Frame:
     start, end = ramp_ends(spec)
     return Frame(own, other, time, start, end, read_spacing(cycle))
 
@@ -287,9 +318,8 @@ def _elements(shape: str, groups: int, moves: int, rest: float, *, not_shared: b
 def _among(coordinates: Coordinates, moves: Sequence[ResolvedMove]) -> np.ndarray | None:
     """The vector in which every turn at the table has these moves, but for the rest before the first of them where
     other axes turn then; None where they are more, or of other shapes, than the structure's."""
-    every = [move for move in moves for _ in range(move.repeat)]
-    turns, rests = [m for m in every if not m.is_rest], [0.0]
-    for move in every:
+    turns, rests = [m for m in moves if not m.is_rest], [0.0]
+    for move in moves:
         if move.is_rest:
             rests[-1] += move.duration
         else:
@@ -330,11 +360,10 @@ def _unsuited(moves: Sequence[ResolvedMove]) -> str:
 
 
 def _spec_cycle(
-    spec: Spec, scenarios: list[Spec], cycle: ResolvedCycle, free: frozenset[str], time: float
+    spec: UnitSpec, scenarios: list[UnitSpec], cycle: ResolvedCycle, free: frozenset[str], time: float
 ) -> Structure:
     """The moves of the spec's own cycle, which is the start."""
-    moves = [move for move in cycle.moves for _ in range(move.repeat)]
-    own, other = cycle.moving, cycle.other + cycle.idle
+    moves, own, other = cycle.moves, cycle.moving, cycle.other + cycle.idle
     visits = repetitions(time, own, own + other)[0]
     numbers = lambda name: np.array([float(getattr(m, name)) for m in moves])  # noqa: E731
     frame = _frame(spec, cycle, own, other, time)
@@ -349,7 +378,7 @@ def _spec_cycle(
         others_read=cycle.other_read_every is not None,
         free=free,
         nominal=nominal,
-        longest_piece=min(longest_piece(s.sensor) for s in (spec, *scenarios)),
+        longest_piece=min(longest_piece(gyro_of(s)) for s in (spec, *scenarios)),
     )
     span = float(frame.temperature_end) - float(frame.temperature_start)
     begin = nominal._replace(steps=span * np.asarray(coordinates.lasting()) / time)

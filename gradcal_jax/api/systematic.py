@@ -356,7 +356,7 @@ def counted_criterion(criterion: Criterion, built: Assembled, channel: Axis) -> 
     return eqx.tree_at(lambda c: c.beyond, criterion, criterion.beyond + more)
 
 
-def floor_of_plan(spec: Spec, channel: Axis) -> tuple[Assembled, Posterior]:
+def floor_of_plan(spec: Spec | UnitSpec, channel: Axis) -> tuple[Assembled, Posterior]:
     """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
     built = assemble(spec)
     return built, _alone(built.model.size, columns_of_plan(built, channel))

@@ -75,7 +75,7 @@ def tested_maps(spec: Spec | UnitSpec) -> dict[str, TestedMap]:
     if not isinstance(scale.rate, RatePolynomial):
         return maps
     of = scale.discrepancy
-    notice = spec.design.notice if isinstance(spec, Spec) and spec.design is not None else None
+    notice = spec.design.notice if spec.design is not None else None
     degrees = [scale.temperature.degree + _MORE, scale.rate.degree + _MORE]
     if of is not None:
         degrees = [of.temperature_degree, of.rate_degree]

@@ -11,18 +11,14 @@ import numpy as np
 from gradcal_jax import model, trajectory
 from gradcal_jax.api.build import (
     basis,
-    chamber_programme,
     gyro_channel,
-    held_rates,
-    longest_piece,
-    move_of,
     named_processes,
     or_infinite,
     processes_of,
+    table_schedule,
 )
 from gradcal_jax.files import sensor as sensor_file
 from gradcal_jax.files.bench import UnitRig
-from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
@@ -365,23 +361,10 @@ def _schedule(
 ) -> tuple[trajectory.Schedule, list[int], np.ndarray]:
     """The schedule of a plan as a channel sees it that every axis turns, the axis of each of its moves (−1: a rest),
     and the axes' angles (rad) at its begin."""
-    table, gyro = spec.rig.table, spec.sensor.gyro
+    schedule, _ = table_schedule(plan, spec)
     if isinstance(plan, StandardSchedule):
-        return held_rates(plan), [-1] + [0] * len(plan.rates), np.zeros(len(table.axis))
-    course, used = chamber_programme(plan)
-    every = float(table.axis[0].angle.read_every) if table.standing == "read" else None
-    longest = np.inf if gyro is None else longest_piece(gyro)
-
-    def move(of: ResolvedMove) -> trajectory.Move:
-        spacing = every if of.reads_as_table else of.read_every
-        return move_of(replace(of, axis="x", read_every=spacing), None, longest)
-
-    steps, after = ([s for s in part for _ in range(s.move.repeat)] for part in (plan.steps, plan.after))
-    moves = (tuple(move(s.move) for s in part) for part in (steps, after))
-    # What no cycle fills is read once at its end, but by an operator, who types angles after turns only.
-    left = None if every is None or (np.isinf(every) and table.drive == "motor") else every
-    schedule = trajectory.gradient_plan(course, *moves, used=used, read_every=left)
-    return schedule, [s.axis for s in (*steps, *after)], np.array(plan.start)
+        return schedule, [-1] + [0] * len(plan.rates), np.zeros(len(spec.rig.table.axis))
+    return schedule, [s.axis for s in (*plan.every_step, *plan.after)], np.array(plan.start)
 
 
 def _divisions_by_decay(line: trajectory.Trajectory, decay: float) -> tuple[np.ndarray, np.ndarray]:

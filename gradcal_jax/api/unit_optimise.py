@@ -36,7 +36,7 @@ from gradcal_jax.design.pose_cycle import (
     structure_of,
 )
 from gradcal_jax.display import summary
-from gradcal_jax.files.design import ALL, WORST, UnitDesign
+from gradcal_jax.files.design import ALL, WORST, Design
 from gradcal_jax.files.unit_plan import UnitSchedule, quickest_turn
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.information import Posterior, unit_system, whiten
@@ -56,6 +56,7 @@ _HOPELESS, _WARM = 0.04, 0.004
 _RECOUNTED, _RECOUNT = 0.12, 0.3
 # Slots for turns that a search inserts, as a share, and multiples of slots, each of which is compiled once.
 _SPARE, _SLOTS = 0.5, 4
+_MOST_TURNS = 80
 # Turns up to this (rad) are tried, or up to the largest one of the file's plan.
 _LARGEST = 6.0 * math.pi
 # Temperatures at which cycles stand for all others of a slope, where bases are no polynomials.
@@ -227,7 +228,7 @@ class CyclePlan:
     """A spec's plan as the search sees it: the objective of a cycle, its start, and what a cycle's plan leaves."""
 
     def __init__(self, spec: UnitSpec) -> None:
-        self.spec, self.design = spec, spec.design or UnitDesign()
+        self.spec, self.design = spec, spec.design or Design()
         self.built = assemble_unit(spec)
         self._fine = tuple(quantity_of(self.built, r) for r in spec.requirement)
         scenarios = scenario_specs(spec)
@@ -246,7 +247,7 @@ class CyclePlan:
         self.closed = max(s.cycles for s in stretches) > 1 or len(stretches) > 1
         self.limits = _limits(spec, self.design, turns)
         spare = math.ceil(len(turns) * (1.0 + _SPARE) / _SLOTS) * _SLOTS
-        self.slots = max(min(spare, self.design.moves), len(turns))
+        self.slots = max(min(spare, self.design.moves or _MOST_TURNS), len(turns))
         self.coordinates = CycleCoordinates(self.limits, self.slots)
         self._courses: dict[int, CycleCourse] = {}
         self._window = self._cycles_together(models)
@@ -476,7 +477,7 @@ def _cycle_of(spec: UnitSpec) -> Cycle:
     return tuple(turns)
 
 
-def _limits(spec: UnitSpec, design: UnitDesign, start: Cycle) -> TableLimits:
+def _limits(spec: UnitSpec, design: Design, start: Cycle) -> TableLimits:
     axes, gyro, forces = spec.rig.table.axis, spec.sensor.gyro, spec.sensor.accelerometer
     usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
     slow = 0.0 if forces is None else float(forces.read_on_moves_below or 0.0) * (1.0 + _SLACK)

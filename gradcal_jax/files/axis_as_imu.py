@@ -69,6 +69,8 @@ def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables
     result = spec | {name: value for name, value in own.items() if isinstance(spec.get(name), Mapping)}
     if isinstance(rows := spec.get("requirement"), list):
         result["requirement"] = [_requirement(row, seen) for row in cast("list[Any]", rows)]
+    if isinstance(design := spec.get("design"), Mapping):
+        result["design"] = _design(_table(design))
     if isinstance(parts := spec.get("done"), list):
         done = (dict(_table(part)) for part in cast("list[Any]", parts))
         result["done"] = [part | {"plan": _plan(part.get("plan"), seen, table)[0]} for part in done]
@@ -150,6 +152,30 @@ def _table_of(table: Tables, axis: Axis, every: Any) -> Tables:
     turn = {"name": axis, "direction": [0.0, 0.0, 1.0], **table}
     turn["angle"] = _table(angle) | {"read_every": every} if isinstance(angle, Mapping) else angle
     return {"standing": "read", **common, "axis": [turn], "mounting": mounting}
+
+
+def _design(design: Tables) -> Tables:
+    """The scenarios change keys where they are in the general form."""
+    if not isinstance(rows := design.get("scenario"), list):
+        return design
+    return design | {"scenario": [_scenario(_table(row)) if isinstance(row, Mapping) else row for row in cast("list[Any]", rows)]}
+
+
+def _scenario(scenario: Tables) -> Tables:
+    sensor, rig = _table(scenario.get("sensor")), _table(scenario.get("rig"))
+    result = {key: value for key, value in scenario.items() if key not in ("sensor", "rig")}
+    if sensor:
+        of_imu, gyro = ({k: v for k, v in sensor.items() if (k in _OF_IMU) == own} for own in (True, False))
+        result["sensor"] = of_imu | ({"gyro": gyro} if gyro else {})
+    if rig:
+        table = _table(rig.pop("table", None))
+        common = {key: table.pop(key) for key in _OF_TABLE if key in table}
+        if "mounting_accuracy" in table:
+            common["mounting[0]"] = {"accuracy": table.pop("mounting_accuracy")}
+        if "earth_rate" in rig:
+            rig["site"] = {"latitude": _latitude(rig.pop("earth_rate"))}
+        result["rig"] = rig | ({"table": common | ({"axis[0]": table} if table else {})} if common or table else {})
+    return result
 
 
 def _latitude(earth_rate: object) -> object:

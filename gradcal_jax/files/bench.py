@@ -11,7 +11,6 @@ from gradcal_jax.files.problems import Problem, repeated_names
 from gradcal_jax.files.quantity import (
     Angle,
     Count,
-    EarthRate,
     Latitude,
     Number,
     Of,

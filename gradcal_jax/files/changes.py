@@ -10,9 +10,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, cast
 
+from gradcal_jax.files.axis_as_imu import change_of_imu
 from gradcal_jax.files.problems import ABSENT, Key, Problem, SpecError, dotted
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.axis_as_imu import change_of_imu
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.unit_spec import UnitSpec
 

@@ -1,17 +1,14 @@
 """Checks of a plan against chamber, table and sensor, and of requirements against the maps."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
-from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.bench import Chamber, TableAxis
-from gradcal_jax.files.design import Notice
-from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import ChamberCourse, RampItem, StandardPlan
 from gradcal_jax.files.problems import Key, Problem
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.schedule import TemperatureSegment
-from gradcal_jax.files.sensor import GyroTriad, ScaleFactor
+from gradcal_jax.files.sensor import GyroTriad
 
 # Rounded figures (a ramp rounded to hundredths of a second) may exceed a limit by this share.
 _SLACK = 1e-6
@@ -61,25 +58,6 @@ def beyond_full_scale(rate: float, gyro: GyroTriad | None, key: Key, text: str) 
             f"less its margin, {gyro.full_scale_margin}"
         )
         yield Problem(key, message, text)
-
-
-def notice_problems(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
-    """What a design cannot notice, of a scale factor."""
-    if scale is None or not isinstance(scale.temperature, TemperaturePolynomial):
-        yield Problem((), "is of a scale factor that is a polynomial; the sensor has none")
-        return
-    if not isinstance(scale.rate, RatePolynomial):
-        yield Problem((), "is of a scale factor that is a polynomial in rate; the sensor's is not")
-        return
-    own = {"temperature_degree": scale.temperature.degree, "rate_degree": scale.rate.degree}
-    for name, degree in own.items():
-        hidden = getattr(notice, name)
-        if hidden is None:
-            continue
-        if scale.discrepancy is not None and hidden != getattr(scale.discrepancy, name):
-            yield Problem((name,), "must be that of the scale factor's discrepancy; leave it out", hidden)
-        elif hidden <= degree:
-            yield Problem((name,), f"must exceed the map's degree, {degree}: only what is beyond it is hidden", hidden)
 
 
 def course_within(

@@ -1,12 +1,16 @@
-"""`[design]`: the free variables and the objective of `optimise`, for one axis and for a whole unit."""
+"""`[design]`: the free variables and the objective of `optimise`.
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, cast
+Two kinds of search. Of a gyro along the only axis of a table that is read: the course of the turns, of the chamber, or
+the set points (`free`). Of every other IMU: a cycle of turns and poses. Keys of the other kind are refused.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, Final, Literal, cast
 
 from pydantic import Field, model_validator
 
-from gradcal_jax.files.bases import Degree
-from gradcal_jax.files.problems import Problem
+from gradcal_jax.files.bases import Degree, RatePolynomial, TemperaturePolynomial
+from gradcal_jax.files.problems import Problem, hint, one_of
 from gradcal_jax.files.quantity import (
     Count,
     Flag,
@@ -20,6 +24,7 @@ from gradcal_jax.files.quantity import (
     Whole,
 )
 from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.sensor import ScaleFactor
 
 TIMES = ("motion time", "total time")
 """What can be minimised besides a requirement's residual; the targets then are limits."""
@@ -63,33 +68,45 @@ class Notice(Section):
     """Level of the test that `estimate` makes of the log."""
 
 
+ALL = "all requirements"
+WORST = "worst ratio"
+
+
 class Design(Section):
     """What `optimise` may change, and what for."""
 
-    minimise: Text
-    """A requirement's name, "motion time", "total time", "A-optimality", "D-optimality" or "E-optimality"."""
-    free: Annotated[tuple[Free, ...], Field(min_length=1)]
-    """Which parts of the plan may change."""
+    minimise: Text = ALL
+    """A requirement's name. Of an axis also "motion time", "total time", "A-optimality", "D-optimality" or
+    "E-optimality"; of other IMUs "all requirements" (geometric mean of residual over target) or "worst ratio"."""
+    free: Annotated[tuple[Free, ...], Field(min_length=1)] = ()
+    """Which parts of the plan of an axis may change."""
     max_motion: Time | None = None
     """Longest ramp."""
     max_total: Time | None = None
     """Longest plan, soaks included."""
     cycles: Literal["own", "alike"] = "own"
     """Whether every turn at the table has moves of its own, or all the same; absent: the same where turns are many."""
-    moves: Annotated[Count, Field(le=40)] | None = None
-    """Turns in each turn at the table; absent: as many as are likely to help."""
+    moves: Annotated[Count, Field(le=400)] | None = None
+    """Of an axis the turns in each turn at the table, 40 at most; absent: as many as are likely to help. Of other IMUs
+    the most turns in a cycle; absent: 80."""
     starts: Count = 16
     """Number of searches from different plans."""
     seed: Whole = 0
-    """Seed of their draws."""
+    """Seed of the search."""
     notice: Notice | None = None
     """What the design must notice."""
     whole_turns: Flag = False
     """Whether every turn must be a whole number of revolutions, where encoder errors repeat."""
     robust: Literal["mean", "worst"] = "mean"
-    """Whether the mean over the scenarios or the worst of them counts."""
+    """Whether the mean or the worst counts: over the scenarios, and over the ranges of `uncertain` noise figures."""
     scenario: Annotated[tuple[Scenario, ...], Field(max_length=1000)] = ()
     """Variants of sensor or rig that the plan must serve too."""
+    angle_step: PositiveAngle | None = None
+    """Turns are whole numbers of it; absent: any angle."""
+    shortest_rest: Time = Quantity(2.0, "2 s", "time")
+    """Shortest rest."""
+    longest_rest: Time = Quantity(120.0, "2 min", "time")
+    """Longest rest."""
 
     @model_validator(mode="before")
     @classmethod
@@ -104,24 +121,49 @@ class Design(Section):
         return cast("object", value)
 
 
-ALL = "all requirements"
-WORST = "worst ratio"
+# Keys that one of the two kinds of search alone reads.
+_OF_AXIS: Final = ("free", "max_motion", "max_total", "cycles", "starts", "notice", "whole_turns", "scenario")
+_OF_POSES: Final = ("angle_step", "shortest_rest", "longest_rest")
+_MOVES_OF_AXIS: Final = 40
 
 
-class UnitDesign(Section):
-    """What `optimise` changes in the plan of a whole unit, and what for."""
+def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> Iterator[Problem]:
+    """An objective that does not exist, and keys that have no effect; keys relative to [design].
 
-    minimise: Text = ALL
-    """"all requirements" (geometric mean of residual over target), "worst ratio", or a requirement's name."""
-    angle_step: PositiveAngle | None = None
-    """Turns are whole numbers of it; absent: any angle."""
-    shortest_rest: Time = Quantity(2.0, "2 s", "time")
-    """Shortest rest."""
-    longest_rest: Time = Quantity(120.0, "2 min", "time")
-    """Longest rest."""
-    moves: Annotated[Count, Field(ge=2, le=400)] = 80
-    """Most turns in a cycle."""
-    robust: Literal["mean", "worst"] = "mean"
-    """Whether the mean or the worst over the ranges of `uncertain` noise figures counts."""
-    seed: Whole = 0
-    """Seed of the search."""
+    `names`: of the requirements. `of_axis`: whether the turns of one axis are searched, or poses.
+    """
+    others, useless = ((*TIMES, *OPTIMALITIES), _OF_POSES) if of_axis else ((ALL, WORST), _OF_AXIS)
+    if design.minimise not in (*names, *others):
+        ending = hint(design.minimise, [*names, *others])
+        of = f"the name of a requirement ({one_of(names)}) or " if names else "a requirement's name or "
+        yield Problem(("minimise",), f"expected {of}{one_of(others)}{ending}", design.minimise)
+    for name in useless:
+        if name in design.model_fields_set:
+            kind = "the turns of one axis" if of_axis else "a cycle of turns and poses"
+            yield Problem((name,), f"has no effect on a search of {kind}; leave it out")
+    if of_axis and not design.free:
+        yield Problem(("free",), "this key is missing: it says which parts of the plan may change", kind="missing")
+    if design.moves is not None:
+        if of_axis and design.moves > _MOVES_OF_AXIS:
+            yield Problem(("moves",), f"must be at most {_MOVES_OF_AXIS} in each turn at the table", design.moves)
+        elif not of_axis and design.moves < 2:
+            yield Problem(("moves",), "must be at least 2", design.moves)
+
+
+def notice_problems(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
+    """A hidden map that cannot be noticed; keys relative to `notice`. `scale`: the sensor's scale factor."""
+    if scale is None or not isinstance(scale.temperature, TemperaturePolynomial):
+        yield Problem((), "is of a scale factor that is a polynomial; the sensor has none")
+        return
+    if not isinstance(scale.rate, RatePolynomial):
+        yield Problem((), "is of a scale factor that is a polynomial in rate; the sensor's is not")
+        return
+    own = {"temperature_degree": scale.temperature.degree, "rate_degree": scale.rate.degree}
+    for name, degree in own.items():
+        hidden = getattr(notice, name)
+        if hidden is None:
+            continue
+        if scale.discrepancy is not None and hidden != getattr(scale.discrepancy, name):
+            yield Problem((name,), "must be that of the scale factor's discrepancy; leave it out", hidden)
+        elif hidden <= degree:
+            yield Problem((name,), f"must exceed the map's degree, {degree}: only what is beyond it is hidden", hidden)

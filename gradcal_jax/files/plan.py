@@ -17,7 +17,6 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
-from gradcal_jax.files.moves import Move
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     Flag,
@@ -28,7 +27,7 @@ from gradcal_jax.files.quantity import (
     Temperature,
     Time,
 )
-from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
+from gradcal_jax.files.section import Section, read_by, refuse, refuse_misspelt
 
 
 class Soak(Section):

@@ -18,7 +18,7 @@ from gradcal_jax.files.bench import Resolution
 from gradcal_jax.files.changes import differences, tables_of
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.problems import ABSENT, Problem, SpecError, dotted
+from gradcal_jax.files.problems import ABSENT, dotted
 from gradcal_jax.files.quantity import (
     Angle,
     PositiveAcceleration,

@@ -11,7 +11,7 @@ from typing import Literal
 
 from gradcal_jax.files.bench import Chamber
 from gradcal_jax.files.plan import ChamberCourse, RampItem, SoakItem, StandardPlan
-from gradcal_jax.files.problems import Problem, SpecError
+from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.section import refuse
 from gradcal_jax.formulas import repetitions
 

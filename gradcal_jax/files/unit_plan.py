@@ -195,6 +195,11 @@ class UnitSchedule(CourseTimes):
         return duration_of((*self.steps, *self.after))
 
     @property
+    def every_step(self) -> tuple[UnitStep, ...]:
+        """The steps one by one, repeated ones as often as they are made."""
+        return tuple(step for step in self.steps for _ in range(step.move.repeat))
+
+    @property
     def is_plain(self) -> bool:
         """Whether there is a cycle, all of whose rests and moves are read as the table is."""
         own = (not s.move.read_end or s.move.read_every is not None for s in self.steps)

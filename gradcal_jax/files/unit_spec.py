@@ -9,11 +9,11 @@ from pydantic import Field
 
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.checks import beyond_full_scale, course_within, inside_basis, standard_within
-from gradcal_jax.files.design import ALL, WORST, UnitDesign
+from gradcal_jax.files.design import Design, design_problems, notice_problems
 from gradcal_jax.files.document import TitledFile
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.problems import Problem, SpecError, hint, one_of
-from gradcal_jax.files.quantity import SizeOfTime, Text, Time
+from gradcal_jax.files.problems import Problem, SpecError
+from gradcal_jax.files.quantity import Quantity, SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import (
     MisalignmentRequirement,
     PositionRequirement,
@@ -26,7 +26,6 @@ from gradcal_jax.files.schedule import StandardSchedule, standard_schedule
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import GyroTriad, UnitSensor
 from gradcal_jax.files.unit_plan import AnyUnitPlan, UnitPlan, UnitSchedule, cycles_between, unit_schedule
-
 
 FORMAT: Final = "gradcal-spec/1"
 
@@ -41,6 +40,8 @@ class CyclesDone(Section):
     """Its beginning, on that plan's clock."""
     end: Time
     """Until when."""
+    pause: Time = Quantity(1800.0, "30 min", "time")
+    """Time until the next part or the plan begins; the sensor stays switched on."""
 
 
 class UnitSpec(TitledFile):
@@ -63,7 +64,7 @@ class UnitSpec(TitledFile):
     done: Annotated[tuple[CyclesDone, ...], Field(max_length=1000)] = ()
     """The parts executed before the plan begins, in the same run; every prediction includes them, with independent
     drifts."""
-    design: UnitDesign | None = None
+    design: Design | None = None
     """What `optimise` may change; no other command reads it."""
 
     def _problems(self) -> Iterator[Problem]:
@@ -130,10 +131,11 @@ class UnitSpec(TitledFile):
             key = ("sensor", "accelerometer", "read_on_moves_below")
             limit = str(accelerometer.read_on_moves_below)
             yield Problem(key, message + "leave it out (and the lever arm)", limit)
-        if self.design is not None and self.design.minimise not in (ALL, WORST, *names):
-            ending = hint(self.design.minimise, [ALL, WORST, *names])
-            message = f"expected {one_of([ALL, WORST])}, or a requirement's name{ending}"
-            yield Problem(("design", "minimise"), message, self.design.minimise)
+        if self.design is not None:
+            found = [*design_problems(self.design, names, of_axis=self.turns_one_gyro)]
+            if (gyro := self.sensor.gyro) is not None and self.design.notice is not None:
+                found += [p.under("notice") for p in notice_problems(self.design.notice, gyro.scale_factor)]
+            yield from (p.under("design") for p in found)
         several = len(self.rig.table.mounting) > 1
         if several and (frame is None or frame.fixed_by != "case"):
             message = 'with several mountings the frame is the case\'s; expected fixed_by = "case"'
@@ -172,6 +174,22 @@ class UnitSpec(TitledFile):
         signals = (gyro.misalignment, gyro.g_sensitivity, gyro.g_squared)
         along = {a: abs(first.unit_vector["xyz".index(getattr(hung, a)[1])]) for a in gyro.axes}
         return all(signal is None for signal in signals) and all(part == 1.0 for part in along.values())
+
+    @property
+    def turns_one_gyro(self) -> bool:
+        """Whether one gyro along the only axis of a table, read as it stands, is all that there is: `optimise` then
+        searches the course of its turns, else a cycle of turns and poses."""
+        gyro, table, frame = self.sensor.gyro, self.rig.table, self.sensor.frame
+        if gyro is None or not self.is_one_axis:
+            return False
+        on_paths = gyro.hysteresis, gyro.scale_factor_hysteresis, gyro.turn_on_transient
+        simple = not any(on_paths) and gyro.scale_factor_temperature_gradient is None
+        level = not table.tilt and not table.azimuth and table.axis[0].keep_out is None
+        begins = 0.0
+        if isinstance(self.plan, UnitPlan) and self.plan.cycle is not None:
+            begins = next(iter(map(float, self.plan.cycle.start.values())), 0.0)
+        read = table.standing == "read" or isinstance(self.plan, StandardPlan)
+        return simple and level and read and not begins and (frame is None or frame.fixed_by != "case")
 
     def _axes_of(self, kind: str) -> tuple[str, ...]:
         triad = getattr(self.sensor, kind)

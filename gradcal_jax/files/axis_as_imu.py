@@ -7,9 +7,12 @@ from typing import Any, Final, cast
 
 from pydantic import TypeAdapter
 
+from gradcal_jax.files.changes import tables_of
 from gradcal_jax.files.moves import AXES, Axis, Move, ResolvedMove
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import PositiveAcceleration, Quantity, SizeOfTime
+from gradcal_jax.files.spec import Spec, expect_spec
+from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.formulas import EARTH_RATE
 
 Tables = dict[str, Any]
@@ -62,6 +65,13 @@ def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables
     return result
 
 
+def imu_spec(spec: Spec | UnitSpec) -> UnitSpec:
+    """The spec, or that of an axis as one of an IMU. Errors: as `axis_as_imu`, and `TypeError` for anything else."""
+    if isinstance(spec, UnitSpec):
+        return spec
+    return unit_spec_of(axis_as_imu(tables_of(expect_spec(spec))))
+
+
 def turned_axes(document: Mapping[str, Any]) -> Sequence[Axis]:
     """The sensor axes that a spec's plan turns, in order; x for one that stands."""
     moves = document["plan"].get("cycle", {}).get("moves", ())
@@ -89,10 +99,17 @@ def _latitude(earth_rate: str) -> str:
     return Quantity.of(math.asin(max(-1.0, min(sine, 1.0))), "deg").text
 
 
+_QUANTITIES: Final[Mapping[str, str]] = {
+    "bias": "gyro_bias",
+    "scale_factor": "gyro_scale_factor",
+    "heading": "mission_heading",
+}
+
+
 def _requirement(row: Tables, axis: Axis) -> Tables:
-    """Requirements on a map are on that of the gyro; all others are as they are."""
-    of_maps = row.get("quantity") in ("bias", "scale_factor")
-    return row | ({"quantity": f"gyro_{row['quantity']}", "axis": axis} if of_maps else {})
+    """The requirement on the gyro, by the quantity's general name."""
+    quantity = row.get("quantity", "")
+    return row | {"quantity": _QUANTITIES.get(quantity, quantity), "axis": axis}
 
 
 def _plan(plan: Tables, axis: Axis, table: Tables) -> tuple[Tables, str]:

@@ -15,12 +15,20 @@ from gradcal_jax.files.moves import AXES, ResolvedMove
 from gradcal_jax.files.plan import ChamberCourse, GradientPlan, RampItem, StandardPlan
 from gradcal_jax.files.problems import Key, Problem, SpecError, hint, one_of
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.requirement import HeadingRequirement, Requirement, ScaleFactorRequirement
+from gradcal_jax.files.requirement import (
+    GyroScaleFactorRequirement,
+    MissionHeadingRequirement,
+    Requirement,
+    ScaleFactorRequirement,
+    UnitRequirement,
+)
 from gradcal_jax.files.schedule import GradientSchedule, TemperatureSegment, gradient_schedule, resolve_cycle
-from gradcal_jax.files.sensor import ScaleFactor, Sensor
+from gradcal_jax.files.sensor import GyroTriad, ScaleFactor, Sensor
 
 # Rounded figures (a ramp rounded to hundredths of a second) may exceed a limit by this share.
 _SLACK = 1e-6
+# Quantities of a gyro's maps.
+_OF_MAPS = frozenset({"scale_factor", "bias", "gyro_scale_factor", "gyro_bias", "north"})
 # Tolerance (K) of a mission's range beyond the plan's, whose ends are rounded to the chamber's steps.
 _NEARLY = 0.5
 
@@ -35,9 +43,12 @@ def between_sections(
     """Every problem between the sections, keys from the top of the file."""
     if requirements is not None:
         yield from _requirements(requirements, sensor)
-        if plan is not None and (visited := visited_temperatures(plan, rig)) is not None:
-            for i, requirement in enumerate(requirements):
-                yield from _missions(i, requirement, visited, "the plan")
+        segments = ()
+        if isinstance(plan, GradientPlan) and rig is not None:
+            with contextlib.suppress(SpecError):  # said elsewhere
+                segments = gradient_schedule(plan, rig).segments
+        if plan is not None:
+            yield from missions_within(requirements, visited_temperatures(plan, segments))
         if design is not None:
             yield from _design(design, [requirement.name for requirement in requirements])
     if design is not None and design.notice is not None and sensor is not None:
@@ -66,23 +77,33 @@ def _notice(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
             yield Problem((name,), f"must exceed the map's degree, {degree}: only what is beyond it is hidden", hidden)
 
 
-def visited_temperatures(plan: GradientPlan | StandardPlan, rig: Rig | None) -> tuple[float, float] | None:
-    """The coldest and the warmest chamber temperature of used data (°C); None where the plan has errors."""
+def visited_temperatures(
+    plan: ChamberCourse | StandardPlan, segments: Sequence[TemperatureSegment]
+) -> tuple[float, float] | None:
+    """The coldest and the warmest chamber temperature of used data (°C); None where nothing is used."""
     if isinstance(plan, StandardPlan):
         return min(plan.temperatures), max(plan.temperatures)
-    try:
-        segments = () if rig is None else gradient_schedule(plan, rig).segments
-    except SpecError:  # said elsewhere
-        segments = ()
     ends = [t for s in segments if s.used for t in (s.temperature_start, s.temperature_end)]
     return (min(ends), max(ends)) if ends else None
 
 
+def missions_within(
+    requirements: Sequence[Requirement | UnitRequirement], visited: tuple[float, float] | None
+) -> Iterator[Problem]:
+    """Where missions leave the temperatures that a plan visits (°C)."""
+    for i, requirement in enumerate(requirements):
+        yield from _missions(i, requirement, visited, "the plan")
+
+
 def _missions(
-    i: int, requirement: Requirement, span: tuple[float, float] | None, whose: str, column: str = "temperature"
+    i: int,
+    requirement: Requirement | UnitRequirement,
+    span: tuple[float, float] | None,
+    whose: str,
+    column: str = "temperature",
 ) -> Iterator[Problem]:
     """Where the i-th requirement's missions leave the calibrated range (°C, or rad/s)."""
-    if span is None or not isinstance(requirement, HeadingRequirement):
+    if span is None or not isinstance(requirement, MissionHeadingRequirement):
         return
     slack, factor, unit = (_NEARLY, 1.0, "degC") if column == "temperature" else (_SLACK, math.degrees(1.0), "deg/s")
     low, high = (f"{factor * end:.5g}" for end in span)
@@ -100,29 +121,37 @@ def _missions(
 def _requirements(requirements: Sequence[Requirement], sensor: Sensor | None) -> Iterator[Problem]:
     seen: dict[str, int] = {}
     for i, requirement in enumerate(requirements):
-        key = ("requirement", i)
         if requirement.name in seen:
             message = f"is the name of requirement[{seen[requirement.name]}] too; names must differ"
-            yield Problem((*key, "name"), message, requirement.name)
+            yield Problem(("requirement", i, "name"), message, requirement.name)
         seen.setdefault(requirement.name, i)
-        if sensor is None:
-            continue
-        if isinstance(requirement, HeadingRequirement):
-            for part in (sensor.bias, sensor.scale_factor):
-                if part is not None:
-                    yield from _missions(i, requirement, part.temperature.span, "the temperature basis")
-            if sensor.scale_factor is not None:
-                yield from _missions(i, requirement, sensor.scale_factor.rate.span, "the rate basis", "rate")
-            continue
         name = "scale_factor" if requirement.quantity == "scale_factor" else "bias"
-        section = sensor.scale_factor if name == "scale_factor" else sensor.bias
-        if section is None:
-            message = f"is not estimated: there is no [sensor.{name}]"
-            yield Problem((*key, "quantity"), message, requirement.quantity)
+        if sensor is None or requirement.quantity == "heading" or getattr(sensor, name) is not None:
+            continue
+        message = f"is not estimated: there is no [sensor.{name}]"
+        yield Problem(("requirement", i, "quantity"), message, requirement.quantity)
+    if sensor is not None:
+        yield from boxes_within(requirements, sensor)
+
+
+def boxes_within(requirements: Sequence[Requirement | UnitRequirement], gyro: Sensor | GyroTriad) -> Iterator[Problem]:
+    """Where boxes and missions leave what the bases of a gyro's maps cover."""
+    maps = [section for section in (gyro.bias, gyro.scale_factor) if section is not None]
+    for i, requirement in enumerate(requirements):
+        if isinstance(requirement, MissionHeadingRequirement):
+            for part in maps:
+                yield from _missions(i, requirement, part.temperature.span, "the temperature basis")
+            if gyro.scale_factor is not None:
+                yield from _missions(i, requirement, gyro.scale_factor.rate.span, "the rate basis", "rate")
+            continue
+        key = ("requirement", i)
+        scaled = isinstance(requirement, ScaleFactorRequirement | GyroScaleFactorRequirement)
+        section = gyro.scale_factor if scaled else gyro.bias
+        if section is None or requirement.quantity not in _OF_MAPS:
             continue
         yield from _inside(requirement.temperature, section.temperature.span, (*key, "temperature"))
-        if isinstance(requirement, ScaleFactorRequirement) and sensor.scale_factor is not None:
-            yield from _inside(requirement.rate, sensor.scale_factor.rate.span, (*key, "rate"))
+        if scaled and gyro.scale_factor is not None:
+            yield from _inside(requirement.rate, gyro.scale_factor.rate.span, (*key, "rate"))
 
 
 def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, key: Key) -> list[Problem]:

@@ -9,12 +9,18 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from gradcal_jax.files.bench import Rig, Table, UnitRig
-from gradcal_jax.files.checks import course_within, standard_within
+from gradcal_jax.files.checks import (
+    boxes_within,
+    course_within,
+    missions_within,
+    standard_within,
+    visited_temperatures,
+)
 from gradcal_jax.files.design import ALL, WORST, UnitDesign
 from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, hint, one_of
-from gradcal_jax.files.quantity import SizeOfTime, Text, Time
+from gradcal_jax.files.quantity import Quantity, SizeOfTime, Text, Time
 from gradcal_jax.files.requirement import (
     MisalignmentRequirement,
     PositionRequirement,
@@ -27,19 +33,20 @@ from gradcal_jax.files.schedule import StandardSchedule, standard_schedule
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import UnitSensor
 from gradcal_jax.files.spec import FORMAT
-from gradcal_jax.files.unit_plan import AnyUnitPlan, UnitPlan, UnitSchedule, cycles_between, unit_schedule
+from gradcal_jax.files.unit_plan import AnyUnitPlan, UnitPlan, UnitSchedule, unit_schedule
 
 
-class CyclesDone(Section):
-    """The executed part of a unit's plan before a run was broken off; `[[done]]`, which `gradcal replan` writes. Whole
-    cycles count."""
+class ExecutedPart(Section):
+    """The executed part of a plan before a run was broken off; `[[done]]`, which `gradcal replan` writes."""
 
     plan: UnitPlan
-    """The plan that was executed then, of one stretch of used data."""
+    """The plan that was executed then."""
     start: SizeOfTime
     """Its beginning, on that plan's clock."""
     end: Time
     """Until when."""
+    pause: Time = Quantity.of(1800.0, "s")
+    """Time until the next part or the plan begins; the device stays switched on. Absent: 30 min."""
 
 
 class UnitSpec(TitledFile):
@@ -59,9 +66,8 @@ class UnitSpec(TitledFile):
     """Requirements on the calibration."""
     plan: AnyUnitPlan
     """Course of the chamber, and motion of the table."""
-    done: Annotated[tuple[CyclesDone, ...], Field(max_length=1000)] = ()
-    """The parts executed before the plan begins, in the same run; every prediction includes them, with independent
-    drifts."""
+    done: Annotated[tuple[ExecutedPart, ...], Field(max_length=1000)] = ()
+    """The parts executed before the plan begins, in the same run; every prediction includes them."""
     design: UnitDesign | None = None
     """What `optimise` may change; no other command reads it."""
 
@@ -72,12 +78,16 @@ class UnitSpec(TitledFile):
             yield from (p.under("plan") for p in error.problems)
             return
         if isinstance(self.plan, StandardPlan):
+            segments = ()
             yield from (p.under("plan") for p in _standard(self.plan, self.rig))
             if self.done:
                 yield Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone')
         else:
             segments = self.gradient_schedule.segments
             yield from (p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments))
+        yield from missions_within(self.requirement, visited_temperatures(self.plan, segments))
+        if self.sensor.gyro is not None:
+            yield from boxes_within(self.requirement, self.sensor.gyro)
         yield from self._site()
         for kind in ("gyro", "accelerometer") if self.done else ():
             if (triad := getattr(self.sensor, kind)) is not None and triad.turn_on_transient:
@@ -85,14 +95,12 @@ class UnitSpec(TitledFile):
                 yield Problem(("sensor", kind, "turn_on_transient"), message)
         for number, part in enumerate(self.done):
             try:
-                several = len(unit_schedule(part.plan, self.rig).stretches) > 1
+                segments = unit_schedule(part.plan, self.rig).segments
             except SpecError as error:
                 yield from (p.under("done", number, "plan") for p in error.problems)
                 continue
-            if several:
-                yield Problem(("done", number, "plan"), "expected one stretch of used data, in one mounting")
-            if part.plan.cycle is None:
-                yield Problem(("done", number, "plan", "cycle"), "this key is missing: whole cycles count")
+            course = course_within(part.plan, self.rig.chamber, segments)
+            yield from (p.under("done", number, "plan") for p in course)
             if part.end <= part.start:
                 yield Problem(("done", number, "end"), "expected a time after its start", part.end.text)
         names = [r.name for r in self.requirement]
@@ -203,12 +211,6 @@ class UnitSpec(TitledFile):
             )
         return schedule
 
-    @property
-    def past(self) -> tuple[UnitSchedule, ...]:
-        """The parts executed before the plan begins: their whole cycles."""
-        parts = (cycles_between(unit_schedule(p.plan, self.rig), float(p.start), float(p.end)) for p in self.done)
-        return tuple(part for part in parts if part is not None)
-
 
 def _standard(plan: StandardPlan, rig: UnitRig) -> Iterator[Problem]:
     """Problems of the standard method, keys relative to the plan: as of one axis, about the table's only axis."""
@@ -248,6 +250,8 @@ def _needs(requirement: UnitRequirement) -> tuple[str, ...]:
         "position": ("gyro.bias", "accelerometer.bias"),
         "tilt": ("accelerometer.bias",),
         "heading": ("gyro.scale_factor",),
+        "mission_heading": ("gyro",),
+        "north": ("gyro.bias",),
     }[requirement.quantity]
 
 

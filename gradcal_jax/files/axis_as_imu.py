@@ -7,7 +7,6 @@ from typing import Any, Final, cast
 
 from pydantic import TypeAdapter
 
-from gradcal_jax.files.changes import tables_of
 from gradcal_jax.files.moves import AXES, Axis, Move, ResolvedMove
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import PositiveAcceleration, Quantity, SizeOfTime
@@ -32,6 +31,14 @@ _NO_SUCH_TABLE: Final = (
     "(gradcal new two-axis-table)"
 )
 _SECONDS: Final = "s"
+
+
+def general(spec: Spec | UnitSpec) -> UnitSpec:
+    """A spec in the general form. Errors: `SpecError` for a plan that turns several axes of a sensor; `TypeError` for
+    anything but a spec."""
+    if isinstance(spec, UnitSpec):
+        return spec
+    return unit_spec_of(axis_as_imu(expect_spec(spec).model_dump(mode="json", exclude_unset=True)))
 
 
 def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables:
@@ -63,13 +70,6 @@ def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables
     if "done" in spec:
         result["done"] = [part | {"plan": _plan(part["plan"], seen, rig["table"])[0]} for part in spec["done"]]
     return result
-
-
-def imu_spec(spec: Spec | UnitSpec) -> UnitSpec:
-    """The spec, or that of an axis as one of an IMU. Errors: as `axis_as_imu`, and `TypeError` for anything else."""
-    if isinstance(spec, UnitSpec):
-        return spec
-    return unit_spec_of(axis_as_imu(tables_of(expect_spec(spec))))
 
 
 def turned_axes(document: Mapping[str, Any]) -> Sequence[Axis]:

@@ -1,44 +1,29 @@
 """The posterior covariance after a spec's plan, and residuals on its requirements' boxes."""
 
-from collections.abc import Callable
 from functools import partial
-from typing import Final, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.missions import earth_gain, flights_of
+from gradcal_jax.api.verdicts import DEG_PER_H as DEG_PER_H
+from gradcal_jax.api.verdicts import UNIT_OF, mission_weights, verdict_of
+from gradcal_jax.api.verdicts import decision_rule as decision_rule
+from gradcal_jax.api.verdicts import limit_of as limit_of
+from gradcal_jax.api.verdicts import run_of as run_of
+from gradcal_jax.api.verdicts import target_of as target_of
 from gradcal_jax.design import Criterion, polynomial_grid
 from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
-from gradcal_jax.files.requirement import HeadingRequirement, NorthRequirement, Requirement, UnitRequirement
+from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, Requirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, contrasts, information, posterior, residual, statistic, unweighted
-from gradcal_jax.information.conformity import coverage_of_risk
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
 from gradcal_jax.information.residual import Contrasts, Statistic, map_of
 from gradcal_jax.model import BIAS, SCALE_FACTOR, HigherPolynomials, Map, Polynomial, SensorModel
-from gradcal_jax.units import DEG_PER_H, DEG_PER_S, PPM, G
-
-UnitForPeople = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
-UNIT_OF: Final[dict[str, tuple[UnitForPeople, float]]] = {
-    "scale_factor": ("ppm", PPM),
-    "bias": ("deg/h", DEG_PER_H),
-    "north": ("deg", float(np.degrees(1.0))),
-    "heading": ("deg", float(np.degrees(1.0))),
-    "gyro_bias": ("deg/h", DEG_PER_H),
-    "gyro_scale_factor": ("ppm", PPM),
-    "gyro_misalignment": ("urad", 1e6),
-    "g_sensitivity": ("deg/h/g", DEG_PER_H * G),
-    "accelerometer_bias": ("ug", 1e6 / G),
-    "accelerometer_scale_factor": ("ppm", PPM),
-    "accelerometer_misalignment": ("urad", 1e6),
-    "second_order": ("ug/g^2", 1e6 * G),
-    "position": ("m", 1.0),
-    "tilt": ("urad", 1e6),
-}
-"""For each quantity of an axis or a whole unit its unit for people, and how many of it are one in SI."""
+from gradcal_jax.units import DEG_PER_S
 
 
 def posterior_of_plan(built: Assembled, channel: Axis | None = None) -> Posterior:
@@ -84,7 +69,7 @@ def residual_map(
     `si`: the rates in rad/s, the residual in 1, rad/s or rad.
     """
     temperatures, rates = box(requirement)
-    if isinstance(requirement, HeadingRequirement):
+    if isinstance(requirement, MissionHeadingRequirement):
         values = contrasts_of(built.model, requirement, "max").left(known)[:, None]
     else:
         values = residual(known, built.model, _map_of(requirement), temperatures, rates) * _gain(requirement)
@@ -96,7 +81,7 @@ def residual_map(
 def box(requirement: Requirement | UnitRequirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side; for missions
     their indices."""
-    if isinstance(requirement, HeadingRequirement):
+    if isinstance(requirement, MissionHeadingRequirement):
         return np.arange(float(len(requirement.mission))), np.zeros(1)
     cold, warm = requirement.temperature
     temperatures = np.linspace(float(cold), float(warm), min(most or requirement.grid[0], requirement.grid[0]))
@@ -114,9 +99,9 @@ def contrasts_of(
 ) -> Contrasts:
     """The residual on a grid (by default `box`) as linear functions of the parameters; those of missions are scaled
     such that the unweighted statistic `name` is the weighted one."""
-    if isinstance(requirement, HeadingRequirement):
+    if isinstance(requirement, MissionHeadingRequirement):
         rows = [mission_rows(model, flight, np.array([end]))[0] for flight, end in flights_of(requirement)]
-        return mission_contrasts(model, np.stack(rows)).times(weights(requirement, name)[:, 0])
+        return mission_contrasts(model, np.stack(rows)).times(mission_weights(requirement, name)[:, 0])
     grid = (g.ravel() for g in np.meshgrid(*(at or box(requirement)), indexing="ij"))
     return contrasts(model, _map_of(requirement), *grid).times(_gain(requirement))
 
@@ -131,7 +116,7 @@ def criterion_of(
     interpolates a polynomial map between few places."""
     name, at = name or requirement.statistic, box(requirement, most)
     shape, between = (len(at[0]), len(at[1])), None
-    if most is not None and not isinstance(requirement, HeadingRequirement):
+    if most is not None and not isinstance(requirement, MissionHeadingRequirement):
         at, between = _few_places(map_of(model, _map_of(requirement)), *at)
     rows, alone, beyond = contrasts_of(model, requirement, name, at)
     return Criterion(rows, alone if np.any(alone) else None, beyond, shape, name, between)
@@ -150,21 +135,12 @@ def _few_places(of: Map, temperatures: np.ndarray, rates: np.ndarray):
     return (few_t, few_w), (by_t, by_w)
 
 
-def weights(requirement: Requirement | UnitRequirement, name: Statistic) -> np.ndarray:
-    """Factors `(n, 1)` of the residuals of missions that make a plain statistic the weighted one."""
-    if not isinstance(requirement, HeadingRequirement) or name not in ("rms", "mean"):
-        return np.ones((1, 1))
-    share = np.array([[mission.weight] for mission in requirement.mission])
-    share = share / np.mean(share)
-    return np.sqrt(share) if name == "rms" else share
-
-
 def statistic_of(
     requirement: Requirement | UnitRequirement, values: np.ndarray, name: Statistic | None = None
 ) -> float:
     """The requirement's statistic of its residuals, or the one of that `name`."""
     name = name or requirement.statistic
-    return statistic(name, values * weights(requirement, name))
+    return statistic(name, values * mission_weights(requirement, name))
 
 
 def _map_of(requirement: Requirement | UnitRequirement) -> Literal["bias", "scale_factor"]:
@@ -175,52 +151,6 @@ def _gain(requirement: Requirement | UnitRequirement) -> float:
     return earth_gain(requirement) if isinstance(requirement, NorthRequirement) else 1.0
 
 
-def target_of(requirement: Requirement | UnitRequirement) -> float | None:
-    """The target in the unit of `UNIT_OF`."""
-    return None if requirement.target is None else float(requirement.target) * UNIT_OF[requirement.quantity][1]
-
-
-def limit_of(requirement: Requirement | UnitRequirement) -> tuple[Statistic, float] | None:
-    """The limit that a target sets to the residual map (1σ): a statistic, and its largest allowed value (`UNIT_OF`).
-
-    Simple acceptance: the requirement's own statistic, `target / coverage`. Guarded: the maximum, by the risk.
-    """
-    target = target_of(requirement)
-    if target is None:
-        return None
-    if requirement.risk is None:
-        return requirement.statistic, target / requirement.coverage
-    return "max", target / coverage_of_risk(float(requirement.risk))
-
-
-def decision_rule(requirement: Requirement | UnitRequirement) -> str:
-    """The decision rule of a target, in words. Empty without one."""
-    if requirement.target is None:
-        return ""
-    if requirement.risk is None:
-        of = f"{requirement.coverage:g} × " if requirement.coverage != 1.0 else ""
-        return f"simple acceptance: {of}{requirement.statistic} (1σ) within {requirement.target}"
-    return f"guarded: beyond {requirement.target} at the worst place with a chance of {requirement.risk} at most"
-
-
 def verdict(requirement: Requirement, values: np.ndarray) -> Literal["met", "missed", "unobservable"] | None:
     """The verdict on a residual map (in `UNIT_OF`, 1σ) by a requirement's decision rule; None without a target."""
     return verdict_of(requirement, partial(statistic_of, requirement, values))
-
-
-def verdict_of(
-    requirement: Requirement | UnitRequirement, statistic_named: Callable[[Statistic], float]
-) -> Literal["met", "missed", "unobservable"] | None:
-    """The verdict by a requirement's decision rule; None without a target. `statistic_named`: the residual's statistics
-    by name (in `UNIT_OF`, 1σ), infinite where it is not observable."""
-    if not np.isfinite(statistic_named(requirement.statistic)):
-        return "unobservable"
-    limit = limit_of(requirement)
-    if limit is None:
-        return None
-    return "met" if statistic_named(limit[0]) <= limit[1] else "missed"
-
-
-def run_of(requirement: Requirement | UnitRequirement) -> Literal["any run", "this run"]:
-    """Whether the bias of another power-on counts."""
-    return getattr(requirement, "of", "this run")

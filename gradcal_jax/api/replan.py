@@ -3,8 +3,7 @@
 The executed part is in the spec as `[[done]]`, so that every prediction of the new plan includes its readings and
 noise. Both are one run: the drifts continue through the pause, the turn-on bias stays (the unit is not switched off),
 and the angle's origin is read anew. The remaining plan is searched like any plan, on a ramp from the temperature of the
-interruption to the end of the old ramp. Of a whole unit only whole cycles count, and drifts begin anew: after a pause
-of half an hour they are uncorrelated.
+interruption to the end of the old ramp.
 """
 
 import math
@@ -18,15 +17,15 @@ from gradcal_jax.api.measure import design_block
 from gradcal_jax.api.optimise import Optimised, SearchStep
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, residual_map, statistic_of
 from gradcal_jax.api.structures import axes_of, ramped_shape, read_spacing, visit_times
-from gradcal_jax.api.unit_build import assemble_unit, known_of_motions, motion_of
+from gradcal_jax.api.unit_build import assemble_unit, executed_motion
 from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.files import Spec, changed, tables_of
 from gradcal_jax.files.changes import AnySpec
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.rounding import steps_of
-from gradcal_jax.files.unit_plan import cycles_between
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information import information, posterior
+from gradcal_jax.information import information, posterior, unit_information
+from gradcal_jax.trajectory import body_nodes
 
 PAUSE_S = 1800.0
 _ROUNDING = 1e-6
@@ -52,17 +51,15 @@ class KnownRow(NamedTuple):
 
 def with_done(spec: AnySpec, done: Sequence[Span], pause_s: float = PAUSE_S) -> AnySpec:
     """The spec with spans of its own plan as the part that was executed before it."""
-    plan: dict[str, Any] = {"plan": tables_of(spec)["plan"]}
-    if isinstance(spec, Spec):
-        plan["pause"] = f"{pause_s:.9g} s"
+    plan: dict[str, Any] = {"plan": tables_of(spec)["plan"], "pause": f"{pause_s:.9g} s"}
     parts = [plan | {"start": f"{begin:.9g} s", "end": f"{end:.9g} s"} for begin, end in done]
     return changed(spec, {"done": [*tables_of(spec).get("done", ()), *parts]}) if parts else spec
 
 
 def known_so_far(spec: Spec | UnitSpec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
     """The residual of each requirement after the executed spans of the spec's plan, and after the plan has continued
-    from `goes_on_s` (s, its clock): the end of the last span while a run is under way, or the start of a repeated step.
-    Of a whole unit only whole cycles count."""
+    from `goes_on_s` (s, its clock): the end of the last span while a run is under way, or the start of a repeated
+    step."""
     if isinstance(spec, UnitSpec):
         return _known_of_unit(spec, done, goes_on_s)
     ends_s, rows = spec.schedule.duration, list[KnownRow]()
@@ -82,15 +79,17 @@ def known_so_far(spec: Spec | UnitSpec, done: Sequence[Span], goes_on_s: float) 
 
 def _known_of_unit(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
     _one_stretch(spec, "what is known by now is not worked out yet")
-    built, plan = assemble_unit(spec), spec.plain_schedule
+    plan = spec.plain_schedule
     rest = [*done, (goes_on_s, plan.duration)]
     if done and abs(goes_on_s - done[-1][1]) < _BRIEF_S:
         # The current cycle continues.
         rest = [*done[:-1], (done[-1][0], plan.duration)]
     rows = []
     for spans in (done, rest):
-        parts = [part for span in spans if (part := cycles_between(plan, *span)) is not None]
-        known = known_of_motions(built, (*built.past, *(motion_of(part, spec, built.model) for part in parts)))
+        built = assemble_unit(with_done(spec, spans))
+        motion = executed_motion(built)
+        motions = [] if motion is None else [(motion, body_nodes(motion, built.points))]
+        known = posterior(unit_information(motions, built.model))
         rows.append([unit_residual(built, known, requirement) for requirement in spec.requirement])
     return [
         KnownRow(now.requirement.name, now.requirement.axis, now.unit, now.statistic(), end.statistic())
@@ -149,7 +148,7 @@ def rest_of(spec: AnySpec, done: Sequence[Span], *, left_s: float | None = None,
     if soak.kind == "soak" and (cycle is None or not done):
         plan["plan.soak"] = {"duration": f"{soak.duration:.9g} s", "used": soak.used and not done}
     if isinstance(spec, UnitSpec):
-        return changed(with_done(spec, done), plan)
+        return changed(with_done(spec, done, pause_s), plan)
     design = tables_of(spec).get("design") or tomllib.loads(design_block(spec))["design"]
     if cycle is not None:
         plan["plan.cycle"] = _visits(spec, design, lasts_s)

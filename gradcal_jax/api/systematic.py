@@ -291,7 +291,7 @@ def columns_of_plan(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
 
 def columns_of_unit_plan(built: AssembledUnit) -> dict[str, np.ndarray]:
     """The same of a whole unit."""
-    ramp = ramp_of([motion.line for motion in (*built.past, built.motion)])
+    ramp = ramp_of([built.motion.line])
     figures = _without_fitted(systematic_figures(built.spec), _fitted(built.model))
     return columns_of(figures, terms_of_unit(built), built.model.size, ramp)
 

@@ -17,7 +17,14 @@ import numpy as np
 from gradcal_jax.api.optimise import BY_HAND, MARGIN
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.scenarios import scenario_specs
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, geometry, waves_of
+from gradcal_jax.api.unit_build import (
+    AssembledUnit,
+    assemble_unit,
+    course_before,
+    executed_motion,
+    geometry,
+    waves_of,
+)
 from gradcal_jax.api.unit_residual import RequiredQuantity, quantity_of
 from gradcal_jax.design.cycle_moves import Cycle, Neighbourhood
 from gradcal_jax.design.descent import Descent
@@ -235,7 +242,9 @@ class CyclePlan:
         models = [assemble_unit(one).model if one is not spec else self.built.model for one, _ in scenarios]
         self._models = models
         prior = self.built.model.prior_rows()
-        self._known = [prior.T @ prior + _past(self.built, model) for model in models]
+        self._prior = prior.T @ prior
+        self._executed = executed_motion(self.built)
+        self._known = [self._prior + self._past(model) for model in models]
         self.worst = self.design.minimise == WORST
         counts = [self.worst or self.design.minimise in (ALL, r.name) for r in spec.requirement]
         minimised = [
@@ -264,6 +273,12 @@ class CyclePlan:
             worst_model=self.design.robust == "worst",
         )
         self.descent = Descent(self._value)
+
+    def _past(self, model: UnitModel) -> np.ndarray:
+        """The information of what was executed before; a search takes its drifts as independent of the plan's."""
+        if self._executed is None:
+            return np.zeros((model.size, model.size))
+        return _gram_of(self.built._replace(model=model, motion=self._executed))
 
     def _value(self, z: Any, args: tuple[CycleStructure, Ramp, Any]) -> Any:
         return self.objective.value(jnp.reshape(z, (3, self.slots)), *args)
@@ -299,7 +314,10 @@ class CyclePlan:
         polynomials, ramps = model.shifts(np.zeros(1)) is not None, []
         of_path = any(isinstance(term, PathTerm) for c in model.channels for term in c.model.terms)
         samples = _SAMPLES_ON_A_PATH if of_path else _SAMPLES
-        past = [] if self.built.motion.history is None else self.built.motion.history.tolist()
+        past = [] if (before := course_before(self.spec)) is None else before.tolist()
+        if self._executed is not None:
+            begin, end = self._executed.line.ends()
+            past += [*begin[:1].tolist(), *end.tolist()]
         for part in _parts(self.spec.plain_schedule, counts, period):
             mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0] - part.slope * lag
             step, number = part.slope * period, len(part.temperatures)
@@ -331,8 +349,7 @@ class CyclePlan:
         """What a spec's plan leaves by each model of the noise, in the order of its requirements and the units of
         `UNIT_OF`."""
         built = assemble_unit(spec)
-        each = zip(self._models, self._known, strict=True)
-        return [_statistics(known + _gram_of(built._replace(model=model)), self._fine) for model, known in each]
+        return [_statistics(self._prior + _gram_of(built._replace(model=model)), self._fine) for model in self._models]
 
     def value_of(self, statistics: Sequence[Sequence[float | None]]) -> float:
         """The objective of a plan that leaves these statistics."""
@@ -511,13 +528,6 @@ def _log(value: float | None, quantity: RequiredQuantity) -> float:
     target = quantity.requirement.target
     limit = 1.0 if target is None else float(target) * UNIT_OF[quantity.requirement.quantity][1]
     return math.log(value / limit) if value else math.inf
-
-
-def _past(built: AssembledUnit, model: UnitModel) -> np.ndarray:
-    """The information of the motions before the plan."""
-    of = built._replace(model=model)
-    nothing = np.zeros((model.size, model.size))
-    return sum((_gram_of(of._replace(motion=motion)) for motion in built.past), nothing)
 
 
 def _gram_of(built: AssembledUnit) -> np.ndarray:

@@ -37,7 +37,6 @@ _NO_SUCH_TABLE: Final = (
     "(gradcal new two-axis-table)"
 )
 _SECONDS: Final = "s"
-_MAPS: Final = ("bias", "scale_factor")
 
 
 def is_of_axis(document: Mapping[str, Any]) -> bool:
@@ -189,10 +188,19 @@ def _latitude(earth_rate: object) -> object:
     return Quantity.of(math.asin(max(-1.0, min(rate / EARTH_RATE, 1.0))), "deg").text
 
 
+_QUANTITIES: Final[Mapping[str, str]] = {
+    "bias": "gyro_bias",
+    "scale_factor": "gyro_scale_factor",
+    "heading": "mission_heading",
+}
+
+
 def _requirement(row: Any, axis: Axis) -> Any:
-    """Requirements on a map are on that of the gyro; all others are as they are."""
-    of_maps = isinstance(row, Mapping) and _table(row).get("quantity") in _MAPS
-    return _table(row) | ({"quantity": f"gyro_{row['quantity']}", "axis": axis}) if of_maps else row
+    """The requirement on the gyro, by the quantity's general name."""
+    if not isinstance(row, Mapping):
+        return row
+    quantity = _table(row).get("quantity", "")
+    return _table(row) | {"quantity": _QUANTITIES.get(quantity, quantity), "axis": axis}
 
 
 def _plan(of_file: object, axis: Axis, table: Tables) -> tuple[Any, Any]:

@@ -1,21 +1,86 @@
 """Checks of a plan against chamber, table and sensor, and of requirements against the maps."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from gradcal_jax.files.bench import Chamber, TableAxis
 from gradcal_jax.files.plan import ChamberCourse, RampItem, StandardPlan
 from gradcal_jax.files.problems import Key, Problem
 from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, UnitRequirement
 from gradcal_jax.files.schedule import TemperatureSegment
 from gradcal_jax.files.sensor import GyroTriad
 
 # Rounded figures (a ramp rounded to hundredths of a second) may exceed a limit by this share.
 _SLACK = 1e-6
+# Quantities of a gyro's maps.
+_OF_MAPS = frozenset({"gyro_scale_factor", "gyro_bias", "north"})
+# Tolerance (K) of a mission's range beyond the plan's, whose ends are rounded to the chamber's steps.
+_NEARLY = 0.5
 
 
-def inside_basis(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, key: Key) -> list[Problem]:
-    """Ends of a requirement's box that lie outside a basis's span."""
+def visited_temperatures(
+    plan: ChamberCourse | StandardPlan, segments: Sequence[TemperatureSegment]
+) -> tuple[float, float] | None:
+    """The coldest and the warmest chamber temperature of used data (°C); None where nothing is used."""
+    if isinstance(plan, StandardPlan):
+        return min(plan.temperatures), max(plan.temperatures)
+    ends = [t for s in segments if s.used for t in (s.temperature_start, s.temperature_end)]
+    return (min(ends), max(ends)) if ends else None
+
+
+def missions_within(
+    requirements: Sequence[UnitRequirement], visited: tuple[float, float] | None
+) -> Iterator[Problem]:
+    """Where missions leave the temperatures that a plan visits (°C)."""
+    for i, requirement in enumerate(requirements):
+        yield from _missions(i, requirement, visited, "the plan")
+
+
+def _missions(
+    i: int,
+    requirement: UnitRequirement,
+    span: tuple[float, float] | None,
+    whose: str,
+    column: str = "temperature",
+) -> Iterator[Problem]:
+    """Where the i-th requirement's missions leave the calibrated range (°C, or rad/s)."""
+    if span is None or not isinstance(requirement, MissionHeadingRequirement):
+        return
+    slack, factor, unit = (_NEARLY, 1.0, "degC") if column == "temperature" else (_SLACK, math.degrees(1.0), "deg/s")
+    low, high = (f"{factor * end:.5g}" for end in span)
+    for k, mission in enumerate(requirement.mission):
+        values = getattr(mission.rows, column)
+        outside = (n for n, value in enumerate(values) if not span[0] - slack <= value <= span[1] + slack)
+        if (n := next(outside, None)) is not None:
+            message = (
+                f"{mission.file}, line {mission.rows.line[n]}: the {column} is {factor * values[n]:.5g} {unit}, "
+                f"outside {whose}, {low} to {high} {unit}"
+            )
+            yield Problem(("requirement", i, "mission", k), message)
+
+
+def boxes_within(requirements: Sequence[UnitRequirement], gyro: GyroTriad) -> Iterator[Problem]:
+    """Where boxes and missions leave what the bases of a gyro's maps cover."""
+    maps = [section for section in (gyro.bias, gyro.scale_factor) if section is not None]
+    for i, requirement in enumerate(requirements):
+        if isinstance(requirement, MissionHeadingRequirement):
+            for part in maps:
+                yield from _missions(i, requirement, part.temperature.span, "the temperature basis")
+            if gyro.scale_factor is not None:
+                yield from _missions(i, requirement, gyro.scale_factor.rate.span, "the rate basis", "rate")
+            continue
+        key = ("requirement", i)
+        scaled = isinstance(requirement, GyroScaleFactorRequirement)
+        section = gyro.scale_factor if scaled else gyro.bias
+        if section is None or requirement.quantity not in _OF_MAPS:
+            continue
+        yield from _inside(requirement.temperature, section.temperature.span, (*key, "temperature"))
+        if scaled and gyro.scale_factor is not None:
+            yield from _inside(requirement.rate, gyro.scale_factor.rate.span, (*key, "rate"))
+
+
+def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, key: Key) -> list[Problem]:
     if span is None:
         return []
     return [

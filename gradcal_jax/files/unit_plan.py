@@ -25,8 +25,6 @@ from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refus
 from gradcal_jax.formulas import reading_count
 
 _SLACK = 1e-6
-# Tolerance of a whole cycle, as a fraction, for the times of a journal.
-_WHOLE = 1e-3
 _FULL_TURN = 2.0 * math.pi
 _MOST = 1e6 * _FULL_TURN
 _HELD = 'has no effect where the table holds its angle; leave it out, or set rig.table.standing = "read"'
@@ -235,33 +233,6 @@ def _rows(move: ResolvedMove, spacing: float, table: UnitTable) -> int:
 def duration_of(steps: Iterable[UnitStep]) -> float:
     """Duration of steps (s)."""
     return math.fsum(step.move.repeat * step.move.duration for step in steps)
-
-
-def cycles_between(schedule: UnitSchedule, start: float, end: float) -> UnitSchedule | None:
-    """The whole cycles of a plan of one stretch between two times (s), as a plan of their own; None: none. The last one
-    includes the time that is left after it."""
-    (stretch,), period = schedule.stretches, schedule.period
-    first = max(0, math.ceil((start - stretch.start) / period - _WHOLE))
-    last = min(stretch.cycles, math.floor((end - stretch.start) / period + _WHOLE))
-    if last <= first:
-        return None
-    begins, ends, leftover = stretch.start + first * period, stretch.start + last * period, 0.0
-    if last == stretch.cycles and end > ends + stretch.leftover - _WHOLE * period:
-        leftover = stretch.leftover
-        ends += leftover
-    segments: list[TemperatureSegment] = []
-    for s in schedule.segments:
-        low, high = max(s.start, begins), min(s.end, ends)
-        if high - low > _SLACK:
-            cold, warm = (s.temperature_start + s.slope * (time - s.start) for time in (low, high))
-            segments.append(TemperatureSegment(s.kind, low - begins, high - low, cold, warm, s.used))
-    turned = [0.0] * len(schedule.start)
-    for step in schedule.steps:
-        if step.axis >= 0:
-            turned[step.axis] += first * step.move.repeat * step.move.angle
-    angles = tuple(begin + angle for begin, angle in zip(schedule.start, turned, strict=True))
-    stretch = Stretch(0.0, ends - begins, last - first, leftover)
-    return UnitSchedule(tuple(segments), (stretch,), schedule.steps, angles, schedule.after)
 
 
 def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:

@@ -8,7 +8,14 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field
 
 from gradcal_jax.files.bench import UnitRig
-from gradcal_jax.files.checks import beyond_full_scale, course_within, inside_basis, standard_within
+from gradcal_jax.files.checks import (
+    beyond_full_scale,
+    boxes_within,
+    course_within,
+    missions_within,
+    standard_within,
+    visited_temperatures,
+)
 from gradcal_jax.files.design import Design, design_problems, notice_problems
 from gradcal_jax.files.document import TitledFile
 from gradcal_jax.files.plan import StandardPlan
@@ -25,23 +32,22 @@ from gradcal_jax.files.requirement import (
 from gradcal_jax.files.schedule import StandardSchedule, standard_schedule
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import GyroTriad, UnitSensor
-from gradcal_jax.files.unit_plan import AnyUnitPlan, UnitPlan, UnitSchedule, cycles_between, unit_schedule
+from gradcal_jax.files.unit_plan import AnyUnitPlan, UnitPlan, UnitSchedule, unit_schedule
 
 FORMAT: Final = "gradcal-spec/1"
 
 
-class CyclesDone(Section):
-    """The executed part of a unit's plan before a run was broken off; `[[done]]`, which `gradcal replan` writes. Whole
-    cycles count."""
+class ExecutedPart(Section):
+    """The executed part of a plan before a run was broken off; `[[done]]`, which `gradcal replan` writes."""
 
     plan: UnitPlan
-    """The plan that was executed then, of one stretch of used data."""
+    """The plan that was executed then."""
     start: SizeOfTime
     """Its beginning, on that plan's clock."""
     end: Time
     """Until when."""
-    pause: Time = Quantity(1800.0, "30 min", "time")
-    """Time until the next part or the plan begins; the sensor stays switched on."""
+    pause: Time = Quantity.of(1800.0, "s")
+    """Time until the next part or the plan begins; the device stays switched on. Absent: 30 min."""
 
 
 class UnitSpec(TitledFile):
@@ -61,9 +67,8 @@ class UnitSpec(TitledFile):
     """Requirements on the calibration."""
     plan: AnyUnitPlan
     """Course of the chamber, and motion of the table."""
-    done: Annotated[tuple[CyclesDone, ...], Field(max_length=1000)] = ()
-    """The parts executed before the plan begins, in the same run; every prediction includes them, with independent
-    drifts."""
+    done: Annotated[tuple[ExecutedPart, ...], Field(max_length=1000)] = ()
+    """The parts executed before the plan begins, in the same run; every prediction includes them."""
     design: Design | None = None
     """What `optimise` may change; no other command reads it."""
 
@@ -75,6 +80,7 @@ class UnitSpec(TitledFile):
             return
         along = self.sensor.gyro if self.is_one_axis else None
         if isinstance(self.plan, StandardPlan):
+            segments = ()
             yield from (p.under("plan") for p in _standard(self.plan, self.rig, along))
             if self.done:
                 yield Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone')
@@ -84,6 +90,9 @@ class UnitSpec(TitledFile):
             for step in (step for step in steps if step.axis >= 0):
                 key = ("plan", "cycle", "moves", step.source)
                 yield from beyond_full_scale(step.move.fastest, along, key, step.move.words)
+        yield from missions_within(self.requirement, visited_temperatures(self.plan, segments))
+        if self.sensor.gyro is not None:
+            yield from boxes_within(self.requirement, self.sensor.gyro)
         yield from self._site()
         for kind in ("gyro", "accelerometer") if self.done else ():
             if (triad := getattr(self.sensor, kind)) is not None and triad.turn_on_transient:
@@ -91,14 +100,12 @@ class UnitSpec(TitledFile):
                 yield Problem(("sensor", kind, "turn_on_transient"), message)
         for number, part in enumerate(self.done):
             try:
-                several = len(unit_schedule(part.plan, self.rig).stretches) > 1
+                segments = unit_schedule(part.plan, self.rig).segments
             except SpecError as error:
                 yield from (p.under("done", number, "plan") for p in error.problems)
                 continue
-            if several:
-                yield Problem(("done", number, "plan"), "expected one stretch of used data, in one mounting")
-            if part.plan.cycle is None:
-                yield Problem(("done", number, "plan", "cycle"), "this key is missing: whole cycles count")
+            course = course_within(part.plan, self.rig.chamber, segments)
+            yield from (p.under("done", number, "plan") for p in course)
             if part.end <= part.start:
                 yield Problem(("done", number, "end"), "expected a time after its start", part.end.text)
         names = [r.name for r in self.requirement]
@@ -118,7 +125,6 @@ class UnitSpec(TitledFile):
                 assert triad is not None
                 if requirement.axis not in triad.axes:
                     yield Problem(("requirement", i, "axis"), "the unit has no such axis", requirement.axis)
-            yield from (p.under("requirement", i) for p in self._outside_maps(requirement))
         accelerometer, frame = self.sensor.accelerometer, self.sensor.frame
         slow = 0.0 if accelerometer is None else float(accelerometer.read_on_moves_below or 0.0)
         read = not steps or any(step.axis < 0 or step.move.fastest <= slow for step in steps)
@@ -145,17 +151,6 @@ class UnitSpec(TitledFile):
                 if not mounting.accuracy:
                     message = 'must be above zero: the frame is the case\'s (sensor.frame.fixed_by = "case")'
                     yield Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg")
-
-    def _outside_maps(self, requirement: UnitRequirement) -> Iterator[Problem]:
-        """Where a requirement goes beyond the bases of a gyro's maps."""
-        gyro = self.sensor.gyro
-        if gyro is None or requirement.quantity not in ("gyro_bias", "gyro_scale_factor"):
-            return
-        section = gyro.bias if requirement.quantity == "gyro_bias" else gyro.scale_factor
-        if section is not None:
-            yield from inside_basis(requirement.temperature, section.temperature.span, ("temperature",))
-        if requirement.quantity == "gyro_scale_factor" and gyro.scale_factor is not None:
-            yield from inside_basis(requirement.rate, gyro.scale_factor.rate.span, ("rate",))
 
     def _site(self) -> Iterator[Problem]:
         """The latitude may be absent where the Earth's rate is the same all the time."""
@@ -238,12 +233,6 @@ class UnitSpec(TitledFile):
             )
         return schedule
 
-    @property
-    def past(self) -> tuple[UnitSchedule, ...]:
-        """The parts executed before the plan begins: their whole cycles."""
-        parts = (cycles_between(unit_schedule(p.plan, self.rig), float(p.start), float(p.end)) for p in self.done)
-        return tuple(part for part in parts if part is not None)
-
 
 def _standard(plan: StandardPlan, rig: UnitRig, gyro: GyroTriad | None) -> Iterator[Problem]:
     """Problems of the standard method, keys relative to the plan."""
@@ -282,4 +271,6 @@ def _needs(requirement: UnitRequirement) -> tuple[str, ...]:
         "position": ("gyro.bias", "accelerometer.bias"),
         "tilt": ("accelerometer.bias",),
         "heading": ("gyro.scale_factor",),
+        "mission_heading": ("gyro",),
+        "north": ("gyro.bias",),
     }[requirement.quantity]

@@ -33,7 +33,6 @@ from gradcal_jax.files.absent import with_typical
 from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.requirement import UnitRequirement
-from gradcal_jax.files.schedule import ResolvedCycle
 from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information, statistic

@@ -148,7 +148,10 @@ def _gradient(schedule: "UnitSchedule", spec: "UnitSpec") -> list[str]:
         parts += [f"standing {time_text(step.move.duration)} ({_read(step.move, every)})" for step in schedule.after]
         lines.append(f"cycle: {time_text(schedule.period)}, made {cycles} times: {', '.join(parts)}")
         read = spec.rig.table.standing == "read"
-        moves = [_move(step.move, names[step.axis] if step.axis >= 0 else "", every if read else None) for step in schedule.steps]
+        moves = [
+            _move(step.move, names[step.axis] if step.axis >= 0 else "", every if read else None)
+            for step in schedule.steps
+        ]
         lines += _first(moves[:_MOST_MOVES], len(moves), right=(0,))
     else:
         lines.append(f"  the table stands and is read every {time_text(every)}")

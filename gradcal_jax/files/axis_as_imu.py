@@ -97,12 +97,21 @@ def change_of_imu(tables: Mapping[str, Any], key: Key, value: object) -> tuple[K
     """The key and the value of the general form for ones of a spec of one axis, where an IMU of `tables` is one."""
     sensor, table = tables.get("sensor", {}), tables.get("rig", {}).get("table", {})
     match key:
-        case ("sensor", str() as name, *rest) if name not in (*_OF_IMU, *_PARTS) and {"gyro"} == set(sensor) & {"gyro", "accelerometer"}:
+        case ("sensor", str() as name, *rest) if name not in (*_OF_IMU, *_PARTS) and {"gyro"} == set(sensor) & {
+            "gyro",
+            "accelerometer",
+        }:
             return ("sensor", "gyro", name, *rest), value
         case ("rig", "earth_rate"):
             return ("rig", "site", "latitude"), value if value is None else _latitude(value)
         case ("rig", "table", "mounting_accuracy"):
-            return ("rig", "table", "mounting", *([0] if isinstance(table.get("mounting"), list) else []), "accuracy"), value
+            return (
+                "rig",
+                "table",
+                "mounting",
+                *([0] if isinstance(table.get("mounting"), list) else []),
+                "accuracy",
+            ), value
         case ("rig", "table", str() as name, *rest) if name in _OF_AXIS and len(table.get("axis", ())) == 1:
             return ("rig", "table", "axis", 0, name, *rest), value
         case _:
@@ -157,7 +166,9 @@ def _design(design: Tables) -> Tables:
     """The scenarios change keys where they are in the general form."""
     if not isinstance(rows := design.get("scenario"), list):
         return design
-    return design | {"scenario": [_scenario(_table(row)) if isinstance(row, Mapping) else row for row in cast("list[Any]", rows)]}
+    return design | {
+        "scenario": [_scenario(_table(row)) if isinstance(row, Mapping) else row for row in cast("list[Any]", rows)]
+    }
 
 
 def _scenario(scenario: Tables) -> Tables:

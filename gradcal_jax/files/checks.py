@@ -29,9 +29,7 @@ def visited_temperatures(
     return (min(ends), max(ends)) if ends else None
 
 
-def missions_within(
-    requirements: Sequence[UnitRequirement], visited: tuple[float, float] | None
-) -> Iterator[Problem]:
+def missions_within(requirements: Sequence[UnitRequirement], visited: tuple[float, float] | None) -> Iterator[Problem]:
     """Where missions leave the temperatures that a plan visits (°C)."""
     for i, requirement in enumerate(requirements):
         yield from _missions(i, requirement, visited, "the plan")
@@ -105,8 +103,7 @@ def standard_within(plan: StandardPlan, axis: TableAxis, chamber: Chamber, gyro:
         swept = abs(rate) * plan.integration
         if swept > axis.travel * (1.0 + _SLACK):
             message = (
-                f"turns {math.degrees(swept):.6g} deg in {plan.integration}, "
-                f"and the table's travel is {axis.travel}"
+                f"turns {math.degrees(swept):.6g} deg in {plan.integration}, and the table's travel is {axis.travel}"
             )
             yield Problem(("rates", i), message, rate.text)
         if abs(rate) > axis.max_rate * (1.0 + _SLACK):

@@ -22,7 +22,9 @@ def needed_bytes(spec: UnitSpec) -> float:
     for triad in (spec.sensor.gyro, spec.sensor.accelerometer):
         if triad is not None:
             parts = [part for _, part in triad if isinstance(part, Section)]
-            columns += len(triad.axes) * (4 + sum(map(_size, parts)) + len(triad.drift) + len(triad.scale_factor_instability))
+            columns += len(triad.axes) * (
+                4 + sum(map(_size, parts)) + len(triad.drift) + len(triad.scale_factor_instability)
+            )
             channels += len(triad.axes)
     return _BYTES * rows * columns * channels
 

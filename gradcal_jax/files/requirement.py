@@ -1,9 +1,9 @@
-"""`[[requirement]]`: the errors that the calibration of an axis or a whole unit limits, and their statistics."""
+"""`[[requirement]]`: the errors that a calibration limits, and their statistics."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import BeforeValidator, Field, Strict, model_validator
+from pydantic import Field, Strict, model_validator
 
 from gradcal_jax.files.bases import increasing
 from gradcal_jax.files.mission import Missions
@@ -31,74 +31,9 @@ Risk = Annotated[Quantity, Of("scale factor", above="0 %", at_most="50 %")]
 Points = Annotated[int, Field(strict=True, ge=2, le=5001)]
 
 
-def _rates_only(value: object) -> object:
-    if value == "mean of max":
-        raise ValueError('a bias has no rate to average over; expected "mean", "max" or "rms"')
-    return value
-
-
-class _OfAxis(Section):
-    name: Text
-    """Its name, which verdicts and [design] refer to."""
-    quantity: Any
-    """What must be good."""
-
-
-class ScaleFactorRequirement(_OfAxis):
-    """A requirement on the scale factor's error over a box of temperature and rate.
-
-    The target is met where `coverage` times the statistic is within it (simple acceptance); with `risk` it is guarded:
-    met where the error at the worst place of the box is beyond it with no more than that chance.
-    """
-
-    quantity: Literal["scale_factor"]
-    temperature: tuple[Temperature, Temperature]
-    """Lowest and highest temperature of the box."""
-    rate: tuple[Rate, Rate]
-    """Lowest and highest rate of the box."""
-    statistic: Literal["mean of max", "max", "mean", "rms"] = "mean of max"
-    """How the standard deviation is summed up over the box; "mean of max": mean over rate of the largest over
-    temperature."""
-    target: PositiveScaleFactor | None = None
-    """Limit on the error, which gives a verdict; absent: none."""
-    coverage: Coverage = 1.0
-    """Standard deviations that must be within the target; 1 as in the paper."""
-    risk: Risk | None = None
-    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
-    grid: tuple[Points, Points] = (101, 121)
-    """Numbers of temperatures and of rates at which the box is evaluated, ends included."""
-
-    def _problems(self) -> Iterator[Problem]:
-        yield from increasing(self.temperature, "temperature")
-        yield from increasing(self.rate, "rate")
-        if self.grid[0] * self.grid[1] > 1_000_000:
-            yield Problem(("grid",), "at most 1000000 points together", list(self.grid))
-
-
 class _OfRuns(Section):
     of: Literal["any run", "this run"] = "any run"
     """Whether the turn-on bias of another power-on counts: in "any run" it does, in "this run" it does not."""
-
-
-class BiasRequirement(_OfAxis, _OfRuns):
-    """A requirement on the bias's error over a range of temperature. Targets as for a scale factor."""
-
-    quantity: Literal["bias"]
-    temperature: tuple[Temperature, Temperature]
-    """Lowest and highest temperature."""
-    statistic: Annotated[Literal["max", "mean", "rms"], BeforeValidator(_rates_only)] = "mean"
-    """How the standard deviation is summed up over temperature."""
-    target: PositiveRate | None = None
-    """Limit on the error, which gives a verdict; absent: none."""
-    coverage: Coverage = 1.0
-    """Standard deviations that must be within the target; 1 as in the paper."""
-    risk: Risk | None = None
-    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
-    grid: tuple[Points] = (101,)
-    """Number of temperatures at which the range is evaluated, ends included."""
-
-    def _problems(self) -> Iterable[Problem]:
-        return increasing(self.temperature, "temperature")
 
 
 Over = Literal["mean", "max", "rms"]
@@ -344,22 +279,7 @@ class NorthRequirement(_OverTemperature):
     target: PositiveAngle | None = None
 
 
-class HeadingRequirement(MissionHeadingRequirement):
-    """`mission_heading` by the name that it has in a spec of one axis."""
-
-    quantity: Literal["heading"]  # pyright: ignore[reportIncompatibleVariableOverride]
-
-
 _CLASSES: Final[Mapping[str, type[Section]]] = {
-    "scale_factor": ScaleFactorRequirement,
-    "bias": BiasRequirement,
-    "heading": HeadingRequirement,
-    "north": NorthRequirement,
-}
-Requirement = Annotated[
-    ScaleFactorRequirement | BiasRequirement | HeadingRequirement | NorthRequirement, chosen_by("quantity", _CLASSES)
-]
-_UNIT_CLASSES: Final[Mapping[str, type[Section]]] = {
     "gyro_bias": GyroBiasRequirement,
     "gyro_scale_factor": GyroScaleFactorRequirement,
     "gyro_misalignment": MisalignmentRequirement,
@@ -387,6 +307,7 @@ UnitRequirement = Annotated[
     | TurnRequirement
     | MissionHeadingRequirement
     | NorthRequirement,
-    chosen_by("quantity", _UNIT_CLASSES),
+    chosen_by("quantity", _CLASSES),
 ]
+Requirement = UnitRequirement
 UnitRequirements = Annotated[tuple[UnitRequirement, ...], Field(max_length=100)]

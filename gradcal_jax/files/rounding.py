@@ -231,7 +231,9 @@ def _cycle(spec: UnitSpec, schedule: UnitSchedule, cycle: Table, rounder: _Round
         if move.shape == "hand":
             turn = dict(moves_of_file[step.source])
             rounder.entries(turn, duration="time")
-            moves.append({key: value for key, value in turn.items() if key != "read" or spec.rig.table.standing == "read"})
+            moves.append(
+                {key: value for key, value in turn.items() if key != "read" or spec.rig.table.standing == "read"}
+            )
             at[k] += move.repeat * move.angle
             continue
         shape = rounder.shape(move)

@@ -129,7 +129,7 @@ class MotionBlock(Section):
     mounting: Count | None = None
     """Number of the mounting, from 1, where there are several."""
     hang: Text | None = None
-    """How the device hangs on the table, in words, where that changes between blocks: the operator is asked to do it."""
+    """How the device hangs on the table, in words, where that changes: the operator is asked to do it."""
     start: dict[Name, Angle] = Field(default_factory=dict)
     """Angles of the table's axes as it begins, outermost first."""
     moves: Annotated[tuple[TrackMove, ...], Field(min_length=1)]

@@ -55,7 +55,7 @@ class SimulatedLab:
         burst_s: float = 1.0,
         room_c: float = 23.0,
     ) -> None:
-        now, table, chamber = clock.now(), spec.rig.table, spec.rig.chamber
+        now, chamber = clock.now(), spec.rig.chamber
         physics = ChamberTruth(
             start_c=room_c,
             ambient_c=room_c,

@@ -13,7 +13,7 @@ import gradcal_jax as gj
 from gradcal_jax.files import changed, presets, read_spec, spec_of, tables_of, to_toml
 from gradcal_jax.files.mission import Mission, _rows_or_faults
 from gradcal_jax.files.problems import SpecError, from_validation
-from gradcal_jax.files.recipe import any_spec_in
+from gradcal_jax.files.recipe import spec_in
 from gradcal_jax.files.schemas import schema
 
 HEAD = "time (s), rate (deg/s), temperature (degC)"
@@ -112,7 +112,7 @@ def test_a_spec_holds_its_missions_once_read(folder, tmp_path_factory, monkeypat
     assert (mission.file, mission.table) == ("flight.csv", TABLE)
     # From another folder, without the file: tables, text and changes stand alone.
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
-    assert any_spec_in(folder / "spec.toml").requirement == spec.requirement
+    assert spec_in(folder / "spec.toml").requirement == spec.requirement
     (folder / "flight.csv").unlink()
     again = gj.parse_spec(to_toml(spec))
     assert again.requirement[2].mission == spec.requirement[2].mission

@@ -12,12 +12,13 @@ from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin, parse_recipe
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
+from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.files.tracks import Stability, tracks_of
-from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec
+from gradcal_jax.files.unit_spec import UnitSpec
 
 
 def preset(name: str) -> UnitSpec:
-    return parse_unit_spec(presets.text(name))
+    return parse_spec(presets.text(name))
 
 
 def recipe_of_unit(spec: UnitSpec) -> Recipe:
@@ -45,7 +46,7 @@ def ends(spec: UnitSpec) -> list[float]:
     return at
 
 
-@pytest.mark.parametrize("name", presets.unit_names())
+@pytest.mark.parametrize("name", [n for n in presets.names()])
 def test_every_preset_is_rounded_and_read_back(name: str) -> None:
     spec = preset(name)
     recipe = recipe_of_unit(spec)

@@ -14,7 +14,7 @@ from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.optimise import Optimised
+    from gradcal_jax.api.search_results import Optimised
 
 _VERSIONS = ("jax", "numpy", "equinox")
 NOT_OPTIMISED = "not optimised: the plan as it stands in the spec"
@@ -41,9 +41,10 @@ def recipe(
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """
-    spec = plan if isinstance(plan, UnitSpec) else expect_spec(getattr(plan, "spec", plan))
+    found = getattr(plan, "spec", plan)
+    spec = found if isinstance(found, UnitSpec) else expect_spec(found)
     if not isinstance(plan, Spec | UnitSpec):
-        from gradcal_jax.api.optimise import record_of
+        from gradcal_jax.api.search_results import record_of
 
         status, optimisation = status or plan.sentence, optimisation or record_of(plan)
         seed = plan.spec.design.seed if seed is None and plan.spec.design is not None else seed

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.flow import optimise
 from gradcal_jax.api.measure import design_block
-from gradcal_jax.api.optimise import Optimised, SearchStep
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, residual_map, statistic_of
+from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.api.structures import axes_of, ramped_shape, read_spacing, visit_times
 from gradcal_jax.api.unit_build import assemble_unit, known_of_motions, motion_of
 from gradcal_jax.api.unit_residual import unit_residual

@@ -21,7 +21,14 @@ MOVING = [family for family in FAMILIES if "static" not in family and "standard"
 SLACK = 1e-6
 # 387: a degree-0 spline, whose jump a look at a slow process sees as it is.
 ALWAYS = {3, 6, 8, 387}
-REFUSALS = ("as if each had a table of its own", "polynomial in rate", "a limit is proven", "cannot", "no proof", "not observ")
+REFUSALS = (
+    "as if each had a table of its own",
+    "polynomial in rate",
+    "a limit is proven",
+    "cannot",
+    "no proof",
+    "not observ",
+)
 
 
 def other_plan(document: dict, rng: np.random.Generator) -> dict:

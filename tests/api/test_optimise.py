@@ -14,11 +14,12 @@ from gradcal_jax.api import assemble, predict
 from gradcal_jax.api.frontier import FrontierPoint, shortest
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.measure import measure
-from gradcal_jax.api.minimise_time import minimise_time
-from gradcal_jax.api.optimise import Optimised, _within_limits, exact, optimise, targets_met
+from gradcal_jax.api.optimise import optimise
 from gradcal_jax.api.plan_to_spec import plan_to_spec
+from gradcal_jax.api.search_results import Optimised
 from gradcal_jax.api.sensitivity import sensitivity
 from gradcal_jax.api.structures import cycle_of, structures
+from gradcal_jax.api.turn_search import _within_limits, exact, targets_met
 from gradcal_jax.design import ProgrammeCoordinates, polish, search
 from gradcal_jax.design.search import _program
 from gradcal_jax.files import SpecError, changed, tables_of
@@ -294,7 +295,7 @@ def test_a_target_that_no_plan_can_meet_is_refused_with_the_limit(spec):
     limit = limits(spec)[0].certified
     asked = changed(spec, {"requirement[0].target": f"{0.9 * limit} ppm", "design.minimise": "motion time"})
     with pytest.raises(ValueError, match=f"it is proven that none leaves less than {limit:.4g} ppm in 50 min"):
-        next(minimise_time(asked))
+        next(optimise(asked))
 
 
 def test_there_is_no_limit_for_a_plan_without_moves():

@@ -6,9 +6,11 @@ from search_problem import SPEC
 
 from gradcal_jax.api import predict
 from gradcal_jax.api.measure import measure
-from gradcal_jax.api.optimise import Optimised, belief_of, optimise
+from gradcal_jax.api.optimise import optimise
 from gradcal_jax.api.scenarios import extremes, scenario_specs
+from gradcal_jax.api.search_results import Optimised
 from gradcal_jax.api.structures import structures
+from gradcal_jax.api.turn_search import belief_of
 from gradcal_jax.files import SpecError, changed, parse_spec, to_toml
 from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec

@@ -189,7 +189,7 @@ ELSEWHERE = {
     "run rest.toml --resume run1": "tests/hardware/test_unit_replanned.py",
     "allan bench.csv --columns columns.toml": "tests/cli/test_instability_cli.py",
     "estimate warm-up.ulg -o cal.toml --parameters tc.params": "tests/estimation/test_warm_up.py",
-    "optimise unit.toml -o better.toml": "tests/api/test_unit_optimise.py",
+    "optimise unit.toml -o better.toml": "tests/api/test_pose_search.py",
     'estimate recording.npz --columns columns.toml --gravity "9.81744 m/s^2" --temperature "23 degC" -o unit.toml': (
         "tests/unit/test_hand_recording.py"
     ),

@@ -7,18 +7,17 @@ They wrap functions that yield progress or take their input in parts. Steps that
 from collections.abc import Callable, Sequence
 
 from gradcal_jax.api import frontier as frontiers
-from gradcal_jax.api import optimise as search
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.limit import PlanLimit, limits
-from gradcal_jax.api.minimise_time import NO_UNTIL_MET, minimise_time
+from gradcal_jax.api.optimise import optimise as searched
 from gradcal_jax.api.posterior_of_plan import posteriors_of_plan
 from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_limit import unit_limits
 from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
-from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
@@ -47,30 +46,27 @@ def compare(*specs: Spec | UnitSpec) -> list[Prediction]:
 def optimise(
     spec: Spec | UnitSpec,
     *,
-    steps: int = search.STEPS,
+    steps: int | None = None,
     quick: bool = False,
     until_met: bool = False,
-    watch: Callable[[search.SearchStep], None] = lambda _: None,
-) -> search.Optimised:
-    """The best plan that gradient descent finds for a spec with a [design], rounded to the controllers' steps.
+    watch: Callable[[SearchStep], None] = lambda _: None,
+) -> Optimised:
+    """The best plan that gradient descent finds for a spec, rounded to the controllers' steps.
 
-    `steps`: iterations of each start. `quick`: few starts, within some per cent of the best in seconds. `until_met`: no
-    further than to a plan that meets every target with a margin of 10 %. `watch` is called with progress
-    (`api.optimise.SearchStep`: `best` in `unit`, `share` of the work). Returns `api.optimise.Optimised`: the rounded
-    `spec`, `now` its residual and `before` the first plan's, in `unit` (ppm or deg/h; minutes, where time is
-    minimised), `converged` and a `sentence` with the reason, the limits that bind and their shadow prices. It is the
-    best of several local optima: `limit` bounds what another plan could still gain.
+    Of one gyro along the only axis of a table the search changes what [design] frees; of any other IMU a cycle of turns
+    and poses. `steps`: iterations of each start (240) or, of poses, gradients in all (12000). `quick`: few of them,
+    within some per cent of the best in seconds. `until_met`: no further than to a plan that meets every target with a
+    margin of 10 %. `watch` is called with progress (`api.search_results.SearchStep`: `best` in `unit`, `share` of the
+    work). Returns `api.search_results.Optimised`: the rounded `spec`, `now` its residual and `before` the first plan's,
+    in `unit` (ppm or deg/h; minutes, where time is minimised), all requirements in `rows`, `converged` and a `sentence`
+    with the reason; of an axis also the limits that bind and their shadow prices. It is the best of several local
+    optima: `limit` bounds what another plan could still gain.
 
-    Errors: `ValueError` without a [design], where limits exclude each other, where nothing can be observed, for
-    targets that are not met in the time allowed, and for `until_met` without a target or with a minimised time.
+    Errors: `ValueError` without a [design] for an axis, where limits exclude each other, where nothing can be observed,
+    for targets that are not met in the time allowed, and for `until_met` without a target or with a minimised time.
     """
-    shortest = spec.design is not None and spec.design.minimise in TIMES
-    if shortest and until_met:
-        raise ValueError(NO_UNTIL_MET)
-    options = {"steps": steps, "quick": quick}
-    events = minimise_time(spec, **options) if shortest else search.optimise(spec, **options, until_met=until_met)
-    for event in events:
-        if isinstance(event, search.Optimised):
+    for event in searched(spec, steps=steps, quick=quick, until_met=until_met):
+        if isinstance(event, Optimised):
             return event
         watch(event)
     raise AssertionError("a search ends with its result")
@@ -90,7 +86,7 @@ def limit(spec: Spec | UnitSpec) -> list[PlanLimit]:
 
 
 def frontier(
-    spec: Spec | UnitSpec, motion_s: Sequence[float], *, steps: int = search.STEPS
+    spec: Spec | UnitSpec, motion_s: Sequence[float], *, steps: int | None = None
 ) -> list[frontiers.FrontierPoint]:
     """The best residual for each of several durations of the ramp, `motion_s` in s, soaks not counted.
 

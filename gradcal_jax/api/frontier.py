@@ -5,7 +5,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.optimise import STEPS, Optimised, SearchStep, optimise
+from gradcal_jax.api.optimise import optimise
+from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.display import summary
 from gradcal_jax.files import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -29,7 +30,7 @@ def frontier(
     spec: Spec | UnitSpec,
     times: list[float],
     *,
-    steps: int = STEPS,
+    steps: int | None = None,
     watch: Callable[[float, SearchStep], None] = lambda _, __: None,
 ) -> Iterator[FrontierPoint]:
     """Optimise for each of `times` (s, without soaks); `watch` is called at every step. Errors: as `optimise`."""

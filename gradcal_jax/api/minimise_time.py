@@ -1,19 +1,18 @@
 """The shortest plan that meets the targets: durations are tried until the residual just does."""
 
+import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from gradcal_jax.api.limit import limits
-from gradcal_jax.api.optimise import STEPS, Optimised, Price, SearchStep, optimise
 from gradcal_jax.api.posterior_of_plan import limit_of
-from gradcal_jax.api.structures import cycle_of, motion_time, ramp_ends
-from gradcal_jax.files import Spec
-from gradcal_jax.files.axis_as_imu import general
+from gradcal_jax.api.search_results import Optimised, Price, SearchStep
+from gradcal_jax.api.structures import motion_time
 from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.unit_plan import duration_of
 from gradcal_jax.files.unit_spec import UnitSpec
 
-NO_UNTIL_MET = "a search for the shortest plan ends where its targets are just met: leave --until-met out"
 # Relative accuracy of the time; the largest number of durations that are tried.
 _NEAR = 1.02
 _TRIES = 8
@@ -22,16 +21,20 @@ _SHORTEST = 1.0 / 20.0
 
 
 def minimise_time(
-    spec: Spec | UnitSpec, *, steps: int = STEPS, quick: bool = False, stop: Callable[[], bool] = lambda: False
+    spec: UnitSpec,
+    search: Callable[..., Iterator[SearchStep | Optimised]],
+    stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[SearchStep | Optimised]:
     """As `optimise`, for [design] that minimises "motion time" or "total time" under the requirements' targets.
 
-    Values are durations in min, of the motion alone: a soak adds the same to each. Errors: `ValueError` where the
-    targets are not met in the time allowed, with the best plan's residual; `KeyboardInterrupt` where `stop` ends the
-    search before any plan meets them.
+    `search(motion=…)`: the search of plans of that duration, for the largest residual over its target. Values are
+    durations in min, of the motion alone: a soak adds the same to each. Errors: `ValueError` where the targets are not
+    met in the time allowed, with the best plan's residual; `KeyboardInterrupt` where `stop` ends the search before any
+    plan meets them.
     """
-    spec = general(spec)
     assert spec.design is not None
+    if all(r.target is None for r in spec.requirement):
+        raise ValueError(f'"{spec.design.minimise}" is minimised under targets: give a requirement a target')
     longest = motion_time(spec, spec.design)
     _refuse_what_no_plan_meets(spec, longest)
     short, long = _least(spec, longest), longest
@@ -49,14 +52,20 @@ def minimise_time(
             time = _between(short, long, too_much, best.now)
         plan = None
         try:
-            for event in optimise(spec, steps=steps, quick=quick, motion=time, stop=stop):
+            for event in search(motion=time):
                 if isinstance(event, Optimised):
                     plan = event
                 else:
                     share = (tried + event.share) / _TRIES
                     words = f"{event.best:.3g} of the target in {time / 60.0:.4g} min"
                     yield event._replace(
-                        name="motion time", unit="min", before=None, best=long / 60.0, share=share, words=words
+                        name="motion time",
+                        unit="min",
+                        before=None,
+                        best=long / 60.0,
+                        share=share,
+                        words=words,
+                        checkpoint={},
                     )
         except ValueError:
             if time == longest:
@@ -97,12 +106,14 @@ def _refuse_what_no_plan_meets(spec: UnitSpec, longest: float) -> None:
 
 def _least(spec: UnitSpec, longest: float) -> float:
     """A lower bound on the duration: the steepest ramp of the chamber, with one turn at the table."""
-    cycle = cycle_of(spec)
-    if cycle is None:
+    if isinstance(spec.schedule, StandardSchedule) or not spec.schedule.steps:
         return longest * _SHORTEST
-    start, end = ramp_ends(spec)
-    slope = float(spec.rig.chamber.max_heating if end > start else spec.rig.chamber.max_cooling)
-    return min(longest, max(abs(end - start) / slope, cycle.moving))
+    chamber, ramps = spec.rig.chamber, [s for s in spec.schedule.segments if s.kind == "ramp"]
+    steepest = (
+        abs(s.temperature_end - s.temperature_start) / (chamber.max_heating if s.slope > 0.0 else chamber.max_cooling)
+        for s in ramps
+    )
+    return min(longest, max(math.fsum(steepest), duration_of(spec.schedule.steps)))
 
 
 def _between(short: float, long: float, too_much: float | None, enough: float) -> float:

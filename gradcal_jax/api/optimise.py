@@ -1,481 +1,66 @@
-"""`optimise`: from a spec with [design] to the best plan of a search, rounded, with the limits that bind it."""
+"""`optimise`: the best plan that a search finds for a spec, by what its rig can turn."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.build import assemble
-from gradcal_jax.api.contract_rows import finite
-from gradcal_jax.api.measure import Measure, design_of, measure
-from gradcal_jax.api.plan_to_spec import plan_to_spec
-from gradcal_jax.api.posterior_of_plan import limit_of, posterior_of_plan, residual_map, statistic_of
-from gradcal_jax.api.scenarios import scenario_specs
-from gradcal_jax.api.structures import Structure, gyro_of, structures
-from gradcal_jax.api.systematic import columns_of_plan, widened
-from gradcal_jax.design import (
-    KEPT,
-    AnyCoordinates,
-    Compiled,
-    Coordinates,
-    Optimum,
-    ProgrammeCoordinates,
-    ProgrammeKnots,
-    SearchState,
-    exactly,
-    missed_limit,
-    multipliers,
-    polish,
-    search,
-)
-from gradcal_jax.display import summary
-from gradcal_jax.files import Spec, SpecError
+from gradcal_jax.api.minimise_time import minimise_time
+from gradcal_jax.api.pose_search import EVALUATIONS, QUICK_EVALUATIONS, search_poses
+from gradcal_jax.api.search_results import Optimised, SearchStep
+from gradcal_jax.api.structures import motion_time, with_motion
+from gradcal_jax.api.turn_search import STEPS, search_turns
+from gradcal_jax.files import Spec
 from gradcal_jax.files.axis_as_imu import general
+from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.requirement import UnitRequirement
-from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information.residual import STATISTICS, Statistic
 
-STEPS: Final = 240
-MARGIN: Final = 0.1
-"""A target is met with margin where the residual is less than the target by this share."""
-_MET: Final = f"every target is met with a margin of {MARGIN:.0%}"
-BY_HAND: Final = (
+BY_HAND = (
     'rig.table.drive is "hand": the search makes turns of a motor. Search the plan with drive = "motor" and moves '
     'without shape = "hand", then write its turns as ones by hand, with the durations that a person needs'
 )
 """Why no plan of turns by hand is searched."""
-# A turn within this share of its limit counts as limited.
-_AT_LIMIT: Final = 1e-3
-_FIRST: Final = 100
-_POLISH: Final = 1000
-_POLISHES: Final = 3
-_BRIEF_POLISH: Final = 40
-# The largest relative increase of the objective for which vanished turns are left out.
-_NO_WORSE: Final = 1e-3
-# A larger relative cost of rounding is reported.
-_DEAR: Final = 0.05
-# Easings at which a price is compared with the objective itself, and the relative error up to which it is linear.
-_LINEAR_STEPS: Final = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01)
-_LINEAR: Final = 0.2
-# Number of random steps from the best programme, and their sizes (shares of the time, of the chamber's range).
-_HOPS: Final = 80
-_HOP_STEPS: Final = (0.05, 0.1, 0.2, 0.4)
-
-
-class SearchStep(NamedTuple):
-    """Progress of an optimisation: `best` in `unit`, of `name`; `share` of the work that is done, 0 to 1.
-
-    `missed`: the limits that the best plan so far exceeds, in words.
-    """
-
-    name: str
-    unit: str
-    before: float | None
-    best: float
-    share: float
-    words: str
-    missed: str
-    checkpoint: "Checkpoint"
-
-
-class Checkpoint(NamedTuple):
-    """The state of an optimisation for resuming it: the current structure and its state, and the best ones so far."""
-
-    structure: int
-    state: SearchState
-    best_structure: int
-    best: SearchState
-
-
-class Price(NamedTuple):
-    """The shadow price of a limit: the change of the objective for each `per` by which the limit is eased, zero or
-    less; up to `linear` of them (None: unknown) the change is in proportion."""
-
-    limit: str
-    per: str
-    change: float
-    linear: float | None = None
-
-
-class Optimised(NamedTuple):
-    """An optimised spec (rounded), and the record of its search. Values in `unit`.
-
-    `before`: of the plan in the spec, None where it observes too little; `optimum`: before rounding; `now`: of the
-    rounded plan, exactly. `starts`: where the starts of the chosen structure ended, `inf` where one exceeds a limit.
-    `active`: the limits that bind, in words.
-    """
-
-    spec: UnitSpec
-    name: str
-    unit: str
-    before: float | None
-    optimum: float
-    now: float
-    converged: bool
-    sentence: str
-    starts: tuple[float, ...]
-    gradient_norm: float | None
-    active: tuple[str, ...]
-    prices: tuple[Price, ...]
-    structure: str
-
-    __repr__ = summary
-
-
-def belief_of(spec: UnitSpec) -> str:
-    """A sentence on the maps that a design takes as exact; empty where each has a discrepancy or smoothness."""
-    sections = {"bias": gyro_of(spec).bias, "scale factor": gyro_of(spec).scale_factor}
-    sure = [name for name, s in sections.items() if s is not None and s.discrepancy is None and s.smoothness is None]
-    if not sure:
-        return ""
-    return (
-        f"assumed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure of the "
-        "spec; a discrepancy in the spec allows deviations from it, and gives a plan that is robust against them"
-    )
-
-
-def record_of(best: Optimised) -> dict[str, object]:
-    """An optimisation as a table of a recipe and of --json."""
-    record: dict[str, object] = {
-        "before": best.before,
-        "objective": best.name,
-        "unit": best.unit,
-        "found": best.optimum,
-        "now": finite(best.now),
-        "converged": best.converged,
-        "sentence": best.sentence,
-        "gradient_norm": best.gradient_norm,
-        "structure": best.structure,
-        "starts": [float(f"{v:.6g}") for v in best.starts if np.isfinite(v)] or None,
-        "active_limits": list(best.active),
-        "shadow_prices": [
-            {"limit": p.limit, "per": p.per, "change": p.change}
-            | ({} if p.linear is None else {"linear_up_to": p.linear})
-            for p in best.prices
-        ],
-    }
-    return {name: value for name, value in record.items() if value is not None}
-
-
-def exact(spec: UnitSpec, of: Measure) -> float:
-    """The exact value of a spec's own plan, on the requirement's own grid; `inf` where it observes too little."""
-    wanted = [r for r in spec.requirement if r.name == design_of(spec).minimise]
-    if wanted and len(of.cases) == 1:
-        return residual_of_plan(spec, wanted)[wanted[0].name][wanted[0].statistic]
-    built = assemble(spec)
-    value = of.exact(built.schedules[built.channels[0]])
-    return value if np.isfinite(value) else np.inf
-
-
-def residual_of_plan(spec: UnitSpec, of: Sequence[UnitRequirement]) -> dict[str, dict[Statistic, float]]:
-    """The statistics (`UNIT_OF`) that a spec's own plan leaves of requirements, by the terms that the spec names;
-    infinite where they are not observable."""
-    built = assemble(spec)
-    known = widened(posterior_of_plan(built), columns_of_plan(built, built.channels[0]))
-    maps = {r.name: (r, residual_map(built, known, r)[2]) for r in of}
-    return {n: {s: statistic_of(r, values, s) for s in STATISTICS} for n, (r, values) in maps.items()}
-
-
-def targets_met(spec: UnitSpec) -> bool:
-    """Whether a plan meets every target by its rule, with `MARGIN`. Errors: `ValueError` where there is no target."""
-    limits = {r.name: limit for r in spec.requirement if (limit := limit_of(r)) is not None}
-    if not limits:
-        raise ValueError("to stop when every target is met, give a requirement a target")
-    return _within(spec, limits, 1.0 - MARGIN)
-
-
-def _within(spec: UnitSpec, limits: Mapping[str, tuple[Statistic, float]], share: float) -> bool:
-    """Whether the named requirements are within that share of their limits, by the terms that the spec names."""
-    found = residual_of_plan(spec, [r for r in spec.requirement if r.name in limits])
-    return all(found[name][statistic] <= share * most for name, (statistic, most) in limits.items())
+NO_UNTIL_MET = "a search for the shortest plan ends where its targets are just met: leave --until-met out"
 
 
 def optimise(
     spec: Spec | UnitSpec,
     *,
-    steps: int = STEPS,
+    steps: int | None = None,
     quick: bool = False,
     until_met: bool = False,
     motion: float | None = None,
-    checkpoint: Checkpoint | None = None,
+    checkpoint: Mapping[str, np.ndarray] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[SearchStep | Optimised]:
     """Yield a `SearchStep` every few iterations and the `Optimised` plan at the end.
 
-    `quick`: few starts, and a brief polish by the same program. `until_met`: no further than to a plan that, rounded,
-    meets every target with `MARGIN`; no search where the spec's own plan does. `motion` s: time without soaks, in the
-    place of [design]'s. `checkpoint`: resume from that of a step. `stop`: called after every step; once true, the best
-    plan so far is finished. Errors: `ValueError` when limits exclude each other, nothing can be observed, the table is
-    turned by hand or, with `until_met`, there is no target.
+    One gyro along the only axis of a table: the course of its turns, of the chamber, or the set points; any other IMU:
+    a cycle of turns and poses. `steps`: iterations of each start (None: 240) or, of poses, gradients in all (None:
+    12000). `quick`: few of them. `until_met`: no further than to a plan that, rounded, meets every target with a margin
+    of 10 %; no search where the spec's own plan does. `motion` s: time without soaks, in the place of [design]'s or the
+    plan's. `checkpoint`: resume from that of a step. `stop`: called after every step; once true, the best plan so far
+    is finished. Errors: `ValueError` when limits exclude each other, nothing can be observed, the table is turned by
+    hand or, with `until_met`, there is no target.
     """
     spec = general(spec)
-    design = design_of(spec)
-    if spec.rig.table.drive == "hand" and not (isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None):
+    stands = isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None
+    if spec.rig.table.drive == "hand" and not stands:
         raise ValueError(BY_HAND)
-    of = measure(spec)
-    before = exact(spec, of)
-    known = finite(before)
-
-    def enough(plan: Callable[[], UnitSpec], value: float, words: str, sentence: str) -> Optimised | None:
-        """The rounded plan, where it meets every target with margin in every scenario."""
-        try:
-            candidate = rounded(plan(), steps_of(spec)).spec
-        except SpecError:
-            return None
-        if not all(targets_met(scenario) for scenario, _ in scenario_specs(candidate)):
-            return None
-        now = exact(candidate, of)
-        return Optimised(candidate, of.name, of.unit, known, value, now, True, sentence, (), None, (), (), words)
-
-    if until_met:
-        if design.notice is not None:
-            raise ValueError("a search until every target is met does not look at design.notice: leave one of them out")
-        own = enough(lambda: spec, before, "as it was", f"the plan as it was: {_MET}, and nothing was searched")
-        if own is not None:
-            yield own
-            return
-
-    def reached_by(compiled: Compiled, state: SearchState) -> tuple[float, str]:
-        """The objective at the best point of a search, and the limits that it exceeds."""
-        value, excess = exactly(compiled, state.best_point)
-        return value, missed_limit(excess, of.limits)
-
-    choices = structures(spec, [s for s, _ in scenario_specs(spec)], motion=motion)
-    best = None if checkpoint is None else (checkpoint.best_structure, checkpoint.best)
-    value, missed = np.inf, ""
-    if best is not None:
-        value, missed = reached_by(of.compiled(choices[best[0]].coordinates), best[1])
-    first, state = (0, None) if checkpoint is None else (checkpoint.structure, checkpoint.state)
-    for k in range(first, len(choices)):
-        choice, options = choices[k], {"steps": steps, "quick": quick, "state": state, "stop": stop}
-        compiled = of.compiled(choice.coordinates)
-        for progress in search(
-            compiled, starts=design.starts, seed=design.seed, begin=choice.start, alone=choice.alone, **options
-        ):
-            better = best is None or progress.best < best[1].best
-            if best is None or better:
-                best = k, progress.state
-                value, missed = reached_by(compiled, progress.state)
-            share = (k + progress.step / progress.steps) / len(choices)
-            yield SearchStep(
-                of.name,
-                of.unit,
-                known,
-                value,
-                0.95 * share,
-                choices[k].words,
-                missed,
-                Checkpoint(k, progress.state, *best),
-            )
-            if until_met and better:
-                point, coordinates = progress.state.best_point, choices[k].coordinates
-                decoded = partial(plan_to_spec, spec, coordinates, point)
-                if early := enough(decoded, value, choices[k].words, f"stopped early: {_MET}"):
-                    yield early
-                    return
-            if stop():
-                break
-        state = None
-        if stop():
-            break
-    assert best is not None
-    yield finished(spec, of, known, choices[best[0]], best[1], motion, stop, quick)
-
-
-def finished(
-    spec: UnitSpec,
-    of: Measure,
-    before: float | None,
-    structure: Structure,
-    state: SearchState,
-    motion: float | None,
-    stop: Callable[[], bool],
-    quick: bool,
-) -> Optimised:
-    """Polish and round the best point of a search; keep the spec's own plan where that is as good."""
-    coordinates, optimum = polished(
-        of, structure.coordinates, state.best_point, design_of(spec).seed, stop, quick=quick
-    )
-    # Rounded as in a recipe, so that the value is that of the executed plan. A plan is returned in every case.
-    sentence, converged = optimum.sentence, optimum.converged
-    try:
-        plan = rounded(plan_to_spec(spec, *_pruned(of, coordinates, optimum.point)), steps_of(spec)).spec
-        now = exact(plan, of)
-    except SpecError as error:
-        plan, now = spec, np.inf
-        sentence = f"the optimum cannot be rounded to the controllers' steps: {error}"
-    if not np.isfinite(now):
-        converged = False
-        hint = "give finer ones"
-        if any(r.name == design_of(spec).minimise and r.quantity in ("heading", "north") for r in spec.requirement):
-            hint = "give the maps priors, or other requirements targets: a mission alone constrains little else"
-        sentence = f"rounded to the controllers' steps the plan observes too little, {hint}; {sentence}"
-    elif now > (1.0 + _DEAR) * optimum.value:
-        more = 100.0 * (now / optimum.value - 1.0)
-        sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
-    # The spec's own plan stays where it is as good and misses no target that the new one meets, or where it alone meets
-    # the targets.
-    kept = False
-    if before is not None and motion is None:
-        own = _within_limits(spec, of)
-        kept = (own and (now >= before or not optimum.held)) or (now >= before and not _within_limits(plan, of))
-    if kept or not np.isfinite(now):
-        try:
-            plan = rounded(spec, steps_of(spec)).spec
-        except SpecError:
-            plan, sentence = spec, f"{sentence}; the plan as it was cannot be rounded either, and is kept unchanged"
-        now, converged = exact(plan, of), False
-    if kept:
-        sentence = (
-            f"nothing better than the plan as it was ({now:.4g} {of.unit}), which is kept; try more moves or starts"
-            + (f" ({sentence})" if not np.isfinite(now) or not optimum.held or optimum.value < 0.9 * now else "")
-        )
-    compiled = of.compiled(structure.coordinates)
-    ends = [exactly(compiled, point) for point in state.points]
-    return Optimised(
-        plan,
-        of.name,
-        of.unit,
-        before,
-        optimum.value,
-        now,
-        converged,
-        sentence,
-        tuple(sorted(value if np.all(excess <= KEPT) else float(np.inf) for value, excess in ends)),
-        optimum.gradient_norm,
-        active_limits(coordinates, optimum.point) if isinstance(coordinates, Coordinates) else (),
-        shadow_prices(of, coordinates, optimum) if isinstance(coordinates, Coordinates) else (),
-        structure.words,
-    )
-
-
-def polished(
-    of: Measure,
-    coordinates: AnyCoordinates,
-    point: np.ndarray,
-    seed: int = 0,
-    stop: Callable[[], bool] = lambda: False,
-    *,
-    quick: bool = False,
-) -> tuple[AnyCoordinates | ProgrammeKnots, Optimum]:
-    """The local optimum from the best point of a search, with its coordinates; without turns that vanish."""
-    # Fewer turns would be another size class, which would have to be compiled.
-    if not quick:
-        coordinates, point = _pruned(of, coordinates, point)
-    if isinstance(coordinates, ProgrammeCoordinates):
-        return best_programme(of, *coordinates.knots(point), seed, stop)
-    if quick:
-        return coordinates, polish(of.compiled(coordinates), point, steps=_BRIEF_POLISH, names=of.limits)
-    optimum = polish(of.compiled(coordinates), point, steps=_FIRST, rounds=1, names=of.limits)
-    for _ in range(_POLISHES):
-        if optimum.converged:
-            break
-        # A vanishing turn leaves a flat valley in which a polish does not converge, so it is removed.
-        fewer, point = _pruned(of, coordinates, optimum.point)
-        again = polish(of.compiled(fewer), point, steps=_POLISH, rounds=1, names=of.limits)
-        allowed = optimum.value * (1.0 + _NO_WORSE) if fewer.size < coordinates.size else optimum.value
-        if not again.held or again.value > allowed:
-            break
-        gained = again.value < optimum.value or fewer.size < coordinates.size
-        coordinates, optimum = fewer, again
-        if not gained:
-            break
-    return coordinates, optimum
-
-
-def _within_limits(spec: UnitSpec, of: Measure) -> bool:
-    """Whether the prediction of the spec's own plan meets the targets that limit the search."""
-    limits = {r.name: limit for r in spec.requirement if r.name in of.limits and (limit := limit_of(r)) is not None}
-    return not of.limits or _within(spec, limits, 1.0)
-
-
-def best_programme(
-    of: Measure, knots: ProgrammeKnots, point: np.ndarray, seed: int, stop: Callable[[], bool]
-) -> tuple[ProgrammeKnots, Optimum]:
-    """Polish a programme, then polish from random steps about the best: programmes that lie on different limits are
-    separate local optima."""
-    objective, linear = of.compiled(knots), knots.limits
-    optimum, generator = polish(objective, point, linear=linear, names=of.limits), np.random.default_rng(seed)
-    for k in range(_HOPS):
-        if stop():
-            break
-        step = _HOP_STEPS[k % len(_HOP_STEPS)] * generator.standard_normal(point.shape)
-        other = polish(objective, knots.near(optimum.point + step), linear=linear, names=of.limits)
-        if other.held and other.value < optimum.value:
-            optimum = other
-    return knots, optimum
-
-
-def _pruned(of: Measure, coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:
-    """The plan without turns that shrank to nothing, unless that costs more than rounding may: a plan of few turns may
-    need even the briefest.
-
-    Where travel is limited all turns may be brief; there those that round to nothing are written as rests.
-    """
-    if not isinstance(coordinates, Coordinates) or "duration" not in coordinates.free or coordinates.travels:
-        return coordinates, point
-    fewer, cycle = coordinates.pruned(coordinates.cycle(np.asarray(point)))
-    left = fewer.vector(cycle)
-    if of.exact(fewer.decode(left)) > (1.0 + _DEAR) * of.exact(coordinates.decode(point)):
-        return coordinates, point
-    return fewer, left
-
-
-def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...]:
-    """Which limits bind, in words."""
-    cycle = coordinates.cycle(point)
-    peaks = np.abs(cycle.peak_rates)[coordinates.turns]
-    fastest = int(np.sum(peaks > float(coordinates.limits.max_rate) * (1.0 - _AT_LIMIT)))
-    binding = ["the time at the table"]
-    if fastest:
-        binding.append(f"the largest rate, in {fastest} of {len(peaks)} turns")
-    if coordinates.travels:
-        angles = np.cumsum(coordinates.angles(cycle))
-        if np.max(np.abs(angles)) > float(coordinates.limits.travel) * (1.0 - _AT_LIMIT):
-            binding.append("the travel")
-    if "gradient" in coordinates.free:
-        slopes = np.abs(cycle.steps) / coordinates.lasting()
-        steep = int(np.sum(slopes > float(coordinates.limits.max_slope) * (1.0 - _AT_LIMIT)))
-        if steep:
-            binding.append(f"the chamber's slope, in {steep} of {len(slopes)} stretches")
-    return tuple(binding)
-
-
-# Limits by the index of `Coordinates.eased`: name, unit in which the limit is eased, and that unit in SI.
-PRICED: Final = (
-    ("ramp time, cycle and turns with it", "minute", 60.0),
-    ("largest rate", "deg/s", np.pi / 180.0),
-    ("largest acceleration", "deg/s^2", np.pi / 180.0),
-    ("travel", "turn", 2.0 * np.pi),
-    ("chamber slope", "K/min", 1.0 / 60.0),
-)
-
-
-def shadow_prices(of: Measure, coordinates: Coordinates, optimum: Optimum) -> tuple[Price, ...]:
-    """The objective's derivatives in the limits. At an optimum the derivative through the free numbers vanishes
-    (envelope theorem); the multipliers count that easing a limit also changes the binding targets.
-
-    A plan within a limit is within an eased one, so that no price is positive: where a derivative is, the point is not
-    quite an optimum, or the limit does not bind.
-    """
-    compiled = of.compiled(coordinates)
-    slopes, costs = compiled(optimum.point), multipliers(compiled, optimum.point)
-    derivatives = slopes.of_eased[0] + costs @ slopes.of_eased[1:]
-    bound = (True, True, True, coordinates.travels, "gradient" in coordinates.free)
-    value, start = float(np.exp(slopes.logs[0])), slopes.logs[0] + costs @ slopes.logs[1:]
-
-    def bent(k: int, step: float) -> float:
-        """The relative error of the derivative over a step, SI."""
-        logs = compiled(optimum.point, by=step * np.eye(len(derivatives))[k]).logs
-        return abs((logs[0] + costs @ logs[1:] - start) / (derivatives[k] * step) - 1.0)
-
-    prices = []
-    for k, (name, per, size) in enumerate(PRICED):
-        if bound[k]:
-            price = min(value * float(derivatives[k]), 0.0) * size
-            steps = _LINEAR_STEPS if price else ()
-            prices.append(Price(name, per, price, next((s for s in steps if bent(k, s * size) < _LINEAR), None)))
-    return tuple(prices)
+    if motion is None and spec.design is not None and spec.design.minimise in TIMES:
+        if until_met:
+            raise ValueError(NO_UNTIL_MET)
+        if checkpoint is not None:
+            raise ValueError("a search for the shortest plan is not kept: start anew, without --resume")
+        yield from minimise_time(spec, partial(optimise, spec, steps=steps, quick=quick, stop=stop), stop)
+    elif spec.turns_one_gyro:
+        options = {"quick": quick, "until_met": until_met, "motion": motion, "checkpoint": checkpoint, "stop": stop}
+        yield from search_turns(spec, steps=steps or STEPS, **options)
+    else:
+        if motion is None and spec.design is not None and (spec.design.max_motion or spec.design.max_total):
+            motion = motion_time(spec, spec.design)
+        timed = spec if motion is None else with_motion(spec, motion)
+        evaluations = steps or (QUICK_EVALUATIONS if quick else EVALUATIONS)
+        options = {"until_met": until_met, "checkpoint": checkpoint, "stop": stop}
+        yield from search_poses(timed, evaluations=evaluations, **options)

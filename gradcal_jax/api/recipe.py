@@ -13,7 +13,7 @@ from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.optimise import Optimised
+    from gradcal_jax.api.search_results import Optimised
 
 _VERSIONS = ("jax", "numpy", "equinox")
 NOT_OPTIMISED = "not optimised: the plan as it stands in the spec"
@@ -41,7 +41,7 @@ def recipe(
     """
     spec = expect_spec(getattr(plan, "spec", plan))
     if not isinstance(plan, UnitSpec):
-        from gradcal_jax.api.optimise import record_of
+        from gradcal_jax.api.search_results import record_of
 
         status, optimisation = status or plan.sentence, optimisation or record_of(plan)
         seed = plan.spec.design.seed if seed is None and plan.spec.design is not None else seed

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from gradcal_jax.api.flow import optimise
 from gradcal_jax.api.measure import design_block
-from gradcal_jax.api.optimise import Optimised, SearchStep
+from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.api.structures import ResolvedCycle, cycle_of, ramped_shape, read_spacing, visit_times
 from gradcal_jax.api.unit_build import assemble_unit, executed_motion
 from gradcal_jax.api.unit_residual import unit_residual

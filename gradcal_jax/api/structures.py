@@ -7,7 +7,7 @@ taken. Moves that a structure has in excess shrink to nothing and are pruned.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
@@ -23,11 +23,13 @@ from gradcal_jax.design import (
     StandardCoordinates,
     make_coordinates,
 )
+from gradcal_jax.files.changes import changed
 from gradcal_jax.files.design import Design
 from gradcal_jax.files.moves import Axis, ResolvedMove
-from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.plan import RampItem, StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import GyroTriad
+from gradcal_jax.files.unit_plan import UnitPlan
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.formulas import RAMPED_SHAPES, repetitions
 
@@ -109,6 +111,36 @@ def motion_time(spec: UnitSpec, design: Design) -> float:
             f"design.max_total leaves no time for the ramp: the soak alone takes {schedule.soak / 60.0:.4g} min"
         )
     return min(limits)
+
+
+def with_motion(spec: UnitSpec, time: float) -> UnitSpec:
+    """The spec with ramps that last, with steps between them, `time` s in all: every slope by the same factor.
+
+    Errors: `ValueError` for a plan without a ramp, or where the steps take longer; `SpecError` where the chamber or a
+    cycle needs more.
+    """
+    schedule = spec.gradient_schedule
+    ramps = math.fsum(s.duration for s in schedule.segments if s.kind == "ramp")
+    left = time - (schedule.motion - ramps)
+    if not ramps or left <= 0.0:
+        raise ValueError(f"the plan has no ramp that could last {time / 60.0:.4g} min")
+
+    def slower(slope: float) -> str:
+        return f"{60.0 * slope * ramps / left:.12g} K/min"
+
+    plan = spec.plan
+    assert isinstance(plan, UnitPlan)
+    if plan.programme is not None:
+        keys: dict[str, Any] = {
+            f"plan.programme[{k}].rate": slower(item.rate)
+            for k, item in enumerate(plan.programme)
+            if isinstance(item, RampItem)
+        }
+    else:
+        several = isinstance(plan.gradient, tuple)
+        slopes = [slower(slope) for slope in (plan.gradient if several else (plan.gradient,))]
+        keys = {"plan.gradient": slopes if several else slopes[0]}
+    return changed(spec, keys)
 
 
 def structures(spec: UnitSpec, scenarios: list[UnitSpec], *, motion: float | None = None) -> list[Structure]:

@@ -14,7 +14,7 @@ from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.api.frontier import FrontierPoint
-    from gradcal_jax.api.optimise import SearchStep
+    from gradcal_jax.api.search_results import SearchStep
 
 
 def frontier(
@@ -24,7 +24,7 @@ def frontier(
     motion: str,
     points: int = 5,
     output: OptionalOutput = None,
-    steps: int = 240,
+    steps: int | None = None,
     json: Json = False,
     plot: Plot = None,
 ) -> int:
@@ -33,7 +33,7 @@ def frontier(
     Parameters
     ----------
     spec
-        The spec file, with a [design].
+        The spec file.
     motion
         Durations without soaks: 50min..300min, or a list such as 60min,100min,3h.
     points
@@ -41,16 +41,17 @@ def frontier(
     output
         Write a recipe for each duration into this directory.
     steps
-        Iterations of each start.
+        Iterations of each start, by default 240; of poses, gradients in all, by default 12000.
     json
         Print the frontier for other programs.
     plot
         Draw the frontier into this file.
     """
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.axis_as_imu import general
+    from gradcal_jax.files.recipe import any_spec_in
 
     drawable(plot)
-    specification = spec_in(spec)
+    specification = general(any_spec_in(spec))
     times = durations(motion, points)
     use_float64()
     from gradcal_jax import api

@@ -1,10 +1,7 @@
 """`gradcal replan`: the best plan for the rest of an interrupted run."""
 
-import sys
-
 from gradcal_jax.cli.output import Flag, Force, Json, Output, RunPath, as_json, writable
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 
 
@@ -41,7 +38,6 @@ def replan(
     """
     from gradcal_jax.cli import optimise as searches
     from gradcal_jax.files import write_toml
-    from gradcal_jax.files.unit_spec import UnitSpec
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
     from gradcal_jax.hardware.stretches import stretches_of
     from gradcal_jax.units import parse, time_text
@@ -54,29 +50,23 @@ def replan(
     done = stretches_of(folder)
     use_float64()
     from gradcal_jax import api
-    from gradcal_jax.api.optimise import record_of
-    from gradcal_jax.api.replan import replan as search
     from gradcal_jax.api.replan import rest_of
+    from gradcal_jax.api.search_results import record_of
+    from gradcal_jax.files.axis_as_imu import general
 
-    spans, status, code = [(part.start_s, part.end_s) for part in done], "", DONE
-    if isinstance(recipe.spec, UnitSpec):
-        optimum, interrupted = searches.search_unit(rest_of(recipe.spec, spans, left_s=left_s), quick=quick)
-        plan, record, table = optimum.spec, searches.record_of_unit(optimum), searches.text_of_unit(optimum)
-        status = "interrupted, the best so far: " * interrupted + searches.gain_of_unit(optimum)
-        code = INTERRUPTED if interrupted else DONE
-    else:
-        with MovingLine(sys.stderr) as line:
-            watch = lambda step: line.show(searches.progress_of(step), step.share)  # noqa: E731
-            plan = search(recipe.spec, spans, left_s=left_s, pause_s=pause_s, quick=quick, watch=watch)
-        record, table, code = record_of(plan), searches.optimum_text(plan), DONE if plan.converged else NOT_AS_WISHED
+    spans = [(part.start_s, part.end_s) for part in done]
+    rest = general(rest_of(recipe.spec, spans, left_s=left_s, pause_s=pause_s))
+    best, interrupted = searches.search_and_watch(rest, quick=quick)
+    status = f"interrupted, the best so far: {best.sentence}" if interrupted else ""
+    code = INTERRUPTED if interrupted else DONE if best.converged else NOT_AS_WISHED
     seconds = sum(end - begin for begin, end in spans)
     remark = f"after {time_text(float(round(seconds)))} with data were done; its prediction counts them"
     notes = (f"the rest of a run, {remark}",)
-    result = api.recipe(plan, stability=recipe.stability, status=status, notes=notes)
+    result = api.recipe(best, stability=recipe.stability, status=status, notes=notes)
     write_toml(result, output, header="Made by gradcal replan; `gradcal show` prints it as a table.")
     if json:
-        print(as_json(record | {"done": spans, "recipe": str(output)}))
+        print(as_json(record_of(best) | {"done": spans, "recipe": str(output)}))
     else:
-        print(table)
+        print(searches.optimum_text(best))
         print(f"wrote {output}, {remark}; go on with: gradcal run {output} --resume {run}")
     return code

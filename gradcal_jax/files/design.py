@@ -76,7 +76,7 @@ class Design(Section):
     """What `optimise` may change, and what for."""
 
     minimise: Text = ALL
-    """A requirement's name. Of an axis also "motion time", "total time", "A-optimality", "D-optimality" or
+    """A requirement's name, "motion time" or "total time". Of an axis also "A-optimality", "D-optimality" or
     "E-optimality"; of other IMUs "all requirements" (geometric mean of residual over target) or "worst ratio"."""
     free: Annotated[tuple[Free, ...], Field(min_length=1)] = ()
     """Which parts of the plan of an axis may change."""
@@ -122,7 +122,7 @@ class Design(Section):
 
 
 # Keys that one of the two kinds of search alone reads.
-_OF_AXIS: Final = ("free", "max_motion", "max_total", "cycles", "starts", "notice", "whole_turns", "scenario")
+_OF_AXIS: Final = ("free", "cycles", "starts", "notice", "whole_turns", "scenario")
 _OF_POSES: Final = ("angle_step", "shortest_rest", "longest_rest")
 _MOVES_OF_AXIS: Final = 40
 
@@ -132,7 +132,7 @@ def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> I
 
     `names`: of the requirements. `of_axis`: whether the turns of one axis are searched, or poses.
     """
-    others, useless = ((*TIMES, *OPTIMALITIES), _OF_POSES) if of_axis else ((ALL, WORST), _OF_AXIS)
+    others, useless = ((*TIMES, *OPTIMALITIES), _OF_POSES) if of_axis else ((ALL, WORST, *TIMES), _OF_AXIS)
     if design.minimise not in (*names, *others):
         ending = hint(design.minimise, [*names, *others])
         of = f"the name of a requirement ({one_of(names)}) or " if names else "a requirement's name or "

@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from gradcal_jax.api import UNIT_OF, assemble, posterior_of_plan, residual_map
 from gradcal_jax.api.missions import ErrorCurve, error_curves
 from gradcal_jax.files import Spec
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
 from gradcal_jax.plots.style import from_zero, new_axes, new_panels, style_of
 
@@ -59,7 +60,7 @@ def draw_prediction(spec: Spec) -> Figure:
             continue
         temperature, rate, values = residual_map(built, known[channel], requirement)
         unit = UNIT_OF[requirement.quantity][0]
-        if requirement.quantity == "scale_factor":
+        if requirement.quantity.endswith("scale_factor"):
             draw_map(temperature, rate, values, unit, title=name, ax=axes)
         else:
             draw_over_temperature(temperature, values, unit, ax=axes)
@@ -69,7 +70,7 @@ def draw_prediction(spec: Spec) -> Figure:
     return figure
 
 
-def draw_comparison(specs: Sequence[tuple[str, Spec]]) -> Figure:
+def draw_comparison(specs: Sequence[tuple[str, Spec | UnitSpec]]) -> Figure:
     """Plans side by side: for each requirement's name, one curve a plan. Errors: `ValueError` without requirements."""
     names = list(dict.fromkeys((r.name, r.quantity) for _, spec in specs for r in spec.requirement))
     if not names:
@@ -85,7 +86,7 @@ def draw_comparison(specs: Sequence[tuple[str, Spec]]) -> Figure:
                     draw_heading([(label, curve) for curve in curves], own=False, first=index, ax=axes)
                     continue
                 temperature, rate, values = residual_map(built, known, requirement)
-                if quantity == "scale_factor":
+                if quantity.endswith("scale_factor"):
                     draw_worst_over_temperature(rate, values, "ppm", label=label, index=index, ax=axes)
                 else:
                     draw_over_temperature(temperature, values, UNIT_OF[quantity][0], label=label, index=index, ax=axes)

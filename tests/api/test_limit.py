@@ -13,14 +13,22 @@ from random_specs import FAMILIES, random_spec
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.files import spec_of
+from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.problems import SpecError
 
 MOVING = [family for family in FAMILIES if "static" not in family and "standard" not in family]
 # Certificates are computed to a duality gap; rounding of the engine is far below.
 SLACK = 1e-6
 # 387: a degree-0 spline, whose jump a look at a slow process sees as it is.
-ALWAYS = {2, 3, 8, 387}
-REFUSALS = ("polynomial in rate", "a limit is proven", "cannot", "no proof", "not observ")
+ALWAYS = {3, 6, 8, 387}
+REFUSALS = (
+    "as if each had a table of its own",
+    "polynomial in rate",
+    "a limit is proven",
+    "cannot",
+    "no proof",
+    "not observ",
+)
 
 
 def other_plan(document: dict, rng: np.random.Generator) -> dict:
@@ -41,7 +49,7 @@ def other_plan(document: dict, rng: np.random.Generator) -> dict:
 def values_of(document: dict) -> dict[tuple[str, str], float | None] | None:
     """What a plan leaves of every requirement; None where it is no valid plan."""
     try:
-        spec = spec_of(document)
+        spec = general(spec_of(document))
     except SpecError:
         return None
     return {(row.name, row.axis): getattr(row, row.statistic.replace(" ", "_")) for row in predict(spec).requirements}

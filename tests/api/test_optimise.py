@@ -14,22 +14,25 @@ from gradcal_jax.api import assemble, predict
 from gradcal_jax.api.frontier import FrontierPoint, shortest
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.measure import measure
-from gradcal_jax.api.minimise_time import minimise_time
-from gradcal_jax.api.optimise import Optimised, _within_limits, exact, optimise, targets_met
+from gradcal_jax.api.optimise import optimise
 from gradcal_jax.api.plan_to_spec import plan_to_spec
+from gradcal_jax.api.search_results import Optimised
 from gradcal_jax.api.sensitivity import sensitivity
-from gradcal_jax.api.structures import structures
+from gradcal_jax.api.structures import cycle_of, structures
+from gradcal_jax.api.turn_search import _within_limits, exact, targets_met
 from gradcal_jax.design import ProgrammeCoordinates, polish, search
 from gradcal_jax.design.search import _program
 from gradcal_jax.files import SpecError, changed, tables_of
+from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.rounding import rounded
+from gradcal_jax.files.unit_spec import UnitSpec
 
 DEG = math.pi / 180.0
 
 
 @pytest.fixture(scope="module")
-def spec() -> files.Spec:
-    return files.parse_spec(SPEC)
+def spec() -> UnitSpec:
+    return general(files.parse_spec(SPEC))
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +43,11 @@ def best(spec) -> Optimised:
     return found
 
 
-def residual(spec: files.Spec) -> float:
+def cycles_of(spec: UnitSpec) -> int:
+    return sum(stretch.cycles for stretch in spec.gradient_schedule.stretches)
+
+
+def residual(spec: UnitSpec) -> float:
     value = predict(spec).requirements[0].mean_of_max
     assert value is not None
     return value
@@ -64,7 +71,7 @@ def test_the_optimum_is_better_is_what_predict_says_and_lies_above_the_limit(spe
 def test_prices_are_what_a_slower_table_costs(spec, best):
     """The envelope theorem against the optimum found again with 1 % less rate."""
     price = next(p for p in best.prices if p.limit == "largest rate")
-    eased = changed(spec, {"rig.table.max_rate": "297 deg/s"})
+    eased = changed(spec, {"rig.table.axis[0].max_rate": "297 deg/s"})
     *_, again = optimise(eased, steps=80)
     assert isinstance(again, Optimised)
     assert again.optimum - best.optimum == pytest.approx(-3.0 * price.change, rel=0.1)
@@ -76,9 +83,9 @@ def test_elasticities_are_differences_of_predictions(spec):
     assert (value, unit) == (pytest.approx(residual(spec), rel=1e-9), "ppm")
     by_name = {row.figure: row.percent for row in known.rows}
     for figure, key, one in (
-        ("reading noise", "rig.table.angle.reading_noise", "deg"),
-        ("angle random walk", "sensor.angle_random_walk", "deg/sqrt(h)"),
-        ("bias instability", "sensor.drift[0].standard_deviation", "deg/h"),
+        ("reading noise", "rig.table.axis[0].angle.reading_noise", "deg"),
+        ("angle random walk", "sensor.gyro.angle_random_walk", "deg/sqrt(h)"),
+        ("bias instability", "sensor.gyro.drift[0].standard_deviation", "deg/h"),
     ):
         nominal = {"deg": 0.05, "deg/sqrt(h)": 0.1, "deg/h": 1.0}[one]
         more, less = (residual(changed(spec, {key: f"{nominal * f} {one}"})) for f in (1.01, 0.99))
@@ -95,7 +102,7 @@ def test_any_point_is_written_feasible_with_whole_turns(spec, seed):
     (structure,) = structures(changed_, [])
     point = 2.0 * np.random.default_rng(seed).standard_normal(structure.coordinates.size)
     plan = plan_to_spec(changed_, structure.coordinates, point)
-    moves = plan.gradient_schedule.cycle.moves
+    moves = cycle_of(plan).moves
     turns = [m for m in moves if not m.is_rest]
     assert turns
     for move in turns:
@@ -106,28 +113,29 @@ def test_any_point_is_written_feasible_with_whole_turns(spec, seed):
     assert sum(m.repeat * m.duration for m in moves if m.other_axes) == pytest.approx(3 * 780.0)
 
 
-def limited(spec: files.Spec, travel: float, shape: str, cycles: str, **design) -> files.Spec:
+def limited(spec: UnitSpec, travel: float, shape: str, cycles: str, **design) -> UnitSpec:
     moves = [
         {"rest": "5 s", "read_every": "1 s"},
         {"turn": "20 deg", "duration": "12 s", "shape": shape},
         {"rest": "5 s", "read_every": "1 s"},
         {"turn": "-20 deg", "duration": "12 s", "shape": shape},
     ]
-    keys = {"rig.table.travel": f"{travel:.6g} deg", "plan.cycle.moves": moves, "design.cycles": cycles}
+    keys = {"rig.table.axis[0].travel": f"{travel:.6g} deg", "plan.cycle.moves": moves, "design.cycles": cycles}
     keys["rig.resolution.acceleration"] = "0.0000001 deg/s^2"  # of a table that makes any acceleration
     return changed(spec, keys | {f"design.{key}": value for key, value in design.items()})
 
 
-def check_executable(spec: files.Spec, plan: files.Spec) -> None:
+def check_executable(spec: UnitSpec, plan: UnitSpec) -> None:
     """Nothing is left to round, and the cable is where it was after every cycle, within the travel in between."""
-    changes = [change for change in rounded(plan).changes if not change.endswith("cosine ramps -> linear ramps")]
-    assert not changes
-    moves = plan.gradient_schedule.cycle.moves
+    for change in rounded(plan).changes:
+        before, after = change.replace(", shape = linear ramps", "").split(": ", 1)[1].split(" -> ")
+        assert before == after
+    moves = cycle_of(plan).moves
     places = np.cumsum([m.angle for m in moves]) / DEG
-    assert np.max(np.abs(places)) <= float(spec.rig.table.travel) / DEG * (1 + 1e-9)
-    if plan.gradient_schedule.cycles > 1:
+    assert np.max(np.abs(places)) <= float(spec.rig.table.axis[0].travel) / DEG * (1 + 1e-9)
+    if cycles_of(plan) > 1:
         assert abs(places[-1]) < 1e-9
-    assert plan.gradient_schedule.cycles == spec.gradient_schedule.cycles or spec.design.cycles == "own"
+    assert cycles_of(plan) == cycles_of(spec) or spec.design.cycles == "own"
 
 
 @pytest.mark.parametrize("shape", ["linear ramps", "cosine ramps"])
@@ -143,7 +151,7 @@ def test_any_point_of_limited_travel_is_executed_as_it_is_written(spec, shape, c
         check_executable(given, plan)
         if not whole:
             wanted = coordinates.angles(coordinates.cycle(point))
-            made = sum(abs(m.angle) for m in plan.gradient_schedule.cycle.moves)
+            made = sum(abs(m.angle) for m in cycle_of(plan).moves)
             assert made == pytest.approx(np.sum(np.abs(wanted)), rel=0.02, abs=DEG)
 
     executed()
@@ -179,7 +187,9 @@ def test_a_quick_search_is_near_and_compiles_no_more_than_its_one_program(spec, 
     assert len(steps) < 30
     # The program of the whole search serves it; another spec of the class needs none either.
     assert _program.cache_info().currsize == before
-    other = changed(spec, {"plan.cycle.other_axes.duration": "700 s", "sensor.angle_random_walk": "0.2 deg/sqrt(h)"})
+    other = changed(
+        spec, {"plan.cycle.other_axes.duration": "700 s", "sensor.gyro.angle_random_walk": "0.2 deg/sqrt(h)"}
+    )
     *_, again = optimise(other, quick=True)
     assert isinstance(again, Optimised)
     assert _program.cache_info().currsize == before
@@ -188,7 +198,7 @@ def test_a_quick_search_is_near_and_compiles_no_more_than_its_one_program(spec, 
 def test_an_optimum_that_rounds_to_nothing_observed_is_a_sentence(spec):
     """Steps of an hour leave no turn: the plan as it was is kept, and it is said why."""
     coarse = changed(
-        spec, {"rig.resolution": {"angle": "3000 turn"}, "design.starts": 1, "rig.table.travel": "60 turn"}
+        spec, {"rig.resolution": {"angle": "3000 turn"}, "design.starts": 1, "rig.table.axis[0].travel": "60 turn"}
     )
     *_, best = optimise(coarse, steps=20)
     assert isinstance(best, Optimised)
@@ -196,42 +206,29 @@ def test_an_optimum_that_rounds_to_nothing_observed_is_a_sentence(spec):
     assert "observes too little" in best.sentence or "cannot be rounded" in best.sentence
 
 
+def paper(name: str) -> UnitSpec:
+    return general(files.read_spec(f"experiments/paper/{name}.toml"))
+
+
 def a_point(structure) -> np.ndarray:
     return np.random.default_rng(1).standard_normal(structure.coordinates.size)
 
 
-def static(**design) -> files.Spec:
-    base = files.read_spec("experiments/paper/static_gradient.toml")
+def static(**design) -> UnitSpec:
+    base = paper("static_gradient")
     return changed(base, {"design": {"minimise": "full range", "free": ["programme"], "starts": 2} | design})
 
 
-def test_two_axes_make_the_same_moves_in_turn(spec):
-    """What is designed for the first is written for both; each stands while the other turns, and all fits the ramp."""
+def test_axes_that_turn_as_if_each_had_a_table_of_its_own_are_refused():
     moves = [
         {"rest": "10 s", "read_every": "5 s"},
         {"duration": "50 s", "peak_rate": "200 deg/s", "shape": "cosine ramps", "axis": "x"},
         {"rest": "10 s", "read_every": "5 s"},
         {"duration": "50 s", "peak_rate": "200 deg/s", "shape": "cosine ramps", "axis": "z"},
     ]
-    cycle = {"moves": moves, "other_axes": {"duration": "780 s", "read": True, "read_every": "20 s"}}
-    both = changed(spec, {"plan.cycle": cycle})
-    (structure,) = structures(both, [])
-    assert structure.words.startswith("4 turns at the table of each of 2 axes of 60 s")
-    point = np.random.default_rng(4).standard_normal(structure.coordinates.size)
-    made = plan_to_spec(both, structure.coordinates, point)
-    resolved = made.gradient_schedule.cycle
-    assert resolved is not None
-    turns = {axis: [m for m in resolved.moves if m.axis == axis and not m.is_rest] for axis in ("x", "z")}
-    assert [m.angle for m in turns["x"]] == [m.angle for m in turns["z"]] != []
-    assert made.schedule.duration == pytest.approx(both.schedule.duration, rel=1e-9)
-    left = {row.axis: row.mean_of_max for row in predict(made).requirements}
-    assert set(left) == {"x", "z"}
-    # The two meet the ramp a minute apart.
-    assert left["z"] == pytest.approx(left["x"], rel=0.2)
-    of = measure(both)
-    assert exact(made, of) == max(left.values())
-    searched = of.exact(structure.coordinates.decode(point))
-    assert searched == pytest.approx(left["x"], rel=0.1)
+    both = changed(files.parse_spec(SPEC), {"plan.cycle.moves": moves})
+    with pytest.raises(SpecError, match="turns sensor axes x, z as if each had a table of its own"):
+        next(optimise(both, steps=20))
 
 
 def test_programmes_and_standard_plans_are_written_within_their_time():
@@ -243,7 +240,7 @@ def test_programmes_and_standard_plans_are_written_within_their_time():
         assert plan.schedule.duration == pytest.approx(160 * 60.0, abs=3.0)
         temperatures = [t for s in plan.schedule.segments for t in (s.temperature_start, s.temperature_end)]
         assert -40.0 <= min(temperatures) < max(temperatures) <= 85.0
-    base = files.read_spec("experiments/paper/static_standard.toml")
+    base = paper("static_standard")
     spec = changed(base, {"design": {"minimise": "full range", "free": ["temperatures", "integration"]}})
     choices = structures(spec, [])
     assert [s.words for s in choices] == [f"{n} temperatures" for n in (4, 5, 6, 7)]
@@ -298,12 +295,12 @@ def test_a_target_that_no_plan_can_meet_is_refused_with_the_limit(spec):
     limit = limits(spec)[0].certified
     asked = changed(spec, {"requirement[0].target": f"{0.9 * limit} ppm", "design.minimise": "motion time"})
     with pytest.raises(ValueError, match=f"it is proven that none leaves less than {limit:.4g} ppm in 50 min"):
-        next(minimise_time(asked))
+        next(optimise(asked))
 
 
 def test_there_is_no_limit_for_a_plan_without_moves():
     with pytest.raises(ValueError, match="for gradient plans with moves"):
-        limits(files.read_spec("experiments/paper/static_gradient.toml"))
+        limits(paper("static_gradient"))
 
 
 def test_the_shortest_plan_lies_between_the_points_of_the_frontier(best):
@@ -320,7 +317,7 @@ def test_assembled_sources_of_the_spec_are_the_figures(spec):
     assert set(assemble(spec).sources) == {"bias instability"}
 
 
-def with_targets(spec, own: str, bias: str = "") -> files.Spec:
+def with_targets(spec, own: str, bias: str = "") -> UnitSpec:
     """The spec with a target for what is minimised, as a file would have it, and one for another statistic."""
     (row,) = spec.requirement
     rows = [row.model_dump(mode="json", exclude_unset=True) | {"target": own}]
@@ -390,7 +387,7 @@ def test_the_plan_as_it_is_is_one_of_the_starts(spec, kind):
     if kind == "a programme":
         own = changed(static(), {"plan.programme": PROGRAMME} | dict.fromkeys(PROGRAMMED))
     elif kind == "set points":
-        base = files.read_spec("experiments/paper/static_standard.toml")
+        base = paper("static_standard")
         own = changed(base, {"design": {"minimise": "full range", "free": ["temperatures", "integration"]}})
     else:
         own = changed(spec, STARTS[kind])

@@ -4,33 +4,36 @@ import numpy as np
 import pytest
 from search_problem import SPEC
 
-from gradcal_jax import files
 from gradcal_jax.api import predict
 from gradcal_jax.api.measure import measure
-from gradcal_jax.api.optimise import Optimised, belief_of, optimise
+from gradcal_jax.api.optimise import optimise
 from gradcal_jax.api.scenarios import extremes, scenario_specs
+from gradcal_jax.api.search_results import Optimised
 from gradcal_jax.api.structures import structures
+from gradcal_jax.api.turn_search import belief_of
 from gradcal_jax.files import SpecError, changed, parse_spec, to_toml
+from gradcal_jax.files.axis_as_imu import general
+from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec
 from gradcal_jax.units import format_quantity, unit_of
 
 UNCERTAIN = {
-    "sensor.drift[0].uncertain": {"standard_deviation": "factor 2", "correlation_time": ["1 min", "20 min"]},
-    "sensor.uncertain": {"angle_random_walk": "factor 1.5"},
+    "sensor.gyro.drift[0].uncertain": {"standard_deviation": "factor 2", "correlation_time": ["1 min", "20 min"]},
+    "sensor.gyro.uncertain": {"angle_random_walk": "factor 1.5"},
 }
 
 
 @pytest.fixture(scope="module")
-def spec() -> files.Spec:
-    return parse_spec(SPEC)
+def spec() -> UnitSpec:
+    return general(parse_spec(SPEC))
 
 
-def value(spec: files.Spec) -> float:
+def value(spec: UnitSpec) -> float:
     return predict(spec).requirements[0].judged
 
 
 def test_uncertain_figures_make_a_range_that_holds_every_draw(spec):
     loose = changed(spec, UNCERTAIN)
-    assert parse_spec(to_toml(loose)) == loose
+    assert parse_unit_spec(to_toml(loose)) == loose
     low, high = predict(loose, limits=True).requirements[0].uncertain
     assert low < value(spec) < high
     rng = np.random.default_rng(0)
@@ -56,7 +59,7 @@ def test_the_worst_of_a_design_is_the_worst_of_the_range(spec):
 
 def test_cases_in_a_loop_are_the_cases_one_by_one(spec):
     """One program loops over scenarios; NumPy takes them in turn. And the gradient is the difference: 1e-6."""
-    loose = changed(spec, UNCERTAIN | {"design.robust": "worst", "sensor.scale_factor.discrepancy": HIDDEN})
+    loose = changed(spec, UNCERTAIN | {"design.robust": "worst", "sensor.gyro.scale_factor.discrepancy": HIDDEN})
     of = measure(loose)
     coordinates = structures(loose, [s for s, _ in scenario_specs(loose)])[0].coordinates
     at = of.compiled(coordinates)
@@ -105,25 +108,25 @@ def test_the_probability_to_miss_has_a_gradient_in_the_plan(spec):
 
 def test_what_is_believed_is_said(spec):
     assert "exactly the structure" in belief_of(spec)
-    assert belief_of(changed(spec, {"sensor.scale_factor.discrepancy": HIDDEN})) == ""
+    assert belief_of(changed(spec, {"sensor.gyro.scale_factor.discrepancy": HIDDEN})) == ""
 
 
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
         ({"design.min_distinct_rates": 6}, "is gone"),
-        ({"sensor.drift[0].uncertain": "factor 0.5"}, "more than 1"),
-        ({"sensor.drift[0].uncertain": "about 2"}, "factor 2"),
-        ({"sensor.drift[0].uncertain": 3}, "a table of figures"),
-        ({"sensor.drift[0].uncertain": {"tau": "factor 2"}}, "no figure of this table"),
-        ({"sensor.drift[0].uncertain": {"correlation_time": ["3 min", "20 min"]}}, "must hold what is written"),
-        ({"sensor.drift[0].uncertain": {"correlation_time": ["3 parsec", "20 min"]}}, "not understood"),
+        ({"sensor.gyro.drift[0].uncertain": "factor 0.5"}, "more than 1"),
+        ({"sensor.gyro.drift[0].uncertain": "about 2"}, "factor 2"),
+        ({"sensor.gyro.drift[0].uncertain": 3}, "a table of figures"),
+        ({"sensor.gyro.drift[0].uncertain": {"tau": "factor 2"}}, "no figure of this table"),
+        ({"sensor.gyro.drift[0].uncertain": {"correlation_time": ["3 min", "20 min"]}}, "must hold what is written"),
+        ({"sensor.gyro.drift[0].uncertain": {"correlation_time": ["3 parsec", "20 min"]}}, "not understood"),
         ({"design.notice": {"standard_deviation": "10 ppm", "power": "100 %"}}, "below 100 %"),
         ({"design.notice": {"standard_deviation": "10 ppm", "rate_degree": 1}}, "exceed"),
         (
             {
                 "design.notice": {"standard_deviation": "10 ppm", "rate_degree": 5},
-                "sensor.scale_factor.discrepancy": HIDDEN,
+                "sensor.gyro.scale_factor.discrepancy": HIDDEN,
             },
             "discrepancy",
         ),

@@ -1,12 +1,14 @@
-"""`optimise` for a whole unit: the cycle of poses, moves and rests that minimises the residuals of its requirements.
+"""The search for the cycle of poses, turns and rests that minimises the residuals of an IMU's requirements.
 
 Every cycle descends along the exact gradient of `design.pose_cycle`: first the file's own, then cycles of a changed
-structure near the best one. What counts in the end is the plan with rounded numbers, evaluated as `predict` does it.
+structure near the best one. What counts in the end is the plan as a recipe rounds it, evaluated as `predict` does it.
 """
 
+import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from statistics import fmean
 from typing import Any, NamedTuple
 
@@ -14,9 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.api.optimise import BY_HAND, MARGIN
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.scenarios import scenario_specs
+from gradcal_jax.api.search_results import MARGIN, MET, NO_TARGET, Optimised, RequirementChange, SearchStep
 from gradcal_jax.api.unit_build import (
     AssembledUnit,
     assemble_unit,
@@ -42,8 +44,9 @@ from gradcal_jax.design.pose_cycle import (
     largest_alike,
     structure_of,
 )
-from gradcal_jax.display import summary
-from gradcal_jax.files.design import ALL, WORST, Design
+from gradcal_jax.files.design import ALL, TIMES, WORST, Design
+from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.rounding import rounded
 from gradcal_jax.files.unit_plan import UnitSchedule, quickest_turn
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.information import Posterior, unit_system, whiten
@@ -87,73 +90,77 @@ class RepeatedCycle(NamedTuple):
     cycles: int
 
 
-class CycleSearch(NamedTuple):
-    """Progress of a search: the logarithm of the objective of the spec's own plan and of the best one so far, the
-    completed share, and the cycle that the search has come to."""
-
-    first: float
-    value: float
-    share: float
-    best: RepeatedCycle
-
-
-class UnitOptimum(NamedTuple):
-    """An optimised unit spec, with its requirements before and after: `rows` of (name, unit, before, now); None: not
-    observable. `gain`: geometric mean of before over now. `evaluations`: of the objective and its gradient. `kept`:
-    nothing better was found than the spec's own plan, which it is."""
-
-    spec: UnitSpec
-    rows: tuple[tuple[str, str, float | None, float | None], ...]
-    gain: float
-    evaluations: int
-    kept: bool = False
-    __repr__ = summary
-
-
-def optimise_unit(
+def search_poses(
     spec: UnitSpec,
     *,
     evaluations: int = EVALUATIONS,
-    seed: int | None = None,
     until_met: bool = False,
+    checkpoint: Mapping[str, np.ndarray] | None = None,
     stop: Callable[[], bool] = lambda: False,
-) -> Iterator[CycleSearch | UnitOptimum]:
-    """Yield the state of the search after every descent, and the optimum at the end, which is never worse than the
-    spec's own plan.
+) -> Iterator[SearchStep | Optimised]:
+    """As `optimise`, over cycles of turns and poses; a step after every descent.
 
-    `evaluations`: of the objective and its gradient. `until_met`: no further than to a plan that meets every target
-    with `MARGIN`.
-
-    Errors: `ValueError` where there is no requirement (or, with `until_met`, no target), or the table is turned by
-    hand.
+    `evaluations`: of the objective and its gradient. The optimum is never worse than the spec's own plan.
     """
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]] to minimise: add one")
-    if spec.rig.table.drive == "hand":
-        raise ValueError(BY_HAND)
     if until_met and all(r.target is None for r in spec.requirement):
-        raise ValueError("to stop when every target is met, give a requirement a target")
+        raise ValueError(NO_TARGET)
     plan = CyclePlan(spec)
+    name, unit, factor = plan.shown()
     before = plan.statistics(spec)
     first = least = plan.value_of(before)
-    best, after, used = spec, before, 0
-    if not (until_met and plan.met(before)):
-        search, seen = _Search(plan, evaluations, plan.design.seed if seed is None else seed, stop), None
+    best, after, words, used, cycle = spec, before, "as it was", 0, None
+    search = _Search(plan, evaluations, plan.design.seed, stop)
+    if checkpoint is not None:
+        cycle = search.resume(checkpoint)
+    if cycle is not None:
+        best = rounded(plan.spec_of(cycle)).spec
+        after = plan.statistics(best)
+        least, words = plan.value_of(after), _in_words(cycle)
+    met = until_met and plan.met(after)
+    if not met:
+        seen: RepeatedCycle | None = None
         for share in search.run():
             used = search.used
             if search.best is not seen:
-                seen, found = search.best, plan.spec_of(search.best)
-                reached = plan.statistics(found)
-                if (value := plan.value_of(reached)) < least:
-                    best, after, least = found, reached, value
-            yield CycleSearch(first, least, share, search.best)
-            if until_met and plan.met(after):
+                seen = search.best
+                with suppress(SpecError):
+                    found = rounded(plan.spec_of(seen)).spec
+                    reached = plan.statistics(found)
+                    if (value := plan.value_of(reached)) < least:
+                        best, after, least, cycle, words = found, reached, value, seen, _in_words(seen)
+            now = factor * math.exp(least)
+            yield SearchStep(name, unit, _finite(factor * math.exp(first)), now, share, words, "", search.state(cycle))
+            met = until_met and plan.met(after)
+            if met:
                 break
-    rows = tuple(
-        (r.name, UNIT_OF[r.quantity][0], b, a) for r, b, a in zip(spec.requirement, before[0], after[0], strict=True)
-    )
-    ratios = [math.log(b / a) for *_, b, a in rows if a and b]
-    yield UnitOptimum(best, rows, math.exp(fmean(ratios)) if ratios else 1.0, used, best is spec)
+    kept = best is spec
+    if kept:
+        with suppress(SpecError):
+            best = rounded(spec).spec
+        after = plan.statistics(best)
+    how = f"after {used} gradients" if used else "without a search"
+    sentence = f"the plan as it was {how}, which is kept" if kept else f"the best {how}"
+    if met:
+        sentence = f"{MET}: {sentence}"
+    elif kept:
+        sentence = f"nothing better than {sentence}"
+    rows = zip(spec.requirement, before[0], after[0], strict=True)
+    changes = tuple(RequirementChange(r.name, UNIT_OF[r.quantity][0], b, a) for r, b, a in rows)
+    ends = [factor * math.exp(value) for value in (first, least, plan.value_of(after))]
+    optimum, now = ends[1:]
+    yield Optimised(
+        best, name, unit, _finite(ends[0]), optimum, now, True, sentence, changes, words, kept, evaluations=used
+    )  # fmt: skip
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _in_words(cycle: RepeatedCycle) -> str:
+    return f"{len(cycle.turns)} turns in each of {cycle.cycles} cycles"
 
 
 class _Search:
@@ -164,32 +171,61 @@ class _Search:
         self._rng = np.random.default_rng(seed)
         self._around = Neighbourhood(plan.limits, plan.slots)
         self.used, self.best, self._value = 0, plan.start, math.inf
+        self._here, self._now, self._begun = plan.start, math.inf, 0
+        self._state: dict[str, np.ndarray] = {}
 
     def run(self) -> Iterator[float]:
         """Yields the completed share after every round of descents."""
         plan, rng = self._plan, self._rng
-        now, here = math.inf, plan.start
-        for sharpness, count in _FIRST:
-            ((now, here),) = self._descents([here], sharpness, count)
-            self.best, self._value = here, now
+        for sharpness, count in _FIRST[self._begun :]:
+            ((self._now, self._here),) = self._descents([self._here], sharpness, count)
+            self.best, self._value = self._here, self._now
+            self._begun += 1
             yield self._share()
         last = min(_LAST[1], self._budget // 4)
         while self.used < self._budget - last and not self._stop():
             warm = _WARM * (1.0 - self.used / self._budget)
-            changed = [self._neighbour(here, rng) for _ in range(TOGETHER)]
-            for value, cycle in self._descents(changed, *_HOP, least=now):
-                if value < now or rng.random() < math.exp(-(value - now) / max(warm, 1e-9)):
-                    here, now = cycle, value
+            changed = [self._neighbour(self._here, rng) for _ in range(TOGETHER)]
+            for value, cycle in self._descents(changed, *_HOP, least=self._now):
+                if value < self._now or rng.random() < math.exp(-(value - self._now) / max(warm, 1e-9)):
+                    self._here, self._now = cycle, value
                 if value < self._value:
                     self.best, self._value = cycle, value
-            if now > self._value + 3.0 * warm:
-                here, now = self.best, self._value
+            if self._now > self._value + 3.0 * warm:
+                self._here, self._now = self.best, self._value
             yield self._share()
         ((_, self.best),) = self._descents([self.best], _LAST[0], last)
         if plan.design.angle_step is not None:
             snapped = self.best._replace(turns=plan.on_steps(self.best.turns))
             ((_, self.best),) = self._descents([snapped], _LAST[0], last, turnable=False)
         yield 1.0
+
+    def state(self, reached: RepeatedCycle | None) -> dict[str, np.ndarray]:
+        """Arrays from which `resume` continues, with the cycle of the best plan so far; of the last round that ended
+        by itself."""
+        if not self._stop() or not self._state:
+            generator = json.dumps(self._rng.bit_generator.state)
+            numbers = np.array([self.used, self._begun, self._now, self._value])
+            self._state = {"numbers": numbers, "generator": np.array(generator)}
+            for name, of in (("here", self._here), ("best", self.best), ("reached", reached)):
+                turns = () if of is None else of.turns
+                self._state[f"{name}_turns"] = np.array(turns, dtype=float).reshape(len(turns), 4)
+                self._state[f"{name}_cycles"] = np.array(0 if of is None else of.cycles)
+        return self._state
+
+    def resume(self, arrays: Mapping[str, np.ndarray]) -> RepeatedCycle | None:
+        """Continue from such arrays; returns the cycle of the best plan, None for the spec's own."""
+        used, begun, self._now, self._value = (float(v) for v in arrays["numbers"])
+        self.used, self._begun = int(used), int(begun)
+        self._rng.bit_generator.state = json.loads(str(arrays["generator"]))
+
+        def cycle(name: str) -> RepeatedCycle | None:
+            turns = (PoseTurn(int(l), float(a), float(w), float(r)) for l, a, w, r in arrays[f"{name}_turns"])
+            count = int(arrays[f"{name}_cycles"])
+            return RepeatedCycle(tuple(turns), count) if count else None
+
+        self._here, self.best = cycle("here") or self._here, cycle("best") or self.best
+        return cycle("reached")
 
     def _neighbour(self, of: RepeatedCycle, rng: np.random.Generator) -> RepeatedCycle:
         """A cycle of another structure, or more or fewer of the same one."""
@@ -245,8 +281,12 @@ class CyclePlan:
         self._prior = prior.T @ prior
         self._executed = executed_motion(self.built)
         self._known = [self._prior + self._past(model) for model in models]
-        self.worst = self.design.minimise == WORST
-        counts = [self.worst or self.design.minimise in (ALL, r.name) for r in spec.requirement]
+        timed = self.design.minimise in TIMES
+        self.worst = timed or self.design.minimise == WORST
+        counts = [
+            (self.worst or self.design.minimise in (ALL, r.name)) and not (timed and r.target is None)
+            for r in spec.requirement
+        ]
         minimised = [
             quantity_of(self.built, r, _SEARCH_GRID) for r, own in zip(spec.requirement, counts, strict=True) if own
         ]
@@ -359,6 +399,16 @@ class CyclePlan:
             for values in statistics
         ]
         return over_models([together(logs) for logs in counted])
+
+    def shown(self) -> tuple[str, str, float]:
+        """Name and unit of the objective for people, and how many of the unit are one of `value_of`, exponentiated."""
+        counted = [r for r, own in zip(self.spec.requirement, self._counted, strict=True) if own]
+        if self.worst or len(counted) > 1:
+            name = "residual over target" if self.worst else "residual over target, geometric mean"
+            return name, "of the target" if all(r.target is not None for r in counted) else "", 1.0
+        (r,) = counted
+        unit, factor = UNIT_OF[r.quantity]
+        return f"{r.name} ({r.statistic})", unit, 1.0 if r.target is None else float(r.target) * factor
 
     def met(self, statistics: Sequence[Sequence[float | None]]) -> bool:
         """Whether every target is met with `MARGIN`, by every model."""

@@ -12,8 +12,10 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax import files
+from gradcal_jax.api.optimise import optimise
+from gradcal_jax.api.pose_search import CyclePlan, RepeatedCycle
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
-from gradcal_jax.api.unit_optimise import CyclePlan, CycleSearch, RepeatedCycle, UnitOptimum, optimise_unit
+from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.cli import main
 from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.units import format_quantity, unit_of
@@ -40,16 +42,16 @@ def left_by(plan: CyclePlan, cycle: RepeatedCycle) -> tuple[np.ndarray, Repeated
 
 
 @pytest.fixture(scope="module")
-def searched() -> tuple[gj.UnitSpec, list[CycleSearch], UnitOptimum]:
+def searched() -> tuple[gj.UnitSpec, list[SearchStep], Optimised]:
     spec = small()
-    *states, best = optimise_unit(spec, evaluations=300, seed=0)
+    *states, best = optimise(spec, steps=300)
     return spec, states, best
 
 
 def test_the_optimum_is_what_its_plan_leaves(searched):
     spec, states, best = searched
-    assert isinstance(best, UnitOptimum)
-    assert [s.value for s in states] == sorted((s.value for s in states), reverse=True)
+    assert isinstance(best, Optimised)
+    assert [s.best for s in states] == sorted((s.best for s in states), reverse=True)
     before, after = gj.predict(spec), gj.predict(best.spec)
     for row, old, new in zip(best.rows, before.requirements, after.requirements, strict=True):
         assert row[2] == pytest.approx(old.decisive, rel=1e-8)
@@ -242,7 +244,7 @@ def cases_of(robust: str) -> list[dict[str, str]]:
 def test_the_result_is_never_worse_than_the_plan_as_it_was(searched):
     """A search from an optimum that may do nothing finds nothing, and says so."""
     _, _, best = searched
-    *_, again = optimise_unit(best.spec, evaluations=20, seed=0, stop=lambda: True)
+    *_, again = optimise(best.spec, steps=20, stop=lambda: True)
     if again.kept:
         assert again.spec == best.spec
         assert [row[2] for row in again.rows] == [row[3] for row in again.rows]
@@ -255,7 +257,7 @@ def test_a_plan_that_meets_its_targets_is_not_searched(searched):
     _, _, best = searched
     rows = [r.model_dump(mode="json", exclude_unset=True) for r in best.spec.requirement]
     wide = [row | {"target": f"{3.0 * now} {unit}"} for row, (_, unit, _, now) in zip(rows, best.rows, strict=True)]
-    (only,) = optimise_unit(gj.changed(best.spec, {"requirement": wide}), until_met=True)
+    (only,) = optimise(gj.changed(best.spec, {"requirement": wide}), until_met=True)
     assert only.kept
     assert only.evaluations == 0
 
@@ -277,16 +279,16 @@ def test_targets_are_met_only_where_every_noise_meets_them():
 def test_a_table_turned_by_hand_is_refused_before_anything_is_computed():
     spec = gj.parse_unit_spec(gj.presets.text("gimbal-by-hand"))
     with pytest.raises(ValueError, match=r'drive is "hand".*drive = "motor"'):
-        next(optimise_unit(spec))
+        next(optimise(spec))
 
 
 def test_a_search_can_be_stopped_and_keeps_the_best(searched):
     spec, _, _ = searched
     asked = iter([False] * 3 + [True] * 60)
-    *some, best = optimise_unit(spec, evaluations=300, seed=0, stop=asked.__next__)
+    *some, best = optimise(spec, steps=300, stop=asked.__next__)
     assert best.evaluations < 200
     assert best.gain >= 1.0
-    assert some[-1].value <= some[0].value
+    assert some[-1].best <= some[0].best
 
 
 def test_until_met_stops_where_every_target_is_met_with_margin(searched):
@@ -297,32 +299,46 @@ def test_until_met_stops_where_every_target_is_met_with_margin(searched):
         row | {"target": f"{math.sqrt(now * before) / 0.89} {unit}"}
         for row, (_, unit, before, now) in zip(rows, best.rows, strict=True)
     ]
-    *some, found = optimise_unit(gj.changed(spec, {"requirement": easy}), evaluations=300, seed=0, until_met=True)
+    *some, found = optimise(gj.changed(spec, {"requirement": easy}), steps=300, until_met=True)
     assert 1 <= len(some) < len(states)
     for (_, _, _, now), (_, _, before, least) in zip(found.rows, best.rows, strict=True):
         assert now <= 0.91 * math.sqrt(least * before) / 0.89
     without = [{k: v for k, v in row.items() if k != "target"} for row in rows]
     with pytest.raises(ValueError, match="give a requirement a target"):
-        next(optimise_unit(gj.changed(spec, {"requirement": without}), until_met=True))
+        next(optimise(gj.changed(spec, {"requirement": without}), until_met=True))
 
 
-def test_the_command_writes_a_spec_that_is_read_again(tmp_path, capsys, searched):
+def test_the_command_writes_a_recipe_that_is_worth_what_is_said(tmp_path, capsys, searched):
     source, goal = tmp_path / "unit.toml", tmp_path / "better.toml"
     gj.write_toml(small(), source)
     assert main(["optimise", str(source), "-o", str(goal), "--steps", "300", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert [row["name"] for row in told["requirements"]] == [r.name for r in small().requirement]
-    # The same numbers for the same seed.
-    assert searched[2].spec.plan == gj.read_unit_spec(goal).plan
-    now = gj.predict(gj.read_unit_spec(goal)).requirements
+    # The same numbers for the same seed, and no rounding is left.
+    made = gj.read_recipe(goal)
+    assert searched[2].spec.plan == made.spec.plan
+    now = gj.predict(made.spec).requirements
     assert [row["now"] for row in told["requirements"]] == pytest.approx([r.decisive for r in now], rel=1e-8)
     assert main(["check", str(goal)]) == 0
+
+
+def test_an_interrupted_search_goes_on_to_the_same_end(searched):
+    spec, states, best = searched
+    calls = iter(range(1000))
+    # The fourth round of descents is broken off, and made again after the third.
+    *some, _ = optimise(spec, steps=300, stop=lambda: next(calls) > 40)
+    assert 1 < len(some) < len(states)
+    assert [s.best for s in some[:-1]] == [s.best for s in states[: len(some) - 1]]
+    *more, again = optimise(spec, steps=300, checkpoint=some[-1].checkpoint)
+    assert len(more) < len(states)
+    assert again.spec == best.spec
+    assert again.evaluations == best.evaluations
 
 
 def test_turns_of_whole_angle_steps(searched):
     spec, _, _ = searched
     stepped = gj.changed(spec, {"design.angle_step": "15 deg"})
-    *_, best = optimise_unit(stepped, evaluations=200, seed=0)
+    *_, best = optimise(stepped, steps=200)
     turned = [math.degrees(s.move.angle) / 15.0 for s in best.spec.schedule.steps if s.axis >= 0]
     assert turned == pytest.approx(np.round(turned), abs=1e-9)
     assert best.gain > 1.0
@@ -330,8 +346,8 @@ def test_turns_of_whole_angle_steps(searched):
 
 def test_requirements_are_needed():
     with pytest.raises(ValueError, match="to minimise: add one"):
-        next(optimise_unit(small(requirement=[])))
-    with pytest.raises(ValueError, match="or a requirement's name"):
+        next(optimise(small(requirement=[])))
+    with pytest.raises(ValueError, match="expected the name of a requirement"):
         small(**{"design.minimise": "the bias"})
 
 
@@ -361,7 +377,7 @@ def test_nor_are_turns_by_hand_of_a_single_axis_searched():
 def test_an_axis_of_limited_travel_is_searched():
     """Within its travel, which turns that are inserted at its ends would leave."""
     spec = gj.changed(gj.parse_unit_spec(turning()), {"rig.table.axis[0].travel": "520 deg"})
-    *_, best = optimise_unit(spec, evaluations=400, seed=0)
+    *_, best = optimise(spec, steps=400)
     assert best.gain > 1.05
     angles = np.cumsum([s.move.angle for s in best.spec.plain_schedule.steps if s.axis == 0])
     assert np.max(np.abs(angles)) <= math.radians(520.0)

@@ -14,7 +14,7 @@ from gradcal_jax.api.fitted_lag import fitted_lag
 from gradcal_jax.api.log_rows import Rows, count_rows, rows_of, temperature_followed, with_options
 from gradcal_jax.api.standard_estimate import standard_channel
 from gradcal_jax.api.tested_maps import hidden_maps
-from gradcal_jax.api.unit_channel import Recorded, UnitChannel, finished_channel, integrated_rows, within
+from gradcal_jax.api.unit_channel import Recorded, UnitChannel, finished_channel, integrated_rows
 from gradcal_jax.estimation import Estimate, Observations, Whitened
 from gradcal_jax.files import Spec
 from gradcal_jax.files.log import Log, LogError
@@ -116,7 +116,7 @@ def _gradient_channels(
     ends, mean_rate = first.temperature[done.rows], line.terms[:, 0]
     temperature = 0.5 * (ends[1:] + ends[:-1])
     time = first.time[done.rows[1:]]
-    turning = within(done.rows, moving & ~done.broken, len(first.time))
+    turning = estimation.within(done.rows, moving & ~done.broken, len(first.time))
 
     def observe(lag: float, parameters: np.ndarray | None, term: SensorModel | Discrepancy = model) -> Observations:
         columns = []

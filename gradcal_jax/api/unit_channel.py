@@ -180,17 +180,9 @@ def _outwards(low: float, high: float, step: float) -> tuple[float, float]:
     return float(np.floor(low / step + 1e-6) * step), float(np.ceil(high / step - 1e-6) * step)
 
 
-def within(rows: np.ndarray, pieces: np.ndarray, count: int) -> np.ndarray:
-    """`(count,)`: whether a row lies in one of the chosen pieces."""
-    change = np.zeros(count + 1, np.int64)
-    np.add.at(change, rows[:-1][pieces] + 1, 1)
-    np.add.at(change, rows[1:][pieces] + 1, -1)
-    return np.cumsum(change[:-1]) > 0
-
-
 def integrated_rows(done: estimation.Executed, count: int) -> np.ndarray:
     """`(count,)`: the rows whose samples were integrated."""
-    return within(done.rows, ~done.broken, count)
+    return estimation.within(done.rows, ~done.broken, count)
 
 
 def _subsets(observations: Observations, rows: Rows) -> dict[str, np.ndarray]:

@@ -5,14 +5,13 @@ The spec describes the noise, the table and the terms; the executed motion is re
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from gradcal_jax import estimation, trajectory
-from gradcal_jax.api.build import move_of
+from gradcal_jax import estimation
 from gradcal_jax.api.calibration import excess_of, noise_sentences, not_valid
 from gradcal_jax.api.contract_rows import (
     coefficient_rows,
@@ -23,15 +22,15 @@ from gradcal_jax.api.contradictions import (
     beyond_the_data,
     diagnosis_sentences,
     omitted_sentences,
-    refuse_implausible,
     refuse_misaligned,
     refuse_other_units,
 )
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.estimated_calibration import calibrated_channels, calibration_of, tests_by_name
+from gradcal_jax.api.estimated_calibration import calibration_of, tests_by_name
 from gradcal_jax.api.executed_part import lacks_of
-from gradcal_jax.api.fitted_lag import Lag, fitted_lag
-from gradcal_jax.api.log_rows import with_options
+from gradcal_jax.api.fit_of_log import fitted_twice, lag_of_maps, points_of, with_chosen_smoothness
+from gradcal_jax.api.fitted_lag import Lag
+from gradcal_jax.api.log_rows import count_rows, with_options
 from gradcal_jax.api.path_dependence import (
     HEATING_AGAINST_COOLING,
     BiasCurve,
@@ -41,7 +40,7 @@ from gradcal_jax.api.path_dependence import (
 )
 from gradcal_jax.api.prediction import unit_requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
-from gradcal_jax.api.recorded_rows import read_by_events, unit_rows
+from gradcal_jax.api.recorded_rows import unit_rows
 from gradcal_jax.api.structure_tests import structure_in_words, structure_tests
 from gradcal_jax.api.systematic import (
     EstimatedRun,
@@ -50,17 +49,18 @@ from gradcal_jax.api.systematic import (
     ramp_of_record,
     unseen_errors,
 )
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, course_before
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.api.unit_channel import counting_less
 from gradcal_jax.api.unit_residual import internal_misalignments
-from gradcal_jax.api.unit_sentences import one_way_sentences, prior_deviations
+from gradcal_jax.api.unit_sentences import one_way_sentences
 from gradcal_jax.display import summary
 from gradcal_jax.estimation import (
     Consistency,
     ExecutedUnit,
-    PlannedMove,
-    Plateaus,
+    Group,
+    Smoothness,
     StructureTest,
+    TablePoints,
     Test,
     UnitEstimate,
     UnitReadings,
@@ -76,7 +76,6 @@ from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement_table import narrow_table
-from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.information import Posterior, segments_of
@@ -84,20 +83,16 @@ from gradcal_jax.model import (
     KINDS,
 )
 
-# Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
-_REHUNG_S = 6 * 3600.0
-# Residuals of this many times the noise come from a wrong table, order of axes, or sign.
-_ABSURD = 100.0
-# Temperatures (°C) and rates (rad/s) of a calibration that is used at those of its own data alone.
-_EVERYWHERE = (-273.0, 1000.0), (-1e4, 1e4)
-# Parts of a planned move's time at which its angle is tabulated.
-_PROFILE = 512
+# Steps to which the ranges of a calibration are rounded, outwards.
+_TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
 # Change of temperature from the begin to the end of a record, as a share of its range, beyond which it goes one way.
 _ONE_WAY = 0.8
 # Fewer moves are not divided into odd and even ones.
 _FEWEST_MOVES = 4
 # An error of the table of more than this many times its standard deviation by the spec is reported.
 _CONTRADICTED = 4.0
+# Standard deviations by which two parts of the data differ by chance once in a thousand.
+_APART = 3.3
 
 
 class InternalMisalignment(NamedTuple):
@@ -125,6 +120,12 @@ class UnitReport(NamedTuple):
     messages: tuple[str, ...]
     path: PathDependence | None = None
     """Where heating and cooling disagree, what they differ by, and the play that explains it."""
+    smoothness: Smoothness | None = None
+    """That at which the data are most probable, if it was asked for."""
+    neighbours: Mapping[str, tuple[Group, ...]] = MappingProxyType({})
+    """Of each gyro, mean scale factors without a structure, if they were asked for."""
+    counts: Mapping[str, int] = MappingProxyType({})
+    """Numbers of rows used and left out, by reason; they add up to the rows read."""
     structure: tuple[tuple[str, StructureTest], ...] = ()
     """Of each gyro (by name), a test of every polynomial map for more structure."""
     curves: tuple[BiasCurve, ...] = ()
@@ -179,7 +180,7 @@ def estimate_units(
         raise LogError("no unit is in all of the logs")
     lacks = lacks_of(spec, logs)
     if options.earth_rate is not None:
-        spec = _with_earth(spec, options.earth_rate)
+        spec = with_earth(spec, options.earth_rate)
     spec, options, said = with_options(spec, logs, options)
     for log, name in itertools.product(logs, names):
         if log.temperature_c is not None:
@@ -190,7 +191,8 @@ def estimate_units(
     reports = list[UnitReport]()
     for name in names:
         try:
-            report = _report(built, logs, name, options, sources or {}, noise, faults[name])
+            recorded = Recorded(*unit_rows(built, logs, name, options))
+            report = report_of(built, logs, name, recorded, options, sources or {}, noise, faults[name])
         except LogError as error:
             raise LogError(f"{error}{faults[name].also}") from None
         if lacks is not None:
@@ -200,7 +202,15 @@ def estimate_units(
     return reports
 
 
-def _with_earth(spec: UnitSpec, earth_rate: float) -> UnitSpec:
+class Recorded(NamedTuple):
+    """The rows of one sensor, and messages on them. `points`: they are those of a table of points."""
+
+    rows: UnitRows
+    messages: tuple[str, ...]
+    points: TablePoints | None = None
+
+
+def with_earth(spec: UnitSpec, earth_rate: float) -> UnitSpec:
     """The spec of a gyro along its table's only axis, at the latitude at which an axis that points up has that rate of
     the Earth (rad/s). Raises `ValueError` for other specs, whose rate of the Earth changes with the table's angles."""
     gyro, hung = spec.sensor.gyro, spec.rig.table.mounting[0]
@@ -216,25 +226,37 @@ def _with_earth(spec: UnitSpec, earth_rate: float) -> UnitSpec:
     return spec.model_copy(update={"rig": spec.rig.model_copy(update={"site": site})})
 
 
-def _report(
+def report_of(
     built: AssembledUnit,
     logs: Sequence[Log],
     name: str,
+    recorded: Recorded,
     options: Options,
     sources: dict[str, str],
     noise: dict[str, np.ndarray],
     shown: RecordFaults,
 ) -> UnitReport:
-    rows, messages = unit_rows(built, logs, name, options)
+    rows, messages, points = recorded
     starts = np.flatnonzero(~rows.usable & (np.diff(rows.time_s, prepend=-np.inf) > 0.0))
-    model = built.model
     temperature_of = lambda lag: followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)  # noqa: E731
+    stable = isinstance(built.spec.plan, StandardPlan)
+    model = built.model
     refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), model.channels)
     threshold = options.threshold if options.robust else None
-    lag = _lag_of(built, name, rows, temperature_of) if options.lag == "fit" else Lag(float(options.lag))
+    if options.lag != "fit":
+        lag = Lag(float(options.lag))
+    elif stable:
+        lag = Lag(0.0)
+        messages = *messages, "at stable temperatures a lag cannot be estimated: it is taken as zero"
+    else:
+        lag = lag_of_maps(built, name, rows, temperature_of)
     temperature = temperature_of(lag.seconds)
-    done, readings, solution = fitted_twice(built, name, rows, temperature, threshold)
-    if isinstance(built.spec.plan, StandardPlan):
+    fit, smoothness = fitted_twice(built, name, rows, temperature, threshold, points), None
+    if options.smoothness == "auto":
+        built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
+        model = built.model
+    done, readings, solution, rates = fit
+    if stable and points is None:
         messages = *messages, *points_of(built, rows).sentences
     at = segments_of(done.motion, model)
     half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
@@ -259,11 +281,12 @@ def _report(
         free = round(len(left) - float(np.sum(taken**2)))
         channels[c.name] = estimation.chi_squared_test(float(left @ left), free), estimation.whiteness(left, taken)
     known = Posterior(solution.known.spread * excess_of(tests), solution.known.hidden)
-    covered = _covered(done, rows, temperature)
+    covered = _covered(done, rates, temperature)
     record = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
-    ramp = ramp_of_record(rows.time_s[record], temperature[record])
+    # At stable temperatures nothing lags, and between them no data are used.
+    ramp = 0.0 if stable else ramp_of_record(rows.time_s[record], temperature[record])
     one_way = abs(temperature[record][-1] - temperature[record][0]) > _ONE_WAY * np.ptp(temperature[record])
-    run = EstimatedRun(solution.parameters, covered[0], ramp, one_way=bool(one_way))
+    run = EstimatedRun(solution.parameters, covered[0], ramp, lag.std, one_way=bool(one_way))
     budget = budget_of_unit_estimate(built, known, run, noise)
     structure = () if options.robust else tuple(structure_tests(built.spec, readings, solution))
     beyond_maps = {f"{channel}: structure of the {t.quantity.replace('_', ' ')}": t.test for channel, t in structure}
@@ -275,7 +298,10 @@ def _report(
         row = judged_by_data(unit_requirement_row(built, budget, requirement), sentence, contradicted)
         requirements.append(row)
     requirements = tuple(requirements)
-    calibration = calibration_of(built, logs, name, solution, tests, channels, requirements, covered, lag, sources)
+    solution_of_file = solution._replace(estimate=solution.estimate._replace(known=(known,)))
+    calibration = calibration_of(
+        built, logs, name, solution_of_file, tests, channels, requirements, covered, lag, options, sources
+    )
     if contradicted:
         calibration = calibration.model_copy(update={"contradicted": contradicted})
     own = calibration.values()
@@ -288,7 +314,12 @@ def _report(
     if HEATING_AGAINST_COOLING in contradicted:
         warm = temperature[done.rows[at.first]][at.row_segment][used]
         path = path_dependence(built.spec, readings, solution, warm, subsets[HEATING_AGAINST_COOLING])
-    beside_tests = path, structure, bias_curves(readings, solution)
+    neighbours, alone = {}, ()
+    if options.neighbours_k is not None:
+        neighbours = estimation.neighbours_of(readings, solution, options.neighbours_k)
+        alone = () if neighbours else ("no move has a rest right before and after it, so there are no neighbours",)
+    counts = _counts(logs, name, done) if points is None else {"used": int(np.count_nonzero(~points.done.broken))}
+    beside_tests = path, smoothness, neighbours, counts, structure, bias_curves(readings, solution)
     report = UnitReport(
         name, built, done, solution, calibration, requirements, tests, channels, *seen, (), *beside_tests
     )
@@ -300,127 +331,43 @@ def _report(
     looks = diagnosis_sentences(solution.estimate.residuals[0], of_segment[at.row_segment][used], moved)
     told = _words(report, solution), looks if contradicted else []
     hidden = (f"{channel.replace('_', ' ')}: {structure_in_words(test)}" for channel, test in structure if test.noticed)
-    return report._replace(messages=(*messages, *lag.sentences, *lesser, *hidden, *itertools.chain(*told), *beside))
+    if smoothness is not None and smoothness.at_edge:
+        messages = *messages, "the data do not determine the smoothness of the maps: it is at the edge of its range"
+    return report._replace(
+        messages=(*messages, *alone, *lag.sentences, *lesser, *hidden, *itertools.chain(*told), *beside)
+    )
 
 
-def _refuse_the_implausible(built: AssembledUnit, name: str, solution: UnitEstimate) -> None:
-    """Raise `LogError` for the first channel with coefficients that no device has."""
-    model, priors = built.model, prior_deviations(built)
-    values, begin = model.to_reported @ solution.parameters, 0
-    for c in model.channels:
-        own = slice(begin, begin + c.model.size)
-        begin = own.stop
-        refuse_implausible(f"{name}, {c.name.replace('_', ' ')}", c.model.names(), values[own], priors[own])
-
-
-def _lag_of(built: AssembledUnit, name: str, rows: UnitRows, temperature_of: Callable[[float], np.ndarray]) -> Lag:
-    """The lag of the maps of all channels, at the motion that is found without one."""
-    _, readings, solution = fitted_twice(built, name, rows, temperature_of(0.0))
-
-    def chi_squared(lag: float) -> float:
-        of = readings._replace(temperature_c=temperature_of(lag))
-        return float(estimation.estimate_unit(of, solution.parameters).estimate.chi_squared[0])
-
-    return fitted_lag(chi_squared)
-
-
-def fitted_twice(
-    built: AssembledUnit, name: str, rows: UnitRows, temperature: np.ndarray, threshold: float | None = None
-) -> tuple[ExecutedUnit, UnitReadings, UnitEstimate]:
-    """The executed motion, the readings of it and the estimate, with a `temperature` (degC) for each row.
-
-    The rates within a move are first the gyros' own, then corrected by the first estimate: a rate-dependent scale
-    factor of a per cent would otherwise be estimated at wrong rates.
-    """
-    first = _read(built, name, rows, rows, temperature, threshold)[2]
-    held = tuple(calibrated_channels(built, built.model.to_reported @ first.parameters, _EVERYWHERE))
-    rates, felt = correct_triads(held, rows.rates, rows.force, temperature)
-    return _read(built, name, rows, rows._replace(rates=rates), temperature, threshold, felt, first.parameters)
-
-
-def _read(
-    built: AssembledUnit,
-    name: str,
-    rows: UnitRows,
-    seen: UnitRows,
-    temperature: np.ndarray,
-    threshold: float | None,
-    felt: np.ndarray | None = None,
-    about: np.ndarray | None = None,
-) -> tuple[ExecutedUnit, UnitReadings, UnitEstimate]:
-    """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
-    estimate, linearised about `about`."""
-    try:
-        done = _executed(built, seen)
-        done = done._replace(motion=replace(done.motion, history=course_before(built.spec)))
-    except ValueError as error:
-        raise LogError(f"{name}: {error}") from None
-    readings = estimation.readings_of(built.model, done, rows, temperature, 0 if built.rough else built.points, felt)
-    plan = built.spec.plan
-    if isinstance(plan, StandardPlan) and plan.estimator == "least squares":
-        solution = estimation.estimate_unweighted(readings)
+def _covered(
+    done: ExecutedUnit, rates: np.ndarray, temperature: np.ndarray
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The ranges of temperature (°C) and rate (rad/s) of the pieces used, from those of the rows; rest included."""
+    line, whole = done.motion.line, ~np.asarray(done.motion.line.gap)
+    if line.rates:
+        warm, fast = np.asarray(line.level)[whole], np.asarray(line.terms)[whole, 0]
     else:
-        solution = estimation.estimate_unit(readings, about, threshold=threshold)
-    _refuse_the_implausible(built, name, solution)
-    scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
-    if scale > _ABSURD:
-        raise LogError(
-            f"{name}: the unit's readings differ from the table's by {scale:.3g} times what noise explains: are the "
-            "mounting, the unit's axes and signs and the table's angles those of the spec?"
-        )
-    return done, readings, solution
+        warm = temperature[estimation.within(done.rows, whole, len(temperature))]
+        fast = rates[estimation.within(done.rows, whole & (done.motion.axis >= 0), len(rates))]
+    fast = np.concatenate([[0.0], fast[np.isfinite(fast)]])
+    return _outwards(warm, _TEMPERATURE_STEP_K), _outwards(fast, _RATE_STEP_RAD_PER_S)
 
 
-def _executed(built: AssembledUnit, seen: UnitRows) -> ExecutedUnit:
-    """The executed motion by the rates of `seen`. Raises `ValueError`."""
-    encoder, geometry = built.model.encoder, built.motion.geometry
-    if isinstance(built.spec.plan, StandardPlan):
-        return estimation.motion_at_points(points_of(built, seen).done, seen, geometry)
-    if read_by_events(built.spec):
-        return estimation.motion_by_readings(seen, geometry)
-    spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
-    return estimation.executed_unit(seen, geometry, planned=planned_moves(built), **spacing)
+def _outwards(values: np.ndarray, step: float) -> tuple[float, float]:
+    """The range of values, rounded outwards to whole steps."""
+    low, high = float(values.min()) / step, float(values.max()) / step
+    return float(np.floor(low + 1e-6) * step), float(np.ceil(high - 1e-6) * step)
 
 
-def points_of(built: AssembledUnit, rows: UnitRows) -> Plateaus:
-    """The points of the standard method in a log's rows. Raises `ValueError` where there are none."""
-    plan = built.spec.schedule
-    assert isinstance(plan, StandardSchedule)
-    assert rows.table_rate is not None
-    planned = np.array(plan.temperatures), np.array(plan.rates)
-    reference = rows.temperature_c, rows.table_rate, rows.usable
-    return estimation.plateaus(rows.time_s, *reference, *planned, plan.integration, points=plan.shared)
-
-
-def planned_moves(built: AssembledUnit) -> list[list[PlannedMove]]:
-    """The moves of a plan's cycle between its rests."""
-    groups: list[list[PlannedMove]] = [[]]
-    places = np.linspace(0.0, 1.0, _PROFILE + 1)
-    for step in built.spec.gradient_schedule.steps:
-        for _ in range(step.move.repeat):
-            if step.axis < 0:
-                groups.append([])
-                continue
-            turn = move_of(replace(step.move, axis="x"), None, np.inf)
-            line = trajectory.gradient_plan(trajectory.programme(0.0, [(turn.duration, 0.0)]), (turn,)).trajectory()
-            begun = np.cumsum(line.turned()) - line.turned()
-            piece = np.clip(np.searchsorted(line.start, places * turn.duration, side="right") - 1, 0, len(begun) - 1)
-            within = (places * turn.duration - line.start[piece]) / line.duration[piece]
-            angle = begun[piece] + line.angle(within[:, None], piece)[:, 0]
-            groups[-1].append(PlannedMove(step.axis, turn.angle, turn.duration, angle / angle[-1]))
-    # The cycle begins anew where it ends.
-    groups[0] = [*groups.pop(), *groups[0]] if len(groups) > 1 else groups[0]
-    return [group for group in groups if group]
-
-
-def _covered(done, rows: UnitRows, temperature: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The ranges of temperature (°C) and rate (rad/s) of the rows used."""
-    inside = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
-    rates = np.abs(np.where(rows.usable[:, None], rows.rates, np.nan)[inside])
-    fastest = float(np.nanmax(rates, initial=0.0)) if np.isfinite(rates).any() else 0.0
-    at, fastest = temperature[inside], np.radians(np.ceil(np.degrees(fastest) * 10.0) / 10.0)
-    # Outwards to a tenth: the ends of the first and the last standstill are not counted.
-    return (np.floor(at.min() * 10.0) / 10.0, np.ceil(at.max() * 10.0) / 10.0), (-float(fastest), float(fastest))
+def _counts(logs: Sequence[Log], name: str, done: ExecutedUnit) -> dict[str, int]:
+    """Numbers of rows of all logs: used, without a reference, and left out, by reason."""
+    whole = ~np.asarray(done.motion.line.gap)
+    used = estimation.within(done.rows, whole, sum(len(log.time_s) for log in logs))
+    parts = np.split(used, np.cumsum([len(log.time_s) for log in logs])[:-1])
+    counts: dict[str, int] = {}
+    for log, own in zip(logs, parts, strict=True):
+        for reason, count in count_rows(log, log.unit_index(name), own).items():
+            counts[reason] = counts.get(reason, 0) + count
+    return counts
 
 
 # --- findings --------------------------------------------------------------------------------------------------------
@@ -479,7 +426,11 @@ def _words(report: UnitReport, solution: UnitEstimate) -> list[str]:
             )
     for split in tests.splits:
         if split.name in failed:
-            sentences.append(f"{split.name}: the parts disagree (chance {split.agreement.probability:.1g})")
+            apart = np.abs(np.nan_to_num(split.differences)) > _APART
+            worst = ", ".join(np.array(report.built.model.names())[apart].tolist())
+            chance = f"chance {split.agreement.probability:.1g}"
+            also = f"; these do not generalise: {worst}" if worst else ""
+            sentences.append(f"{split.name}: the parts disagree ({chance}){also}")
     for error in report.calibration.table:
         if abs(error.value) > _CONTRADICTED * error.prior:
             sentences.append(

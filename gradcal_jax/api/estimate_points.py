@@ -3,12 +3,12 @@
 import numpy as np
 
 from gradcal_jax import estimation, trajectory
+from gradcal_jax.api.estimate import Recorded, SensorEstimate, report_of, with_earth
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.record_faults import RecordFaults
 from gradcal_jax.api.recorded_rows import unit_rows
 from gradcal_jax.api.systematic import omitted_noise_of_unit
 from gradcal_jax.api.unit_build import assemble_unit
-from gradcal_jax.api.unit_estimate import Recorded, UnitReport, report_of, with_earth
 from gradcal_jax.estimation import TablePoints
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.log import Log, LogError
@@ -20,7 +20,7 @@ from gradcal_jax.files.unit_spec import UnitSpec
 
 def estimate_points(
     spec: UnitSpec, points: RatePoints, *, options: Options | None = None, sources: dict[str, str] | None = None
-) -> UnitReport:
+) -> SensorEstimate:
     """The calibration of one gyro from a table of points (temperature, reference rate, output, σ), by the spec's model.
 
     Points are independent except for the reference's error; their noise is their own σ or, without it, the spec's.
@@ -41,14 +41,14 @@ def estimate_points(
     # A point is two rows, of its begin and its end, at one temperature; as much time lies between two points.
     both = lambda x: np.repeat(x, 2)  # noqa: E731
     time = schedule.integration * np.arange(2.0 * count)
+    warm = both(points.temperature_c)
     log = Log(
         time, both(points.output_rad_per_s)[None, :, None], (points.unit,), (points.axis,),
-        both(points.temperature_c)[None], (points.axis,),
+        warm[None], (points.axis,),
         table_rate_rad_per_s=both(points.reference_rad_per_s)[:, None],
         simulated=points.simulated, provenance={"source": points.source},
     )  # fmt: skip
     between = np.arange(2 * count - 1) % 2 == 1
-    warm = log.temperature_c[0]
     line = trajectory.held(
         time[:-1], np.diff(time), np.where(between, 0.0, both(points.reference_rad_per_s)[:-1]), warm[:-1], warm[1:],
         read=~between, at_rest=between, moving=~between, gap=between, rates=True, points="independent",

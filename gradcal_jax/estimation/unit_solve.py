@@ -332,7 +332,9 @@ def estimate_unit(
         return _solved(readings, noise, columns, used, last.parameters)
 
     kept = readings.by_steps(used)
-    estimate, weights = reweighted(steps, kept, estimate, lambda e: e.estimate.residuals[0], again, threshold, readings.with_noise)
+    estimate, weights = reweighted(
+        steps, kept, estimate, lambda e: e.estimate.residuals[0], again, threshold, readings.with_noise
+    )
     return estimate._replace(weights=weights)
 
 

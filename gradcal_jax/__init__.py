@@ -79,7 +79,6 @@ _HOME_OF_NAME: dict[str, str] = {
     "export": "files.calibration.exports",
     "report": "pages.report",
     "estimate_by_hand": "api.hand_estimate",
-    "estimate_units": "api.unit_estimate",
     # the core alone: error model, plans, covariance
     "SensorModel": "model",
     "gradient_plan": "trajectory",

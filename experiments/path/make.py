@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from gradcal_jax.api.unit_estimate import UnitReport, estimate_units
+from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.plots import save
@@ -66,9 +66,9 @@ def spec(*, plays: bool) -> UnitSpec:
 def main() -> None:
     """Estimate both ways, and draw."""
     jax.config.update("jax_enable_x64", True)
-    log, reports = record(), list[UnitReport]()
+    log, reports = record(), list[SensorEstimate]()
     for plays in (False, True):
-        reports += estimate_units(spec(plays=plays), [log])
+        reports += estimate_sensors(spec(plays=plays), [log])
     figure, panels = new_panels(2, 3, (3.4, 2.6))
     for row, report in zip(panels, reports, strict=True):
         for curve, ax in zip(report.curves, row, strict=True):

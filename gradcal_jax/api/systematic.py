@@ -314,19 +314,9 @@ def _fitted(of: SensorModel | UnitModel) -> set[Any]:
 
 
 def budget_of_estimate(
-    built: Assembled, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
-) -> CountedPosteriors:
-    """The posteriors of an estimate of one axis. `noise`: of `omitted_noise`."""
-    figures = (
-        _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
-    )
-    return _estimated(built, known, done, noise, terms_of_axis(built.model), *figures)
-
-
-def budget_of_unit_estimate(
     built: AssembledUnit, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
 ) -> CountedPosteriors:
-    """The same of a whole unit."""
+    """The posteriors of an estimate. `noise`: of `omitted_noise_of_unit`."""
     figures = (
         _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
     )
@@ -402,17 +392,9 @@ def unseen_errors(budget: CountedPosteriors, names: Sequence[str], reported: np.
     return tuple(rows)
 
 
-def omitted_noise(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
-    """Columns of what the noise that a spec omits adds to the covariance after the spec's own plan."""
-    noisy = noise_completed(built.spec)
-    if noisy is built.spec:
-        return {}
-    plan, more = (posterior_of_plan(of, channel) for of in (built, assemble(noisy)))
-    return {"omitted noise": _excess(plan, more, built.model.size, built.model.size)}
-
-
 def omitted_noise_of_unit(built: AssembledUnit) -> dict[str, np.ndarray]:
-    """The same of a whole unit, for the unit's own parameters."""
+    """Columns of what the noise that a spec omits adds to the covariance of the sensor's own parameters after the
+    spec's own plan."""
     noisy = noise_completed(built.spec)
     if noisy is built.spec:
         return {}

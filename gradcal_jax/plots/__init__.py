@@ -1,6 +1,6 @@
 """Figures. Functions take `ax=None`, label axes with units, return their artists and never call `show`."""
 
-from gradcal_jax.plots import calibration, unit_calibration
+from gradcal_jax.plots import calibration
 from gradcal_jax.plots.calibration_maps import draw_calibrated_scale_factor
 from gradcal_jax.plots.design import draw_frontier, draw_sensitivities
 from gradcal_jax.plots.identification import draw_drift

@@ -12,7 +12,7 @@ import gradcal_jax as gj
 from gradcal_jax.api.calibration import estimate_calibration
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.ieee_terms import calibration_map
-from gradcal_jax.api.unit_estimate import estimate_units
+from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.cli import main
 from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
 from gradcal_jax.files.log import LogError
@@ -408,13 +408,13 @@ def test_a_channel_that_no_device_has_is_refused_by_name_and_cause(unit_log, cha
     spec, logs = unit_log
     rates, forces = change(logs[0].rate_rad_per_s, logs[0].specific_force_m_per_s2)
     with pytest.raises(LogError, match=said):
-        estimate_units(spec, [replace(logs[0], rate_rad_per_s=rates, specific_force_m_per_s2=forces)])
+        estimate_sensors(spec, [replace(logs[0], rate_rad_per_s=rates, specific_force_m_per_s2=forces)])
 
 
 def test_a_unit_s_estimate_counts_what_its_spec_omits(unit_log):
     spec, logs = unit_log
-    (report,) = estimate_units(spec, logs)
-    (full,) = estimate_units(with_typical(spec), logs)
+    (report,) = estimate_sensors(spec, logs)
+    (full,) = estimate_sensors(with_typical(spec), logs)
     assert full.requirements
     for row in report.requirements:
         assert row.with_typical >= row.decisive

@@ -9,7 +9,7 @@ from simulated_log import simulate_log
 from gradcal_jax.api.calibration import estimate_calibration, estimate_rows
 from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.api.unit_estimate import estimate_units
+from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.files.log import Log, part_of
 from gradcal_jax.pages.report_data import report_data_of
 from gradcal_jax.pages.sources import Sources
@@ -47,7 +47,7 @@ def test_a_unit_s_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predi
     logs = record(spec, draw_truth(spec, rng), rng)
     assert lacks_of(spec, logs) is None
     part = cut(logs[0], 0.85)
-    (report,) = estimate_units(spec, [part])
+    (report,) = estimate_sensors(spec, [part])
     lacks = report.calibration.lacks
     assert lacks is not None
     assert "(85%): the executed part alone predicts" in lacks

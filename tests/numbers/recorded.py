@@ -13,7 +13,7 @@ import tomlkit
 from gradcal_jax.api import predict
 from gradcal_jax.api.log_flow import estimate as estimate_axes
 from gradcal_jax.api.sensitivity import sensitivity
-from gradcal_jax.api.unit_estimate import estimate_units
+from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.files import Spec, spec_of, tables_of
 from gradcal_jax.files.calibration import parse_calibration
 from gradcal_jax.files.calibration.correction import apply
@@ -111,7 +111,7 @@ def estimate(name: str, tables: Tables) -> Tables:
     if isinstance(spec, Spec):
         found = [tables_of(c) for c in estimate_axes(spec, logs[0]).calibrations]
     else:
-        found = [tables_of(report.calibration) for report in estimate_units(spec, logs)]
+        found = [tables_of(report.calibration) for report in estimate_sensors(spec, logs)]
     return {document["serial_number"]: result(document) for document in found}
 
 

@@ -8,7 +8,7 @@ import pytest
 from loop_scene import WIDTHS, recorded, spec_of
 from matplotlib.figure import Figure
 
-from gradcal_jax.api.unit_estimate import UnitReport, estimate_units, unit_estimate_rows
+from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors, sensor_rows
 from gradcal_jax.cli.unit_estimate import text_of_estimate
 from gradcal_jax.files.calibration import read_calibration, write_calibration
 from gradcal_jax.files.calibration.exports import export
@@ -20,11 +20,11 @@ HOUR = np.pi / 180.0 / 3600.0
 
 
 @lru_cache
-def estimated(*, back: bool = True, plays: bool = True) -> tuple[UnitReport, UnitTruth]:
+def estimated(*, back: bool = True, plays: bool = True) -> tuple[SensorEstimate, UnitTruth]:
     """A unit with relays of tens of deg/h in the place of a play."""
     truth = draw_truth(spec_of(back=back, size=40.0), 36, 4, "relays")
     spec = spec_of(back=back, size=40.0, plays=plays)
-    (report,) = estimate_units(spec, [recorded(truth, spec, back=back, seed=7)])
+    (report,) = estimate_sensors(spec, [recorded(truth, spec, back=back, seed=7)])
     return report, truth
 
 
@@ -44,7 +44,7 @@ def test_a_loop_that_the_spec_lacks_is_named_and_a_play_is_offered():
     assert "the errors depend on the path of temperature; half of heating less cooling: gyro" in said
     assert f"a play of {offer.width_k:g} K" in said
     assert "[sensor.gyro] hysteresis = [{ width = " in said
-    rows = unit_estimate_rows(report)["path"]
+    rows = sensor_rows(report)["path"]
     assert len(rows["half_differences"]) == 3
     assert rows["play"]["width_k"] == offer.width_k
 
@@ -79,7 +79,7 @@ def test_an_exact_play_is_recovered():
         state = max(t - 10.0, min(t + 10.0, state))
         behind[k] = state - t
     given = np.array([0.8, -0.3, 0.0]) * HOUR
-    (report,) = estimate_units(spec, [replace(log, rate_rad_per_s=log.rate_rad_per_s + behind[None, :, None] * given)])
+    (report,) = estimate_sensors(spec, [replace(log, rate_rad_per_s=log.rate_rad_per_s + behind[None, :, None] * given)])
     assert report.calibration.contradicted == ()
     found = {(one.channel, float(one.width)): one for one in report.calibration.path if one.width is not None}
     for axis, value in zip("xyz", given, strict=True):

@@ -26,8 +26,6 @@ _HOME_OF_NAME: dict[str, str] = {
     "read_rig": "files.rig",
     "read_spec": "files",
     "UnitSpec": "files.unit_spec",
-    "read_unit_spec": "files.unit_spec",
-    "parse_unit_spec": "files.unit_spec",
     "schema": "files",
     "tables_of": "files",
     "write_toml": "files",

@@ -5,7 +5,6 @@ programs read.
 """
 
 from gradcal_jax.api.build import assemble
-from gradcal_jax.api.error_budget import error_budget
 from gradcal_jax.api.monte_carlo import monte_carlo
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, limit_of, posterior_of_plan, residual_map
 from gradcal_jax.api.prediction import predict

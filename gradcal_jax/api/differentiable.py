@@ -17,8 +17,7 @@ from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.design import Criterion
 from gradcal_jax.display import summary
 from gradcal_jax.files import Spec
-from gradcal_jax.files.axis_as_imu import general
-from gradcal_jax.files.spec import goes_on
+from gradcal_jax.files.spec import expect_spec, goes_on
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information
 from gradcal_jax.model import SensorModel
@@ -104,7 +103,7 @@ def differentiable(spec: Spec | UnitSpec) -> Differentiable:
     Needs float64 (`jax_enable_x64`). The quadrature rule is that of the spec's own plan. Errors: `ValueError` for a
     spec without requirements, and for one of several sensors or axes of the table.
     """
-    spec = general(spec)
+    spec = expect_spec(spec)
     if spec.done:
         raise goes_on("a function of the plan's figures")
     built = assemble(spec)

@@ -35,7 +35,7 @@ from gradcal_jax.api.path_dependence import (
     bias_curves,
     path_dependence,
 )
-from gradcal_jax.api.prediction import unit_requirement_row
+from gradcal_jax.api.prediction import requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.recorded_rows import unit_rows
 from gradcal_jax.api.structure_tests import MeasuredDiscrepancy, discrepancies, structure_in_words, structure_tests
@@ -62,19 +62,19 @@ from gradcal_jax.estimation import (
     UnitReadings,
     UnitRows,
 )
-from gradcal_jax.files import Spec
 from gradcal_jax.files.absent import branch_sentences
-from gradcal_jax.files.axis_as_imu import along_axis, general
 from gradcal_jax.files.calibration import (
     Calibration,
 )
 from gradcal_jax.files.calibration.correction import correct_triads, followed
+from gradcal_jax.files.changes import along_axis
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement_table import narrow_table
+from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.information import Posterior, segments_of
@@ -190,7 +190,7 @@ class EstimateReport(NamedTuple):
 
 
 def estimate_log(
-    spec: Spec | UnitSpec,
+    spec: UnitSpec,
     logs: Sequence[Log],
     *,
     axis: str | None = None,
@@ -200,7 +200,7 @@ def estimate_log(
 ) -> EstimateReport:
     """As `estimate`, of logs of every mounting, with `options` in one object; `sources`: names of files, for the
     provenance."""
-    of = of_log(general(spec), logs[0], axis)
+    of = of_log(expect_spec(spec), logs[0], axis)
     sensors = tuple(estimate_sensors(of, logs, units=units, options=options, sources=sources))
     return EstimateReport(sensors, tuple(discrepancies(of, (test for one in sensors for test in one.structure))))
 
@@ -353,7 +353,7 @@ def report_of(
     for requirement in built.spec.requirement:
         if sentence := beyond_the_data(requirement, *covered):
             beyond.append(sentence)
-        row = judged_by_data(unit_requirement_row(built, budget, requirement), sentence, contradicted)
+        row = judged_by_data(requirement_row(built, budget, requirement), sentence, contradicted)
         requirements.append(row)
     requirements = tuple(requirements)
     solution_of_file = solution._replace(estimate=solution.estimate._replace(known=(known,)))

@@ -13,7 +13,7 @@ from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.measure import design_of
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, box, criterion_of, residual_map
 from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.api.structures import LEAST_TURN, cycle_of, largest_rate, motion_time, ramp_ends
+from gradcal_jax.api.structures import LEAST_TURN, ResolvedCycle, cycle_of, largest_rate, motion_time, ramp_ends
 from gradcal_jax.api.systematic import floor_of_plan
 from gradcal_jax.design import (
     PRIOR_OF_WALK,
@@ -28,12 +28,10 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.design.noise_floor import Course
 from gradcal_jax.display import summary
-from gradcal_jax.files import Spec
 from gradcal_jax.files.absent import with_typical
-from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.requirement import UnitRequirement
-from gradcal_jax.files.spec import goes_on
+from gradcal_jax.files.spec import expect_spec, goes_on
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information, statistic
 from gradcal_jax.model import BIAS, SCALE_FACTOR, Map, Processes, SensorModel, gyro_model
@@ -95,13 +93,13 @@ def plan_limit(
     return PlanLimit(requirement.name, requirement.statistic, of[0], certified, reached, value, efficiency, *words)
 
 
-def limits(spec: Spec | UnitSpec, *, motion: float | None = None) -> list[PlanLimit]:
+def limits(spec: UnitSpec, *, motion: float | None = None) -> list[PlanLimit]:
     """The limit of every requirement of a gradient plan with motion.
 
     `motion` s: time without soaks, in the place of the plan's or [design]'s; values and efficiencies are the plan's.
     Errors: `ValueError` where there is no requirement, no proof for one, or another kind of plan.
     """
-    spec = general(spec)
+    spec = expect_spec(spec)
     if spec.done:
         raise goes_on("a limit")
     if cycle_of(spec) is None:

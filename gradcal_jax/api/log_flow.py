@@ -7,7 +7,6 @@ from gradcal_jax import identify
 from gradcal_jax.api import instability as noise
 from gradcal_jax.api.estimate import EstimateReport, estimate_log
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.files import Spec
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -74,7 +73,7 @@ def allan(
 
 
 def estimate(
-    spec: Spec | UnitSpec,
+    spec: UnitSpec,
     log: Log | Sequence[Log],
     *,
     axis: str | None = None,

@@ -47,8 +47,9 @@ from gradcal_jax.design.pose_cycle import (
 from gradcal_jax.files.design import ALL, TIMES, WORST, Design
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rounding import rounded
+from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.unit_plan import UnitSchedule, quickest_turn
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, unit_system, whiten
 from gradcal_jax.model import PathTerm, UnitModel
 
@@ -439,7 +440,7 @@ class CyclePlan:
             cycle = cycle._replace(turns=self.on_steps(cycle.turns))
         tables = self.spec.model_dump(mode="json", exclude_unset=True)
         tables["plan"]["cycle"]["moves"] = self._moves(self._rounded(cycle))
-        return unit_spec_of(tables)
+        return spec_of(tables)
 
     def _rounded(self, cycle: RepeatedCycle) -> Cycle:
         """Rounded turns, rates and rests that fit into the period and close as the cycle does."""

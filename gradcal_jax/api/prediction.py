@@ -23,9 +23,9 @@ from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.api.verdicts import UNIT_OF, decision_rule, mission_weights, run_of, target_of, verdict_of
 from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.absent import absent_terms, with_typical
-from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, RequirementRow
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, UnitRequirement
+from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import STATISTICS, Posterior
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
@@ -45,7 +45,7 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     omits, at its class's typical figure. What cannot be observed is None, with a warning. Errors: `SpecError` for a
     plan that turns several axes of a sensor as if each had a table of its own.
     """
-    spec = general(spec)
+    spec = expect_spec(spec)
     omitted = tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent_terms(spec))
     built = assemble_unit(spec)
     known = posterior_of_unit(built)
@@ -71,7 +71,7 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
 def requirement_rows(spec: Spec | UnitSpec, until_s: float = np.inf) -> list[RequirementRow]:
     """The residual of every requirement after a spec's plan, and nothing else of its prediction. `until_s`: where the
     plan is broken off, on its clock."""
-    built = assemble_unit(general(spec), until_s)
+    built = assemble_unit(expect_spec(spec), until_s)
     budget = counted_posteriors(built, posterior_of_unit(built))
     return [requirement_row(built, budget, requirement) for requirement in built.spec.requirement]
 
@@ -169,7 +169,7 @@ def _decided(requirement: UnitRequirement, of: Callable[[Statistic], float]) -> 
 def counted_shares(spec: Spec | UnitSpec) -> dict[str, dict[str, float]]:
     """For each requirement (by name) the share of every error in the variance of what the verdict judges: noise, what
     no residual shows, and what the spec omits; requirements that the plan cannot observe are left out."""
-    built = assemble_unit(general(spec))
+    built = assemble_unit(expect_spec(spec))
     budget = counted_posteriors(built, posterior_of_unit(built))
     sources = ErrorBudget(budget.built, budget.fit)
     shares = {r.name: _shares(budget, r, sources.shares(r)) for r in built.spec.requirement}

@@ -27,9 +27,8 @@ from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.design import Criterion
 from gradcal_jax.display import summary
 from gradcal_jax.files import Spec
-from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.changes import changed, tables_of
-from gradcal_jax.files.spec import goes_on
+from gradcal_jax.files.spec import expect_spec, goes_on
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, information
 from gradcal_jax.model import Discrepancy, EncoderHarmonics, SensorModel
@@ -69,7 +68,7 @@ def sensitivity(spec: Spec | UnitSpec) -> Sensitivities:
 
     Errors: `ValueError` for a spec without requirements, or with one that the plan cannot observe.
     """
-    spec = general(spec)
+    spec = expect_spec(spec)
     if spec.turns_one_gyro and spec.done:
         raise goes_on("a sensitivity")
     if not spec.requirement:

@@ -23,9 +23,8 @@ from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_o
 from gradcal_jax.design import Criterion
 from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
 from gradcal_jax.files.calibration import UnseenError
-from gradcal_jax.files.changes import AnySpec, changed
+from gradcal_jax.files.changes import changed
 from gradcal_jax.files.moves import Axis
-from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior
 from gradcal_jax.model import (
@@ -89,7 +88,7 @@ class EstimatedRun(NamedTuple):
     one_way: bool = False
 
 
-def systematic_figures(spec: Spec | UnitSpec) -> SystematicFigures:
+def systematic_figures(spec: UnitSpec) -> SystematicFigures:
     """The figures that a spec names; what it does not name is zero."""
     sensor = spec.sensor
     common = {"offset": float(sensor.temperature_offset or 0.0), "lag": float(sensor.temperature_lag or 0.0)}
@@ -346,7 +345,7 @@ def counted_criterion(criterion: Criterion, built: Assembled, channel: Axis) -> 
     return eqx.tree_at(lambda c: c.beyond, criterion, criterion.beyond + more)
 
 
-def floor_of_plan(spec: Spec | UnitSpec, channel: Axis) -> tuple[Assembled, Posterior]:
+def floor_of_plan(spec: UnitSpec, channel: Axis) -> tuple[Assembled, Posterior]:
     """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
     built = assemble(spec)
     return built, _alone(built.model.size, columns_of_plan(built, channel))
@@ -402,7 +401,7 @@ def omitted_noise_of_unit(built: AssembledUnit) -> dict[str, np.ndarray]:
     return {"omitted noise": _excess(plan, more, built.model.size, built.model.calibrated)}
 
 
-def noise_completed(spec: AnySpec) -> AnySpec:
+def noise_completed(spec: UnitSpec) -> UnitSpec:
     """The spec with the omitted terms that are noise, or parameters of the table, at typical figures; without those
     that change the parameters of the sensor or the temperatures of the plan."""
     noise = {t.key: t.value for t in absent_terms(spec) if t.key.rpartition(".")[2] not in _NO_NOISE}

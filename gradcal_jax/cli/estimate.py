@@ -276,13 +276,12 @@ def _options(
 def _spec(spec: Path | None, recipe: Path | None) -> "UnitSpec":
     if (spec is None) == (recipe is None):
         raise ValueError("give the spec with --spec, or the recipe that was run with --recipe: one of them")
-    from gradcal_jax.files.axis_as_imu import general
-    from gradcal_jax.files.recipe import any_spec_in, read_recipe
+    from gradcal_jax.files.recipe import read_recipe, spec_in
 
     if spec is not None:
-        return general(any_spec_in(spec))
+        return spec_in(spec)
     assert recipe is not None
-    return general(read_recipe(recipe).spec)
+    return read_recipe(recipe).spec
 
 
 def _files(output: Path | None, units: Sequence[str], force: bool) -> dict[str, Path]:

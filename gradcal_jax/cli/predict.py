@@ -15,7 +15,7 @@ from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.api.monte_carlo import TwinRow
-    from gradcal_jax.files import Prediction, Spec
+    from gradcal_jax.files import Prediction
     from gradcal_jax.files.contracts import RequirementRow
     from gradcal_jax.files.unit_spec import UnitSpec
 
@@ -38,11 +38,11 @@ def predict(
     seed
         The seed of the simulated calibrations.
     """
-    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.recipe import spec_in
     from gradcal_jax.files.unit_spec import UnitSpec
 
     drawable(plot)
-    specification = any_spec_in(spec)
+    specification = spec_in(spec)
     use_float64()
     from gradcal_jax import api
 
@@ -86,11 +86,11 @@ def compare(
     """
     if not specs:
         raise ValueError("compare what? Name two or more spec files")
-    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.recipe import spec_in
     from gradcal_jax.files.unit_spec import UnitSpec
 
     drawable(plot)
-    plans = [(path.stem, any_spec_in(path)) for path in specs]
+    plans = [(path.stem, spec_in(path)) for path in specs]
     of_axes = [(name, spec) for name, spec in plans if not isinstance(spec, UnitSpec)]
     if plot is not None and len(of_axes) < len(plans):
         raise ValueError(
@@ -129,7 +129,7 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
     return "\n".join(lines)
 
 
-def omitted_lines(spec: "Spec | UnitSpec") -> list[str]:
+def omitted_lines(spec: "UnitSpec") -> list[str]:
     """Error terms that are absent from the file, with the typical figures that count for them. Empty: none."""
     from gradcal_jax.files.absent import (
         EARTH,

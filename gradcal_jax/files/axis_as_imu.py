@@ -45,28 +45,6 @@ def is_of_axis(document: Mapping[str, Any]) -> bool:
     return isinstance(sensor, Mapping) and not {"gyro", "accelerometer"} & set(cast("Tables", sensor))
 
 
-def along_axis(spec: UnitSpec, axis: Axis) -> UnitSpec:
-    """The spec of one gyro on a table of one axis, of another axis of the body that hangs along that of the table, as
-    the gyro's own did. Errors: `ValueError` for other specs."""
-    axes: Sequence[Axis] = () if spec.sensor.gyro is None else spec.sensor.gyro.axes
-    if not spec.is_one_axis or len(axes) != 1:
-        raise ValueError("an axis may be chosen where the spec has one gyro along the only axis of a table")
-    if (own := axes[0]) == axis:
-        return spec
-    tables: Tables = spec.model_dump(mode="json", exclude_unset=True)
-    table, turned = tables["rig"]["table"], AXES.index(axis) - AXES.index(own)
-    tables["sensor"]["gyro"]["axes"] = [axis]
-    hung: Tables | list[Tables] = table["mounting"]
-    for mounting in hung if isinstance(hung, list) else [hung]:
-        # In the same cyclic order, so that the body's axes stay right-handed.
-        mounting |= {AXES[(k + turned) % 3]: mounting[a] for k, a in enumerate(AXES)}
-    for turn in table["axis"]:
-        turn["name"] = axis if turn["name"] == own else turn["name"]
-    for row in tables.get("requirement", ()):
-        row |= {"axis": axis} if "axis" in row else {}
-    return unit_spec_of(tables)
-
-
 def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables:
     """The tables of a one-axis spec as those of an IMU of one gyro, which predict the same; not validated.
 

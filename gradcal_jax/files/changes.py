@@ -7,10 +7,11 @@ A value is what the file would hold: a quantity has its unit, and a plain number
 
 import copy
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, cast
 
 from gradcal_jax.files.axis_as_imu import change_of_imu
+from gradcal_jax.files.moves import AXES, Axis
 from gradcal_jax.files.problems import ABSENT, Key, Problem, SpecError, dotted
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import spec_of
@@ -47,6 +48,28 @@ def changed(spec: UnitSpec, changes: Mapping[str, object], source: str = "") -> 
     `SpecError` for unknown keys and bad values.
     """
     return spec_of(patched(spec, changes, source), source)
+
+
+def along_axis(spec: UnitSpec, axis: Axis) -> UnitSpec:
+    """The spec of one gyro on a table of one axis, of another axis of the body that hangs along that of the table, as
+    the gyro's own did. Errors: `ValueError` for other specs."""
+    axes: Sequence[Axis] = () if spec.sensor.gyro is None else spec.sensor.gyro.axes
+    if not spec.is_one_axis or len(axes) != 1:
+        raise ValueError("an axis may be chosen where the spec has one gyro along the only axis of a table")
+    if (own := axes[0]) == axis:
+        return spec
+    tables = tables_of(spec)
+    table, turned = tables["rig"]["table"], AXES.index(axis) - AXES.index(own)
+    tables["sensor"]["gyro"]["axes"] = [axis]
+    hung: Any = table["mounting"]
+    for mounting in hung if isinstance(hung, list) else [hung]:
+        # In the same cyclic order, so that the body's axes stay right-handed.
+        mounting |= {AXES[(k + turned) % 3]: mounting[a] for k, a in enumerate(AXES)}
+    for turn in table["axis"]:
+        turn["name"] = axis if turn["name"] == own else turn["name"]
+    for row in tables.get("requirement", ()):
+        row |= {"axis": axis} if "axis" in row else {}
+    return spec_of(tables)
 
 
 def patched(spec: UnitSpec, changes: Mapping[str, object], source: str = "") -> dict[str, Any]:

@@ -150,7 +150,7 @@ def spec_in(path: str | Path) -> UnitSpec:
         return from_text(spec_or_recipes_of, read_text(path), str(path))
 
 
-any_spec_in = spec_in
+
 
 
 def spec_or_recipes_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:

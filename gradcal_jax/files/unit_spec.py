@@ -53,7 +53,7 @@ class ExecutedPart(Section):
 class UnitSpec(TitledFile):
     """A spec of a whole unit; read-only. Quantities behave as numbers in SI (°C) and keep their text.
 
-    `schedule` is the plan resolved for the rig. From `read_unit_spec` or `parse_unit_spec`. Errors: their `SpecError`.
+    `schedule` is the plan resolved for the rig. From `read_spec` or `parse_spec`. Errors: their `SpecError`.
     """
 
     format: Literal["gradcal-spec/1"]

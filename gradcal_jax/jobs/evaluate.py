@@ -9,7 +9,6 @@ from typing import Any, Final
 
 from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.files import Spec, changed, spec_of, to_toml
-from gradcal_jax.files.changes import any_spec_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.jobs.results import PointResult, Residual, one_line
 
@@ -28,7 +27,7 @@ def optimise_points(base: Mapping[str, Any], points: list[tuple[int, Changes]]) 
 
 
 def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> list[PointResult]:
-    spec = any_spec_of(base)
+    spec = spec_of(base)
     results: list[PointResult] = []
     for index, changes in points:
         try:
@@ -38,7 +37,7 @@ def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> lis
     return results
 
 
-def _predicted(index: int, spec: Spec | UnitSpec) -> PointResult:
+def _predicted(index: int, spec: UnitSpec) -> PointResult:
     rows = requirement_rows(spec)
     axes = len(rows) // max(len(spec.requirement), 1)
     residuals = tuple(

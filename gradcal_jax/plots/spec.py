@@ -70,7 +70,7 @@ def draw_prediction(spec: Spec) -> Figure:
     return figure
 
 
-def draw_comparison(specs: Sequence[tuple[str, Spec | UnitSpec]]) -> Figure:
+def draw_comparison(specs: Sequence[tuple[str, UnitSpec]]) -> Figure:
     """Plans side by side: for each requirement's name, one curve a plan. Errors: `ValueError` without requirements."""
     names = list(dict.fromkeys((r.name, r.quantity) for _, spec in specs for r in spec.requirement))
     if not names:

@@ -240,7 +240,7 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     if plan.cycle is None:
         segments, stretches = programme_of(plan, rig.chamber, None)
         return UnitSchedule(segments, stretches, (), (0.0,) * len(rig.table.axis))
-    steps, start, problems = _steps(plan.cycle, rig)
+    steps, start, problems = resolve_steps(plan.cycle, rig)
     refuse(*problems)
     moving, after = duration_of(steps), _after(plan.cycle, duration_of(steps), rig)
     segments, stretches = programme_of(plan, rig.chamber, (moving, moving + duration_of(after)))
@@ -307,7 +307,9 @@ def _once_each(
     return tuple(course[:-1]), tuple(replace(stretch, start=stretch.start + k * whole) for k in range(mountings))
 
 
-def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[float, ...], list[Problem]]:
+def resolve_steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[float, ...], list[Problem]]:
+    """The steps of a cycle, the angles (rad) at which it begins, and the problems of moves that are left out, with keys
+    relative to the plan."""
     axes = {axis.name: k for k, axis in enumerate(rig.table.axis)}
     problems: list[Problem] = []
     start = [0.0] * len(axes)
@@ -425,11 +427,15 @@ def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None)
 
 def _limits(move: ResolvedMove, axis: TableAxis) -> Iterator[Problem]:
     if move.fastest > axis.max_rate * (1.0 + _SLACK):
-        message = f'reaches {math.degrees(move.fastest):.5g} deg/s; axis "{axis.name}" goes up to {axis.max_rate}'
+        reached = f"{math.degrees(move.fastest):.5g} deg/s"
+        message = f'reaches {reached} and exceeds max_rate of axis "{axis.name}", {axis.max_rate}'
         yield Problem((), message, move.words)
     if move.peak_acceleration > axis.max_acceleration * (1.0 + _SLACK):
         reached = f"{math.degrees(move.peak_acceleration):.5g} deg/s^2"
-        yield Problem((), f'accelerates at {reached}; axis "{axis.name}": {axis.max_acceleration}', move.words)
+        message = (
+            f'accelerates at {reached} and exceeds max_acceleration of axis "{axis.name}", {axis.max_acceleration}'
+        )
+        yield Problem((), message, move.words)
 
 
 def _travel(schedule: UnitSchedule, rig: UnitRig) -> Iterator[Problem]:

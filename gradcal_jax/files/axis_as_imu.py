@@ -139,13 +139,8 @@ def change_of_imu(tables: Mapping[str, Any], key: Key, value: object) -> tuple[K
         case ("rig", "earth_rate"):
             return ("rig", "site", "latitude"), value if value is None else _latitude(value)
         case ("rig", "table", "mounting_accuracy"):
-            return (
-                "rig",
-                "table",
-                "mounting",
-                *([0] if isinstance(table.get("mounting"), list) else []),
-                "accuracy",
-            ), value
+            first = (0,) if "mounting" in table else ()
+            return ("rig", "table", "mounting", *first, "accuracy"), value
         case ("rig", "table", str() as name, *rest) if name in _OF_AXIS and len(table.get("axis", ())) == 1:
             return ("rig", "table", "axis", 0, name, *rest), value
         case _:
@@ -189,7 +184,7 @@ def _table_of(table: Tables, axis: Axis, every: Any) -> Tables:
     angle = table.get("angle", {})
     turn = {"name": axis, "direction": [0.0, 0.0, 1.0], **table}
     turn["angle"] = _table(angle) | {"read_every": every} if isinstance(angle, Mapping) else angle
-    return {"standing": "read", **common, "axis": [turn], "mounting": mounting}
+    return {"standing": "read", **common, "axis": [turn], "mounting": [mounting]}
 
 
 def _design(design: Tables) -> Tables:

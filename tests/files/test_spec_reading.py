@@ -259,7 +259,7 @@ def test_full_scale_limits_what_each_gyro_sees_of_a_move():
     document["sensor"]["gyro"] |= {"axes": ["y"], "full_scale": "1 deg/s"}
     document["requirement"] = []
     files.spec_of(document)
-    document["rig"]["table"]["mounting"]["rotation"] = ["0 deg", "0 deg", "1 deg"]
+    document["rig"]["table"]["mounting"][0]["rotation"] = ["0 deg", "0 deg", "1 deg"]
     assert keys_of(document) == {
         "plan.cycle.moves[2]",
         "plan.cycle.moves[3]",

@@ -273,7 +273,7 @@ class CosineRamps(_RampedTurn):
 
     SHAPE, STEEPNESS = "cosine ramps", math.pi / 2.0
 
-    shape: Literal["cosine ramps"]
+    shape: Literal["cosine ramps"] = "cosine ramps"
     """Course of the rate."""
 
 

@@ -16,7 +16,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from gradcal_jax.files.bench import TableAxis, UnitRig, UnitTable
-from gradcal_jax.files.moves import Move, ResolvedMove, Rest
+from gradcal_jax.files.moves import CosineRamps, Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse, OtherAxes, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Temperature, Text, Time
@@ -86,22 +86,16 @@ class AxisMove(Section):
     def _as_written(self, handler: Callable[[Any], Any]) -> dict[str, Any]:
         """The table of the file: the move's own keys beside "axis", without defaults."""
         tables: dict[str, Any] = handler(self)
-        move: dict[str, Any] = tables.pop("move")
-        if move.get("shape") == "cosine ramps" and {"turn", "turns"} & set(move) and {"duration", "ramp"} & set(move):
-            # Without an angle it is the shape that makes the table a move; without a time it would be a quick turn.
-            del move["shape"]
-        return move | tables
+        return tables.pop("move") | tables
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """The file's table: a move's keys beside the name of the axis; the shape may be left out."""
+        """The file's table: a move's keys beside the name of the axis."""
         moves: dict[str, Any] = handler.resolve_ref_schema(handler(schema))["properties"]["move"]
         kinds: list[dict[str, Any]] = []
         for ref in moves["anyOf"]:
             kind = dict(handler.resolve_ref_schema(ref))
             kind["properties"] = kind["properties"] | {"axis": {"type": "string", "minLength": 1}}
-            if kind["properties"].get("shape", {}).get("const") == "cosine ramps":
-                kind["required"] = [name for name in kind.get("required", ()) if name != "shape"]
             kinds.append(kind)
         return {"anyOf": kinds}
 
@@ -111,16 +105,14 @@ def _choose(whole: Mapping[str, object]) -> object:
     if "pose" in table:
         return Pose.model_validate(table)
     axis = table.pop("axis", None)
-    if "rest" not in table and "shape" not in table:
-        turns = [key for key in table if key in ("turn", "turns")]
-        if not turns:
-            refuse_misspelt(table, ["rest", "turn", "pose"])
-            raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
-        if not {"duration", "ramp"} & set(table):
-            return QuickTurn.model_validate(dict(whole))
-        table["shape"] = "cosine ramps"
-    tables: dict[str, Any] = {"move": table}
+    plain = "rest" not in table and "shape" not in table
+    if plain and not {"turn", "turns"} & set(table):
+        refuse_misspelt(table, ["rest", "turn", "pose"])
+        raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
+    if plain and not {"duration", "ramp"} & set(table):
+        return QuickTurn.model_validate(dict(whole))
     try:
+        tables: dict[str, Any] = {"move": CosineRamps.model_validate(table) if plain else table}
         return AxisMove.model_validate(tables if axis is None else {**tables, "axis": axis})
     except ValidationError as error:
         # The move's keys stand in the file beside "axis".

@@ -2,20 +2,23 @@
 only axis of a table.
 
 Tables are converted before they are validated, so what is wrong in them stays wrong; `keys_of_axis` gives a problem the
-key that the file has.
+key that the file has. What a file of one axis may not have, and the general form may, are problems of the conversion.
 """
 
+import contextlib
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Final, cast
 
 from pydantic import TypeAdapter, ValidationError
 
-from gradcal_jax.files.moves import AXES, Axis, Move, ResolvedMove
-from gradcal_jax.files.problems import Key, Problem, SpecError, from_validation
-from gradcal_jax.files.quantity import EarthRate, PositiveAcceleration, Quantity, SizeOfTime
+from gradcal_jax.files.moves import AXES, Axis, Move, ResolvedMove, choose_move
+from gradcal_jax.files.problems import Key, Problem, SpecError, from_validation, hint
+from gradcal_jax.files.quantity import EarthRate, PositiveAcceleration, Quantity, SizeOfTime, Time
+from gradcal_jax.files.section import refuse
 from gradcal_jax.formulas import EARTH_RATE
 
 Tables = dict[str, Any]
@@ -39,41 +42,70 @@ _NO_SUCH_TABLE: Final = (
 _SECONDS: Final = "s"
 
 
+@contextmanager
+def _collected(problems: list[Problem], *key: str | int) -> Generator[None]:
+    """Context that adds its problems, with keys relative to `key`, to others."""
+    try:
+        yield
+    except SpecError as error:
+        problems += [problem.under(*key) for problem in error.problems]
+
+
 def is_of_axis(document: Mapping[str, Any]) -> bool:
-    """Whether tables are the spec of one gyro axis: its figures stand in [sensor] itself."""
-    sensor = document.get("sensor")
-    return isinstance(sensor, Mapping) and not {"gyro", "accelerometer"} & set(cast("Tables", sensor))
+    """Whether tables are the spec of one gyro axis: its figures stand in [sensor] and [rig.table] themselves."""
+    sensor, table = _table(document.get("sensor")), _table(_table(document.get("rig")).get("table"))
+    general = {"gyro", "accelerometer"} & set(sensor) or {"axis", "mounting", "standing"} & set(table)
+    return bool(sensor or table) and not general
 
 
 def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables:
     """The tables of a one-axis spec as those of an IMU of one gyro, which predict the same; not validated.
 
     `axis`: of a plan that turns several, the one whose gyro is seen; moves of the others are rests. Errors: `SpecError`
-    for a plan that turns several axes, without `axis`, and for moves of other axes that are not determined.
+    for a plan that turns several axes, without `axis`, and for what a file of one axis may not have.
     """
+    tables, problems = convert(document, axis)
+    refuse(*problems)
+    return tables
+
+
+def convert(document: Mapping[str, Any], axis: Axis | None = None) -> tuple[Tables, list[Problem]]:
+    """As `axis_as_imu`, with the problems of the conversion, whose keys are those of the file."""
     spec = copy.deepcopy(dict(document))
+    problems: list[Problem] = []
     turned = turned_axes(spec)
     if axis is None and len(turned) > 1:
-        raise SpecError([Problem(("plan", "cycle", "moves"), _NO_SUCH_TABLE.format(", ".join(turned)))])
+        problems.append(Problem(("plan", "cycle", "moves"), _NO_SUCH_TABLE.format(", ".join(turned))))
     seen = axis or turned[0]
     rig = _table(spec.get("rig"))
     table = dict(_table(rig.get("table")))
-    plan, every = _plan(spec.get("plan"), seen, table)
+    plan, every = _plan(spec.get("plan"), seen, table, problems)
     of_rig = {key: value for key, value in rig.items() if key != "earth_rate"}
     if isinstance(rig.get("table"), Mapping):
         of_rig["table"] = _table_of(table, seen, every)
     if "earth_rate" in rig:
-        of_rig["site"] = {"latitude": _latitude(rig["earth_rate"])}
-    own: Tables = {"sensor": _sensor(spec.get("sensor"), seen), "rig": of_rig, "plan": plan}
+        of_rig["site"] = {"latitude": "unknown"}
+        with _collected(problems):
+            of_rig["site"] = {"latitude": _latitude(rig["earth_rate"])}
+    sensor = _table(spec.get("sensor"))
+    if (quantity := sensor.get("quantity", "gyro")) != "gyro":
+        message = 'expected "gyro": one axis is a gyro\'s; accelerometers are in [sensor.accelerometer]'
+        problems.append(Problem(("sensor", "quantity"), message + hint(quantity, ["gyro"]), quantity))
+    own: Tables = {"sensor": _sensor(sensor, seen), "rig": of_rig, "plan": plan}
     result = spec | {name: value for name, value in own.items() if isinstance(spec.get(name), Mapping)}
     if isinstance(rows := spec.get("requirement"), list):
         result["requirement"] = [_requirement(row, seen) for row in cast("list[Any]", rows)]
     if isinstance(design := spec.get("design"), Mapping):
-        result["design"] = _design(_table(design))
+        with _collected(problems):
+            result["design"] = _design(_table(design))
     if isinstance(parts := spec.get("done"), list):
-        done = (dict(_table(part)) for part in cast("list[Any]", parts))
-        result["done"] = [part | {"plan": _plan(part.get("plan"), seen, table)[0]} for part in done]
-    return result
+        result["done"] = []
+        for number, part in enumerate(cast("list[Any]", parts)):
+            of_part: list[Problem] = []
+            plan = _plan(_table(part).get("plan"), seen, table, of_part)[0]
+            result["done"].append(_table(part) | {"plan": plan})
+            problems += [problem.under("done", number) for problem in of_part]
+    return result, problems
 
 
 def keys_of_axis(problem: Problem) -> Problem:
@@ -84,6 +116,8 @@ def keys_of_axis(problem: Problem) -> Problem:
             key = ("sensor", *rest)
         case ("rig", "table", "mounting", *_, "accuracy"):
             key = ("rig", "table", "mounting_accuracy")
+        case ("rig", "table", "axis", 0, "angle", "read_every"):
+            key = ("plan", "read_every")
         case ("rig", "table", "axis", 0, *rest):
             key = ("rig", "table", *rest)
         case ("rig", "site", *_):
@@ -105,13 +139,8 @@ def change_of_imu(tables: Mapping[str, Any], key: Key, value: object) -> tuple[K
         case ("rig", "earth_rate"):
             return ("rig", "site", "latitude"), value if value is None else _latitude(value)
         case ("rig", "table", "mounting_accuracy"):
-            return (
-                "rig",
-                "table",
-                "mounting",
-                *([0] if isinstance(table.get("mounting"), list) else []),
-                "accuracy",
-            ), value
+            first = (0,) if "mounting" in table else ()
+            return ("rig", "table", "mounting", *first, "accuracy"), value
         case ("rig", "table", str() as name, *rest) if name in _OF_AXIS and len(table.get("axis", ())) == 1:
             return ("rig", "table", "axis", 0, name, *rest), value
         case _:
@@ -135,13 +164,9 @@ def _moves_of(plan: Tables) -> list[Any]:
     return cast("list[Any]", moves) if isinstance(moves, list) else []
 
 
-def _sensor(sensor: object, axis: Axis) -> Tables:
-    of_file = _table(sensor)
+def _sensor(of_file: Tables, axis: Axis) -> Tables:
     imu = {key: of_file[key] for key in _OF_IMU if key in of_file}
     gyro = {"axes": [axis]} | {k: v for k, v in of_file.items() if k not in (*_OF_IMU, "quantity", "uncertain")}
-    if of_file.get("quantity", "gyro") != "gyro":
-        message = 'expected "gyro": one axis is a gyro\'s; accelerometers are in [sensor.accelerometer]'
-        raise SpecError([Problem(("sensor", "quantity"), message, of_file["quantity"])])
     uncertain = of_file.get("uncertain")
     if isinstance(uncertain, Mapping):
         of = _table(uncertain)
@@ -159,7 +184,7 @@ def _table_of(table: Tables, axis: Axis, every: Any) -> Tables:
     angle = table.get("angle", {})
     turn = {"name": axis, "direction": [0.0, 0.0, 1.0], **table}
     turn["angle"] = _table(angle) | {"read_every": every} if isinstance(angle, Mapping) else angle
-    return {"standing": "read", **common, "axis": [turn], "mounting": mounting}
+    return {"standing": "read", **common, "axis": [turn], "mounting": [mounting]}
 
 
 def _design(design: Tables) -> Tables:
@@ -214,30 +239,55 @@ def _requirement(row: Any, axis: Axis) -> Any:
     return _table(row) | {"quantity": _QUANTITIES.get(quantity, quantity), "axis": axis}
 
 
-def _plan(of_file: object, axis: Axis, table: Tables) -> tuple[Any, Any]:
+def _plan(of_file: object, axis: Axis, table: Tables, problems: list[Problem]) -> tuple[Any, Any]:
     """The plan, and the spacing of the table's readings where the plan does not say it."""
     if not isinstance(of_file, Mapping):
         return of_file, "rest"
     plan = _table(of_file)
-    every = plan.pop("read_every", "rest")
     plan.pop("reference", None)
+    every = plan.pop("read_every", None)
+    if plan.get("method") == "gradient" and "cycle" not in plan and every is None:
+        message = 'this key is missing: without a cycle it says how often the standing axis is read, such as "1 s"'
+        problems.append(Problem(("plan", "read_every"), message, kind="missing"))
+    if "cycle" in plan and every is not None:
+        message = "with a cycle, the moves say when the axis is read; leave this key out"
+        problems.append(Problem(("plan", "read_every"), message, every))
     if not isinstance(plan.get("cycle"), Mapping) or not (moves := _moves_of(plan)):
-        return plan, every
+        return plan, every or "rest"
     cycle = plan["cycle"] = _table(plan["cycle"])
     of_others: Tables = {"read": "none"}
-    rests = [move for move in map(_table, moves) if "rest" in move]
-    every = next((move["read_every"] for move in rests if "read_every" in move), "rest")
+    spacings = [_table(move)["read_every"] for move in moves if {"rest", "read_every"} <= set(_table(move))]
+    every = next(filter(_is_time, spacings), "rest")
     if (others := _table(cycle.get("other_axes"))).get("read"):
-        every = others.setdefault("read_every", every)
-        of_others, cycle["other_axes"] = {"read_every": every}, others
-    cycle["moves"] = [_move(_table(m), axis, of_others, table) if isinstance(m, Mapping) else m for m in moves]
-    return plan, every
+        if not spacings and "read_every" not in others:
+            message = "this key is missing: no rest of the cycle says how often a standing axis is read"
+            problems.append(Problem(("plan", "cycle", "other_axes", "read_every"), message, kind="missing"))
+        every = others.get("read_every", every)
+        of_others = {"read_every": every} if _is_time(every) else {}
+        cycle["other_axes"] = others | of_others
+    converted: list[Any] = []
+    for i, move in enumerate(moves):
+        with _collected(problems, "plan", "cycle", "moves", i):
+            converted.append(_move(_table(move), axis, of_others, table) if isinstance(move, Mapping) else move)
+    if len(converted) == len(moves):
+        cycle["moves"] = converted
+    else:
+        del plan["cycle"]
+    return plan, every if _is_time(every) else "rest"
+
+
+def _is_time(value: object) -> bool:
+    with contextlib.suppress(ValidationError):
+        return bool(TypeAdapter(Time).validate_python(value))
+    return False
 
 
 def _move(move: Tables, axis: Axis, of_others: Tables, table: Tables) -> Tables:
     plain = {key: value for key, value in move.items() if key != "axis"}
     if "rest" in move:
         return plain if {"read", "read_every"} & set(move) else plain | {"read": "end"}
+    if "shape" not in move:
+        choose_move(move)
     if (of := move.get("axis", AXES[0])) == axis:
         return plain
     if of not in AXES:

@@ -220,6 +220,9 @@ class UnitMounting(Section):
         return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
+_Mountings = Annotated[tuple[UnitMounting, ...], Field(min_length=1, max_length=12)]
+
+
 def _one_or_more(value: object) -> object:
     return (cast("object", value),) if isinstance(value, Mapping) else value
 
@@ -241,7 +244,7 @@ class UnitTable(Section):
     """Standard deviation of the reference rate of the standard method, a ratio; absent: exact."""
     axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
     """Axes, outermost first."""
-    mounting: Annotated[tuple[UnitMounting, ...], BeforeValidator(_one_or_more), Field(min_length=1, max_length=12)] = (
+    mounting: Annotated[_Mountings, BeforeValidator(_one_or_more, json_schema_input_type=UnitMounting | _Mountings)] = (
         UnitMounting(),
     )
     """One mounting, or several that are used one after the other."""

@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gradcal_jax.files.axis_as_imu import axis_as_imu, is_of_axis, keys_of_axis
-from gradcal_jax.files.document import format_problem, from_text, model_of, read_text
+from gradcal_jax.files.axis_as_imu import convert, is_of_axis, keys_of_axis
+from gradcal_jax.files.document import from_text, model_of, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.unit_spec import FORMAT, UnitSpec
+from gradcal_jax.files.section import refuse
+from gradcal_jax.files.unit_spec import FORMAT, UnitSpec, hidden_problems
 
 Spec = UnitSpec
 
@@ -57,9 +58,15 @@ def parse_spec(text: str, source: str = "") -> UnitSpec:
 
 def spec_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:
     """A spec from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
-    if not is_of_axis(document) or format_problem(document, FORMAT) is not None:
-        return model_of(UnitSpec, document, FORMAT, source, lambda _: ())
+    if not is_of_axis(document) or (isinstance(document.get("format"), str) and document["format"] != FORMAT):
+        return model_of(UnitSpec, document, FORMAT, source, lambda found: hidden_problems(document, found))
+    tables, problems = convert(document)
     try:
-        return model_of(UnitSpec, axis_as_imu(document), FORMAT, source, lambda _: ())
+        spec = model_of(UnitSpec, tables, FORMAT, source, lambda found: hidden_problems(tables, found))
+        refuse(*problems)
     except SpecError as error:
-        raise SpecError(map(keys_of_axis, error.problems), source) from None
+        # What has no counterpart in the general form is not said twice.
+        own = {problem.key for problem in problems}
+        named = (keys_of_axis(problem) for problem in error.problems)
+        raise SpecError([*problems, *(p for p in named if p.key not in own)], source) from None
+    return spec

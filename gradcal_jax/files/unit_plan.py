@@ -16,7 +16,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from gradcal_jax.files.bench import TableAxis, UnitRig, UnitTable
-from gradcal_jax.files.moves import Move, ResolvedMove, Rest
+from gradcal_jax.files.moves import CosineRamps, Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse, OtherAxes, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Temperature, Text, Time
@@ -86,22 +86,16 @@ class AxisMove(Section):
     def _as_written(self, handler: Callable[[Any], Any]) -> dict[str, Any]:
         """The table of the file: the move's own keys beside "axis", without defaults."""
         tables: dict[str, Any] = handler(self)
-        move: dict[str, Any] = tables.pop("move")
-        if move.get("shape") == "cosine ramps" and {"turn", "turns"} & set(move) and {"duration", "ramp"} & set(move):
-            # Without an angle it is the shape that makes the table a move; without a time it would be a quick turn.
-            del move["shape"]
-        return move | tables
+        return tables.pop("move") | tables
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """The file's table: a move's keys beside the name of the axis; the shape may be left out."""
+        """The file's table: a move's keys beside the name of the axis."""
         moves: dict[str, Any] = handler.resolve_ref_schema(handler(schema))["properties"]["move"]
         kinds: list[dict[str, Any]] = []
         for ref in moves["anyOf"]:
             kind = dict(handler.resolve_ref_schema(ref))
             kind["properties"] = kind["properties"] | {"axis": {"type": "string", "minLength": 1}}
-            if kind["properties"].get("shape", {}).get("const") == "cosine ramps":
-                kind["required"] = [name for name in kind.get("required", ()) if name != "shape"]
             kinds.append(kind)
         return {"anyOf": kinds}
 
@@ -111,16 +105,14 @@ def _choose(whole: Mapping[str, object]) -> object:
     if "pose" in table:
         return Pose.model_validate(table)
     axis = table.pop("axis", None)
-    if "rest" not in table and "shape" not in table:
-        turns = [key for key in table if key in ("turn", "turns")]
-        if not turns:
-            refuse_misspelt(table, ["rest", "turn", "pose"])
-            raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
-        if not {"duration", "ramp"} & set(table):
-            return QuickTurn.model_validate(dict(whole))
-        table["shape"] = "cosine ramps"
-    tables: dict[str, Any] = {"move": table}
+    plain = "rest" not in table and "shape" not in table
+    if plain and not {"turn", "turns"} & set(table):
+        refuse_misspelt(table, ["rest", "turn", "pose"])
+        raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
+    if plain and not {"duration", "ramp"} & set(table):
+        return QuickTurn.model_validate(dict(whole))
     try:
+        tables: dict[str, Any] = {"move": CosineRamps.model_validate(table) if plain else table}
         return AxisMove.model_validate(tables if axis is None else {**tables, "axis": axis})
     except ValidationError as error:
         # The move's keys stand in the file beside "axis".
@@ -240,7 +232,7 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     if plan.cycle is None:
         segments, stretches = programme_of(plan, rig.chamber, None)
         return UnitSchedule(segments, stretches, (), (0.0,) * len(rig.table.axis))
-    steps, start, problems = _steps(plan.cycle, rig)
+    steps, start, problems = resolve_steps(plan.cycle, rig)
     refuse(*problems)
     moving, after = duration_of(steps), _after(plan.cycle, duration_of(steps), rig)
     segments, stretches = programme_of(plan, rig.chamber, (moving, moving + duration_of(after)))
@@ -307,7 +299,9 @@ def _once_each(
     return tuple(course[:-1]), tuple(replace(stretch, start=stretch.start + k * whole) for k in range(mountings))
 
 
-def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[float, ...], list[Problem]]:
+def resolve_steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[float, ...], list[Problem]]:
+    """The steps of a cycle, the angles (rad) at which it begins, and the problems of moves that are left out, with keys
+    relative to the plan."""
     axes = {axis.name: k for k, axis in enumerate(rig.table.axis)}
     problems: list[Problem] = []
     start = [0.0] * len(axes)
@@ -425,11 +419,15 @@ def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None)
 
 def _limits(move: ResolvedMove, axis: TableAxis) -> Iterator[Problem]:
     if move.fastest > axis.max_rate * (1.0 + _SLACK):
-        message = f'reaches {math.degrees(move.fastest):.5g} deg/s; axis "{axis.name}" goes up to {axis.max_rate}'
+        reached = f"{math.degrees(move.fastest):.5g} deg/s"
+        message = f'reaches {reached} and exceeds max_rate of axis "{axis.name}", {axis.max_rate}'
         yield Problem((), message, move.words)
     if move.peak_acceleration > axis.max_acceleration * (1.0 + _SLACK):
         reached = f"{math.degrees(move.peak_acceleration):.5g} deg/s^2"
-        yield Problem((), f'accelerates at {reached}; axis "{axis.name}": {axis.max_acceleration}', move.words)
+        message = (
+            f'accelerates at {reached} and exceeds max_acceleration of axis "{axis.name}", {axis.max_acceleration}'
+        )
+        yield Problem((), message, move.words)
 
 
 def _travel(schedule: UnitSchedule, rig: UnitRig) -> Iterator[Problem]:

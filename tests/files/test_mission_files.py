@@ -18,7 +18,7 @@ from gradcal_jax.files.schemas import schema
 
 HEAD = "time (s), rate (deg/s), temperature (degC)"
 TABLE = f"# a flight\n{HEAD}\n\n0, 0, 20\n60, 30, 25.5\n"
-REQUIREMENT = '[[requirement]]\nname = "flight"\nquantity = "heading"\nmission = {}\n[plan]\n'
+REQUIREMENT = '[[requirement]]\nname = "flight"\nquantity = "mission_heading"\nmission = {}\n[plan]\n'
 
 
 def spec_text(mission: str = '"flight.csv"', more: str = "") -> str:
@@ -169,7 +169,7 @@ def test_a_mission_beyond_a_basis_is_refused(folder):
     spec = read_spec(folder / "spec.toml")
     rate = {"basis": "b-spline", "knots": knots}
     with pytest.raises(SpecError, match=r"line 5: the rate is 30 deg/s, outside the rate basis, -60 to 29"):
-        changed(spec, {"sensor.scale_factor.rate": rate, "requirement[0].rate": ["-20 deg/s", "20 deg/s"]})
+        changed(spec, {"sensor.gyro.scale_factor.rate": rate, "requirement[0].rate": ["-20 deg/s", "20 deg/s"]})
 
 
 @pytest.mark.parametrize(
@@ -194,5 +194,5 @@ def test_north_and_heading_need_what_they_rest_on():
         '[[requirement]]\nname = "north"\nquantity = "north"\nlatitude = "48 deg"\nafter = "5 min"\n'
         'temperature = ["0 degC", "40 degC"]\n[plan]\n'
     )
-    with pytest.raises(SpecError, match=r"is not estimated: there is no \[sensor.bias\]"):
+    with pytest.raises(SpecError, match=r"needs \[sensor.gyro.bias\], which the spec does not estimate"):
         gj.parse_spec(presets.text("paper-dynamic-gradient").replace("[plan]\n", requirement, 1))

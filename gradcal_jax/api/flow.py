@@ -14,11 +14,9 @@ from gradcal_jax.api.posterior_of_plan import posteriors_of_plan
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_limit import unit_limits
 from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
-from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
 
@@ -73,16 +71,16 @@ def optimise(
 
 
 def limit(spec: Spec | UnitSpec) -> list[PlanLimit]:
-    """The proven lower limit on the residual of any plan on this rig in this time: for every scale-factor requirement
-    of a gradient plan; of a whole unit, for every requirement with a proof (`gradcal_jax.api.unit_limit`).
+    """The proven lower limit on the residual of any plan on this rig in this time, for every requirement of a gradient
+    plan that has a proof (`gradcal_jax.api.axis_limit`, `gradcal_jax.api.imu_limit`).
 
     Each `api.limit.PlanLimit` has `certified` (proven) and `value` (of the spec's own plan) in `unit`, the plan's
-    `efficiency`, and `relaxed`: the limits of the rig that the proof leaves out. The derivation, a convex problem with
-    its certificate, is in `gradcal_jax.design.limit`.
+    `efficiency`, and `relaxed`: the limits of the rig that the proof leaves out. The derivation for a scale factor, a
+    convex problem with its certificate, is in `gradcal_jax.design.limit`.
 
-    Errors: `ValueError` for a plan without moves, and without a requirement that has a proof.
+    Errors: `ValueError` for a standard plan, and without a requirement that has a proof.
     """
-    return unit_limits(spec) if isinstance(spec, UnitSpec) else limits(expect_spec(spec))
+    return limits(spec)
 
 
 def frontier(

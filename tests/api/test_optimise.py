@@ -298,9 +298,11 @@ def test_a_target_that_no_plan_can_meet_is_refused_with_the_limit(spec):
         next(optimise(asked))
 
 
-def test_there_is_no_limit_for_a_plan_without_moves():
-    with pytest.raises(ValueError, match="for gradient plans with moves"):
-        limits(paper("static_gradient"))
+def test_a_standing_axis_has_a_limit_of_its_bias_and_the_standard_method_none():
+    (row,) = limits(paper("static_gradient"))
+    assert 0.8 < row.efficiency < 1.0
+    with pytest.raises(ValueError, match='needs a plan of method = "gradient"'):
+        limits(paper("static_standard"))
 
 
 def test_the_shortest_plan_lies_between_the_points_of_the_frontier(best):

@@ -10,10 +10,10 @@ from unit_bench import estimated, made, short, stopped_in_its_second_cycle
 
 from gradcal_jax import api
 from gradcal_jax.api import unit_optimise
+from gradcal_jax.api.limit import limits
 from gradcal_jax.api.replan import known_so_far, rest_of, with_done
 from gradcal_jax.api.timeline import unit_timeline
 from gradcal_jax.api.unit_build import assemble_unit, motion_of, posterior_of_unit
-from gradcal_jax.api.unit_limit import unit_limits
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import SpecError, changed, presets
@@ -119,7 +119,7 @@ def test_what_cannot_be_planned_anew_is_a_sentence(spec: UnitSpec) -> None:
         with_done(spec, [(60.0, 30.0)])
     rest = with_done(spec, [(0.0, spec.schedule.duration)])
     with pytest.raises(ValueError, match="a limit is of a plan that begins a run"):
-        unit_limits(rest)
+        limits(rest)
     with pytest.raises(ValueError, match="a timeline is of a plan that begins a run"):
         unit_timeline(rest)
 

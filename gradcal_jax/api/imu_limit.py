@@ -1,4 +1,4 @@
-"""Proven lower limits on the residuals of any plan of a whole unit, in the time of the data of the spec's plan.
+"""Proven lower limits on the residuals of any plan of an IMU, in the time of the data of the spec's plan.
 
 Two proofs. A **bias** `ψ(T)ᵀβ` under white noise and drift: with all else known exactly and the error itself observed
 at every instant, moving or not, generalised least squares has a known covariance of β; every row of any plan is a
@@ -21,9 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax import model, trajectory
-from gradcal_jax.api.build import chamber_programme
-from gradcal_jax.api.limit import (
-    PlanLimit,
+from gradcal_jax.api.axis_limit import (
+    Proof,
     Windows,
     between_readings,
     bias_seen_continuously,
@@ -31,21 +30,15 @@ from gradcal_jax.api.limit import (
     look_at,
     middles_of_parts,
     noise_density,
-    plan_limit,
     sensor_course,
     windows_between_knots,
 )
-from gradcal_jax.api.posterior_of_plan import UNIT_OF
-from gradcal_jax.api.prediction import requirement_rows
+from gradcal_jax.api.build import chamber_programme
 from gradcal_jax.api.structures import LEAST_TURN
-from gradcal_jax.api.systematic import floor_of_unit_plan
 from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit, assemble_unit
-from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.design import PRIOR_OF_WALK, criterion, limit, scale_factor_floor
 from gradcal_jax.design.noise_floor import Course
-from gradcal_jax.files.absent import with_typical
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
-from gradcal_jax.files.spec import goes_on
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import square_root, statistic
 from gradcal_jax.model import AXIS_NAMES, Channel, Map, Polynomial, SignalMap
@@ -63,31 +56,17 @@ _RELAXED = (
 )
 
 
-def unit_limits(spec: UnitSpec) -> list[PlanLimit]:
-    """The limit of every requirement of a unit's plan for which there is a proof.
-
-    Errors: `ValueError` where no requirement has a proof, and for a spec with [[done]].
-    """
-    if spec.done:
-        raise goes_on("a limit")
-    built = assemble_unit(spec)
-    window = _window(built)
+def proofs_of_imu(spec: UnitSpec) -> list[Proof]:
+    """The limit of every requirement of a gradient plan for which there is a proof. Errors: `ValueError` for none."""
+    window = _window(assemble_unit(spec))
+    kept = kept_in_words(window.time)
     proven = [(r, *bound) for r in spec.requirement if (bound := _certified(window, r)) is not None]
     if not proven:
         raise ValueError(
-            "a limit of a unit is proven for biases, scale factors that are polynomials, misalignments to the table or "
+            "a limit of an IMU is proven for biases, scale factors that are polynomials, misalignments to the table or "
             "the case, acceleration sensitivity and second order; the spec has no requirement on one of these"
         )
-    kept = kept_in_words(window.time)
-    rows = {row.name: row for row in requirement_rows(spec)}
-    floors = [floor_of_unit_plan(one) for one in (spec, with_typical(spec))]
-    # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value over the elements.
-    limits: list[PlanLimit] = []
-    for r, bound, relaxed in proven:
-        named, every = (float(np.min(unit_residual(of, floor, r).values)) for of, floor in floors)
-        found = plan_limit(r, UNIT_OF[r.quantity], bound, rows[r.name].decisive, relaxed, kept)
-        limits.append(found.above(named, every, rows[r.name].judged))
-    return limits
+    return [Proof(r, *bound, relaxed, kept) for r, bound, relaxed in proven]
 
 
 class _Window(NamedTuple):
@@ -104,10 +83,9 @@ class _Window(NamedTuple):
 def _window(built: AssembledUnit) -> _Window:
     spec, schedule = built.spec, built.spec.gradient_schedule
     chamber, _ = chamber_programme(schedule)
-    lag = None if spec.sensor.thermal_lag is None else float(spec.sensor.thermal_lag)
     spans = [(s.start, s.start + s.duration) for s in schedule.stretches]
     windows = windows_between_knots(spans, chamber.times())
-    return _Window(built, sum(end - begin for begin, end in spans), spans, windows, sensor_course(chamber, lag))
+    return _Window(built, sum(end - begin for begin, end in spans), spans, windows, sensor_course(chamber, spec.sensor.lag))
 
 
 # What a proof yields, in SI: certified, and the optimum of the relaxed problem; and what it leaves out.

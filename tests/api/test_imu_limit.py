@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.api.unit_limit import unit_limits
+from gradcal_jax.api.limit import limits
 from gradcal_jax.files import presets
 from gradcal_jax.files.unit_spec import read_unit_spec, unit_spec_of
 from gradcal_jax.units import PPM, G
@@ -63,7 +63,7 @@ def test_a_tumble_in_white_noise_reaches_its_limit_but_for_its_moves():
     spec = unit({"bias": {}, "scale_factor": {}, "misalignment": {}})
     used = sum(stretch.duration for stretch in spec.schedule.stretches)
     one, gravity = 0.05 / 60.0 / np.sqrt(used), float(spec.rig.site.gravity)
-    found = {row.name: row for row in unit_limits(spec)}
+    found = {row.name: row for row in limits(spec)}
     assert found["bias"].certified == pytest.approx(one / G * 1e6, rel=1e-6)
     assert found["scale_factor"].certified == pytest.approx(np.sqrt(3.0) * one / gravity * PPM, rel=1e-6)
     assert found["misalignment"].certified == pytest.approx(np.sqrt(3.0) * one / gravity * 1e6, rel=1e-6)
@@ -74,10 +74,10 @@ def test_a_tumble_in_white_noise_reaches_its_limit_but_for_its_moves():
 def test_an_axis_alone_may_have_all_of_gravity():
     spec = unit({"bias": {}, "scale_factor": {}, "misalignment": {}, "second_order": {}})
     document = spec.model_dump(mode="json", exclude_unset=True)
-    worst = {row.name: row.certified for row in unit_limits(spec)}
+    worst = {row.name: row.certified for row in limits(spec)}
     for requirement in document["requirement"]:
         requirement["axis"] = "x"
-    alone = {row.name: row.certified for row in unit_limits(unit_spec_of(document))}
+    alone = {row.name: row.certified for row in limits(unit_spec_of(document))}
     ratio = {name: worst[name] / alone[name] for name in worst}
     wanted = {"bias": 1.0, "scale_factor": np.sqrt(3.0), "misalignment": np.sqrt(1.5), "second_order": np.sqrt(3.0)}
     assert ratio == pytest.approx(wanted, rel=1e-9)
@@ -87,10 +87,10 @@ def test_a_prior_counts_as_information():
     """A prior as good as the limit without it leaves 1/√2 of both."""
     spec = unit({"bias": {}, "scale_factor": {}})
     document = spec.model_dump(mode="json", exclude_unset=True)
-    free = {row.name: row.certified for row in unit_limits(spec)}
+    free = {row.name: row.certified for row in limits(spec)}
     document["sensor"]["accelerometer"]["bias"] = {"prior": f"{free['bias']!r} ug"}
     document["sensor"]["accelerometer"]["scale_factor"] = {"prior": f"{free['scale_factor']!r} ppm"}
-    with_prior = {row.name: row.certified for row in unit_limits(unit_spec_of(document))}
+    with_prior = {row.name: row.certified for row in limits(unit_spec_of(document))}
     for name, value in free.items():
         assert with_prior[name] == pytest.approx(value / np.sqrt(2.0), rel=1e-6)
 
@@ -104,7 +104,7 @@ def test_what_has_no_proof_is_refused_with_what_has_one(pytestconfig):
         {"name": "m", "quantity": "gyro_misalignment", "relative_to": "internal", "temperature": ["0 degC", "1 degC"]},
     ]
     with pytest.raises(ValueError, match="proven for biases, scale factors"):
-        unit_limits(unit_spec_of(document))
+        limits(unit_spec_of(document))
 
 
 def test_a_continuous_look_at_a_bias_is_the_spectrums_floor_for_long_times():
@@ -112,7 +112,7 @@ def test_a_continuous_look_at_a_bias_is_the_spectrums_floor_for_long_times():
     drift = [{"standard_deviation": "50 ug", "correlation_time": "20 s"}]
     spec = unit({"bias": {}, "drift": drift})
     used = sum(stretch.duration for stretch in spec.schedule.stretches)
-    (row,) = unit_limits(spec)
+    (row,) = limits(spec)
     density = (0.05 / 60.0) ** 2 + 2.0 * (50e-6 * G) ** 2 * 20.0
     assert row.certified == pytest.approx(np.sqrt(density / used) / G * 1e6, rel=2e-2)
 

@@ -31,7 +31,7 @@ from gradcal_jax.api.estimated_calibration import residuals_of
 from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.log_rows import with_options
 from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM
-from gradcal_jax.api.prediction import requirement_row
+from gradcal_jax.api.axis_rows import axis_requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.standard_estimate import point_channel
 from gradcal_jax.api.structure_tests import MeasuredDiscrepancy, discrepancies, structure_in_words
@@ -267,7 +267,7 @@ def _verdicts(budgets: CountedByChannel, channel: UnitChannel) -> list[Requireme
     budget, contradicted = budgets[channel.unit, channel.axis], contradictions_of(channel)
     rows: list[RequirementRow] = []
     for requirement in budget.built.spec.requirement:
-        row = requirement_row(budget.built, budget, requirement, budget.built.channels[0])
+        row = axis_requirement_row(budget.built, budget, requirement, budget.built.channels[0])
         beyond = beyond_the_data(requirement, *_covered(channel))
         rows.append(judged_by_data(row, beyond, contradicted).model_copy(update={"axis": channel.axis}))
     return rows

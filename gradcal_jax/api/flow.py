@@ -8,16 +8,14 @@ from collections.abc import Callable, Sequence
 
 from gradcal_jax.api import frontier as frontiers
 from gradcal_jax.api import optimise as search
-from gradcal_jax.api.build import assemble
 from gradcal_jax.api.limit import PlanLimit, limits
 from gradcal_jax.api.minimise_time import NO_UNTIL_MET, minimise_time
-from gradcal_jax.api.posterior_of_plan import posteriors_of_plan
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_limit import unit_limits
 from gradcal_jax.api.unit_sentences import unit_warnings
-from gradcal_jax.api.warnings import warnings
 from gradcal_jax.files import Prediction, Spec
+from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -29,11 +27,8 @@ def check(spec: Spec | UnitSpec) -> list[str]:
 
     Errors: none; `read_spec` has validated the spec.
     """
-    if isinstance(spec, UnitSpec):
-        unit = assemble_unit(spec)
-        return unit_warnings(unit, posterior_of_unit(unit))
-    built = assemble(spec)
-    return warnings(built, posteriors_of_plan(built))
+    built = assemble_unit(general(spec))
+    return unit_warnings(built, posterior_of_unit(built))
 
 
 def compare(*specs: Spec | UnitSpec) -> list[Prediction]:

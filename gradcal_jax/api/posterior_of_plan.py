@@ -23,6 +23,8 @@ from gradcal_jax.information.missions import mission_contrasts, mission_rows
 from gradcal_jax.information.residual import Contrasts, Statistic, map_of
 from gradcal_jax.model import BIAS, SCALE_FACTOR, HigherPolynomials, Map, Polynomial, SensorModel
 from gradcal_jax.units import DEG_PER_S
+from gradcal_jax.units import PPM as PPM
+from gradcal_jax.units import G as G
 
 
 def posterior_of_plan(built: Assembled, channel: Axis | None = None) -> Posterior:

@@ -25,7 +25,12 @@ from gradcal_jax.files import Prediction, Spec
 from gradcal_jax.files.absent import absent_terms, with_typical
 from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, RequirementRow
-from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, UnitRequirement
+from gradcal_jax.files.requirement import (
+    GyroScaleFactorRequirement,
+    MissionHeadingRequirement,
+    Requirement,
+    UnitRequirement,
+)
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import STATISTICS, Posterior
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
@@ -127,7 +132,7 @@ def requirement_row(built: AssembledUnit, budget: CountedPosteriors, requirement
         grid=tuple(requirement.grid),
         **{name.replace(" ", "_"): value for name, value in statistics.items()},
         **more,
-        **_decided(requirement, judged.finite_statistic),
+        **decided(requirement, judged.finite_statistic),
         axis=requirement.axis,
         rate_dps=(float(np.degrees(rates[0])), float(np.degrees(rates[-1]))) if len(rates) > 1 else None,
         limited_by=None if worst is None else f"axis {worst}",
@@ -151,7 +156,7 @@ def _judged(budget: CountedPosteriors, requirement: UnitRequirement) -> tuple[Un
     return judged, fields
 
 
-def _decided(requirement: UnitRequirement, of: Callable[[Statistic], float]) -> dict[str, Any]:
+def decided(requirement: Requirement | UnitRequirement, of: Callable[[Statistic], float]) -> dict[str, Any]:
     """Target, verdict, rule and risk, by the statistics of what is judged."""
     target, worst = target_of(requirement), finite(of("max"))
     return {

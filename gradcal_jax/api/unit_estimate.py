@@ -39,7 +39,7 @@ from gradcal_jax.api.path_dependence import (
     bias_curves,
     path_dependence,
 )
-from gradcal_jax.api.prediction import unit_requirement_row
+from gradcal_jax.api.prediction import requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.recorded_rows import read_by_events, unit_rows
 from gradcal_jax.api.structure_tests import structure_in_words, structure_tests
@@ -272,7 +272,7 @@ def _report(
     for requirement in built.spec.requirement:
         if sentence := beyond_the_data(requirement, *covered):
             beyond.append(sentence)
-        row = judged_by_data(unit_requirement_row(built, budget, requirement), sentence, contradicted)
+        row = judged_by_data(requirement_row(built, budget, requirement), sentence, contradicted)
         requirements.append(row)
     requirements = tuple(requirements)
     calibration = calibration_of(built, logs, name, solution, tests, channels, requirements, covered, lag, sources)

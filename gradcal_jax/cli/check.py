@@ -59,14 +59,11 @@ def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) ->
 
 
 def blind_of(spec: "Spec | UnitSpec") -> list[str]:
-    """A sentence for each combination of parameters that the plan cannot observe; for a whole unit all warnings of
-    `check`."""
+    """All warnings of `check`: what the plan cannot observe, and what requirements ask for beyond it."""
     use_float64()
-    from gradcal_jax import api
     from gradcal_jax.api.flow import check as check_of
-    from gradcal_jax.files.unit_spec import UnitSpec
 
-    return check_of(spec) if isinstance(spec, UnitSpec) else api.unobservable(spec)
+    return check_of(spec)
 
 
 def numbers(spec: "Spec | UnitSpec") -> dict[str, Any]:

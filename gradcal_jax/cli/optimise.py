@@ -200,7 +200,7 @@ def _of_unit(
         print(as_json(record_of_unit(best) | {"spec": str(output)}))
     else:
         print(f"{text_of_unit(best)}\nwrote {output}; see it with: gradcal check {output}")
-    save_figure(lambda plots: plots.draw_unit(best.spec), plot, quiet=json)
+    save_figure(lambda plots: plots.draw_prediction(best.spec), plot, quiet=json)
     if interrupted:
         complain("interrupted: the best so far was written")
         return INTERRUPTED

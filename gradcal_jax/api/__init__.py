@@ -10,4 +10,3 @@ from gradcal_jax.api.posterior_of_plan import UNIT_OF, limit_of, posterior_of_pl
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.recipe import recipe
 from gradcal_jax.api.timeline import timeline
-from gradcal_jax.api.warnings import unobservable

@@ -21,7 +21,7 @@ PRIOR: Final = "prior knowledge"
 DISCREPANCY: Final = "model discrepancy"
 # Sources of the installation's parameters, by the beginning of their names.
 _INSTALLATION: Final[Mapping[str, str]] = {
-    "angle_": "angle error of the encoder",
+    "angle_": "encoder's error by angle",
     "sample_clock": "sample clock",
     "gravity": "gravity",
     "tilt": "tilt of the base",

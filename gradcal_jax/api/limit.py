@@ -12,10 +12,8 @@ from gradcal_jax.api.structures import with_motion
 from gradcal_jax.api.systematic import floor_of_unit_plan
 from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.display import summary
-from gradcal_jax.files import Spec
 from gradcal_jax.files.absent import with_typical
-from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.spec import goes_on
+from gradcal_jax.files.spec import expect_spec, goes_on
 from gradcal_jax.files.unit_spec import UnitSpec
 
 
@@ -43,7 +41,7 @@ class PlanLimit(NamedTuple):
     __repr__ = summary
 
 
-def limits(spec: Spec | UnitSpec, *, motion: float | None = None) -> list[PlanLimit]:
+def limits(spec: UnitSpec, *, motion: float | None = None) -> list[PlanLimit]:
     """The limit of every requirement of a gradient plan for which there is a proof.
 
     `motion` s: time without soaks, in the place of the plan's or [design]'s; values and efficiencies are the plan's.

@@ -14,7 +14,6 @@ from gradcal_jax.api.verdicts import limit_of as limit_of
 from gradcal_jax.api.verdicts import run_of as run_of
 from gradcal_jax.api.verdicts import target_of as target_of
 from gradcal_jax.design import Criterion, polynomial_grid
-from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
 from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, Requirement, UnitRequirement
@@ -24,6 +23,8 @@ from gradcal_jax.information.missions import mission_contrasts, mission_rows
 from gradcal_jax.information.residual import Contrasts, Statistic, map_of
 from gradcal_jax.model import BIAS, SCALE_FACTOR, HigherPolynomials, Map, Polynomial, SensorModel
 from gradcal_jax.units import DEG_PER_S
+from gradcal_jax.units import PPM as PPM
+from gradcal_jax.units import G as G
 
 
 def posterior_of_plan(built: Assembled, channel: Axis | None = None) -> Posterior:
@@ -37,7 +38,7 @@ def posteriors_of_plan(built: Assembled) -> dict[Axis, Posterior]:
     return {channel: posterior_of_plan(built, channel) for channel in built.channels}
 
 
-def unweighted_estimator(spec: Spec | UnitSpec) -> bool:
+def unweighted_estimator(spec: UnitSpec) -> bool:
     """Whether the spec's estimator is ordinary least squares on the points' rates, as in the paper's figure."""
     return isinstance(spec.plan, StandardPlanSection) and spec.plan.estimator == "least squares"
 
@@ -61,7 +62,7 @@ def survey(built: Assembled, channel: Axis | None = None) -> Survey:
 
 
 def residual_map(
-    built: Assembled, known: Posterior, requirement: Requirement | UnitRequirement, *, si: bool = False
+    built: Assembled, known: Posterior, requirement: UnitRequirement, *, si: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Temperatures (°C), rates (deg/s) and the residual `(n_T, n_ω)` in the unit of `UNIT_OF`, on a requirement's box;
     for missions `(n, 1)`, with mission indices in the place of temperatures.
@@ -78,7 +79,7 @@ def residual_map(
     return temperatures, rates * DEG_PER_S, values * UNIT_OF[requirement.quantity][1]
 
 
-def box(requirement: Requirement | UnitRequirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+def box(requirement: UnitRequirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side; for missions
     their indices."""
     if isinstance(requirement, MissionHeadingRequirement):
@@ -93,7 +94,7 @@ def box(requirement: Requirement | UnitRequirement, most: int | None = None) -> 
 
 def contrasts_of(
     model: SensorModel,
-    requirement: Requirement | UnitRequirement,
+    requirement: UnitRequirement,
     name: Statistic,
     at: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Contrasts:
@@ -108,7 +109,7 @@ def contrasts_of(
 
 def criterion_of(
     model: SensorModel,
-    requirement: Requirement | UnitRequirement,
+    requirement: UnitRequirement,
     name: Statistic | None = None,
     most: int | None = None,
 ) -> Criterion:
@@ -136,18 +137,18 @@ def _few_places(of: Map, temperatures: np.ndarray, rates: np.ndarray):
 
 
 def statistic_of(
-    requirement: Requirement | UnitRequirement, values: np.ndarray, name: Statistic | None = None
+    requirement: UnitRequirement, values: np.ndarray, name: Statistic | None = None
 ) -> float:
     """The requirement's statistic of its residuals, or the one of that `name`."""
     name = name or requirement.statistic
     return statistic(name, values * mission_weights(requirement, name))
 
 
-def _map_of(requirement: Requirement | UnitRequirement) -> Literal["bias", "scale_factor"]:
+def _map_of(requirement: UnitRequirement) -> Literal["bias", "scale_factor"]:
     return SCALE_FACTOR if requirement.quantity.endswith("scale_factor") else BIAS
 
 
-def _gain(requirement: Requirement | UnitRequirement) -> float:
+def _gain(requirement: UnitRequirement) -> float:
     return earth_gain(requirement) if isinstance(requirement, NorthRequirement) else 1.0
 
 

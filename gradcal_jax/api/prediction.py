@@ -21,10 +21,14 @@ from gradcal_jax.api.unit_residual import (
 )
 from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.api.verdicts import UNIT_OF, decision_rule, mission_weights, run_of, target_of, verdict_of
-from gradcal_jax.files import Prediction, Spec
+from gradcal_jax.files import Prediction
 from gradcal_jax.files.absent import absent_terms, with_typical
 from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, RequirementRow
-from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, UnitRequirement
+from gradcal_jax.files.requirement import (
+    GyroScaleFactorRequirement,
+    MissionHeadingRequirement,
+    UnitRequirement,
+)
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import STATISTICS, Posterior
@@ -35,7 +39,7 @@ from gradcal_jax.information.residual import Statistic, statistic_of_each
 _GRID = 41
 
 
-def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = False, outlook: bool = False) -> Prediction:
+def predict(spec: UnitSpec, *, limits: bool = False, notices: bool = False, outlook: bool = False) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
     `limits`: also the error sources that limit each requirement, and its range where noise figures are `uncertain`.
@@ -68,7 +72,7 @@ def predict(spec: Spec | UnitSpec, *, limits: bool = False, notices: bool = Fals
     )
 
 
-def requirement_rows(spec: Spec | UnitSpec, until_s: float = np.inf) -> list[RequirementRow]:
+def requirement_rows(spec: UnitSpec, until_s: float = np.inf) -> list[RequirementRow]:
     """The residual of every requirement after a spec's plan, and nothing else of its prediction. `until_s`: where the
     plan is broken off, on its clock."""
     built = assemble_unit(expect_spec(spec), until_s)
@@ -82,7 +86,7 @@ def counted_posteriors(built: AssembledUnit, known: Posterior) -> CountedPosteri
     return budget_of_unit(built, known, built if full is built.spec else assemble_unit(full, built.until_s))
 
 
-def _between(rows: Sequence[RequirementRow], others: Sequence[Spec | UnitSpec]) -> Sequence[RequirementRow]:
+def _between(rows: Sequence[RequirementRow], others: Sequence[UnitSpec]) -> Sequence[RequirementRow]:
     """The rows with the smallest and largest value over these and other specs with the same requirements."""
     if not others:
         return rows
@@ -127,7 +131,7 @@ def requirement_row(built: AssembledUnit, budget: CountedPosteriors, requirement
         grid=tuple(requirement.grid),
         **{name.replace(" ", "_"): value for name, value in statistics.items()},
         **more,
-        **_decided(requirement, judged.finite_statistic),
+        **decided(requirement, judged.finite_statistic),
         axis=requirement.axis,
         rate_dps=(float(np.degrees(rates[0])), float(np.degrees(rates[-1]))) if len(rates) > 1 else None,
         limited_by=None if worst is None else f"axis {worst}",
@@ -151,7 +155,7 @@ def _judged(budget: CountedPosteriors, requirement: UnitRequirement) -> tuple[Un
     return judged, fields
 
 
-def _decided(requirement: UnitRequirement, of: Callable[[Statistic], float]) -> dict[str, Any]:
+def decided(requirement: UnitRequirement, of: Callable[[Statistic], float]) -> dict[str, Any]:
     """Target, verdict, rule and risk, by the statistics of what is judged."""
     target, worst = target_of(requirement), finite(of("max"))
     return {
@@ -166,7 +170,7 @@ def _decided(requirement: UnitRequirement, of: Callable[[Statistic], float]) -> 
     }
 
 
-def counted_shares(spec: Spec | UnitSpec) -> dict[str, dict[str, float]]:
+def counted_shares(spec: UnitSpec) -> dict[str, dict[str, float]]:
     """For each requirement (by name) the share of every error in the variance of what the verdict judges: noise, what
     no residual shows, and what the spec omits; requirements that the plan cannot observe are left out."""
     built = assemble_unit(expect_spec(spec))

@@ -10,7 +10,6 @@ import numpy as np
 from gradcal_jax.api.build import basis
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.unit_build import AssembledUnit
-from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.contracts import NoticeRow
 from gradcal_jax.files.sensor import GyroTriad, ScaleFactor

@@ -44,7 +44,7 @@ from gradcal_jax.model import (
     TurnOnTransient,
     UnitModel,
 )
-from gradcal_jax.trajectory import Geometry, TableMotion, TablePart
+from gradcal_jax.trajectory import Geometry, Schedule, TableMotion, TablePart
 
 # Names of terms, for requirements and sentences; a gyro's maps have the names of a single axis.
 MISALIGNMENT = "misalignment_{}"
@@ -87,8 +87,11 @@ class AssembledUnit(NamedTuple):
         return trajectory.body_nodes(self.motion, self.points)
 
 
-def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
-    """Model and motion of an IMU's spec, whose plan is broken off at `until_s` of its clock."""
+def assemble_unit(
+    spec: UnitSpec, until_s: float = np.inf, change: Callable[[Schedule], Schedule] | None = None
+) -> AssembledUnit:
+    """Model and motion of an IMU's spec, whose plan is broken off at `until_s` of its clock. `change`: what the times
+    and rates of the plan become."""
     model_, sources = _model_and_sources(spec)
     terms = (t for c in model_.channels for t in c.model.terms)
     bases = [t.temperature for t in terms if isinstance(t, Map | SignalMap | Discrepancy)]
@@ -99,7 +102,7 @@ def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
     points = max(degree + 1, _LAGGED if exponential else 2 if of_path else 1)
     rough = bool(of_path) or any(b.breaks for b in bases)
     parts = executed_parts(spec)
-    plan = _part(spec.schedule, spec)
+    plan = _part(spec.schedule, spec, change)
     if until_s < np.inf:
         broken = plan.between(-np.inf, until_s, whole=_reads_segments(spec))
         if broken is None and not parts:
@@ -344,9 +347,12 @@ def motion_of(plan: UnitSchedule | StandardSchedule, spec: UnitSpec, of: UnitMod
     return _motion([(_part(plan, spec), 0.0)], spec, of)
 
 
-def _part(plan: UnitSchedule | StandardSchedule, spec: UnitSpec) -> TablePart:
+def _part(
+    plan: UnitSchedule | StandardSchedule, spec: UnitSpec, change: Callable[[Schedule], Schedule] | None = None
+) -> TablePart:
     """The pieces of a plan on a spec's rig."""
     schedule, axes, start = _schedule(plan, spec)
+    schedule = schedule if change is None else change(schedule)
     line = schedule.trajectory(spec.sensor.lag)
     # What fills a stretch stands.
     axis = np.array([*axes, -1])[np.minimum(np.asarray(schedule.pieces.move), len(axes))]
@@ -376,9 +382,7 @@ def _motion(parts: Sequence[tuple[TablePart, float]], spec: UnitSpec, of: UnitMo
     return trajectory.motion_divided_by_plays(replace(smooth, history=course_before(spec)), widths, *fine)
 
 
-def _schedule(
-    plan: UnitSchedule | StandardSchedule, spec: UnitSpec
-) -> tuple[trajectory.Schedule, list[int], np.ndarray]:
+def _schedule(plan: UnitSchedule | StandardSchedule, spec: UnitSpec) -> tuple[Schedule, list[int], np.ndarray]:
     """The schedule of a plan as a channel sees it that every axis turns, the axis of each of its moves (−1: a rest),
     and the axes' angles (rad) at its begin."""
     schedule, _ = table_schedule(plan, spec)

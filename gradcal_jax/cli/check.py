@@ -59,7 +59,7 @@ def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) ->
 
 
 def blind_of(spec: "UnitSpec") -> list[str]:
-    """A sentence for each combination of parameters that the plan cannot observe, and for each requirement beyond it."""
+    """All warnings of `check`: what the plan cannot observe, and what requirements ask for beyond it."""
     use_float64()
     from gradcal_jax.api.flow import check as check_of
 

@@ -17,7 +17,6 @@ from gradcal_jax.files.changes import changed
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import HOST_CLOCK, GyroTriad, UnitSensor
-from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
 # Terms that act through one of the maps alone, or through motion or temperature.
@@ -61,12 +60,12 @@ _NORMAL_GRAVITY: Final = AbsentTerm(
 )
 
 
-def absent_terms(spec: Spec | UnitSpec) -> list[AbsentTerm]:
+def absent_terms(spec: UnitSpec) -> list[AbsentTerm]:
     """Every term of the error budget that the file does not name and that affects its plan. Errors: none."""
     return list(_of_unit(spec) if isinstance(spec, UnitSpec) and not spec.is_one_axis else _of_axis(spec))
 
 
-def _of_axis(spec: Spec | UnitSpec) -> Iterator[AbsentTerm]:
+def _of_axis(spec: UnitSpec) -> Iterator[AbsentTerm]:
     sensor, grade = spec.sensor, sensor_grade(spec.sensor).name
     gyro = sensor.gyro
     assert gyro is not None
@@ -242,7 +241,7 @@ def slopes_of(sensor: UnitSensor, kind: str = "gyro") -> tuple[float, float]:
     return tuple(abs(float(s)) if s is not None else t for s, t in zip(stated, (bias, scale), strict=True))  # pyright: ignore[reportReturnType]
 
 
-def table_grade(spec: Spec | UnitSpec) -> Grade:
+def table_grade(spec: UnitSpec) -> Grade:
     """The class of a rate table, by its named angle errors; the worst class without any."""
     angles = [spec.rig.table.angle] if False else [axis.angle for axis in spec.rig.table.axis]
     size = max(max(float(a.reading_noise), float(a.standstill_offset)) for a in angles)
@@ -280,7 +279,7 @@ def _matters_of_sensor(gyro: GyroTriad, clock: str | None, plan: object) -> set[
     return {term.key for term in terms_of("sensor", grades()[0])} - left_out
 
 
-def _matters_of_table(spec: Spec | UnitSpec, gyro: GyroTriad) -> set[str]:
+def _matters_of_table(spec: UnitSpec, gyro: GyroTriad) -> set[str]:
     plan = spec.plan
     mounting = set[str]() if gyro.scale_factor is None else {"mounting_accuracy"}
     if isinstance(plan, StandardPlan):

@@ -188,6 +188,7 @@ def estimate_ours(log, times: np.ndarray) -> np.ndarray:
 
     jax.config.update("jax_enable_x64", True)
     from gradcal_jax.api.calibration import estimate_calibration
+
     from gradcal_jax.files import parse_spec
 
     (channel,) = estimate_calibration(parse_spec(SPEC), log).channels

@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from estimate_scenes import draw_truth, record, scene
+from gradcal_jax.api.calibration import estimate_calibration
 from simulated_log import simulate_log
 
 import gradcal_jax as gj
-from gradcal_jax.api.calibration import estimate_calibration
+from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.ieee_terms import calibration_map
-from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.cli import main
 from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
 from gradcal_jax.files.log import LogError
 from gradcal_jax.files.log_file import write_log
-from gradcal_jax.files.unit_spec import parse_unit_spec
+from gradcal_jax.files.spec import parse_spec
 
 SPEC = """
 format = "gradcal-spec/1"
@@ -228,7 +228,7 @@ def of_unit(spec, name):
 
 
 def test_a_unit_counts_what_it_omits_too_and_judges_by_coverage_and_risk():
-    spec = parse_unit_spec(UNIT)
+    spec = parse_spec(UNIT)
     prediction = gj.predict(spec)
     row = prediction.requirements[0]
     assert row.with_typical > row.decisive
@@ -249,8 +249,8 @@ def test_a_unit_counts_what_it_omits_too_and_judges_by_coverage_and_risk():
 
 def test_a_clock_does_not_scale_a_force_unless_it_is_a_velocity_increment():
     """199 ppm of the accelerometers' scale factor were the clock's."""
-    bare = of_unit(parse_unit_spec(UNIT), "accelerometer scale factor")
-    spec = gj.changed(parse_unit_spec(UNIT), {"sensor.sample_clock_error": "200 ppm", "sensor.clock": "sensor"})
+    bare = of_unit(parse_spec(UNIT), "accelerometer scale factor")
+    spec = gj.changed(parse_spec(UNIT), {"sensor.sample_clock_error": "200 ppm", "sensor.clock": "sensor"})
     assert of_unit(spec, bare.name).decisive == pytest.approx(bare.decisive, rel=1e-9)
     spec = gj.changed(spec, {"sensor.accelerometer.velocity_increments": True})
     assert of_unit(spec, "accelerometer scale factor").decisive > 190.0

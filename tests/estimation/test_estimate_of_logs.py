@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from expected_errors import nees_band, on_trajectory
+from gradcal_jax.api.calibration import estimate_calibration
 from logs_zoo import GRADIENT, STANDARD, spec_of
 from simulated_log import simulate_log
 
 from gradcal_jax.api import assemble, posterior_of_plan
-from gradcal_jax.api.calibration import estimate_calibration
 from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fitted_lag import fitted_lag

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from gradcal_jax.api.calibration import estimate_calibration, estimate_rows
 from logs_zoo import spec_of
 from simulated_log import simulate_log
 
 from gradcal_jax.api import assemble, predict
-from gradcal_jax.api.calibration import estimate_calibration, estimate_rows
 from gradcal_jax.files import changed, parse_spec, to_toml
 
 PPM = 1e-6

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 import xarray
+from gradcal_jax.api.calibration import estimate_points
 from logs_zoo import GRADIENT, STANDARD
 
-from gradcal_jax.api.calibration import estimate_points
 from gradcal_jax.cli import main
 from gradcal_jax.files import SpecError, parse_spec
 from gradcal_jax.files.log import LogError

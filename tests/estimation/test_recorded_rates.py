@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gradcal_jax.api.calibration import estimate_calibration
 from logs_zoo import GRADIENT
 from scipy.ndimage import uniform_filter1d
 
-from gradcal_jax.api.calibration import estimate_calibration
 from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.estimation import find_standstills

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from hardware_bench import unpredicted
 
+from gradcal_jax.api.estimate import fitted_twice, unit_rows
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.unit_build import assemble_unit
-from gradcal_jax.api.estimate import fitted_twice, unit_rows
 from gradcal_jax.files import changed
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import Recipe

@@ -5,16 +5,16 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from gradcal_jax.cli.unit_estimate import text_of_estimate
+from gradcal_jax.plots.unit_calibration import draw_loop, draw_unit_estimate, legs_of
 from loop_scene import WIDTHS, recorded, spec_of
 from matplotlib.figure import Figure
 
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors, sensor_rows
-from gradcal_jax.cli.unit_estimate import text_of_estimate
 from gradcal_jax.files.calibration import read_calibration, write_calibration
 from gradcal_jax.files.calibration.exports import export
-from gradcal_jax.hardware.simulate.unit import UnitTruth
 from gradcal_jax.hardware.simulate.draws import draw_truth
-from gradcal_jax.plots.unit_calibration import draw_loop, draw_unit_estimate, legs_of
+from gradcal_jax.hardware.simulate.unit import UnitTruth
 
 HOUR = np.pi / 180.0 / 3600.0
 

@@ -8,9 +8,9 @@ import pytest
 from estimate_scenes import PLANS, draw_truth, record, scene
 from scipy import stats
 
+from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.estimation.unit_executed import UnitRows, across_stops, executed_unit
 from gradcal_jax.files.log import Log, LogError

@@ -36,7 +36,7 @@ from gradcal_jax.files.document import TitledFile, parsed, read_text, read_toml
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Count, Text, Whole
-from gradcal_jax.files.recipe import axis_spec_of, spec_or_recipes_of
+from gradcal_jax.files.recipe import spec_or_recipes_of
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -289,11 +289,7 @@ def read_sweep(path: str | Path) -> Sweep:
 def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     """A sweep from the text of a TOML file; `folder` is where a relative `base` begins. Raises `SpecError`."""
     file = parsed(SweepFile, text, FORMAT, source)
-    tables, place = _named(file.base, Path(folder), source)
-    with missions_from(Path(place).parent):
-        base = spec_or_recipes_of(tables, place)
-    if isinstance(base, UnitSpec) and file.do == "optimise":
-        raise SpecError([Problem(("do",), 'a whole unit is predicted in sweeps; expected "predict"', file.do)], source)
+    base = named_spec(file.base, Path(folder), source)
     try:
         if file.change:
             base = changed(base, file.change)
@@ -304,11 +300,11 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     return Sweep(file, text, base)
 
 
-def named_spec(name: str, folder: Path, source: str = "") -> Spec:
+def named_spec(name: str, folder: Path, source: str = "") -> Spec | UnitSpec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
     tables, place = _named(name, folder, source)
     with missions_from(Path(place).parent):
-        return axis_spec_of(tables, place)
+        return spec_or_recipes_of(tables, place)
 
 
 def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str]:

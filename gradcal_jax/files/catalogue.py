@@ -21,7 +21,8 @@
     change = { gradient = "1 K/min" }
     design = { starts = 16 }                  # beyond [design], for this plan
 
-A plan is the start of a search: its duration, temperatures and kind of motion.
+A plan is the start of a search: its duration, temperatures and kind of motion. The bases are all specs of one axis, or
+all of an IMU.
 """
 
 import itertools
@@ -34,14 +35,15 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field
 
 from gradcal_jax.display import summary
-from gradcal_jax.files.changes import patched, tables_of
+from gradcal_jax.files.changes import any_spec_of, patched, tables_of
 from gradcal_jax.files.document import TitledFile, parsed, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.spec import Spec, spec_of
+from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.sweep import named_spec
+from gradcal_jax.files.unit_spec import UnitSpec
 
 FORMAT: Final = "gradcal-catalogue/1"
 MOST_CASES: Final = 10_000
@@ -114,7 +116,7 @@ class CatalogueCase:
     """One combination. `spec` is its spec, or None with the `failure` that says why it has none."""
 
     names: tuple[str, str, str, str]
-    spec: Spec | None
+    spec: Spec | UnitSpec | None
     failure: str = ""
 
     @property
@@ -160,9 +162,9 @@ def parse_catalogue(text: str, source: str = "", folder: str | Path = ".") -> Ca
 
 
 def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[CatalogueCase]:
-    bases: dict[str, Spec] = {}
+    bases: dict[str, Spec | UnitSpec] = {}
 
-    def base_of(name: str) -> Spec:
+    def base_of(name: str) -> Spec | UnitSpec:
         if name not in bases:
             bases[name] = named_spec(name, folder, source)
         return bases[name]
@@ -171,7 +173,7 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Catalogue
         base, tables, problems = base_of(entry.base), dict[str, Any](), ()
         try:
             tables = patched(base, {f"{kind}.{key}": value for key, value in entry.change.items()})
-            spec_of(tables)
+            any_spec_of(tables)
         except SpecError as error:
             problems = error.problems
         # A section that does not fit the base's others may fit other sections of the catalogue.
@@ -206,6 +208,6 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Catalogue
             "design": design,
         }
         try:
-            yield CatalogueCase(names, spec_of(document))
+            yield CatalogueCase(names, any_spec_of(document))
         except SpecError as error:
             yield CatalogueCase(names, None, " ".join(str(error).split()))

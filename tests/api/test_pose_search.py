@@ -384,6 +384,27 @@ def test_an_axis_of_limited_travel_is_searched():
 
 
 @pytest.mark.evidence
+def test_a_frontier_and_the_shortest_plan_of_an_imu():
+    """Half the ramp has fewer cycles and leaves more; between both lies a target, which a plan of that time meets."""
+    spec = gj.parse_unit_spec(turning())
+    lasts = spec.gradient_schedule.motion
+    short, long = (point.plan for point in gj.frontier(spec, [0.6 * lasts, lasts], steps=40))
+    assert short.spec.gradient_schedule.motion == pytest.approx(0.6 * lasts, rel=0.02)
+    assert short.unit == long.unit
+    assert short.now > 1.1 * long.now
+    rows = [r.model_dump(mode="json", exclude_unset=True) for r in spec.requirement]
+    aims = [f"{(a.now * b.now) ** 0.5} {a.unit}" for a, b in zip(short.rows, long.rows, strict=True)]
+    asked = [row | {"target": aim} for row, aim in zip(rows, aims, strict=True)]
+    keys = {"requirement": asked, "design": {"minimise": "motion time", "max_motion": f"{1.5 * lasts} s"}}
+    found = gj.optimise(gj.changed(spec, keys), steps=40)
+    assert (found.name, found.unit) == ("motion time", "min")
+    assert 0.5 * lasts < 60.0 * found.now < 1.5 * lasts
+    assert found.spec.gradient_schedule.motion == pytest.approx(60.0 * found.now, rel=0.01)
+    for row, (_, _, _, left), aim in zip(asked, found.rows, aims, strict=True):
+        assert left <= 1.001 * float(aim.split()[0]), row["name"]
+
+
+@pytest.mark.evidence
 def test_searches_from_random_cycles_end_alike(tmp_path, capsys):
     """The two-axis headline by the command as it is, from cycles that are nothing but chance: within 2 % of one another
     and of the plan that is kept, which is 1.6 times better than the one by hand."""

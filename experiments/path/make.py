@@ -15,8 +15,8 @@ from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.plots import save
+from gradcal_jax.plots.calibration import draw_loop
 from gradcal_jax.plots.style import new_panels
-from gradcal_jax.plots.unit_calibration import draw_loop
 
 HERE = Path(__file__).parent
 WIDTHS = (3, 10, 30)

@@ -11,9 +11,9 @@ import numpy as np
 import tomlkit
 
 from gradcal_jax.api import predict
+from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.api.log_flow import estimate as estimate_axes
 from gradcal_jax.api.sensitivity import sensitivity
-from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.files import Spec, spec_of, tables_of
 from gradcal_jax.files.calibration import parse_calibration
 from gradcal_jax.files.calibration.correction import apply

@@ -12,13 +12,13 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "estimation"))
 
+from gradcal_jax.api.calibration import estimate_calibration
 from logs_zoo import GRADIENT, STANDARD, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api.calibration import estimate_calibration
+from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.structure_tests import discrepancies
-from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.axis_as_imu import axis_as_imu
 from gradcal_jax.files.changes import tables_of

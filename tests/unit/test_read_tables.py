@@ -7,8 +7,8 @@ import pytest
 from estimate_scenes import draw_truth, record, scene
 from scipy.stats import chi2
 
-from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
+from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 
 ANGLE = {"reading_noise": "20 arcsec", "standstill_offset": "10 arcsec", "read_every": "1 s"}

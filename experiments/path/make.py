@@ -17,6 +17,7 @@ from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.plots import save
+from gradcal_jax.plots.calibration import draw_loop
 from gradcal_jax.plots.style import new_panels
 
 HERE = Path(__file__).parent

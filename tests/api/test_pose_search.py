@@ -386,7 +386,7 @@ def test_an_axis_of_limited_travel_is_searched():
 @pytest.mark.evidence
 def test_a_frontier_and_the_shortest_plan_of_an_imu():
     """Half the ramp has fewer cycles and leaves more; between both lies a target, which a plan of that time meets."""
-    spec = gj.parse_unit_spec(turning())
+    spec = gj.parse_spec(turning())
     lasts = spec.gradient_schedule.motion
     short, long = (point.plan for point in gj.frontier(spec, [0.6 * lasts, lasts], steps=40))
     assert short.spec.gradient_schedule.motion == pytest.approx(0.6 * lasts, rel=0.02)

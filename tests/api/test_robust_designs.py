@@ -12,7 +12,6 @@ from gradcal_jax.api.search_results import Optimised
 from gradcal_jax.api.structures import structures
 from gradcal_jax.api.turn_search import belief_of
 from gradcal_jax.files import SpecError, changed, parse_spec, to_toml
-from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.units import format_quantity, unit_of
@@ -25,7 +24,7 @@ UNCERTAIN = {
 
 @pytest.fixture(scope="module")
 def spec() -> UnitSpec:
-    return general(parse_spec(SPEC))
+    return parse_spec(SPEC)
 
 
 def value(spec: UnitSpec) -> float:

@@ -102,7 +102,7 @@ def test_all_numbers_as_json(folder, capsys):
 @pytest.mark.parametrize(
     ("extra", "said"),
     [
-        (["--axis", "x"], "--axis: for one gyro axis alone"),
+        (["--axis", "x"], "one gyro along the only axis of a table"),
         (["--unit", "nobody"], "no unit 'nobody'"),
     ],
 )

@@ -134,8 +134,6 @@ def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> C
     apart = error / scale
     nees = float(apart @ np.linalg.solve(matrix / np.outer(scale, scale), apart))
     fit = (float(made["fit"][0]["statistic"]), int(made["fit"][0]["degrees"]))
-    if not of_unit:  # of a unit the results are widened, and the covariance in the file is not
-        scale = scale / widened(fit)
     before = {row["name"] if of_unit else f"{_gyro(made)}.{row['name']}": row["std"] for row in predicted["parameters"]}
     sigmas = {name: s / before[name] for name, s in zip(names, scale, strict=True) if before.get(name)}
     asked = {row["name"]: row for row in predicted["requirements"]}

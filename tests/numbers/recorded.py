@@ -34,7 +34,7 @@ def read(kind: str) -> dict[str, Any]:
     return json.loads((HERE / f"{kind}.json").read_text(encoding="utf-8"))
 
 
-def any_spec(tables: Tables) -> Spec | UnitSpec:
+def any_spec(tables: Tables) -> UnitSpec:
     """A spec of an axis, or of a unit."""
     return spec_of(tables) if "quantity" in tables["sensor"] else spec_of(tables)
 

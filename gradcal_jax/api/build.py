@@ -8,7 +8,6 @@ import numpy as np
 from gradcal_jax import model, trajectory
 from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
-from gradcal_jax.files.memory import too_large
 from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.schedule import GradientSchedule, StandardSchedule, gradient_schedule
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, Sensor
@@ -55,11 +54,9 @@ class Assembled(NamedTuple):
 def assemble(spec: Spec, until_s: float = np.inf) -> Assembled:
     """Sensor model and schedules of a spec, whose plan is broken off at `until_s` of its clock.
 
-    Errors: `TypeError` for anything but a spec, `MemoryError` for a plan with more readings than this machine can hold.
+    Errors: `TypeError` for anything but a spec.
     """
     expect_spec(spec)
-    if too := too_large(spec):
-        raise MemoryError(too)
     sensor, lag = spec.sensor, spec.sensor.lag
     unknown = spec.rig.earth_rate == np.inf
     processes, sources = processes_of(named_processes(sensor, clock=sensor.clock_error, earth_is_unknown=unknown))

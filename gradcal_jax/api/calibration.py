@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from scipy.linalg import block_diag
 
+from gradcal_jax.api.axis_rows import axis_requirement_row
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.contract_rows import (
     counted_std,
@@ -31,7 +32,6 @@ from gradcal_jax.api.estimated_calibration import residuals_of
 from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.log_rows import with_options
 from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM
-from gradcal_jax.api.axis_rows import axis_requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
 from gradcal_jax.api.standard_estimate import point_channel
 from gradcal_jax.api.structure_tests import MeasuredDiscrepancy, discrepancies, structure_in_words

@@ -20,8 +20,15 @@ from gradcal_jax.files.moves import Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse, OtherAxes, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Temperature, Text, Time
-from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
+from gradcal_jax.files.schedule import (
+    MOST_READINGS,
+    CourseTimes,
+    Stretch,
+    TemperatureSegment,
+    programme_of,
+)
 from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
+from gradcal_jax.formulas import reading_count
 
 _SLACK = 1e-6
 _FULL_TURN = 2.0 * math.pi
@@ -203,6 +210,27 @@ def duration_of(steps: Iterable[UnitStep]) -> float:
     return math.fsum(step.move.repeat * step.move.duration for step in steps)
 
 
+def reading_total(schedule: UnitSchedule, rig: UnitRig) -> int:
+    """Number of readings of a plan: of the table's angle, where it is read as it stands; else rests and moves."""
+    read = rig.table.standing == "read"
+    every = float(rig.table.axis[0].angle.read_every)
+
+    def of(duration: float, spacing: float) -> int:
+        return 1 if math.isinf(spacing) else reading_count(duration, spacing)
+
+    def of_steps(steps: Iterable[UnitStep]) -> int:
+        return sum(
+            s.move.repeat * (of(s.move.duration, every) if s.move.reads_as_table else s.move.readings) if read else 1
+            for s in steps
+        )
+
+    moves, after, total = of_steps(schedule.steps), of_steps(schedule.after), 0
+    for stretch in schedule.stretches:
+        left = stretch.leftover if schedule.steps else stretch.duration
+        total += stretch.cycles * moves + max(0, stretch.cycles - 1) * after + (of(left, every) if left and read else 1)
+    return total
+
+
 def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     """Resolve a unit's plan. Raises `SpecError` with all problems, keys relative to the plan."""
     if plan.cycle is None:
@@ -226,6 +254,9 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
         raise SpecError([Problem(("cycle",), "makes more than 200000 moves in all; lengthen its rests or turns")])
     schedule = UnitSchedule(segments, stretches, steps, start, after)
     problems = [*_travel(schedule, rig)]
+    if (count := reading_total(schedule, rig)) > MOST_READINGS:
+        message = f"the plan has {count} readings; at most {MOST_READINGS}: read less often"
+        problems.append(Problem(("cycle",), message))
     if len(stretches) > 1 and (mountings > 1 or len(rig.table.axis) > 1):
         ends = [
             math.fsum([angle, *(s.move.repeat * s.move.angle for s in steps if s.axis == k)])

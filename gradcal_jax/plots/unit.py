@@ -5,11 +5,12 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
-from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit, rest_poses
-from gradcal_jax.api.unit_residual import UnitResidual, unit_residual
+from gradcal_jax.api.unit_build import assemble_unit, rest_poses
+from gradcal_jax.api.unit_residual import UnitResidual
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, style_of
+
 
 def draw_unit_residual(requirement: UnitRequirement, residual: UnitResidual, *, ax: Axes | None = None) -> Axes:
     """The residual of each element of a requirement's quantity over temperature or, for the scale factor, over rate."""

@@ -144,7 +144,9 @@ def omitted_lines(spec: "UnitSpec") -> list[str]:
         "put your own figures into the file; 0 (or an empty list) says that there is none. Sources of the figures: "
         "gradcal check --json",
     ]
-    return lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH_AT_SITE for term in absent) * spec.is_one_axis + of_branches
+    return (
+        lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH_AT_SITE for term in absent) * spec.is_one_axis + of_branches
+    )
 
 
 def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:

@@ -295,7 +295,7 @@ def _move(move: Tables, axis: Axis, of_others: Tables, table: Tables) -> Tables:
     try:
         limit = TypeAdapter(PositiveAcceleration).validate_python(table.get("max_acceleration"))
         answer_time = TypeAdapter(SizeOfTime).validate_python(table.get("answer_time", "0 s"))
-        resolved: ResolvedMove = cast("Any", TypeAdapter(Move).validate_python(move)).resolve(float(limit))
+        resolved: ResolvedMove = cast("Any", TypeAdapter(Move).validate_python(plain)).resolve(float(limit))
     except ValidationError:
         return move
     lasts = resolved.answered(float(answer_time)).duration

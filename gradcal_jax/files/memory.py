@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.unit_plan import UnitSchedule, row_count
+from gradcal_jax.files.unit_plan import row_count
 from gradcal_jax.files.unit_spec import UnitSpec
 
 # For the whitened rows and their computation, by reading and column; measured: 2.6 kB a reading with 39 columns.
@@ -15,9 +15,8 @@ _BYTES: Final = 68.0
 
 def needed_bytes(spec: UnitSpec) -> float:
     """Memory that a prediction of the spec takes beside the program's own, to a factor of two."""
-    rows, table = len(spec.schedule.points) if isinstance(spec.schedule, StandardSchedule) else 0, spec.rig.table
-    if isinstance(spec.schedule, UnitSchedule):
-        rows = row_count(spec.schedule, table)
+    schedule, table = spec.schedule, spec.rig.table
+    rows = schedule.readings if isinstance(schedule, StandardSchedule) else row_count(schedule, table)
     columns, channels = 2 * sum(len(axis.angle.harmonics) for axis in table.axis), 0
     for triad in (spec.sensor.gyro, spec.sensor.accelerometer):
         if triad is not None:

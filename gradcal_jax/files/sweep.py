@@ -291,8 +291,9 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     tables, place = _named(file.base, Path(folder), source)
     with missions_from(Path(place).parent):
         base = spec_or_recipes_of(tables, place)
-    if isinstance(base, UnitSpec) and file.do == "optimise":
-        raise SpecError([Problem(("do",), 'a whole unit is predicted in sweeps; expected "predict"', file.do)], source)
+    if file.do == "optimise" and not base.turns_one_gyro:
+        message = 'a whole unit is predicted in sweeps; expected "predict"'
+        raise SpecError([Problem(("do",), message, file.do)], source)
     try:
         if file.change:
             base = changed(base, file.change)

@@ -247,7 +247,8 @@ def _plan(of_file: object, axis: Axis, table: Tables, problems: list[Problem]) -
     if not _is_table(of_file):
         return of_file, "rest"
     plan = _table(of_file)
-    plan.pop("reference", None)
+    if (reference := plan.pop("reference", "angle")) != "angle":
+        problems.append(Problem(("plan", "reference"), 'expected "angle"', reference))
     every = plan.pop("read_every", None)
     if plan.get("method") == "gradient" and "cycle" not in plan and every is None:
         message = 'this key is missing: without a cycle it says how often the standing axis is read, such as "1 s"'

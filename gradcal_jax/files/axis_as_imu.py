@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 from gradcal_jax.files.moves import AXES, Axis, Move, ResolvedMove
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import PositiveAcceleration, Quantity, SizeOfTime
-from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.spec import Spec, expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
 from gradcal_jax.formulas import EARTH_RATE
 
@@ -34,10 +34,11 @@ _SECONDS: Final = "s"
 
 
 def general(spec: Spec | UnitSpec) -> UnitSpec:
-    """A spec in the general form. Errors: `SpecError` for a plan that turns several axes of a sensor."""
+    """A spec in the general form. Errors: `SpecError` for a plan that turns several axes of a sensor, `TypeError` for
+    anything but a spec."""
     if isinstance(spec, UnitSpec):
         return spec
-    return unit_spec_of(axis_as_imu(spec.model_dump(mode="json", exclude_unset=True)))
+    return unit_spec_of(axis_as_imu(expect_spec(spec).model_dump(mode="json", exclude_unset=True)))
 
 
 def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables:

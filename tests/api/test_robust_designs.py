@@ -7,7 +7,7 @@ from search_problem import SPEC
 from gradcal_jax.api import predict
 from gradcal_jax.api.measure import measure
 from gradcal_jax.api.optimise import optimise
-from gradcal_jax.api.scenarios import extremes, scenario_specs
+from gradcal_jax.api.scenarios import extremes, overrides, scenario_specs
 from gradcal_jax.api.search_results import Optimised
 from gradcal_jax.api.structures import structures
 from gradcal_jax.api.turn_search import belief_of
@@ -135,3 +135,43 @@ def test_what_is_believed_is_said(spec):
 def test_what_cannot_be_is_refused_in_a_sentence(spec, changes, says):
     with pytest.raises(SpecError, match=says):
         changed(spec, changes)
+
+
+SCENARIOS = [
+    {"weight": 2.0, "rig": {"table": {"angle": {"standstill_offset": "0.01 deg"}, "max_rate": "250 deg/s"}}},
+    {"rig": {"table": {"mounting_accuracy": "0.1 deg", "rate_accuracy": "100 ppm"}}},
+    {"rig": {"chamber": {"max_heating": "3 K/min"}}},
+    {"name": "north", "rig": {"earth_rate": "7.5 deg/h"}},
+    {"sensor": {"angle_random_walk": "0.2 deg/sqrt(h)", "thermal_lag": "90 s", "sample_clock_error": "20 ppm"}},
+    {"sensor": {"scale_factor": {"prior": "1000 ppm"}}},
+]
+
+
+def test_scenarios_change_the_same_figures_in_the_general_form():
+    """Changed and then converted, or converted and then changed."""
+    axis = changed(parse_spec(SPEC), {"design.scenario": SCENARIOS})
+    several = scenario_specs(general(axis))
+    assert [weight for _, weight in several] == [2.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    for (imu, _), scenario in zip(several, axis.design.scenario, strict=True):
+        one = general(changed(axis, overrides(scenario) | {"design": None}))
+        assert changed(imu, {"design": None}) == one
+        assert imu != several[0][0] or scenario.weight == 2.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"design.angle_step": "15 deg"}, "has no effect on a search of the turns of one axis"),
+        ({"design.minimise": "worst ratio"}, 'expected the name of a requirement \\("full range"\\) or "motion time"'),
+        ({"design": {"minimise": "full range"}}, "which parts of the plan may change"),
+        ({"design.moves": 41}, "must be at most 40"),
+        (
+            {"rig.table.standing": "held", "plan.cycle.other_axes": None},
+            "has no effect on a search of a cycle",
+        ),
+    ],
+)
+def test_a_design_of_the_other_kind_of_search_is_refused(spec, changes, says):
+    rests = {"plan.cycle.moves[0].read_every": None, "plan.cycle.moves[2].read_every": None}
+    with pytest.raises(SpecError, match=says):
+        changed(spec, changes | rests)

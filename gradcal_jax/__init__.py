@@ -26,8 +26,6 @@ _HOME_OF_NAME: dict[str, str] = {
     "read_rig": "files.rig",
     "read_spec": "files",
     "UnitSpec": "files.unit_spec",
-    "read_unit_spec": "files.unit_spec",
-    "parse_unit_spec": "files.unit_spec",
     "schema": "files",
     "tables_of": "files",
     "write_toml": "files",
@@ -37,7 +35,7 @@ _HOME_OF_NAME: dict[str, str] = {
     "compare": "api.flow",
     "timeline": "api",
     "monte_carlo": "api",
-    "unobservable": "api",
+    "unobservable": "api.unit_sentences",
     # design
     "optimise": "api.flow",
     "limit": "api.flow",
@@ -79,7 +77,6 @@ _HOME_OF_NAME: dict[str, str] = {
     "export": "files.calibration.exports",
     "report": "pages.report",
     "estimate_by_hand": "api.hand_estimate",
-    "estimate_units": "api.unit_estimate",
     # the core alone: error model, plans, covariance
     "SensorModel": "model",
     "gradient_plan": "trajectory",

@@ -6,7 +6,6 @@ from gradcal_jax.api import monte_carlo as monte_carlo
 from gradcal_jax.api import predict as predict
 from gradcal_jax.api import recipe as recipe
 from gradcal_jax.api import timeline as timeline
-from gradcal_jax.api import unobservable as unobservable
 from gradcal_jax.api.differentiable import differentiable as differentiable
 from gradcal_jax.api.flow import check as check
 from gradcal_jax.api.flow import compare as compare
@@ -19,7 +18,7 @@ from gradcal_jax.api.log_flow import estimate as estimate
 from gradcal_jax.api.log_flow import instability as instability
 from gradcal_jax.api.replan import replan as replan
 from gradcal_jax.api.sensitivity import sensitivity as sensitivity
-from gradcal_jax.api.unit_estimate import estimate_units as estimate_units
+from gradcal_jax.api.unit_sentences import unobservable as unobservable
 from gradcal_jax.api.validation import validate as validate
 from gradcal_jax.decoding.run_log import log as log
 from gradcal_jax.files import Spec as Spec
@@ -46,8 +45,6 @@ from gradcal_jax.files.recipe import read_recipe as read_recipe
 from gradcal_jax.files.rig import read_rig as read_rig
 from gradcal_jax.files.sweep import read_sweep as read_sweep
 from gradcal_jax.files.unit_spec import UnitSpec as UnitSpec
-from gradcal_jax.files.unit_spec import parse_unit_spec as parse_unit_spec
-from gradcal_jax.files.unit_spec import read_unit_spec as read_unit_spec
 from gradcal_jax.hardware.execute import resume as resume
 from gradcal_jax.hardware.execute import run as run
 from gradcal_jax.identify.limiting_function import limiting_function as limiting_function

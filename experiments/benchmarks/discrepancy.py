@@ -31,9 +31,8 @@ def objectives():
 def specs():
     """The headline without and with a discrepancy."""
     from gradcal_jax.files import changed, read_spec
-    from gradcal_jax.files.axis_as_imu import general
-
-    spec = general(read_spec(SPEC))
+    
+    spec = read_spec(SPEC)
     return [spec, changed(spec, {"sensor.gyro.scale_factor.discrepancy": HIDDEN})]
 
 

@@ -24,7 +24,6 @@ from gradcal_jax.api.search_results import SearchStep
 from gradcal_jax.api.structures import structures
 from gradcal_jax.api.turn_search import PRICED, polished, shadow_prices
 from gradcal_jax.design import Coordinates, Optimum, ProgrammeKnots, polish
-from gradcal_jax.files.axis_as_imu import general
 
 HERE = Path(__file__).parent
 STEPS = (0.05, 0.1, 0.2, 0.4, 0.8)
@@ -36,7 +35,7 @@ NAMES = [name for name in (*MOVING, *STATIC) if name != "shortest-for-77ppm"]
 
 def tried(name: str, count: int) -> dict[str, Any]:
     """Optimise a variant, perturb its optimum and polish `count` times, ease its limits."""
-    spec = general(spec_of(name))
+    spec = spec_of(name)
     kept = [e.checkpoint for e in optimise(spec) if isinstance(e, SearchStep)][-1]
     structure = structures(spec, [s for s, _ in scenario_specs(spec)])[kept["at"][1]]
     of = measure(spec)

@@ -12,7 +12,7 @@ from gradcal_jax import trajectory
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.measure import design_of
 from gradcal_jax.api.posterior_of_plan import box, criterion_of
-from gradcal_jax.api.structures import LEAST_TURN, cycle_of, largest_rate, motion_time, ramp_ends
+from gradcal_jax.api.structures import LEAST_TURN, ResolvedCycle, cycle_of, largest_rate, motion_time, ramp_ends
 from gradcal_jax.design import (
     PRIOR_OF_WALK,
     Criterion,
@@ -27,7 +27,6 @@ from gradcal_jax.design import (
 from gradcal_jax.design.noise_floor import Course
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.requirement import UnitRequirement
-from gradcal_jax.files.schedule import ResolvedCycle
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information, statistic
 from gradcal_jax.model import BIAS, SCALE_FACTOR, Map, Processes, SensorModel, gyro_model

@@ -7,12 +7,10 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from gradcal_jax import model, trajectory
-from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
-from gradcal_jax.files.memory import too_large
 from gradcal_jax.files.moves import Axis, ResolvedMove
-from gradcal_jax.files.schedule import GradientSchedule, StandardSchedule, gradient_schedule
-from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, Sensor
+from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_plan import UnitSchedule, unit_schedule
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -31,7 +29,7 @@ class Assembled(NamedTuple):
     off, on its clock.
     """
 
-    spec: Spec | UnitSpec
+    spec: UnitSpec
     model: SensorModel
     schedules: dict[Axis, Schedule]
     moves: tuple[Move, ...]
@@ -54,27 +52,12 @@ class Assembled(NamedTuple):
         return self.past[channel].then(line) if channel in self.past else line
 
 
-def assemble(spec: Spec | UnitSpec, until_s: float = np.inf) -> Assembled:
+def assemble(spec: UnitSpec, until_s: float = np.inf) -> Assembled:
     """Sensor model and schedules of a spec of one gyro, whose plan is broken off at `until_s` of its clock.
 
-    Errors: `TypeError` for anything but a spec, `ValueError` for one of several sensors or axes of the table,
-    `MemoryError` for a plan with more readings than this machine can hold.
+    Errors: `TypeError` for anything but a spec, `ValueError` for one of several sensors or axes of the table.
     """
-    if isinstance(spec, UnitSpec):
-        return _assembled(spec, until_s)
-    expect_spec(spec)
-    if too := too_large(spec):
-        raise MemoryError(too)
-    sensor, lag = spec.sensor, spec.sensor.lag
-    unknown = spec.rig.earth_rate == np.inf
-    processes, sources = processes_of(named_processes(sensor, clock=sensor.clock_error, earth_is_unknown=unknown))
-    harmonics = {h.order: float(h.amplitude) for h in spec.rig.table.angle.harmonics}
-    channel = gyro_channel(sensor, processes, _reference(spec), harmonics=harmonics)
-    return Assembled(spec, channel, *_schedules(spec.schedule, sensor), lag, sources, _past(spec, lag), until_s)
-
-
-def _assembled(spec: UnitSpec, until_s: float) -> Assembled:
-    gyro, site = spec.sensor.gyro, spec.rig.site
+    gyro, site = expect_spec(spec).sensor.gyro, spec.rig.site
     if gyro is None or not spec.turns_one_gyro:
         raise ValueError(
             "this needs a spec of nothing but one gyro along the only axis of a table that stands level and is read "
@@ -122,18 +105,6 @@ def table_schedule(plan: UnitSchedule | StandardSchedule, spec: UnitSpec) -> tup
     return trajectory.gradient_plan(course, moves, after, used=used, read_every=left), (*moves, *after)
 
 
-def _past(spec: Spec, lag: float | None) -> dict[Axis, Past]:
-    """The motion of all `[[done]]` entries, joined, by channel."""
-    pasts: dict[Axis, Past] = {}
-    for part in spec.done:
-        plans, _ = _schedules(gradient_schedule(part.plan, spec.rig), spec.sensor)
-        for channel, plan in plans.items():
-            line = plan.trajectory(lag).between(float(part.start), float(part.end))
-            line = pasts[channel].then(line) if channel in pasts else line
-            pasts[channel] = Past(line, np.asarray(float(part.pause)))
-    return pasts
-
-
 def processes_of(parts: list[tuple[str, Processes]]) -> tuple[Processes, dict[str, tuple[int, ...]]]:
     """All noise processes of a channel, and their indices by error source."""
     total = model.no_processes()
@@ -145,7 +116,7 @@ def processes_of(parts: list[tuple[str, Processes]]) -> tuple[Processes, dict[st
 
 
 def named_processes(
-    sensor: Sensor | GyroTriad | AccelerometerTriad, *, clock: float = 0.0, earth_is_unknown: bool = False
+    sensor: GyroTriad | AccelerometerTriad, *, clock: float = 0.0, earth_is_unknown: bool = False
 ) -> list[tuple[str, Processes]]:
     """The noise processes of a channel with the names of their error sources: its own, the `clock` (a ratio) where it
     is no common parameter of all channels, and the Earth's rate where no bias is estimated that includes it."""
@@ -175,7 +146,7 @@ def named_processes(
 
 
 def gyro_channel(
-    sensor: Sensor | GyroTriad,
+    sensor: GyroTriad,
     processes: Processes,
     reference: Reference | None = None,
     *,
@@ -196,16 +167,6 @@ def gyro_channel(
         harmonics=harmonics,
         signals=signals,
         path=path,
-    )
-
-
-def _reference(spec: Spec) -> Reference:
-    table, angle = spec.rig.table, spec.rig.table.angle
-    return model.angle_reference(
-        float(angle.reading_noise),
-        float(angle.standstill_offset),
-        float(angle.timing_error),
-        float(table.rate_accuracy or 0.0),
     )
 
 
@@ -239,31 +200,6 @@ def or_infinite(value: float | None) -> float:
     return np.inf if value is None else float(value)
 
 
-def _schedules(
-    schedule: GradientSchedule | StandardSchedule, sensor: Sensor
-) -> tuple[dict[Axis, Schedule], tuple[Move, ...]]:
-    if isinstance(schedule, StandardSchedule):
-        return {"x": held_rates(schedule)}, ()
-    programme, used = chamber_programme(schedule)
-    cycle = schedule.cycle
-    if cycle is None:
-        return {"x": trajectory.gradient_plan(programme, used=used, read_every=schedule.read_every)}, ()
-    longest = longest_piece(sensor)
-    moves = tuple(move_of(move, cycle.other_read_every, longest) for move in cycle.moves for _ in range(move.repeat))
-    after = []
-    if cycle.other > 0.0:
-        after.append(trajectory.rest(cycle.other, cycle.other_read_every))
-    if cycle.idle > 0.0:
-        after.append(trajectory.rest(cycle.idle))
-    plans: dict[Axis, Schedule] = {
-        cast("Axis", channel): trajectory.gradient_plan(
-            programme, moves, tuple(after), channel=channel, used=used, read_every=cycle.left_read_every
-        )
-        for channel in trajectory.channels_of(moves)
-    }
-    return plans, (*moves, *after)
-
-
 def held_rates(schedule: StandardSchedule) -> Schedule:
     """The plan of the standard method in the core's terms."""
     points = (schedule.temperatures, schedule.soak_each, schedule.integration, schedule.rates)
@@ -271,7 +207,7 @@ def held_rates(schedule: StandardSchedule) -> Schedule:
 
 
 def chamber_programme(
-    plan: GradientSchedule | UnitSchedule,
+    plan: UnitSchedule,
 ) -> tuple[trajectory.Programme, tuple[tuple[int, int], ...]]:
     """The chamber's programme, and the pairs of its knots between which data are used."""
     segments = plan.segments
@@ -281,7 +217,7 @@ def chamber_programme(
     return trajectory.programme(segments[0].temperature_start, [(s.duration, s.slope) for s in segments]), used
 
 
-def longest_piece(sensor: Sensor | GyroTriad) -> float:
+def longest_piece(sensor: GyroTriad) -> float:
     """Duration (s) of the longest piece of a varying rate: a few of the shortest correlation time of what it drives."""
     times = [float(d.correlation_time) for d in sensor.scale_factor_instability]
     if (error := sensor.thermometer_noise) is not None and error.correlation_time is not None:

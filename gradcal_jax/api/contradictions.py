@@ -7,10 +7,9 @@ from typing import Any, Final
 import numpy as np
 
 from gradcal_jax.estimation import CoarseFit, diagnosis
-from gradcal_jax.files.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
+from gradcal_jax.files.absent import EARTH_AT_SITE, EARTH_IS_UNKNOWN, absent_terms
 from gradcal_jax.files.log import LogError
-from gradcal_jax.files.requirement import Requirement, UnitRequirement
-from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.requirement import UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.model import AXIS_NAMES, Channel
 
@@ -30,7 +29,7 @@ _OTHER_UNITS: Final = (
 )
 
 
-def refuse_other_units(spec: Spec | UnitSpec, temperature: np.ndarray, unit: str) -> None:
+def refuse_other_units(spec: UnitSpec, temperature: np.ndarray, unit: str) -> None:
     """Raise `LogError` where a unit's temperatures (°C, finite ones count) leave the plan and fit it in another unit of
     temperature, or are beyond what the chamber can do."""
     known = temperature[np.isfinite(temperature)]
@@ -57,9 +56,7 @@ def refuse_other_units(spec: Spec | UnitSpec, temperature: np.ndarray, unit: str
         )
 
 
-def beyond_the_data(
-    requirement: Requirement | UnitRequirement, temperature_c: Sequence[float], rate: Sequence[float]
-) -> str | None:
+def beyond_the_data(requirement: UnitRequirement, temperature_c: Sequence[float], rate: Sequence[float]) -> str | None:
     """A sentence where a requirement asks for temperatures (°C) or rates (rad/s) that the data do not cover."""
     parts = []
     low, high = (float(t) for t in requirement.temperature)
@@ -81,7 +78,7 @@ def beyond_the_data(
     )
 
 
-def omitted_sentences(spec: Spec | UnitSpec, temperature: np.ndarray, lag_is_fitted: bool = False) -> list[str]:
+def omitted_sentences(spec: UnitSpec, temperature: np.ndarray, lag_is_fitted: bool = False) -> list[str]:
     """What the spec omits and counts in an estimate, in sentences; `temperature`: the record's (°C)."""
     # How far the dies follow the chamber does not matter to a log, which has their temperature.
     absent = [term for term in absent_terms(spec) if not term.key.endswith("thermal_lag")]
@@ -93,7 +90,7 @@ def omitted_sentences(spec: Spec | UnitSpec, temperature: np.ndarray, lag_is_fit
             + ", ".join(f"{term.key} {term.typical}" for term in absent)
             + "; put in your own, or 0 where there is none"
         )
-    if any(term.key == EARTH for term in absent):
+    if any(term.key == EARTH_AT_SITE for term in absent):
         sentences.append(EARTH_IS_UNKNOWN)
     rise, way = float(np.ptp(temperature)), float(abs(temperature[-1] - temperature[0]))
     if lagging and rise > 5.0 and way > 0.8 * rise:

@@ -10,21 +10,26 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.error_budget import FIGURES
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of
 from gradcal_jax.api.systematic import counted_criterion
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.design import Criterion
 from gradcal_jax.display import summary
-from gradcal_jax.files import Spec
-from gradcal_jax.files.axis_as_imu import general
-from gradcal_jax.files.spec import goes_on
+from gradcal_jax.files.spec import expect_spec, goes_on
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import information
 from gradcal_jax.model import SensorModel
 from gradcal_jax.trajectory import Rule, Schedule, rule_of
 
 _LAG = "thermal lag"
+# The noise figures that every model has, by error source.
+FIGURES = {
+    "angle random walk": lambda m: m.angle_random_walk,
+    "rate accuracy": lambda m: m.reference.rate_accuracy,
+    "reading noise": lambda m: m.reference.reading_noise,
+    "standstill offset": lambda m: m.reference.standstill_offset,
+    "timing error": lambda m: m.reference.timing_error,
+}
 # Fields of the moves and of the programme's stretches, and whether a field belongs to the moves.
 _PLAN = {
     "move durations": (lambda s: s.duration, True),
@@ -97,14 +102,14 @@ class Differentiable(eqx.Module):
         return model
 
 
-def differentiable(spec: Spec | UnitSpec) -> Differentiable:
+def differentiable(spec: UnitSpec) -> Differentiable:
     """A spec's requirements as a pure function of the sensor's, the rig's and the plan's figures, of one gyro
     along the only axis of a table. At the spec's own `quantities` it equals `predict`, in ppm or deg/h.
 
     Needs float64 (`jax_enable_x64`). The quadrature rule is that of the spec's own plan. Errors: `ValueError` for a
     spec without requirements, and for one of several sensors or axes of the table.
     """
-    spec = general(spec)
+    spec = expect_spec(spec)
     if spec.done:
         raise goes_on("a function of the plan's figures")
     built = assemble(spec)

@@ -1,202 +1,537 @@
-"""From a log and a spec to the estimate of every channel, with tests of the fit.
+"""The estimate of sensors from a log and a spec: parameters of sensor and table, tests, verdicts, a calibration.
 
-The spec describes the sensor's noise, the table's readings and the maps; the executed motion is read from the log.
+The spec describes the noise, the table and the terms; the executed motion is read from the log.
 """
 
-from collections.abc import Sequence
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.contract_rows import (
+    judged_by_data,
+)
+from gradcal_jax.api.contradictions import (
+    beyond_the_data,
+    diagnosis_sentences,
+    omitted_sentences,
+    refuse_misaligned,
+    refuse_other_units,
+)
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.fitted_lag import fitted_lag
-from gradcal_jax.api.log_rows import Rows, count_rows, rows_of, temperature_followed, with_options
-from gradcal_jax.api.standard_estimate import standard_channel
-from gradcal_jax.api.tested_maps import hidden_maps
-from gradcal_jax.api.unit_channel import Recorded, UnitChannel, finished_channel, integrated_rows, within
-from gradcal_jax.estimation import Estimate, Observations, Whitened
-from gradcal_jax.files import Spec
+from gradcal_jax.api.estimated_calibration import calibration_of, tests_by_name
+from gradcal_jax.api.executed_part import lacks_of
+from gradcal_jax.api.fit_of_log import fitted_twice, lag_of_maps, points_of, with_chosen_smoothness
+from gradcal_jax.api.fitted_lag import Lag
+from gradcal_jax.api.log_rows import count_rows, with_options
+from gradcal_jax.api.path_dependence import (
+    HEATING_AGAINST_COOLING,
+    BiasCurve,
+    PathDependence,
+    bias_curves,
+    path_dependence,
+)
+from gradcal_jax.api.prediction import requirement_row
+from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
+from gradcal_jax.api.recorded_rows import unit_rows
+from gradcal_jax.api.structure_tests import MeasuredDiscrepancy, discrepancies, structure_in_words, structure_tests
+from gradcal_jax.api.systematic import (
+    EstimatedRun,
+    budget_of_estimate,
+    omitted_noise_of_unit,
+    ramp_of_record,
+    unseen_errors,
+)
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
+from gradcal_jax.api.unit_residual import internal_misalignments
+from gradcal_jax.api.unit_sentences import one_way_sentences
+from gradcal_jax.display import html, summary
+from gradcal_jax.estimation import (
+    Consistency,
+    ExecutedUnit,
+    Group,
+    Smoothness,
+    StructureTest,
+    TablePoints,
+    Test,
+    UnitEstimate,
+    UnitReadings,
+    UnitRows,
+)
+from gradcal_jax.files.absent import branch_sentences
+from gradcal_jax.files.calibration import (
+    Calibration,
+)
+from gradcal_jax.files.calibration.correction import correct_triads, followed
+from gradcal_jax.files.changes import along_axis
+from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.information import noise_steps, since_origin
-from gradcal_jax.model import Discrepancy, SensorModel
+from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.requirement_table import narrow_table
+from gradcal_jax.files.spec import expect_spec
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.formulas import EARTH_RATE
+from gradcal_jax.information import Posterior, segments_of
+from gradcal_jax.model import AXIS_NAMES, KINDS
 
-_ROUNDS = 8
-# A change of the parameters, in standard deviations, that no longer matters.
-_SETTLED = 1e-3
-_CORRELATION_TIMES_A_PIECE = 3.0
+# Steps to which the ranges of a calibration are rounded, outwards.
+_TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
+# Change of temperature from the begin to the end of a record, as a share of its range, beyond which it goes one way.
+_ONE_WAY = 0.8
+# Fewer moves are not divided into odd and even ones.
+_FEWEST_MOVES = 4
+# An error of the table of more than this many times its standard deviation by the spec is reported.
+_CONTRADICTED = 4.0
+# Standard deviations by which two parts of the data differ by chance once in a thousand.
+_APART = 3.3
 
 
-def estimate_channels(
-    spec: Spec, log: Log, *, axes: Sequence[str] = (), units: Sequence[str] = (), options: Options | None = None
-) -> list[UnitChannel]:
-    """The estimate of every axis in `axes` of every unit in `units` (default: all), by the spec's model.
+class InternalMisalignment(NamedTuple):
+    """A misalignment that no rotation of the unit changes, rad: between two axes, or between the triads."""
 
-    **Raises:** `LogError` and `ValueError` with a sentence where the log does not hold what the estimate needs.
-    """
-    spec, options, _ = with_options(spec, [log], options or Options())
-    built = assemble(spec)
-    wanted_axes = [log.axes[log.axis_index(a)] for a in axes] or common_axes(built, log)
-    if options.earth_rate and len(wanted_axes) > 1:
+    name: str
+    value: float
+    std: float
+
+
+class SensorEstimate(NamedTuple):
+    """The estimate of one sensor, in SI except `requirements`. `channels`: tests of χ² and whiteness of each channel's
+    rows; `gravity`: rms of |f| − g over the rests, m/s², before the calibration and after it."""
+
+    unit: str
+    built: AssembledUnit
+    executed: ExecutedUnit
+    solution: UnitEstimate
+    calibration: Calibration
+    requirements: tuple[RequirementRow, ...]
+    consistency: Consistency
+    channels: dict[str, tuple[Test, Test]]
+    internal: tuple[InternalMisalignment, ...]
+    gravity: tuple[float, float] | None
+    messages: tuple[str, ...]
+    lag: Lag = Lag(0.0)
+    """Of the maps behind the temperature."""
+    path: PathDependence | None = None
+    """Where heating and cooling disagree, what they differ by, and the play that explains it."""
+    smoothness: Smoothness | None = None
+    """That at which the data are most probable, if it was asked for."""
+    neighbours: Mapping[str, tuple[Group, ...]] = MappingProxyType({})
+    """Of each gyro, mean scale factors without a structure, if they were asked for."""
+    counts: Mapping[str, int] = MappingProxyType({})
+    """Numbers of rows used and left out, by reason; they add up to the rows read."""
+    structure: tuple[tuple[str, StructureTest], ...] = ()
+    """Of each gyro (by name), a test of every polynomial map for more structure."""
+    curves: tuple[BiasCurve, ...] = ()
+    """The bias of every channel over the path of the temperature."""
+
+    __repr__ = summary
+
+    def _shown(self) -> list[str]:
+        rows, one = self.requirements, self.calibration
+        return [
+            f"Estimate of {self.unit}" + (", SIMULATED" if one.simulated else ""),
+            one.valid_range,
+            *([f"contradicted: {', '.join(one.contradicted)}"] if one.contradicted else []),
+            *([f"not observable: {', '.join(one.unobservable)}"] if one.unobservable else []),
+            *(f"note: {message}" for message in self.messages[:2]),
+            narrow_table(rows),
+        ]
+
+    @property
+    def as_wished(self) -> bool:
+        """Whether every target is met, every parameter observable and every test passed."""
+        met = all(row.verdict in (None, "met") for row in self.requirements)
+        return met and not self.calibration.unobservable and not self.calibration.contradicted
+
+
+class EstimateReport(NamedTuple):
+    """The estimates of the `sensors` of a log, and the `discrepancies` of their maps, of all sensors together."""
+
+    sensors: tuple[SensorEstimate, ...]
+    discrepancies: tuple[MeasuredDiscrepancy, ...] = ()
+    joined: tuple[Calibration, ...] = ()
+    """Of sensors whose channels were estimated each by itself, the calibrations of all channels."""
+
+    __repr__ = summary
+    _repr_html_ = html
+
+    def _shown(self) -> list[str]:
+        return [line for one in self.sensors for line in one._shown()]
+
+    @property
+    def calibrations(self) -> tuple[Calibration, ...]:
+        """The calibration of every sensor, in SI."""
+        return self.joined or tuple(one.calibration for one in self.sensors)
+
+    @property
+    def messages(self) -> dict[str, tuple[str, ...]]:
+        """By sensor: sentences to read before its calibration is used."""
+        return self._by_sensor(lambda one: one.messages)
+
+    @property
+    def verdicts(self) -> dict[str, tuple[RequirementRow, ...]]:
+        """The requirements by sensor."""
+        return self._by_sensor(lambda one: one.requirements)
+
+    def _by_sensor(self, of: Callable[[SensorEstimate], tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
+        names = dict.fromkeys(one.unit for one in self.sensors)
+        return {name: tuple(row for one in self.sensors if one.unit == name for row in of(one)) for name in names}
+
+    @property
+    def as_wished(self) -> bool:
+        """Whether every target is met, every parameter observable and every test passed."""
+        return all(one.as_wished for one in self.sensors)
+
+
+def estimate_log(
+    spec: UnitSpec,
+    logs: Sequence[Log],
+    *,
+    axis: str | None = None,
+    units: Sequence[str] = (),
+    options: Options | None = None,
+    sources: dict[str, str] | None = None,
+) -> EstimateReport:
+    """As `estimate`, of logs of every mounting, with `options` in one object; `sources`: names of files, for the
+    provenance."""
+    of = of_log(expect_spec(spec), logs[0], axis)
+    sensors = tuple(estimate_sensors(of, logs, units=units, options=options, sources=sources))
+    return EstimateReport(sensors, tuple(discrepancies(of, (test for one in sensors for test in one.structure))))
+
+
+def of_log(spec: UnitSpec, log: Log, axis: str | None = None) -> UnitSpec:
+    """The spec of one gyro along a table's only axis, of the `axis` of the body that was recorded, if it is another: it
+    is named, or the log has no other. Errors: `LogError` and `ValueError`."""
+    if axis is not None:
+        if log.axes[log.axis_index(axis)] not in AXIS_NAMES:
+            raise LogError(f"gyros are along x, y and z, and '{axis}' is none of them: name it so in the column map")
+        return along_axis(spec, cast("Axis", axis))
+    gyro = spec.sensor.gyro
+    alone = gyro is not None and len(gyro.axes) == 1 and spec.is_one_axis and len(log.axes) == 1
+    return along_axis(spec, cast("Axis", log.axes[0])) if alone and log.axes[0] in AXIS_NAMES else spec
+
+
+def estimate_sensors(
+    spec: UnitSpec,
+    logs: Sequence[Log],
+    *,
+    units: Sequence[str] = (),
+    options: Options | None = None,
+    sources: dict[str, str] | None = None,
+) -> list[SensorEstimate]:
+    """The estimate of every sensor in `units` (default: all) of a log; with several mountings, one log for each."""
+    options = options or Options()
+    mountings = len(spec.rig.table.mounting)
+    if len(logs) != mountings and (len(logs) > 1 or logs[0].mounting is None):
+        raise LogError(
+            f"the spec hangs the unit in {mountings} mounting(s), one after the other, and there are {len(logs)} "
+            "log(s): give one log for each, in the spec's order"
+        )
+    names = list(units) or [name for name in logs[0].units if all(name in log.units for log in logs)]
+    if not names:
+        raise LogError("no unit is in all of the logs")
+    lacks = lacks_of(spec, logs)
+    if options.earth_rate is not None:
+        spec = with_earth(spec, options.earth_rate)
+    spec, options, said = with_options(spec, logs, options)
+    for log, name in itertools.product(logs, names):
+        if log.temperature_c is not None:
+            refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
+    built = assemble_unit(spec)
+    logs, faults = without_bad_rows(spec, logs, [c.name.replace("_", " ") for c in built.model.channels])
+    noise = omitted_noise_of_unit(built)
+    reports = list[SensorEstimate]()
+    for name in names:
+        try:
+            recorded = Recorded(*unit_rows(built, logs, name, options))
+            report = report_of(built, logs, name, recorded, options, sources or {}, noise, faults[name])
+        except LogError as error:
+            raise LogError(f"{error}{faults[name].also}") from None
+        if lacks is not None:
+            report = report._replace(calibration=report.calibration.model_copy(update={"lacks": lacks}))
+        messages = *([lacks] if lacks else []), *said, *faults[name].sentences, *report.messages
+        reports.append(report._replace(messages=messages))
+    return reports
+
+
+class Recorded(NamedTuple):
+    """The rows of one sensor, and messages on them. `points`: they are those of a table of points."""
+
+    rows: UnitRows
+    messages: tuple[str, ...]
+    points: TablePoints | None = None
+
+
+def with_earth(spec: UnitSpec, earth_rate: float) -> UnitSpec:
+    """The spec of a gyro along its table's only axis, at the latitude at which an axis that points up has that rate of
+    the Earth (rad/s). Raises `ValueError` for other specs, whose rate of the Earth changes with the table's angles."""
+    gyro, hung = spec.sensor.gyro, spec.rig.table.mounting[0]
+    along = "" if gyro is None or not spec.is_one_axis else str(getattr(hung, gyro.axes[0]))
+    if along not in ("+z", "-z"):
         raise ValueError(
-            "the Earth's rate differs between axes, and changes while other axes turn: estimate one axis at a "
-            "time with --axis, or describe the table in a whole unit's spec (gradcal new two-axis-table), which has it"
+            "--earth-rate and --latitude are for one gyro along a table's only axis that points up: for others the "
+            "spec has [rig.site] latitude"
         )
-    wanted_units = [log.unit_index(u) for u in units] or list(range(len(log.units)))
-    result: list[UnitChannel] = []
-    for axis in wanted_axes:
-        result += _channel(built, log, axis, wanted_units, options)
-    return result
+    up = earth_rate if along == "+z" else -earth_rate
+    latitude = math.asin(max(-1.0, min(up / EARTH_RATE, 1.0)))
+    site = spec.rig.site.model_copy(update={"latitude": Quantity.of(latitude, "deg")})
+    return spec.model_copy(update={"rig": spec.rig.model_copy(update={"site": site})})
 
 
-def common_axes(built: Assembled, log: Log) -> list[str]:
-    """The axes that spec and log have in common; the log's only one. Raises `LogError`."""
-    common = [axis for axis in log.axes if axis in built.channels]
-    if common:
-        return common
-    if len(log.axes) == 1:
-        return list(log.axes)
-    raise LogError(
-        f"the spec calibrates axis {', '.join(built.channels)} and the log has {', '.join(log.axes)}: say which with "
-        "--axis"
-    )
-
-
-def _channel(built: Assembled, log: Log, axis: str, units: list[int], options: Options) -> list[UnitChannel]:
-    """All units of one axis. Units whose samples are integrated over the same rows share one whitening."""
-    rows = {unit: rows_of(built, log, axis, unit, options) for unit in units}
-    if isinstance(built.spec.schedule, StandardSchedule):
-        return [standard_channel(built, log, axis, unit, rows[unit], options) for unit in units]
-    groups: dict[bytes, list[int]] = {}
-    for unit in units:
-        one = rows[unit]
-        groups.setdefault(
-            b"".join(np.packbits(x).tobytes() for x in (one.usable, one.standing, one.reading)), []
-        ).append(unit)
-    result: dict[int, UnitChannel] = {}
-    for members in groups.values():
-        result.update(_gradient_channels(built, log, axis, members, rows, options))
-    return [result[unit] for unit in units]
-
-
-def _gradient_channels(
-    built: Assembled, log: Log, axis: str, members: list[int], rows: dict[int, Rows], options: Options
-) -> dict[int, UnitChannel]:
-    """The units `members` by the gradient method, with one whitening of the rows that they share: the executed motion
-    is read from the log; maps and true rates are estimated in turn."""
-    first = rows[members[0]]
+def report_of(
+    built: AssembledUnit,
+    logs: Sequence[Log],
+    name: str,
+    recorded: Recorded,
+    options: Options,
+    sources: dict[str, str],
+    noise: dict[str, np.ndarray],
+    shown: RecordFaults,
+) -> SensorEstimate:
+    rows, messages, points = recorded
+    starts = np.flatnonzero(~rows.usable & (np.diff(rows.time_s, prepend=-np.inf) > 0.0))
+    temperature_of = lambda lag: followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)  # noqa: E731
+    stable = isinstance(built.spec.plan, StandardPlan)
     model = built.model
-    still = first.standing & first.usable
-    rest_bias = float(np.mean(first.rate[still])) if still.any() else 0.0
-    done = estimation.executed(
-        first.time,
-        first.temperature,
-        first.rate - rest_bias,
-        first.angle,
-        first.standing,
-        first.usable,
-        first.reading,
-        longest_piece=_longest_piece(model),
-        readings_in_row=first.readings_in_row,
+    refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), model.channels)
+    threshold = options.threshold if options.robust else None
+    if options.lag != "fit":
+        lag = Lag(float(options.lag))
+    elif stable:
+        lag = Lag(0.0)
+        messages = *messages, "at stable temperatures a lag cannot be estimated: it is taken as zero"
+    else:
+        lag = lag_of_maps(built, name, rows, temperature_of)
+    temperature = temperature_of(lag.seconds)
+    fit, smoothness = fitted_twice(built, name, rows, temperature, threshold, points), None
+    if options.smoothness == "auto":
+        built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
+        model = built.model
+    done, readings, solution, rates = fit
+    if stable and points is None:
+        messages = *messages, *points_of(built, rows).sentences
+    at = segments_of(done.motion, model)
+    half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
+    of_segment = rows.time_s[done.rows[at.first + 1]]
+    began = temperature[done.rows[at.first]]
+    heating = temperature[done.rows[at.last + 1]] > began
+    used = solution.used
+    subsets = {
+        HEATING_AGAINST_COOLING: heating[at.row_segment][used],
+        "first against second half": (of_segment < half)[at.row_segment][used],
+    }
+    turned = np.concatenate([[0], np.cumsum(done.motion.axis >= 0)])
+    moved = (turned[at.last + 1] > turned[at.first])[at.row_segment][used]
+    moves = np.cumsum(np.diff(moved, prepend=False) & moved)
+    if moves.max(initial=0) >= _FEWEST_MOVES:
+        subsets["odd moves against even ones"] = moves % 2 == 1
+    few = {key: value for key, value in subsets.items() if 0.1 < np.mean(value) < 0.9}
+    tests = estimation.consistency(solution.estimate, solution.white, 0, few, model.to_reported, solution.taken)
+    channels: dict[str, tuple[Test, Test]] = {}
+    for i, c in enumerate(model.channels):
+        left, taken = solution.residuals_of(i), solution.taken[solution.channel == i]
+        free = round(len(left) - float(np.sum(taken**2)))
+        channels[c.name] = estimation.chi_squared_test(float(left @ left), free), estimation.whiteness(left, taken)
+    known = Posterior(solution.known.spread * excess_of(tests), solution.known.hidden)
+    covered = _covered(done, rates, temperature)
+    record = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
+    # At stable temperatures nothing lags, and between them no data are used.
+    ramp = 0.0 if stable else ramp_of_record(rows.time_s[record], temperature[record])
+    one_way = abs(temperature[record][-1] - temperature[record][0]) > _ONE_WAY * np.ptp(temperature[record])
+    run = EstimatedRun(solution.parameters, covered[0], ramp, lag.std, one_way=bool(one_way))
+    budget = budget_of_estimate(built, known, run, noise)
+    structure = () if options.robust else tuple(structure_tests(built.spec, readings, solution))
+    beyond_maps = {f"{channel}: structure of the {t.quantity.replace('_', ' ')}": t.test for channel, t in structure}
+    contradicted = (*shown.not_valid, *estimation.contradictions(tests_by_name(tests, channels) | beyond_maps))
+    requirements, beyond = [], list[str]()
+    for requirement in built.spec.requirement:
+        if sentence := beyond_the_data(requirement, *covered):
+            beyond.append(sentence)
+        row = judged_by_data(requirement_row(built, budget, requirement), sentence, contradicted)
+        requirements.append(row)
+    requirements = tuple(requirements)
+    calibration = calibration_of(
+        built, logs, name, solution, tests, channels, requirements, covered, lag, options, sources
     )
-    messages = list(first.messages)
-    if first.angle is None:
-        messages.append(
-            "the log has no table angle: only rates at rest are used, and the scale factor is not observable"
-        )
-    line = done.line
-    steps = noise_steps(line, model)
-    of_unit = lambda one: estimation.integrated_error(  # noqa: E731
-        one.rate, one.step, one.angle, done.rows, done.broken, line.gap, options.earth_rate or 0.0
+    if contradicted:
+        calibration = calibration.model_copy(update={"contradicted": contradicted})
+    own = calibration.values()
+    kept = [k for k, n in enumerate(model.names()) if n in own]
+    unseen = unseen_errors(budget, [model.names()[k] for k in kept], model.to_reported[kept])
+    if unseen:
+        calibration = calibration.model_copy(update={"unseen": unseen})
+    seen = tuple(_internal(built, solution, covered[0])), _gravity(readings, calibration, temperature)
+    path = None
+    if HEATING_AGAINST_COOLING in contradicted:
+        warm = temperature[done.rows[at.first]][at.row_segment][used]
+        path = path_dependence(built.spec, readings, solution, warm, subsets[HEATING_AGAINST_COOLING])
+    neighbours, alone = {}, ()
+    if options.neighbours_k is not None:
+        neighbours = estimation.neighbours_of(readings, solution, options.neighbours_k)
+        alone = () if neighbours else ("no move has a rest right before and after it, so there are no neighbours",)
+    counts = _counts(logs, name, done) if points is None else {"used": int(np.count_nonzero(~points.done.broken))}
+    beside_tests = lag, path, smoothness, neighbours, counts, structure, bias_curves(readings, solution)
+    report = SensorEstimate(
+        name, built, done, solution, calibration, requirements, tests, channels, *seen, (), *beside_tests
     )
-    readings = np.stack([of_unit(rows[u]) for u in members], axis=1)
-    moving = line.moving
-    # Mean temperature, rate and time of each piece, for reports.
-    ends, mean_rate = first.temperature[done.rows], line.terms[:, 0]
-    temperature = 0.5 * (ends[1:] + ends[:-1])
-    time = first.time[done.rows[1:]]
-    turning = within(done.rows, moving & ~done.broken, len(first.time))
+    names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
+    lesser = counting_less(solution.weights, of_segment[at.row_segment][used], names)
+    of_path = () if path is None else path.sentences
+    of_path = *of_path, *one_way_sentences(built, solution.known, done.motion.line), *branch_sentences(built.spec)
+    beside = *of_path, *omitted_sentences(built.spec, temperature[record], lag.std is not None), *beyond
+    looks = diagnosis_sentences(solution.estimate.residuals[0], of_segment[at.row_segment][used], moved)
+    told = _words(report, solution), looks if contradicted else []
+    hidden = (f"{channel.replace('_', ' ')}: {structure_in_words(test)}" for channel, test in structure if test.noticed)
+    if smoothness is not None and smoothness.at_edge:
+        messages = *messages, "the data do not determine the smoothness of the maps: it is at the edge of its range"
+    return report._replace(
+        messages=(*messages, *alone, *lag.sentences, *lesser, *hidden, *itertools.chain(*told), *beside)
+    )
 
-    def observe(lag: float, parameters: np.ndarray | None, term: SensorModel | Discrepancy = model) -> Observations:
-        columns = []
-        for k, unit in enumerate(members):
-            one = rows[unit]
-            temperature_of_maps = temperature_followed(one, lag)
-            rates = one.rate - (rest_bias if parameters is None else options.earth_rate or 0.0)
-            if parameters is not None:
-                rates[turning] = estimation.true_rate(
-                    model, parameters[k], rates[turning], temperature_of_maps[turning]
-                )
-            turned = line.turned() if one.angle is None else np.diff(one.angle[done.rows])
-            noise = float(model.angle_random_walk) / np.sqrt(float(np.median(one.step[1:])))
-            nodes = estimation.sample_nodes(
-                rates, temperature_of_maps, one.step, done.rows, moving, done.broken, turned, rate_noise=noise
+
+def _covered(
+    done: ExecutedUnit, rates: np.ndarray, temperature: np.ndarray
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The ranges of temperature (°C) and rate (rad/s) of the pieces used, from those of the rows; rest included."""
+    line, whole = done.motion.line, ~np.asarray(done.motion.line.gap)
+    if line.rates:
+        warm, fast = np.asarray(line.level)[whole], np.asarray(line.terms)[whole, 0]
+    else:
+        warm = temperature[estimation.within(done.rows, whole, len(temperature))]
+        fast = rates[estimation.within(done.rows, whole & (done.motion.axis >= 0), len(rates))]
+    fast = np.concatenate([[0.0], fast[np.isfinite(fast)]])
+    return _outwards(warm, _TEMPERATURE_STEP_K), _outwards(fast, _RATE_STEP_RAD_PER_S)
+
+
+def _outwards(values: np.ndarray, step: float) -> tuple[float, float]:
+    """The range of values, rounded outwards to whole steps."""
+    low, high = float(values.min()) / step, float(values.max()) / step
+    return float(np.floor(low + 1e-6) * step), float(np.ceil(high - 1e-6) * step)
+
+
+def _counts(logs: Sequence[Log], name: str, done: ExecutedUnit) -> dict[str, int]:
+    """Numbers of rows of all logs: used, without a reference, and left out, by reason."""
+    whole = ~np.asarray(done.motion.line.gap)
+    used = estimation.within(done.rows, whole, sum(len(log.time_s) for log in logs))
+    parts = np.split(used, np.cumsum([len(log.time_s) for log in logs])[:-1])
+    counts: dict[str, int] = {}
+    for log, own in zip(logs, parts, strict=True):
+        for reason, count in count_rows(log, log.unit_index(name), own).items():
+            counts[reason] = counts.get(reason, 0) + count
+    return counts
+
+
+# --- findings --------------------------------------------------------------------------------------------------------
+
+
+def _internal(built: AssembledUnit, solution: UnitEstimate, covered: tuple[float, float]):
+    """Internal misalignments at the middle of the temperatures."""
+    middle = np.array([0.5 * (covered[0] + covered[1])])
+    for kind in KINDS:
+        triad = getattr(built.spec.sensor, kind)
+        if triad is not None and triad.misalignment is not None and len(triad.axes) == 3:
+            for label, row in internal_misalignments(built.model, kind, middle):
+                value, std = float(row[0] @ solution.parameters), float(solution.known.deviations(row)[0])
+                yield InternalMisalignment(f"{kind} {label}", value, std)
+
+
+def _gravity(readings: UnitReadings, calibration: Calibration, temperature: np.ndarray) -> tuple[float, float] | None:
+    """Rms of |f| − g over the rests: as measured, and corrected. None without three accelerometers."""
+    done, rows, model = readings.done, readings.log, readings.model
+    if sum(c.kind == "accelerometer" for c in model.channels) < 3:
+        return None
+    rests = np.flatnonzero((done.motion.axis < 0) & ~done.motion.line.gap & (done.motion.line.duration > 0.0))
+    step = np.diff(rows.time_s, prepend=rows.time_s[0])
+    first, last = done.rows[rests], done.rows[rests + 1]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        total = np.cumsum(np.nan_to_num(values) * step[:, None], axis=0)
+        return (total[last] - total[first]) / (rows.time_s[last] - rows.time_s[first])[:, None]
+
+    force, rate = mean(rows.force), mean(np.where(np.isfinite(rows.rates), rows.rates, 0.0))
+    at = mean(temperature[:, None])[:, 0]
+    corrected = correct_triads(calibration.channel, rate, force, at)[1]
+    g = float(done.motion.geometry.gravity)
+    before, after = (float(np.sqrt(np.mean((np.linalg.norm(f, axis=1) - g) ** 2))) for f in (force, corrected))
+    return before, after
+
+
+def _words(report: SensorEstimate, solution: UnitEstimate) -> list[str]:
+    """Where the data contradict the model or do not observe it, in sentences."""
+    tests, failed = report.consistency, report.calibration.contradicted
+    sentences = not_valid([name.replace("_", " ") for name in failed])
+    if solution.moved > 1e-2:
+        sentences.append(
+            f"the estimate has not converged: its last step is {solution.moved:.2g} of its standard deviations; "
+            "the table differs from the spec by more than small angles"
+        )
+    sentences += noise_sentences(tests, "chi-squared of the fit" in failed, "unit")
+    for name, (size, _) in report.channels.items():
+        where = name.replace("_", " ")
+        if f"{name}: chi-squared" in failed:
+            scale = np.sqrt(size.statistic / max(size.degrees, 1))
+            sentences.append(f"{where}: its residuals are {scale:.3g} times what the spec's noise says")
+        if f"{name}: whiteness" in failed:
+            sentences.append(
+                f"{where}: its residuals are not white: the spec's noise does not explain their correlation"
             )
-            columns.append(since_origin(term.columns(nodes), line.gap))
-        return Observations(steps, np.stack(columns), readings, time, temperature, mean_rate)
+    for split in tests.splits:
+        if split.name in failed:
+            apart = np.abs(np.nan_to_num(split.differences)) > _APART
+            worst = ", ".join(np.array(report.built.model.names())[apart].tolist())
+            chance = f"chance {split.agreement.probability:.1g}"
+            also = f"; these do not generalise: {worst}" if worst else ""
+            sentences.append(f"{split.name}: the parts disagree ({chance}){also}")
+    for error in report.calibration.table:
+        if abs(error.value) > _CONTRADICTED * error.prior:
+            sentences.append(
+                f"the table's {error.name.replace('_', ' ')} is {error.value / error.prior:+.1f} times its standard "
+                "deviation by the spec: is the spec of the table right?"
+            )
+    if report.calibration.unobservable:
+        sentences.append(f"the data say nothing of {', '.join(report.calibration.unobservable)}")
+    return sentences
 
-    def settle(lag: float, parameters: np.ndarray | None = None) -> tuple[Observations, Whitened, Estimate, float]:
-        """Alternate maps and regressors until they converge; also the maps' last change in standard deviations."""
-        moved = np.inf
-        for _ in range(_ROUNDS):
-            observations = observe(lag, parameters)
-            white = estimation.whitened(observations, model)
-            estimate = estimation.solve(white)
-            if model.scale is None or not moving.any():
-                moved = 0.0
-            elif parameters is not None:
-                moved = _moved(estimate, parameters, model)
-            if moved < _SETTLED:
-                break
-            parameters = estimate.parameters
-        return observations, white, estimate, moved  # pyright: ignore[reportPossiblyUnboundVariable]
 
-    last: list[np.ndarray | None] = [None]
+def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str]) -> list[str]:
+    """A sentence on the readings with the smallest robust weights; `names`: the channel of each reading."""
+    low = np.argsort(weights)[: np.count_nonzero(weights < 1.0)]
+    if not len(low):
+        return []
+    named = ", ".join(f"{names[k]} at {time_s[k]:.6g} s" for k in low[:5])
+    return [f"{len(low)} of {len(weights)} readings have less than full weight, the least {named}"]
 
-    def chi_squared(lag: float) -> float:
-        """Of all units together."""
-        minimum = settle(lag, last[0])[2]
-        last[0] = minimum.parameters
-        return float(minimum.chi_squared.sum())
 
-    lag, lag_std = fitted_lag(chi_squared) if options.lag == "fit" else (float(options.lag), None)
-    observations, white, settled, moved = settle(lag)
-    if moved >= _SETTLED:
-        messages.append(
-            "the maps have not converged: between iterations, each at the rates corrected by the one before, they "
-            f"change by {moved:.2g} standard deviations; the maps are too flexible, or the noise figures too small"
-        )
-    hidden = [
-        (term, level, estimation.whitened_columns(observe(lag, settled.parameters, term)))
-        for term, level in hidden_maps(built.spec, model)
+def excess_of(tests: Consistency) -> float:
+    """The factor by which residuals exceed the spec's noise where the χ² test fails; otherwise 1."""
+    return max(1.0, tests.noise_scale) if not tests.fit.passed and tests.fit.degrees > 0 else 1.0
+
+
+def not_valid(contradicted: Sequence[str], where: str = "") -> list[str]:
+    """A sentence on tests that fail, where any does."""
+    if not contradicted:
+        return []
+    return [
+        f"{where}not valid: {'; '.join(contradicted)}: the data contradict the model, and no stated uncertainty holds"
     ]
-    used = integrated_rows(done, len(log.time_s))
-    result: dict[int, UnitChannel] = {}
-    for k, unit in enumerate(members):
-        own = observations._replace(columns=observations.columns_of(k), readings=observations.readings[:, k : k + 1])
-        single = white.of_unit(k)
-        beyond = [(term, level, columns[k]) for term, level, columns in hidden]
-        recorded = Recorded(axis, log.units[unit], rows[unit], done, count_rows(log, unit, used), messages)
-        result[unit] = finished_channel(recorded, model, own, single, options, (lag, lag_std), beyond)
-    return result
 
 
-def _longest_piece(model: SensorModel) -> float:
-    """A few correlation times of the noise that the rate drives, s."""
-    driven = (model.processes.rate_gain != 0.0) & (model.processes.decay > 0.0)
-    if not driven.any():
-        return np.inf
-    return _CORRELATION_TIMES_A_PIECE / float(np.max(model.processes.decay[driven]))
-
-
-def _moved(estimate: Estimate, before: np.ndarray, model: SensorModel) -> float:
-    """The largest change of any parameter since the last iteration, in its standard deviations."""
-    largest = 0.0
-    rows = model.to_reported
-    for now, then, known in zip(estimate.parameters, before, estimate.known, strict=True):
-        std = known.deviations(rows)
-        change = np.abs(rows @ (now - then))
-        seen = np.isfinite(std) & (std > 0.0)
-        largest = max(largest, float(np.max(change[seen] / std[seen], initial=0.0)))
-    return largest
+def noise_sentences(tests: Consistency, larger: bool, what: str) -> list[str]:
+    """A sentence where the residuals are `larger`, or far smaller, than the spec's noise says."""
+    if larger:
+        return [
+            f"the residuals are {tests.noise_scale:.3g} times as large as the spec's noise says: the model lacks "
+            "something, or the noise figures are too small; requirements are judged with the larger noise"
+        ]
+    if tests.fit.probability <= 1.0 - 1e-3:
+        return []
+    return [
+        f"the residuals are only {tests.noise_scale:.3g} times what the spec's noise says: its figures are larger than "
+        f"this {what}'s"
+    ]

@@ -19,7 +19,8 @@ class Options:
     smoothness: Literal["spec", "auto"] = "spec"
     clock: Literal["sensor", "host"] | None = None
     """None: the spec's, or else the computer's where the log has both."""
-    read_every: float = 1.0
+    read_every: float | None = None
+    """s, of a log with the angle at every row; None: as the spec says, or else every second."""
     table_axis: str | None = None
     neighbours_k: float | None = None
     """Also group moves of one rate within this temperature difference, without a structure; K."""

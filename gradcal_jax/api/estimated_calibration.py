@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from gradcal_jax.api.contract_rows import fit_rows, provenance_of, random_walks, result_of_requirement, section_of
+from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fitted_lag import Lag
 from gradcal_jax.api.unit_build import AssembledUnit
 from gradcal_jax.api.unit_sentences import prior_deviations, unobserved_parameters
@@ -34,7 +35,9 @@ def tests_by_name(tests: Consistency, channels: dict[str, tuple[Test, Test]]) ->
     """All tests of a fit, by the names that they have in the calibration file."""
     named = {"chi-squared of the fit": tests.fit}
     for channel, (size, white) in channels.items():
-        named |= {f"{channel}: chi-squared": size, f"{channel}: whiteness": white}
+        # That of a single channel is the whole fit's.
+        named |= {f"{channel}: chi-squared": size} if len(channels) > 1 else {}
+        named[f"{channel}: whiteness"] = white
     return named | {split.name: split.agreement for split in tests.splits}
 
 
@@ -48,9 +51,10 @@ def calibration_of(
     requirements: tuple[RequirementRow, ...],
     covered: tuple[tuple[float, float], tuple[float, float]],
     lag: Lag,
+    options: Options,
     sources: dict[str, str],
 ) -> Calibration:
-    """The calibration of a unit of this `name`; `covered`: temperatures (°C) and rates (rad/s)."""
+    """The calibration of a sensor of this `name`; `covered`: temperatures (°C) and rates (rad/s)."""
     model, spec, named = built.model, built.spec, tests_by_name(tests, channels)
     reported = model.to_reported
     values, deviations = reported @ solution.parameters, solution.known.deviations(reported)
@@ -95,19 +99,23 @@ def calibration_of(
             logs,
             name,
             sources,
-            estimator=_estimator(solution, lag),
+            estimator=_estimator(solution, lag, options),
             rows=str(int(np.count_nonzero(solution.used))),
         ),
     }  # fmt: skip
     return Calibration(**section)
 
 
-def _estimator(solution: UnitEstimate, lag: Lag) -> str:
+def _estimator(solution: UnitEstimate, lag: Lag, options: Options) -> str:
     parts = [f"Gauss-Newton through the finite geometry, {solution.rounds} rounds"]
     if np.any(solution.weights < 1.0):
         parts.append("robust (Huber)")
     if lag.std is not None:
         parts.append(f"lag fitted: {lag.seconds:.4g} s, 1 sigma {lag.std:.2g} s")
+    if options.smoothness == "auto":
+        parts.append("smoothness by marginal likelihood")
+    if options.clock == "host":
+        parts.append("time of the computer")
     return "; ".join(parts)
 
 

@@ -7,33 +7,28 @@ They wrap functions that yield progress or take their input in parts. Steps that
 from collections.abc import Callable, Sequence
 
 from gradcal_jax.api import frontier as frontiers
-from gradcal_jax.api.build import assemble
 from gradcal_jax.api.limit import PlanLimit, limits
 from gradcal_jax.api.optimise import optimise as searched
-from gradcal_jax.api.posterior_of_plan import posteriors_of_plan
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_sentences import unit_warnings
-from gradcal_jax.api.warnings import warnings
-from gradcal_jax.files import Prediction, Spec
+from gradcal_jax.files import Prediction
+from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
 
-def check(spec: Spec | UnitSpec) -> list[str]:
+def check(spec: UnitSpec) -> list[str]:
     """Warnings on a spec's prediction, in sentences: parameter combinations that the plan cannot observe, and
     requirements beyond the temperatures (°C) and rates (deg/s) that the plan visits.
 
     Errors: none; `read_spec` has validated the spec.
     """
-    if isinstance(spec, UnitSpec):
-        unit = assemble_unit(spec)
-        return unit_warnings(unit, posterior_of_unit(unit))
-    built = assemble(spec)
-    return warnings(built, posteriors_of_plan(built))
+    built = assemble_unit(expect_spec(spec))
+    return unit_warnings(built, posterior_of_unit(built))
 
 
-def compare(*specs: Spec | UnitSpec) -> list[Prediction]:
+def compare(*specs: UnitSpec) -> list[Prediction]:
     """The prediction of each spec (`predict`: s, ppm, deg/h), with the error sources that limit each requirement.
 
     Errors: as `predict`.
@@ -42,7 +37,7 @@ def compare(*specs: Spec | UnitSpec) -> list[Prediction]:
 
 
 def optimise(
-    spec: Spec | UnitSpec,
+    spec: UnitSpec,
     *,
     steps: int | None = None,
     quick: bool = False,
@@ -70,7 +65,7 @@ def optimise(
     raise AssertionError("a search ends with its result")
 
 
-def limit(spec: Spec | UnitSpec) -> list[PlanLimit]:
+def limit(spec: UnitSpec) -> list[PlanLimit]:
     """The proven lower limit on the residual of any plan on this rig in this time, for every requirement of a gradient
     plan that has a proof (`gradcal_jax.api.axis_limit`, `gradcal_jax.api.imu_limit`).
 
@@ -83,9 +78,7 @@ def limit(spec: Spec | UnitSpec) -> list[PlanLimit]:
     return limits(spec)
 
 
-def frontier(
-    spec: Spec | UnitSpec, motion_s: Sequence[float], *, steps: int | None = None
-) -> list[frontiers.FrontierPoint]:
+def frontier(spec: UnitSpec, motion_s: Sequence[float], *, steps: int | None = None) -> list[frontiers.FrontierPoint]:
     """The best residual for each of several durations of the ramp, `motion_s` in s, soaks not counted.
 
     Each `api.frontier.FrontierPoint` has `motion` (s) and its `plan` as `optimise` gives it, or None and the `reason`.

@@ -8,7 +8,6 @@ import numpy as np
 from gradcal_jax.api.optimise import optimise
 from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.display import summary
-from gradcal_jax.files import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
 _BLIND: Final = (
@@ -27,7 +26,7 @@ class FrontierPoint(NamedTuple):
 
 
 def frontier(
-    spec: Spec | UnitSpec,
+    spec: UnitSpec,
     times: list[float],
     *,
     steps: int | None = None,

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.api.posterior_of_plan import DEG_PER_S, UNIT_OF, box
+from gradcal_jax.api.posterior_of_plan import DEG_PER_S, UNIT_OF
 from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
-from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import CalibratedChannel, CalibratedTerm, Calibration
 from gradcal_jax.files.calibration.correction import basis_values
-from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, UnitRequirement
 from gradcal_jax.files.sensor import ScaleFactor
+from gradcal_jax.files.unit_spec import UnitSpec
 
 Floats = NDArray[np.float64]
 # The temperature for figures of one temperature (°C), where the data cover it.
@@ -103,14 +103,14 @@ def calibration_map(
     return first, second
 
 
-def grid_of(channel: CalibratedChannel, requirement: Requirement | None, name: str) -> tuple[Floats, Floats]:
+def grid_of(channel: CalibratedChannel, requirement: UnitRequirement | None, name: str) -> tuple[Floats, Floats]:
     """Temperatures (°C) and rates (deg/s) of a requirement's box, or of all that the data cover for a term."""
     cold, warm = channel.valid_temperature if requirement is None else requirement.temperature
     slow, fast = channel.valid_rate
     counts: tuple[int, ...] = (_TEMPERATURES, _RATES)
     if requirement is not None:
         counts = tuple(requirement.grid)
-        if requirement.quantity == "scale_factor":
+        if isinstance(requirement, GyroScaleFactorRequirement):
             slow, fast = requirement.rate
     temperatures = np.linspace(float(cold), float(warm), counts[0])
     term = channel.term_of(name)
@@ -119,17 +119,20 @@ def grid_of(channel: CalibratedChannel, requirement: Requirement | None, name: s
     return temperatures, np.linspace(float(slow), float(fast), counts[1]) * DEG_PER_S
 
 
-def prior_map(spec: Spec, requirement: Requirement) -> Box | None:
-    """The prior standard deviation on a requirement's box, before any calibration; None where the prior is flat."""
-    if requirement.quantity in ("heading", "north"):
+def prior_map(spec: UnitSpec, requirement: UnitRequirement) -> Box | None:
+    """The prior standard deviation of a gyro's map on a requirement's box, before any calibration; None where the prior
+    is flat, and for other quantities."""
+    gyro = spec.sensor.gyro
+    if gyro is None or requirement.quantity not in ("gyro_bias", "gyro_scale_factor"):
         return None
-    section = spec.sensor.bias if requirement.quantity == "bias" else spec.sensor.scale_factor
+    section = gyro.bias if requirement.quantity == "gyro_bias" else gyro.scale_factor
     if section is None or section.prior is None:
         return None
     unit, factor = UNIT_OF[requirement.quantity]
-    temperatures, rates = box(requirement)
+    temperatures, rates = np.linspace(*map(float, requirement.temperature), requirement.grid[0]), np.zeros(1)
     over_temperature, over_rate = np.sum(basis_values(section.temperature, temperatures) ** 2, axis=1), np.ones(1)
-    if isinstance(section, ScaleFactor):
+    if isinstance(requirement, GyroScaleFactorRequirement) and isinstance(section, ScaleFactor):
+        rates = np.linspace(*map(float, requirement.rate), requirement.grid[1])
         over_rate = np.sum(basis_values(section.rate, rates) ** 2, axis=1)
     values = np.sqrt(np.outer(over_temperature, over_rate)) * float(section.prior) * factor
     return Box(temperatures, rates * DEG_PER_S, values, unit)

@@ -12,10 +12,8 @@ from gradcal_jax.api.structures import with_motion
 from gradcal_jax.api.systematic import floor_of_unit_plan
 from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.display import summary
-from gradcal_jax.files import Spec
 from gradcal_jax.files.absent import with_typical
-from gradcal_jax.files.axis_as_imu import general
-from gradcal_jax.files.spec import goes_on
+from gradcal_jax.files.spec import expect_spec, goes_on
 from gradcal_jax.files.unit_spec import UnitSpec
 
 
@@ -43,13 +41,13 @@ class PlanLimit(NamedTuple):
     __repr__ = summary
 
 
-def limits(spec: Spec | UnitSpec, *, motion: float | None = None) -> list[PlanLimit]:
+def limits(spec: UnitSpec, *, motion: float | None = None) -> list[PlanLimit]:
     """The limit of every requirement of a gradient plan for which there is a proof.
 
     `motion` s: time without soaks, in the place of the plan's or [design]'s; values and efficiencies are the plan's.
     Errors: `ValueError` where there is no requirement, no proof for one, or another kind of plan.
     """
-    spec = general(spec)
+    spec = expect_spec(spec)
     if spec.done:
         raise goes_on("a limit")
     if not spec.requirement:

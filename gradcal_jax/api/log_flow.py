@@ -5,11 +5,11 @@ from typing import Literal
 
 from gradcal_jax import identify
 from gradcal_jax.api import instability as noise
-from gradcal_jax.api.calibration import EstimateReport, estimate_calibration
+from gradcal_jax.api.estimate import EstimateReport, estimate_log
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.files import Spec
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec import expect_spec
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.identify.allan import TERMS
 
 
@@ -73,34 +73,35 @@ def allan(
 
 
 def estimate(
-    spec: Spec,
-    log: Log,
+    spec: UnitSpec,
+    log: Log | Sequence[Log],
     *,
-    axes: Sequence[str] = (),
+    axis: str | None = None,
     units: Sequence[str] = (),
     earth_rate: float | None = None,
     robust: bool = False,
     lag: float | Literal["fit"] = 0.0,
     smoothness: Literal["spec", "auto"] = "spec",
     clock: Literal["sensor", "host"] | None = None,
-    read_every: float = 1.0,
+    read_every: float | None = None,
     table_axis: str | None = None,
     neighbours_k: float | None = None,
     temperature_c: float | None = None,
 ) -> EstimateReport:
-    """The calibration of every unit in a log, by a spec's model, with covariance, tests and verdicts.
+    """The calibration of every sensor in a log, by a spec's model, with covariance, tests and verdicts.
 
-    Noise, table and maps are the spec's; the executed motion is read from the log. `axes`, `units`: default all.
-    `earth_rate` rad/s along the sensor's axis is subtracted (default: the spec's). `robust`: Huber weights for
-    outliers. `lag` s of the maps behind the measured temperature, or "fit". `smoothness` "auto": that of bins and
-    B-splines at maximum marginal likelihood. `clock`: the clock over whose time rates are integrated (default: the
-    spec's, or else the computer's where the log has both). `read_every` s: spacing of readings at rest. `table_axis`:
-    the axis that turns the sensor's. `neighbours_k`: also group moves of one rate within this temperature difference,
-    without a structure. `temperature_c` of a log without a thermometer.
+    Noise, table and terms are the spec's; the executed motion is read from the log. With several mountings, one log for
+    each. `axis`: the recorded one, where the spec has one gyro on a table of one axis. `units`: default all.
+    `earth_rate` rad/s along that axis is subtracted (default: the spec's). `robust`: Huber weights for outliers. `lag`
+    s of the maps behind the measured temperature, or "fit". `smoothness` "auto": that of bins and B-splines at maximum
+    marginal likelihood. `clock`: the clock over whose time rates are integrated (default: the spec's, or else the
+    computer's where the log has both). `read_every` s: spacing of readings at rest (default: the spec's). `table_axis`:
+    the log's name of the table's only axis. `neighbours_k`: also group moves of one rate within this temperature
+    difference, without a structure. `temperature_c` of a log without a thermometer.
 
-    Returns `calibrations` (SI, one a unit; `write_calibration` writes them), `verdicts` (ppm or deg/h) and `messages`
-    by unit, every channel's fit, and `as_wished`. Generalised least squares of the whitened readings: the covariance
-    that `predict` predicts, for the executed motion.
+    Returns `calibrations` (SI, one a sensor; `write_calibration` writes them), `verdicts` (in their units) and
+    `messages` by sensor, every sensor's fit, and `as_wished`. Gauss-Newton through the finite geometry, with the
+    whitened Jacobian of the prediction: the covariance that `predict` predicts, for the executed motion.
 
     Errors: `LogError` and `ValueError` where the log lacks what the estimate needs.
     """
@@ -115,4 +116,7 @@ def estimate(
         neighbours_k=neighbours_k,
         temperature_c=temperature_c,
     )
-    return estimate_calibration(expect_spec(spec), log, axes=axes, units=units, options=options)
+    logs = [log] if isinstance(log, Log) else log
+    return estimate_log(
+        spec if isinstance(spec, UnitSpec) else expect_spec(spec), logs, axis=axis, units=units, options=options
+    )

@@ -1,23 +1,18 @@
-"""Rows of a log of one unit and axis, prepared for integration."""
+"""What a log says of its rows: readings of the table, clocks, temperatures, and which rows may be used."""
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple, TypeVar, cast
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.files.calibration import correction
 from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import HOST_CLOCK
-from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
-AnySpec = TypeVar("AnySpec", Spec, UnitSpec)
 # A comparison of clocks that is no better than this, a ratio, is worth less than a quartz.
 _POOR_CLOCK = 2e-5
 # A clock without a stated error, a ratio, and the number of standard deviations by which two clocks contradict.
@@ -25,59 +20,6 @@ _QUARTZ, _APART = 2e-5, 2.0
 # A comparison this near to the computer's own error adds nothing to it.
 _AS_COUNTED = 1.1
 _CLOCK_MEND = '[sensor] clock = "sensor" predicts what such a log gives'
-
-
-class Rows(NamedTuple):
-    """Rows of one unit and axis, prepared for integration."""
-
-    time: np.ndarray
-    step: np.ndarray
-    rate: np.ndarray
-    temperature: np.ndarray
-    angle: np.ndarray | None
-    """The table's, rad, at the rows with a reading; interpolated between them."""
-    table_rate: np.ndarray | None
-    standing: np.ndarray
-    reading: np.ndarray
-    """Rows at whose ends the standing table was read."""
-    readings_in_row: np.ndarray
-    """How many readings with the noise of the spec each of these is worth."""
-    usable: np.ndarray
-    starts: np.ndarray
-    """Indices at which each unbroken stretch begins."""
-    messages: tuple[str, ...]
-
-
-def rows_of(built: Assembled, log: Log, axis: str, unit: int, options: Options) -> Rows:
-    """The rows of a unit and axis; `messages`: what was inferred or left out. Raises `LogError`."""
-    time, messages = time_of(log, options)
-    raw = log.rate_rad_per_s[unit, :, log.axis_index(axis)]
-    rate, usable = np.where(np.isfinite(raw), raw, 0.0), usable_rows(log, unit) & np.isfinite(raw)
-    temperature = estimation.smoothed_temperature(time, bridged_temperature(log, unit, options.temperature_c))
-    table = table_axis_of(log, axis, options.table_axis)
-    table_rate = None if table is None or log.table_rate_rad_per_s is None else log.table_rate_rad_per_s[:, table]
-    if log.standstill is not None:
-        standing = log.standstill >= 0
-    elif isinstance(built.spec.schedule, StandardSchedule):
-        standing = np.zeros(len(time), bool)
-    else:
-        number = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
-        standing = number >= 0
-        messages.append(f"the log marks no standstills: {int(number.max()) + 1} were found where the rates are quiet")
-    if isinstance(built.spec.schedule, StandardSchedule):
-        # The reference is the held rate: no angle is read.
-        read = TableReadings(np.zeros(0, int), np.zeros(0), np.zeros(0))
-        if table_rate is None and table is not None and log.table_angle_rad is not None:
-            table_rate = np.gradient(log.table_angle_rad[:, table], time)
-    else:
-        noise = float(built.model.reference.reading_noise)
-        read, standing = table_readings(log, table, standing, options.read_every, messages, noise)
-    angle, reading, worth = read.at_rows(len(time))
-    step = np.diff(time, prepend=time[0])
-    return Rows(
-        time, step, rate, temperature, angle, table_rate, standing, reading, worth, usable, log.stretch_starts,
-        tuple(messages),
-    )  # fmt: skip
 
 
 class TableReadings(NamedTuple):
@@ -214,9 +156,9 @@ def clock_fit(log: Log) -> ClockFit:
     return ClockFit(slope, float(np.sum(stds**-2.0)) ** -0.5, " from when its samples arrived")
 
 
-def with_options(spec: AnySpec, logs: Sequence[Log], options: Options) -> tuple[AnySpec, Options, list[str]]:
-    """The spec and the options of an estimate, each with what the other says of clock and Earth; and sentences on a
-    clock that contradicts the computer's.
+def with_options(spec: UnitSpec, logs: Sequence[Log], options: Options) -> tuple[UnitSpec, Options, list[str]]:
+    """The spec and the options of an estimate, each with what the other says of the clock; and sentences on a clock
+    that contradicts the computer's.
 
     Where rates are integrated over the computer's time, the clock's error is that of the comparison and of the
     computer's own clock. A rate of the Earth that an option gives is no omitted term of the spec.
@@ -250,14 +192,6 @@ def with_options(spec: AnySpec, logs: Sequence[Log], options: Options) -> tuple[
             f"the log's two clocks contradict each other by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more than "
             f"{_APART:g} times what the sensor's clock is good to: {used}"
         )
-    if isinstance(spec, Spec):
-        given = spec.rig.earth_rate
-        if options.earth_rate is not None:
-            given = Quantity.of(options.earth_rate, "deg/h")
-            rig = spec.rig.model_copy(update={"earth_rate": given})
-            spec = cast("AnySpec", spec.model_copy(update={"rig": rig}))
-        known = 0.0 if given is None or not np.isfinite(given) else float(given)
-        options = replace(options, earth_rate=known)
     return spec, replace(options, clock=clock), said
 
 
@@ -316,11 +250,6 @@ def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:
         f"which of the table's axes ({', '.join(log.table_axes)}) turns the sensor about {axis}? Name it with "
         "--table-axis"
     )
-
-
-def temperature_followed(rows: Rows, lag: float) -> np.ndarray:
-    """The rows' temperature with a first-order lag (s), at which the maps are evaluated."""
-    return correction.followed(rows.temperature, rows.time, rows.starts, lag)
 
 
 def count_rows(log: Log, unit: int, used: np.ndarray) -> dict[str, int]:

@@ -12,7 +12,7 @@ from gradcal_jax.api.structures import gyro_of
 from gradcal_jax.api.systematic import counted_criterion
 from gradcal_jax.api.tested_maps import tested_maps, with_hidden
 from gradcal_jax.design import AnyCoordinates, Case, Compiled, Coordinates, Criterion, Missed, Objective, Optimality
-from gradcal_jax.files import Spec, changed
+from gradcal_jax.files import changed
 from gradcal_jax.files.design import ALL, OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.requirement import UnitRequirement
@@ -69,7 +69,7 @@ def design_of(spec: UnitSpec) -> Design:
     return spec.design
 
 
-def design_block(spec: Spec | UnitSpec) -> str:
+def design_block(spec: UnitSpec) -> str:
     """A [design] for the spec's own requirement and kind of plan, as text to paste."""
     name = spec.requirement[0].name if spec.requirement else "D-optimality"
     if isinstance(spec.plan, StandardPlan):

@@ -4,12 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.contract_rows import finite
+from gradcal_jax.api.unit_build import AssembledUnit
 from gradcal_jax.files.contracts import MissionRow
-from gradcal_jax.files.requirement import HeadingRequirement, NorthRequirement, Requirement
+from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, UnitRequirement
 from gradcal_jax.information import Posterior
 from gradcal_jax.information.missions import Flight, mission_contrasts, mission_rows, own_variance
+from gradcal_jax.model import AXIS_NAMES, Channel
 from gradcal_jax.trajectory import EARTH_RATE
 
 # Number of points of a curve in a figure.
@@ -23,7 +24,7 @@ def earth_gain(requirement: NorthRequirement) -> float:
     return 1.0 / (EARTH_RATE * float(np.cos(float(requirement.latitude))))
 
 
-def flights_of(requirement: HeadingRequirement) -> list[tuple[Flight, float]]:
+def flights_of(requirement: MissionHeadingRequirement) -> list[tuple[Flight, float]]:
     """The missions, and the time (s) in each at which the requirement applies."""
     flights = []
     for mission in requirement.mission:
@@ -32,40 +33,44 @@ def flights_of(requirement: HeadingRequirement) -> list[tuple[Flight, float]]:
     return flights
 
 
-def own_noise(built: Assembled, flight: Flight, time: float) -> dict[str, float]:
-    """Standard deviation of the integrated rate (rad) at `time` (s) in a mission, by source of the unit's own noise.
+def own_noise(built: AssembledUnit, channel: Channel, flight: Flight, time: float) -> dict[str, float]:
+    """Standard deviation of a gyro's integrated rate (rad) at `time` (s) in a mission, by source of its own noise.
 
     Where a calibration estimates the bias, two turn-on biases count: that of its run, which is in the map, and that
     of the mission. A rate random walk counts from the mission's beginning.
     """
-    model, sensor = built.model, built.spec.sensor
+    model, gyro = channel.model, built.spec.sensor.gyro
+    assert gyro is not None
     deviations = {"angle random walk": float(model.angle_random_walk) * time**0.5}
-    for name, members in built.sources.items():
+    for name, members in built.sources["gyro"].items():
         if name not in _NOT_OWN:
             deviations[name] = own_variance(flight, model.processes, members, time) ** 0.5
-    if sensor.turn_on_bias:
-        deviations["turn-on bias"] = float(sensor.turn_on_bias) * time * (1.0 if sensor.bias is None else 2.0**0.5)
+    if gyro.turn_on_bias:
+        deviations["turn-on bias"] = float(gyro.turn_on_bias) * time * (1.0 if gyro.bias is None else 2.0**0.5)
     return deviations
 
 
 class OwnNoise(NamedTuple):
-    """The unit's own noise in a requirement (deg): in total, by source, and of each mission."""
+    """A gyro's own noise in a requirement (deg): in total, by source, and of each mission."""
 
     total: float
     sources: dict[str, float]
     missions: tuple[float, ...]
 
 
-def own_noise_of(built: Assembled, requirement: Requirement) -> OwnNoise | None:
-    """The noise in a heading or north (deg) that no calibration removes; over several missions the weighted root mean
-    square, or the maximum. None for a requirement on a map."""
+def own_noise_of(built: AssembledUnit, requirement: UnitRequirement) -> OwnNoise | None:
+    """The noise in a heading or north (deg) that no calibration removes, the same for every gyro; over several missions
+    the weighted root mean square, or the maximum. None for a requirement on anything else."""
+    gyro = next((c for c in built.model.channels if c.kind == "gyro"), None)
+    if gyro is None:
+        return None
     if isinstance(requirement, NorthRequirement):
         time = float(requirement.after)
         still = Flight(np.array([0.0, time]), np.zeros(2), np.zeros(2))
-        by_source = [own_noise(built, still, time)]
+        by_source = [own_noise(built, gyro, still, time)]
         factor, share = float(np.degrees(earth_gain(requirement))) / time, np.ones(1)
-    elif isinstance(requirement, HeadingRequirement):
-        by_source = [own_noise(built, flight, time) for flight, time in flights_of(requirement)]
+    elif isinstance(requirement, MissionHeadingRequirement):
+        by_source = [own_noise(built, gyro, flight, time) for flight, time in flights_of(requirement)]
         factor, share = float(np.degrees(1.0)), np.array([mission.weight for mission in requirement.mission])
     else:
         return None
@@ -77,9 +82,9 @@ def own_noise_of(built: Assembled, requirement: Requirement) -> OwnNoise | None:
     return OwnNoise(float(np.sqrt(np.sum(together**2))), sources, tuple(map(float, each)))
 
 
-def mission_table(requirement: HeadingRequirement, left: np.ndarray, own: OwnNoise) -> tuple[MissionRow, ...]:
-    """Every mission with the error that the calibration leaves, `left` (deg), and its own noise."""
-    rows = zip(requirement.mission, flights_of(requirement), left.ravel(), own.missions, strict=True)
+def mission_table(requirement: MissionHeadingRequirement, left: np.ndarray, own: OwnNoise) -> tuple[MissionRow, ...]:
+    """Every mission with the error that the calibration leaves, `left` `(n,)` (deg), and its own noise."""
+    rows = zip(requirement.mission, flights_of(requirement), left, own.missions, strict=True)
     return tuple(
         MissionRow(file=mission.file, weight=mission.weight, after_s=time, left=finite(value), own=noise)
         for mission, (_, time), value, noise in rows
@@ -96,13 +101,21 @@ class ErrorCurve(NamedTuple):
     own: np.ndarray
 
 
-def error_curves(built: Assembled, known: Posterior, requirement: HeadingRequirement) -> list[ErrorCurve]:
-    """The error of each mission over time."""
-    curves = []
-    for mission, (flight, end) in zip(requirement.mission, flights_of(requirement), strict=True):
-        at = np.linspace(0.0, end, _CURVE)[1:]
-        left = mission_contrasts(built.model, mission_rows(built.model, flight, at)).left(known)
-        own = [np.linalg.norm(list(own_noise(built, flight, float(time)).values())) for time in at]
-        pair = (np.degrees(np.concatenate([[0.0], values])) for values in (left, own))
-        curves.append(ErrorCurve(mission.file, np.concatenate([[0.0], at]), *pair))
+def error_curves(
+    built: AssembledUnit, known: Posterior, requirement: MissionHeadingRequirement
+) -> list[tuple[str, ErrorCurve]]:
+    """The error of each mission over time for each required gyro, by the name of its axis."""
+    curves: list[tuple[str, ErrorCurve]] = []
+    for channel in built.model.channels:
+        axis = AXIS_NAMES[channel.axis]
+        if channel.kind != "gyro" or requirement.axis not in ("all", "worst", axis):
+            continue
+        where = built.model.where(channel.kind, channel.axis)
+        part = Posterior(known.spread[where], known.hidden[where])
+        for mission, (flight, end) in zip(requirement.mission, flights_of(requirement), strict=True):
+            at = np.linspace(0.0, end, _CURVE)[1:]
+            left = mission_contrasts(channel.model, mission_rows(channel.model, flight, at)).left(part)
+            own = [np.linalg.norm(list(own_noise(built, channel, flight, float(time)).values())) for time in at]
+            pair = (np.degrees(np.concatenate([[0.0], values])) for values in (left, own))
+            curves.append((axis, ErrorCurve(mission.file, np.concatenate([[0.0], at]), *pair)))
     return curves

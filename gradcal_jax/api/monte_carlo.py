@@ -4,19 +4,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.build import assemble
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, contrasts_of, residual_map, statistic_of, unweighted_estimator
-from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
+from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit, unweighted_estimator
 from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.display import summary
-from gradcal_jax.files import Spec
-from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import (
     Posterior,
     WishartTest,
     estimator_of_means,
-    monte_carlo_errors,
     simulated_errors,
     unit_system,
     wishart_test,
@@ -36,34 +32,34 @@ class TwinRow(NamedTuple):
     __repr__ = summary
 
 
-def monte_carlo(spec: Spec | UnitSpec, runs: int, seed: int = 0) -> tuple[list[TwinRow], dict[str, WishartTest]]:
+def monte_carlo(spec: UnitSpec, runs: int, seed: int = 0) -> tuple[list[TwinRow], dict[str, WishartTest]]:
     """Simulate `runs` calibrations of a spec's plan. Returns a row for each requirement (ppm, deg/h; in its own unit),
-    and for each axis (of an IMU: for all channels together) the test of the sample covariance against the predicted one
-    (likelihood ratio of a Wishart matrix).
+    and for all channels together the test of the sample covariance against the predicted one (likelihood ratio of a
+    Wishart matrix).
 
     Errors: `ValueError` for fewer runs than parameters, and where the plan leaves something unobservable.
     """
-    if isinstance(spec, UnitSpec):
-        return _of_imu(spec, runs, seed)
-    built = assemble(spec)
-    _enough(runs, built.model.size)
+    spec = expect_spec(spec)
+    built = assemble_unit(spec)
+    model, motion, nodes = built.model, built.motion, built.body_nodes()
+    _enough(runs, model.size)
+    steps, columns = unit_system(motion, model, nodes)
+    terms = [term for c in model.channels for term in c.model.terms]
+    carried = np.concatenate([np.full(t.size, not isinstance(t, Discrepancy)) for t in terms])
+    carried = np.pad(carried, (0, model.size - len(carried)), constant_values=True)
+    known, plain = posterior_of_unit(built), None
+    if unweighted_estimator(spec):
+        plain = estimator_of_means(motion, model, steps, columns), known
+    twin = simulated_errors(steps, np.asarray(columns), model.prior_rows(), carried, runs, seed, plain=plain)
+    found = Posterior(twin.left.T / np.sqrt(len(twin.left)), np.zeros((model.size, 0)))
     rows: list[TwinRow] = []
-    tests: dict[str, WishartTest] = {}
-    for channel in built.channels:
-        weighted = not unweighted_estimator(spec)
-        result = monte_carlo_errors(built.trajectory(channel), built.model, runs, seed, weighted=weighted)
-        tests[channel] = wishart_test(result.errors, result.predicted)
-        for requirement in spec.requirement:
-            predicted = residual_map(built, result.predicted, requirement)[2]
-            unit, factor = UNIT_OF[requirement.quantity]
-            # Root mean square error of the simulated maps at each point.
-            places = contrasts_of(built.model, requirement, "max").rows
-            mean_square = result.left.T @ result.left / len(result.left)
-            squares = np.einsum("gi,ij,gj->g", places, mean_square, places)
-            simulated = np.sqrt(squares).reshape(predicted.shape) * factor
-            values = (statistic_of(requirement, of) for of in (predicted, simulated))
-            rows.append(TwinRow(requirement.name, channel, unit, *values))
-    return rows, tests
+    for requirement in spec.requirement:
+        one, other = (unit_residual(built, of, requirement) for of in (known, found))
+        values = (of.finite_statistic() for of in (one, other))
+        rows.append(TwinRow(requirement.name, requirement.axis, one.unit, *values))
+    own = model.calibrated if plain is not None else model.size
+    believed = Posterior(twin.predicted.spread[:own], twin.predicted.hidden[:own])
+    return rows, {"all": wishart_test(twin.errors[:, :own], believed)}
 
 
 def _enough(runs: int, parameters: int) -> None:
@@ -72,28 +68,3 @@ def _enough(runs: int, parameters: int) -> None:
         raise ValueError(
             f"{runs} runs cannot test a covariance of {parameters} parameters: ask for {2 * parameters} or more"
         )
-
-
-def _of_imu(spec: UnitSpec, runs: int, seed: int) -> tuple[list[TwinRow], dict[str, WishartTest]]:
-    built = assemble_unit(spec)
-    model, motion, nodes = built.model, built.motion, built.body_nodes()
-    _enough(runs, model.size)
-    if spec.done:
-        raise ValueError("parts that were executed before are not simulated: leave [[done]] out")
-    steps, columns = unit_system(motion, model, nodes)
-    terms = [term for c in model.channels for term in c.model.terms]
-    carried = np.concatenate([np.full(t.size, not isinstance(t, Discrepancy)) for t in terms])
-    carried = np.pad(carried, (0, model.size - len(carried)), constant_values=True)
-    known, plain = posterior_of_unit(built), None
-    if isinstance(spec.plan, StandardPlan) and spec.plan.estimator == "least squares":
-        plain = estimator_of_means(motion, model, steps, columns), known
-    twin = simulated_errors(steps, np.asarray(columns), model.prior_rows(), carried, runs, seed, plain=plain)
-    found = Posterior(twin.left.T / np.sqrt(len(twin.left)), np.zeros((model.size, 0)))
-    rows: list[TwinRow] = []
-    for requirement in spec.requirement:
-        one, other = (unit_residual(built, of, requirement) for of in (known, found))
-        values = (float(x) if (x := of.statistic()) is not None else np.inf for of in (one, other))
-        rows.append(TwinRow(requirement.name, requirement.axis, one.unit, *values))
-    own = model.calibrated if plain is not None else model.size
-    believed = Posterior(twin.predicted.spread[:own], twin.predicted.hidden[:own])
-    return rows, {"all": wishart_test(twin.errors[:, :own], believed)}

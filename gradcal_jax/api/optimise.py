@@ -10,10 +10,9 @@ from gradcal_jax.api.pose_search import EVALUATIONS, QUICK_EVALUATIONS, search_p
 from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.api.structures import motion_time, with_motion
 from gradcal_jax.api.turn_search import STEPS, search_turns
-from gradcal_jax.files import Spec
-from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
 BY_HAND = (
@@ -25,7 +24,7 @@ NO_UNTIL_MET = "a search for the shortest plan ends where its targets are just m
 
 
 def optimise(
-    spec: Spec | UnitSpec,
+    spec: UnitSpec,
     *,
     steps: int | None = None,
     quick: bool = False,
@@ -44,7 +43,7 @@ def optimise(
     is finished. Errors: `ValueError` when limits exclude each other, nothing can be observed, the table is turned by
     hand or, with `until_met`, there is no target.
     """
-    spec = general(spec)
+    spec = expect_spec(spec)
     stands = isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None
     if spec.rig.table.drive == "hand" and not stands:
         raise ValueError(BY_HAND)

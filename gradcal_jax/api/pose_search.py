@@ -19,7 +19,14 @@ import numpy as np
 from gradcal_jax.api.posterior_of_plan import UNIT_OF, limit_of
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.search_results import MARGIN, MET, NO_TARGET, Optimised, RequirementChange, SearchStep
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, geometry, waves_of
+from gradcal_jax.api.unit_build import (
+    AssembledUnit,
+    assemble_unit,
+    course_before,
+    executed_motion,
+    geometry,
+    waves_of,
+)
 from gradcal_jax.api.unit_residual import RequiredQuantity, UnitResidual, quantity_of
 from gradcal_jax.design.cycle_moves import Cycle, Neighbourhood
 from gradcal_jax.design.descent import Descent
@@ -41,8 +48,9 @@ from gradcal_jax.files.design import ALL, TIMES, WORST, Design
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.requirement import UnitRequirement
 from gradcal_jax.files.rounding import rounded
+from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.unit_plan import UnitSchedule, quickest_turn
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, unit_system, whiten
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import PathTerm, UnitModel
@@ -273,7 +281,9 @@ class CyclePlan:
         models = [assemble_unit(one).model if one is not spec else self.built.model for one, _ in scenarios]
         self._models = models
         prior = self.built.model.prior_rows()
-        self._known = [prior.T @ prior + _past(self.built, model) for model in models]
+        self._prior = prior.T @ prior
+        self._executed = executed_motion(self.built)
+        self._known = [self._prior + self._past(model) for model in models]
         timed = self.design.minimise in TIMES
         self.worst = timed or self.design.minimise == WORST
         counts = [
@@ -309,6 +319,12 @@ class CyclePlan:
         )
         self.descent = Descent(self._value)
 
+    def _past(self, model: UnitModel) -> np.ndarray:
+        """The information of what was executed before; a search takes its drifts as independent of the plan's."""
+        if self._executed is None:
+            return np.zeros((model.size, model.size))
+        return _gram_of(self.built._replace(model=model, motion=self._executed))
+
     def _value(self, z: Any, args: tuple[CycleStructure, Ramp, Any]) -> Any:
         return self.objective.value(jnp.reshape(z, (3, self.slots)), *args)
 
@@ -343,7 +359,10 @@ class CyclePlan:
         polynomials, ramps = model.shifts(np.zeros(1)) is not None, []
         of_path = any(isinstance(term, PathTerm) for c in model.channels for term in c.model.terms)
         samples = _SAMPLES_ON_A_PATH if of_path else _SAMPLES
-        past = [] if self.built.motion.history is None else self.built.motion.history.tolist()
+        past = [] if (before := course_before(self.spec)) is None else before.tolist()
+        if self._executed is not None:
+            begin, end = self._executed.line.ends()
+            past += [*begin[:1].tolist(), *end.tolist()]
         for part in _parts(self.spec.plain_schedule, counts, period):
             mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0] - part.slope * lag
             step, number = part.slope * period, len(part.temperatures)
@@ -374,8 +393,7 @@ class CyclePlan:
     def residuals(self, spec: UnitSpec) -> list[list[UnitResidual]]:
         """What a spec's plan leaves by each model of the noise, in the order of its requirements."""
         built = assemble_unit(spec)
-        each = zip(self._models, self._known, strict=True)
-        return [_residuals(known + _gram_of(built._replace(model=model)), self._fine) for model, known in each]
+        return [_residuals(self._prior + _gram_of(built._replace(model=model)), self._fine) for model in self._models]
 
     def value_of(self, residuals: Sequence[Sequence[UnitResidual]]) -> float:
         """The objective of a plan that leaves these residuals."""
@@ -419,7 +437,7 @@ class CyclePlan:
             cycle = cycle._replace(turns=self.on_steps(cycle.turns))
         tables = self.spec.model_dump(mode="json", exclude_unset=True)
         tables["plan"]["cycle"]["moves"] = self._moves(self._rounded(cycle))
-        return unit_spec_of(tables)
+        return spec_of(tables)
 
     def _rounded(self, cycle: RepeatedCycle) -> Cycle:
         """Rounded turns, rates and rests that fit into the period and close as the cycle does."""
@@ -563,13 +581,6 @@ def _log(residual: UnitResidual, aim: tuple[Statistic, float]) -> float:
     """The logarithm of a statistic over its limit."""
     value = residual.statistic(aim[0])
     return math.log(value / aim[1]) if value else math.inf
-
-
-def _past(built: AssembledUnit, model: UnitModel) -> np.ndarray:
-    """The information of the motions before the plan."""
-    of = built._replace(model=model)
-    nothing = np.zeros((model.size, model.size))
-    return sum((_gram_of(of._replace(motion=motion)) for motion in built.past), nothing)
 
 
 def _gram_of(built: AssembledUnit) -> np.ndarray:

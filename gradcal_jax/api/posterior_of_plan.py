@@ -1,44 +1,30 @@
 """The posterior covariance after a spec's plan, and residuals on its requirements' boxes."""
 
-from collections.abc import Callable
 from functools import partial
-from typing import Final, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.missions import earth_gain, flights_of
+from gradcal_jax.api.verdicts import DEG_PER_H as DEG_PER_H
+from gradcal_jax.api.verdicts import UNIT_OF, mission_weights, verdict_of
+from gradcal_jax.api.verdicts import decision_rule as decision_rule
+from gradcal_jax.api.verdicts import limit_of as limit_of
+from gradcal_jax.api.verdicts import run_of as run_of
+from gradcal_jax.api.verdicts import target_of as target_of
 from gradcal_jax.design import Criterion, polynomial_grid
-from gradcal_jax.files import Spec
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
-from gradcal_jax.files.requirement import HeadingRequirement, NorthRequirement, Requirement, UnitRequirement
+from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, Requirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, contrasts, information, posterior, residual, statistic, unweighted
-from gradcal_jax.information.conformity import coverage_of_risk
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
 from gradcal_jax.information.residual import Contrasts, Statistic, map_of
 from gradcal_jax.model import BIAS, SCALE_FACTOR, HigherPolynomials, Map, Polynomial, SensorModel
-from gradcal_jax.units import DEG_PER_H, DEG_PER_S, PPM, G
-
-UnitForPeople = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
-UNIT_OF: Final[dict[str, tuple[UnitForPeople, float]]] = {
-    "scale_factor": ("ppm", PPM),
-    "bias": ("deg/h", DEG_PER_H),
-    "north": ("deg", float(np.degrees(1.0))),
-    "heading": ("deg", float(np.degrees(1.0))),
-    "gyro_bias": ("deg/h", DEG_PER_H),
-    "gyro_scale_factor": ("ppm", PPM),
-    "gyro_misalignment": ("urad", 1e6),
-    "g_sensitivity": ("deg/h/g", DEG_PER_H * G),
-    "accelerometer_bias": ("ug", 1e6 / G),
-    "accelerometer_scale_factor": ("ppm", PPM),
-    "accelerometer_misalignment": ("urad", 1e6),
-    "second_order": ("ug/g^2", 1e6 * G),
-    "position": ("m", 1.0),
-    "tilt": ("urad", 1e6),
-}
-"""For each quantity of an axis or a whole unit its unit for people, and how many of it are one in SI."""
+from gradcal_jax.units import DEG_PER_S
+from gradcal_jax.units import PPM as PPM
+from gradcal_jax.units import G as G
 
 
 def posterior_of_plan(built: Assembled, channel: Axis | None = None) -> Posterior:
@@ -52,7 +38,7 @@ def posteriors_of_plan(built: Assembled) -> dict[Axis, Posterior]:
     return {channel: posterior_of_plan(built, channel) for channel in built.channels}
 
 
-def unweighted_estimator(spec: Spec | UnitSpec) -> bool:
+def unweighted_estimator(spec: UnitSpec) -> bool:
     """Whether the spec's estimator is ordinary least squares on the points' rates, as in the paper's figure."""
     return isinstance(spec.plan, StandardPlanSection) and spec.plan.estimator == "least squares"
 
@@ -76,7 +62,7 @@ def survey(built: Assembled, channel: Axis | None = None) -> Survey:
 
 
 def residual_map(
-    built: Assembled, known: Posterior, requirement: Requirement | UnitRequirement, *, si: bool = False
+    built: Assembled, known: Posterior, requirement: UnitRequirement, *, si: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Temperatures (°C), rates (deg/s) and the residual `(n_T, n_ω)` in the unit of `UNIT_OF`, on a requirement's box;
     for missions `(n, 1)`, with mission indices in the place of temperatures.
@@ -84,7 +70,7 @@ def residual_map(
     `si`: the rates in rad/s, the residual in 1, rad/s or rad.
     """
     temperatures, rates = box(requirement)
-    if isinstance(requirement, HeadingRequirement):
+    if isinstance(requirement, MissionHeadingRequirement):
         values = contrasts_of(built.model, requirement, "max").left(known)[:, None]
     else:
         values = residual(known, built.model, _map_of(requirement), temperatures, rates) * _gain(requirement)
@@ -93,10 +79,10 @@ def residual_map(
     return temperatures, rates * DEG_PER_S, values * UNIT_OF[requirement.quantity][1]
 
 
-def box(requirement: Requirement | UnitRequirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+def box(requirement: UnitRequirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side; for missions
     their indices."""
-    if isinstance(requirement, HeadingRequirement):
+    if isinstance(requirement, MissionHeadingRequirement):
         return np.arange(float(len(requirement.mission))), np.zeros(1)
     cold, warm = requirement.temperature
     temperatures = np.linspace(float(cold), float(warm), min(most or requirement.grid[0], requirement.grid[0]))
@@ -108,22 +94,22 @@ def box(requirement: Requirement | UnitRequirement, most: int | None = None) -> 
 
 def contrasts_of(
     model: SensorModel,
-    requirement: Requirement | UnitRequirement,
+    requirement: UnitRequirement,
     name: Statistic,
     at: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Contrasts:
     """The residual on a grid (by default `box`) as linear functions of the parameters; those of missions are scaled
     such that the unweighted statistic `name` is the weighted one."""
-    if isinstance(requirement, HeadingRequirement):
+    if isinstance(requirement, MissionHeadingRequirement):
         rows = [mission_rows(model, flight, np.array([end]))[0] for flight, end in flights_of(requirement)]
-        return mission_contrasts(model, np.stack(rows)).times(weights(requirement, name)[:, 0])
+        return mission_contrasts(model, np.stack(rows)).times(mission_weights(requirement, name)[:, 0])
     grid = (g.ravel() for g in np.meshgrid(*(at or box(requirement)), indexing="ij"))
     return contrasts(model, _map_of(requirement), *grid).times(_gain(requirement))
 
 
 def criterion_of(
     model: SensorModel,
-    requirement: Requirement | UnitRequirement,
+    requirement: UnitRequirement,
     name: Statistic | None = None,
     most: int | None = None,
 ) -> Criterion:
@@ -131,7 +117,7 @@ def criterion_of(
     interpolates a polynomial map between few places."""
     name, at = name or requirement.statistic, box(requirement, most)
     shape, between = (len(at[0]), len(at[1])), None
-    if most is not None and not isinstance(requirement, HeadingRequirement):
+    if most is not None and not isinstance(requirement, MissionHeadingRequirement):
         at, between = _few_places(map_of(model, _map_of(requirement)), *at)
     rows, alone, beyond = contrasts_of(model, requirement, name, at)
     return Criterion(rows, alone if np.any(alone) else None, beyond, shape, name, between)
@@ -150,77 +136,20 @@ def _few_places(of: Map, temperatures: np.ndarray, rates: np.ndarray):
     return (few_t, few_w), (by_t, by_w)
 
 
-def weights(requirement: Requirement | UnitRequirement, name: Statistic) -> np.ndarray:
-    """Factors `(n, 1)` of the residuals of missions that make a plain statistic the weighted one."""
-    if not isinstance(requirement, HeadingRequirement) or name not in ("rms", "mean"):
-        return np.ones((1, 1))
-    share = np.array([[mission.weight] for mission in requirement.mission])
-    share = share / np.mean(share)
-    return np.sqrt(share) if name == "rms" else share
-
-
-def statistic_of(
-    requirement: Requirement | UnitRequirement, values: np.ndarray, name: Statistic | None = None
-) -> float:
+def statistic_of(requirement: UnitRequirement, values: np.ndarray, name: Statistic | None = None) -> float:
     """The requirement's statistic of its residuals, or the one of that `name`."""
     name = name or requirement.statistic
-    return statistic(name, values * weights(requirement, name))
+    return statistic(name, values * mission_weights(requirement, name))
 
 
-def _map_of(requirement: Requirement | UnitRequirement) -> Literal["bias", "scale_factor"]:
+def _map_of(requirement: UnitRequirement) -> Literal["bias", "scale_factor"]:
     return SCALE_FACTOR if requirement.quantity.endswith("scale_factor") else BIAS
 
 
-def _gain(requirement: Requirement | UnitRequirement) -> float:
+def _gain(requirement: UnitRequirement) -> float:
     return earth_gain(requirement) if isinstance(requirement, NorthRequirement) else 1.0
-
-
-def target_of(requirement: Requirement | UnitRequirement) -> float | None:
-    """The target in the unit of `UNIT_OF`."""
-    return None if requirement.target is None else float(requirement.target) * UNIT_OF[requirement.quantity][1]
-
-
-def limit_of(requirement: Requirement | UnitRequirement) -> tuple[Statistic, float] | None:
-    """The limit that a target sets to the residual map (1σ): a statistic, and its largest allowed value (`UNIT_OF`).
-
-    Simple acceptance: the requirement's own statistic, `target / coverage`. Guarded: the maximum, by the risk.
-    """
-    target = target_of(requirement)
-    if target is None:
-        return None
-    if requirement.risk is None:
-        return requirement.statistic, target / requirement.coverage
-    return "max", target / coverage_of_risk(float(requirement.risk))
-
-
-def decision_rule(requirement: Requirement | UnitRequirement) -> str:
-    """The decision rule of a target, in words. Empty without one."""
-    if requirement.target is None:
-        return ""
-    if requirement.risk is None:
-        of = f"{requirement.coverage:g} × " if requirement.coverage != 1.0 else ""
-        return f"simple acceptance: {of}{requirement.statistic} (1σ) within {requirement.target}"
-    return f"guarded: beyond {requirement.target} at the worst place with a chance of {requirement.risk} at most"
 
 
 def verdict(requirement: Requirement, values: np.ndarray) -> Literal["met", "missed", "unobservable"] | None:
     """The verdict on a residual map (in `UNIT_OF`, 1σ) by a requirement's decision rule; None without a target."""
     return verdict_of(requirement, partial(statistic_of, requirement, values))
-
-
-def verdict_of(
-    requirement: Requirement | UnitRequirement, statistic_named: Callable[[Statistic], float]
-) -> Literal["met", "missed", "unobservable"] | None:
-    """The verdict by a requirement's decision rule; None without a target. `statistic_named`: the residual's statistics
-    by name (in `UNIT_OF`, 1σ), infinite where it is not observable."""
-    if not np.isfinite(statistic_named(requirement.statistic)):
-        return "unobservable"
-    limit = limit_of(requirement)
-    if limit is None:
-        return None
-    return "met" if statistic_named(limit[0]) <= limit[1] else "missed"
-
-
-def run_of(requirement: Requirement | UnitRequirement) -> Literal["any run", "this run"]:
-    """Whether the bias of another power-on counts."""
-    return getattr(requirement, "of", "this run")

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 import gradcal_jax
 from gradcal_jax.api.contract_rows import versions_of
 from gradcal_jax.api.prediction import predict
-from gradcal_jax.files import Spec
 from gradcal_jax.files.recipe import FORMAT, Predicted, Recipe, RecipeOrigin
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.files.spec import expect_spec
@@ -21,7 +20,7 @@ NOT_OPTIMISED = "not optimised: the plan as it stands in the spec"
 
 
 def recipe(
-    plan: "Spec | UnitSpec | Optimised",
+    plan: "UnitSpec | Optimised",
     *,
     resolution: ControllerSteps | None = None,
     stability: Stability | None = None,
@@ -31,8 +30,7 @@ def recipe(
     optimisation: Mapping[str, Any] | None = None,
     notes: tuple[str, ...] = (),
 ) -> Recipe:
-    """The plan of a spec (of one axis or of a whole unit), or an optimised one, made executable, with the prediction
-    (ppm, deg/h) of what is executed.
+    """The plan of a spec, or an optimised one, made executable, with the prediction (ppm, deg/h) of what is executed.
 
     `resolution`: the controllers' steps; None: those of `[rig.resolution]`, and defaults. `stability`: when a
     temperature counts as stable, and how long to wait for it. `keep_shapes`: the table follows any shape of motion;
@@ -41,9 +39,8 @@ def recipe(
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """
-    found = getattr(plan, "spec", plan)
-    spec = found if isinstance(found, UnitSpec) else expect_spec(found)
-    if not isinstance(plan, Spec | UnitSpec):
+    spec = expect_spec(getattr(plan, "spec", plan))
+    if not isinstance(plan, UnitSpec):
         from gradcal_jax.api.search_results import record_of
 
         status, optimisation = status or plan.sentence, optimisation or record_of(plan)

@@ -10,7 +10,6 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.signal_faults import without_faults
-from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
 # An angle within a standstill is no chance at this many standard deviations, and matters at this many of a reading.
@@ -35,7 +34,7 @@ class RecordFaults(NamedTuple):
 
 
 def without_bad_rows(
-    spec: Spec | UnitSpec, logs: Sequence[Log], channels: Collection[str]
+    spec: UnitSpec, logs: Sequence[Log], channels: Collection[str]
 ) -> tuple[list[Log], Mapping[str, RecordFaults]]:
     """The logs with such rows masked, and by unit what was found in any of them; `channels`: those that are estimated,
     such as "gyro x"."""
@@ -52,10 +51,10 @@ def without_bad_rows(
     return cleaned, {name: RecordFaults(tuple(left_out[name]), wrong[name]) for name in left_out}
 
 
-def _ends_of_standstills(spec: Spec | UnitSpec, log: Log, name: str, channels: Collection[str]) -> dict[str, str]:
+def _ends_of_standstills(spec: UnitSpec, log: Log, name: str, channels: Collection[str]) -> dict[str, str]:
     if log.standstill is None:
         return {}
-    angles = [spec.rig.table.angle] if isinstance(spec, Spec) else [axis.angle for axis in spec.rig.table.axis]
+    angles = [axis.angle for axis in spec.rig.table.axis]
     known = min(float(np.hypot(float(a.reading_noise), float(a.standstill_offset))) for a in angles)
     found = dict[str, str]()
     for k, label in enumerate(log.axes):

@@ -18,6 +18,8 @@ from gradcal_jax.model import PathTerm
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
 _REHUNG_S = 6 * 3600.0
+# Spacing of the readings of a log with the angle at every row, if nothing says it, s.
+_READ_EVERY_S = 1.0
 
 
 def unit_rows(
@@ -76,7 +78,10 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
         # Its reference is the held rate: nothing is read where the table stands.
         standing = np.zeros(len(time), bool)
     elif gyros.any():
-        standstill = estimation.find_standstills(np.nan_to_num(rates[:, gyros]), log.sample_interval_s, valid=usable)
+        # Also by gyros that are not calibrated: a turn about another axis is no rest.
+        standstill = estimation.find_standstills(
+            np.nan_to_num(log.rate_rad_per_s[number]), log.sample_interval_s, valid=usable
+        )
         standing = standstill >= 0
         messages.append(
             f"the log marks no standstills: {int(standstill.max()) + 1} were found where the rates are quiet"
@@ -93,9 +98,14 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
             _table_rate(built, log, options.table_axis),
         )
     elif read_by_events(built.spec):
-        place = _places_of(built, log, options.table_axis)[0]
-        every, noise = float(built.model.encoder.every[0]), float(built.model.encoder.reading[0])
-        read, standing = table_readings(log, place, standing, every, messages, noise)
+        known = log.table_axes and (log.readings is not None or log.table_angle_rad is not None)
+        place = _places_of(built, log, options.table_axis)[0] if known or options.table_axis else None
+        if not known:
+            messages.append(
+                "the log has no table angle: only rates at rest are used, and the scale factor is not observable"
+            )
+        noise = float(built.model.encoder.reading[0])
+        read, standing = table_readings(log, place, standing, _spacing(built, options), messages, noise)
         at_a_stop, worth = np.zeros(len(time), bool), np.ones(len(time))
         at_a_stop[read.rows], worth[read.rows] = True, read.worth
         angles = np.full((len(time), 1), np.nan)
@@ -103,6 +113,12 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
     else:
         angles, at_a_stop = _table_angles(built, log, options.table_axis)
     return UnitRows(time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop, worth, rate), messages
+
+
+def _spacing(built: AssembledUnit, options: Options) -> float:
+    """The spacing of readings at rest, s."""
+    every = float(built.model.encoder.every[0])
+    return options.read_every or (every if np.isfinite(every) else _READ_EVERY_S)
 
 
 def read_by_events(spec: UnitSpec) -> bool:

@@ -3,30 +3,26 @@
 The executed part is in the spec as `[[done]]`, so that every prediction of the new plan includes its readings and
 noise. Both are one run: the drifts continue through the pause, the turn-on bias stays (the unit is not switched off),
 and the angle's origin is read anew. The remaining plan is searched like any plan, on a ramp from the temperature of the
-interruption to the end of the old ramp. Of a whole unit only whole cycles count, and drifts begin anew: after a pause
-of half an hour they are uncorrelated.
+interruption to the end of the old ramp.
 """
 
 import math
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from gradcal_jax.api.build import assemble
 from gradcal_jax.api.flow import optimise
 from gradcal_jax.api.measure import design_block
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, residual_map, statistic_of
 from gradcal_jax.api.search_results import Optimised, SearchStep
-from gradcal_jax.api.structures import axes_of, ramped_shape, read_spacing, visit_times
-from gradcal_jax.api.unit_build import assemble_unit, known_of_motions, motion_of
+from gradcal_jax.api.structures import ResolvedCycle, cycle_of, ramped_shape, read_spacing, visit_times
+from gradcal_jax.api.unit_build import assemble_unit, executed_motion
 from gradcal_jax.api.unit_residual import unit_residual
-from gradcal_jax.files import Spec, changed, tables_of
-from gradcal_jax.files.changes import AnySpec
+from gradcal_jax.files import changed, tables_of
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.rounding import steps_of
-from gradcal_jax.files.unit_plan import cycles_between
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information import information, posterior
+from gradcal_jax.information import posterior, unit_information
+from gradcal_jax.trajectory import body_nodes
 
 PAUSE_S = 1800.0
 _ROUNDING = 1e-6
@@ -50,47 +46,26 @@ class KnownRow(NamedTuple):
     at_end: float | None
 
 
-def with_done(spec: AnySpec, done: Sequence[Span], pause_s: float = PAUSE_S) -> AnySpec:
+def with_done(spec: UnitSpec, done: Sequence[Span], pause_s: float = PAUSE_S) -> UnitSpec:
     """The spec with spans of its own plan as the part that was executed before it."""
-    plan: dict[str, Any] = {"plan": tables_of(spec)["plan"]}
-    if isinstance(spec, Spec):
-        plan["pause"] = f"{pause_s:.9g} s"
+    plan: dict[str, Any] = {"plan": tables_of(spec)["plan"], "pause": f"{pause_s:.9g} s"}
     parts = [plan | {"start": f"{begin:.9g} s", "end": f"{end:.9g} s"} for begin, end in done]
     return changed(spec, {"done": [*tables_of(spec).get("done", ()), *parts]}) if parts else spec
 
 
-def known_so_far(spec: Spec | UnitSpec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
+def known_so_far(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
     """The residual of each requirement after the executed spans of the spec's plan, and after the plan has continued
-    from `goes_on_s` (s, its clock): the end of the last span while a run is under way, or the start of a repeated step.
-    Of a whole unit only whole cycles count."""
-    if isinstance(spec, UnitSpec):
-        return _known_of_unit(spec, done, goes_on_s)
-    ends_s, rows = spec.schedule.duration, list[KnownRow]()
+    from `goes_on_s` (s, its clock): the end of the last span while a run is under way, or the start of a repeated
+    step."""
+    ends_s = spec.schedule.duration
     flows = bool(done) and abs(goes_on_s - done[-1][1]) < _BRIEF_S
     rest = [(done[-1][0], ends_s)] if flows else [(goes_on_s, ends_s)] if goes_on_s < ends_s else []
-    built = [assemble(with_done(spec, parts)) for parts in (done, [*done[: len(done) - flows], *rest])]
-    for channel in built[0].channels:
-        lines = [one.past[channel].line if channel in one.past else None for one in built]
-        known = [None if line is None else posterior(information(line, built[0].model)) for line in lines]
-        for requirement in spec.requirement:
-            maps = [None if one is None else residual_map(built[0], one, requirement)[2] for one in known]
-            values = [math.inf if one is None else statistic_of(requirement, one) for one in maps]
-            now, at_end = (value if math.isfinite(value) else None for value in values)
-            rows.append(KnownRow(requirement.name, channel, UNIT_OF[requirement.quantity][0], now, at_end))
-    return rows
-
-
-def _known_of_unit(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
-    _one_stretch(spec, "what is known by now is not worked out yet")
-    built, plan = assemble_unit(spec), spec.plain_schedule
-    rest = [*done, (goes_on_s, plan.duration)]
-    if done and abs(goes_on_s - done[-1][1]) < _BRIEF_S:
-        # The current cycle continues.
-        rest = [*done[:-1], (done[-1][0], plan.duration)]
     rows = []
-    for spans in (done, rest):
-        parts = [part for span in spans if (part := cycles_between(plan, *span)) is not None]
-        known = known_of_motions(built, (*built.past, *(motion_of(part, spec, built.model) for part in parts)))
+    for spans in (done, [*done[: len(done) - flows], *rest]):
+        built = assemble_unit(with_done(spec, spans))
+        motion = executed_motion(built)
+        motions = [] if motion is None else [(motion, body_nodes(motion, built.points))]
+        known = posterior(unit_information(motions, built.model))
         rows.append([unit_residual(built, known, requirement) for requirement in spec.requirement])
     return [
         KnownRow(now.requirement.name, now.requirement.axis, now.unit, now.statistic(), end.statistic())
@@ -98,24 +73,17 @@ def _known_of_unit(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> li
     ]
 
 
-def _one_stretch(spec: UnitSpec, what: str) -> None:
-    if len(spec.plain_schedule.stretches) > 1:
-        raise ValueError(f"of a plan of several stretches of used data {what}")
-
-
-def rest_of(spec: AnySpec, done: Sequence[Span], *, left_s: float | None = None, pause_s: float = PAUSE_S) -> AnySpec:
+def rest_of(spec: UnitSpec, done: Sequence[Span], *, left_s: float | None = None, pause_s: float = PAUSE_S) -> UnitSpec:
     """The spec of the remaining plan, after the executed part: a ramp of `left_s` (None: the plan's remaining time)
-    from the temperature of the interruption to the plan's last one, with as many turns at the table of about the same
-    length as fit; of a whole unit, with its cycle.
+    from the temperature of the interruption to the plan's last one, with the plan's cycle; where turns of one gyro are
+    searched, with as many turns at the table of about the same length as fit.
 
-    Errors: `ValueError` for a standard plan, where nothing is left, and where the remaining programme is not one ramp.
+    Errors: `ValueError` for a standard plan, where nothing is left, where the remaining programme is not one ramp, and
+    for several mountings.
     """
-    if isinstance(spec, UnitSpec):
-        _one_stretch(spec, f"the rest is not planned anew: {_GO_ON}")
-        schedule = cycle = spec.plain_schedule
-    else:
-        schedule = spec.gradient_schedule
-        cycle = schedule.cycle
+    if len(spec.rig.table.mounting) > 1:
+        raise ValueError(f"of a plan with several mountings the rest is not planned anew: {_GO_ON}")
+    schedule = spec.executable_schedule
     seam_s = done[-1][1] if done else 0.0
     left = [s for s in schedule.segments if s.end > seam_s + _BRIEF_S]
     ramps = [s for s in left if s.kind == "ramp"]
@@ -146,13 +114,13 @@ def rest_of(spec: AnySpec, done: Sequence[Span], *, left_s: float | None = None,
         "plan.gradient": f"{60.0 * slope:.9g} K/min",
     }
     soak = schedule.segments[0]
-    if soak.kind == "soak" and (cycle is None or not done):
+    if soak.kind == "soak" and (not schedule.steps or not done):
         plan["plan.soak"] = {"duration": f"{soak.duration:.9g} s", "used": soak.used and not done}
-    if isinstance(spec, UnitSpec):
-        return changed(with_done(spec, done), plan)
+    if not spec.turns_one_gyro:
+        return changed(with_done(spec, done, pause_s), plan)
     design = tables_of(spec).get("design") or tomllib.loads(design_block(spec))["design"]
-    if cycle is not None:
-        plan["plan.cycle"] = _visits(spec, design, lasts_s)
+    if (cycle := cycle_of(spec)) is not None and {"duration", "rest", "turn"} & set(design["free"]):
+        plan["plan.cycle"] = _visits(spec, cycle, lasts_s)
     design = {name: value for name, value in design.items() if name not in ("max_total", "max_motion")}
     if design["minimise"] not in TIMES:
         design["max_motion"] = f"{lasts_s:.9g} s"
@@ -160,7 +128,7 @@ def rest_of(spec: AnySpec, done: Sequence[Span], *, left_s: float | None = None,
 
 
 def replan(
-    spec: Spec,
+    spec: UnitSpec,
     done: Sequence[Span],
     *,
     left_s: float | None = None,
@@ -180,32 +148,24 @@ def replan(
     return optimise(rest_of(spec, done, left_s=left_s, pause_s=pause_s), quick=quick, watch=watch)
 
 
-def _visits(spec: Spec, design: Mapping[str, Any], lasts_s: float) -> dict[str, Any]:
+def _visits(spec: UnitSpec, cycle: ResolvedCycle, lasts_s: float) -> dict[str, Any]:
     """A cycle of one turn at the table and the other axes' time after it, a whole number of which fills the rest.
 
-    Both are nearly as long as in the spec, and the axis keeps its share. The moves are only the start of a search;
-    where their durations are not free, the spec's cycle stays.
+    Both are nearly as long as in the spec. The moves are only the start of a search.
     """
-    cycle, tables = spec.gradient_schedule.cycle, tables_of(spec)["plan"]["cycle"]
-    assert cycle is not None
-    if not {"duration", "rest", "turn"} & set(design["free"]):
-        return tables
-    axes = axes_of(cycle)
     own, other = visit_times(cycle)
     visits = max(1, round((lasts_s + other) / (own + other)))
     share, step = lasts_s / (visits * own + (visits - 1) * other), float(steps_of(spec).time)
-    each_s, other = (step * math.floor(share * time / step + _ROUNDING) for time in (own / len(axes), other))
+    each_s, other = (step * math.floor(share * time / step + _ROUNDING) for time in (own, other))
     every_s = read_spacing(cycle)
     stands_s = every_s * max(1, int(_STANDS * each_s / every_s))
     turns_s = 0.5 * (each_s - stands_s)
-    table = spec.rig.table
-    rate = min(0.5 * float(table.max_rate), 0.1 * float(table.max_acceleration) * turns_s)
-    rate = math.degrees(min(rate, 0.5 * float(table.travel) / turns_s))
-    moves: list[dict[str, Any]] = []
-    for axis in axes:
-        moves.append({"rest": f"{stands_s:.9g} s", "read_every": f"{every_s:.9g} s"})
-        turn = {"axis": axis, "duration": f"{turns_s:.9g} s", "shape": ramped_shape(cycle)}
-        moves += [turn | {"peak_rate": f"{way * rate:.6g} deg/s"} for way in (1.0, -1.0)]
+    axis = spec.rig.table.axis[0]
+    rate = min(0.5 * float(axis.max_rate), 0.1 * float(axis.max_acceleration) * turns_s)
+    rate = math.degrees(min(rate, 0.5 * float(axis.travel) / turns_s))
+    turn = {"duration": f"{turns_s:.9g} s", "shape": ramped_shape(cycle)}
+    moves: list[dict[str, Any]] = [{"rest": f"{stands_s:.9g} s", "read_every": f"{every_s:.9g} s"}]
+    moves += [turn | {"peak_rate": f"{way * rate:.6g} deg/s"} for way in (1.0, -1.0)]
     result: dict[str, Any] = {"moves": moves}
     if other > 0.0:
         result["other_axes"] = {"duration": f"{other:.9g} s", "read": cycle.other_read_every is not None}

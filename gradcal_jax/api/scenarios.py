@@ -8,8 +8,7 @@ a correlation time has no known sign, so both its ends and the written value are
 from itertools import product
 from typing import Any, Literal
 
-from gradcal_jax.files import Spec, changed
-from gradcal_jax.files.changes import AnySpec
+from gradcal_jax.files import changed
 from gradcal_jax.files.design import Scenario
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -18,7 +17,7 @@ from gradcal_jax.files.unit_spec import UnitSpec
 _TOGETHER = 2
 
 
-def scenario_specs(spec: AnySpec) -> list[tuple[AnySpec, float]]:
+def scenario_specs(spec: UnitSpec) -> list[tuple[UnitSpec, float]]:
     """The spec of each scenario, with its weight; the spec itself where nothing is uncertain.
 
     For a design that minimises the worst case, every standard deviation is at its largest. For one that minimises the
@@ -34,7 +33,7 @@ def scenario_specs(spec: AnySpec) -> list[tuple[AnySpec, float]]:
     ]
 
 
-def extremes(spec: AnySpec) -> list[AnySpec]:
+def extremes(spec: UnitSpec) -> list[UnitSpec]:
     """Specs that include the best and the worst case of uncertain figures; none where nothing is uncertain."""
     if not spec.sensor.uncertain_figures():
         return []
@@ -55,12 +54,12 @@ def _leaves(tables: dict[str, Any], before: str):
             yield key, value
 
 
-def _star(spec: Spec | UnitSpec) -> list[dict[str, str]]:
+def _star(spec: UnitSpec) -> list[dict[str, str]]:
     figures = spec.sensor.uncertain_figures()
     return [{}, *({key: ends[k].text} for key, ends in figures.items() for k in (0, 1))]
 
 
-def _corners(spec: Spec | UnitSpec, end: Literal[0, 1]) -> list[dict[str, str]]:
+def _corners(spec: UnitSpec, end: Literal[0, 1]) -> list[dict[str, str]]:
     figures = spec.sensor.uncertain_figures()
     sizes = {key: ends[end].text for key, ends in figures.items() if not _is_time(key)}
     times: dict[str, tuple[Quantity, Quantity]] = {key: ends for key, ends in figures.items() if _is_time(key)}

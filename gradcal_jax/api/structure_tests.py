@@ -6,7 +6,6 @@ from typing import NamedTuple
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.tested_maps import hidden_maps, tested_maps
 from gradcal_jax.estimation import StructureTest, UnitEstimate, UnitReadings, size_of, structure_test
-from gradcal_jax.files import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.model import BIAS
 
@@ -51,9 +50,8 @@ def structure_in_words(test: StructureTest) -> str:
     )
 
 
-def discrepancies(spec: Spec | UnitSpec, tests: Iterable[tuple[str, StructureTest]]) -> Iterator[MeasuredDiscrepancy]:
+def discrepancies(spec: UnitSpec, tests: Iterable[tuple[str, StructureTest]]) -> Iterator[MeasuredDiscrepancy]:
     """The discrepancy of each map and channel, from all units together; `tests` with the names of their channels."""
-    table = "sensor" if isinstance(spec, Spec) else "sensor.gyro"
     of_map: dict[tuple[str, str], list[StructureTest]] = {}
     for channel, test in tests:
         of_map.setdefault((channel, test.quantity), []).append(test)
@@ -67,6 +65,6 @@ def discrepancies(spec: Spec | UnitSpec, tests: Iterable[tuple[str, StructureTes
         degrees = f"temperature_degree = {of.temperature_degree}"
         degrees += "" if quantity == BIAS else f", rate_degree = {of.rate_degree}"
         std = f'standard_deviation = "{size.std * factor:.3g} {unit}"'
-        block = f"[{table}.{quantity}]\ndiscrepancy = {{ {std}, {degrees} }}"
+        block = f"[sensor.gyro.{quantity}]\ndiscrepancy = {{ {std}, {degrees} }}"
         stated = (size.std * factor, size.low * factor, high)
         yield MeasuredDiscrepancy(quantity, channel[-1], len(own), unit, *stated, block if size.std else "")

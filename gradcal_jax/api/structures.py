@@ -27,7 +27,7 @@ from gradcal_jax.files.changes import changed
 from gradcal_jax.files.design import Design
 from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.plan import RampItem, StandardPlan
-from gradcal_jax.files.schedule import ResolvedCycle, StandardSchedule
+from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import GyroTriad
 from gradcal_jax.files.unit_plan import UnitPlan
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -45,6 +45,24 @@ _FREE_VISITS: Final = (3, 4, 6)
 _FREE: Final = {"duration": "duration", "rest": "duration", "turn": "duration", "peak_rate": "peak_rate"}
 # Numbers of slopes of a programme for a standing axis.
 _STRETCHES: Final = (2, 4, 6)
+
+
+class ResolvedCycle(NamedTuple):
+    """One cycle in SI: the moves one after the other, then the other axes' time, then idle standing (not read).
+
+    `other_read_every` is None where the axis is not read while the others turn.
+    """
+
+    moves: tuple[ResolvedMove, ...]
+    moving: float
+    other: float
+    other_read_every: float | None
+    idle: float
+
+    @property
+    def duration(self) -> float:
+        """Duration of the whole cycle (s)."""
+        return self.moving + self.other + self.idle
 
 
 class Structure(NamedTuple):
@@ -167,7 +185,7 @@ def cycle_of(spec: UnitSpec) -> ResolvedCycle | None:
     if others is not None and others.read:
         spacing = every if others.read_every is None else float(others.read_every)
         other_every = min(spacing, other)
-    return ResolvedCycle(tuple(moves), moving, other, other_every, None, behind - other)
+    return ResolvedCycle(tuple(moves), moving, other, other_every, behind - other)
 
 
 def reading_spacing(spec: UnitSpec) -> float:

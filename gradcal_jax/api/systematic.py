@@ -23,9 +23,8 @@ from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_o
 from gradcal_jax.design import Criterion
 from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
 from gradcal_jax.files.calibration import UnseenError
-from gradcal_jax.files.changes import AnySpec, changed
+from gradcal_jax.files.changes import changed
 from gradcal_jax.files.moves import Axis
-from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior
 from gradcal_jax.model import (
@@ -89,7 +88,7 @@ class EstimatedRun(NamedTuple):
     one_way: bool = False
 
 
-def systematic_figures(spec: Spec | UnitSpec) -> SystematicFigures:
+def systematic_figures(spec: UnitSpec) -> SystematicFigures:
     """The figures that a spec names; what it does not name is zero."""
     sensor = spec.sensor
     common = {"offset": float(sensor.temperature_offset or 0.0), "lag": float(sensor.temperature_lag or 0.0)}
@@ -291,7 +290,7 @@ def columns_of_plan(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
 
 def columns_of_unit_plan(built: AssembledUnit) -> dict[str, np.ndarray]:
     """The same of a whole unit."""
-    ramp = ramp_of([motion.line for motion in (*built.past, built.motion)])
+    ramp = ramp_of([built.motion.line])
     figures = _without_fitted(systematic_figures(built.spec), _fitted(built.model))
     return columns_of(figures, terms_of_unit(built), built.model.size, ramp)
 
@@ -314,19 +313,9 @@ def _fitted(of: SensorModel | UnitModel) -> set[Any]:
 
 
 def budget_of_estimate(
-    built: Assembled, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
-) -> CountedPosteriors:
-    """The posteriors of an estimate of one axis. `noise`: of `omitted_noise`."""
-    figures = (
-        _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
-    )
-    return _estimated(built, known, done, noise, terms_of_axis(built.model), *figures)
-
-
-def budget_of_unit_estimate(
     built: AssembledUnit, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
 ) -> CountedPosteriors:
-    """The same of a whole unit."""
+    """The posteriors of an estimate. `noise`: of `omitted_noise_of_unit`."""
     figures = (
         _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
     )
@@ -356,7 +345,7 @@ def counted_criterion(criterion: Criterion, built: Assembled, channel: Axis) -> 
     return eqx.tree_at(lambda c: c.beyond, criterion, criterion.beyond + more)
 
 
-def floor_of_plan(spec: Spec | UnitSpec, channel: Axis) -> tuple[Assembled, Posterior]:
+def floor_of_plan(spec: UnitSpec, channel: Axis) -> tuple[Assembled, Posterior]:
     """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
     built = assemble(spec)
     return built, _alone(built.model.size, columns_of_plan(built, channel))
@@ -402,17 +391,9 @@ def unseen_errors(budget: CountedPosteriors, names: Sequence[str], reported: np.
     return tuple(rows)
 
 
-def omitted_noise(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
-    """Columns of what the noise that a spec omits adds to the covariance after the spec's own plan."""
-    noisy = noise_completed(built.spec)
-    if noisy is built.spec:
-        return {}
-    plan, more = (posterior_of_plan(of, channel) for of in (built, assemble(noisy)))
-    return {"omitted noise": _excess(plan, more, built.model.size, built.model.size)}
-
-
 def omitted_noise_of_unit(built: AssembledUnit) -> dict[str, np.ndarray]:
-    """The same of a whole unit, for the unit's own parameters."""
+    """Columns of what the noise that a spec omits adds to the covariance of the sensor's own parameters after the
+    spec's own plan."""
     noisy = noise_completed(built.spec)
     if noisy is built.spec:
         return {}
@@ -420,7 +401,7 @@ def omitted_noise_of_unit(built: AssembledUnit) -> dict[str, np.ndarray]:
     return {"omitted noise": _excess(plan, more, built.model.size, built.model.calibrated)}
 
 
-def noise_completed(spec: AnySpec) -> AnySpec:
+def noise_completed(spec: UnitSpec) -> UnitSpec:
     """The spec with the omitted terms that are noise, or parameters of the table, at typical figures; without those
     that change the parameters of the sensor or the temperatures of the plan."""
     noise = {t.key: t.value for t in absent_terms(spec) if t.key.rpartition(".")[2] not in _NO_NOISE}

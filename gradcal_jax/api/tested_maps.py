@@ -7,18 +7,16 @@ from typing import Any, NamedTuple, cast
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.api.build import Assembled, basis
+from gradcal_jax.api.build import basis
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.unit_build import AssembledUnit
-from gradcal_jax.files import Spec
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.contracts import NoticeRow
-from gradcal_jax.files.sensor import GyroTriad, ScaleFactor, Sensor
+from gradcal_jax.files.sensor import GyroTriad, ScaleFactor
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import (
     SquareRootInformation,
     gains_of_shares,
-    information,
     kept,
     noticed_from,
     power,
@@ -36,7 +34,6 @@ from gradcal_jax.model import (
     UnitModel,
     make_map,
 )
-from gradcal_jax.trajectory import body_nodes
 
 FALSE_ALARM = 0.01
 """Level of the test where the spec's [design] has no other."""
@@ -59,7 +56,7 @@ class TestedMap(NamedTuple):
     __test__ = False
 
 
-def tested_maps(spec: Spec | UnitSpec) -> dict[str, TestedMap]:
+def tested_maps(spec: UnitSpec) -> dict[str, TestedMap]:
     """The test of every polynomial map, by quantity, with degrees and size of its discrepancy or `notice`."""
     maps: dict[str, TestedMap] = {}
     gyro = _gyro(spec)
@@ -92,11 +89,11 @@ def tested_maps(spec: Spec | UnitSpec) -> dict[str, TestedMap]:
     return maps
 
 
-def _gyro(spec: Spec | UnitSpec) -> Sensor | GyroTriad | None:
-    return spec.sensor if isinstance(spec, Spec) else spec.sensor.gyro
+def _gyro(spec: UnitSpec) -> GyroTriad | None:
+    return spec.sensor.gyro
 
 
-def with_hidden(spec: Spec | UnitSpec, model: SensorModel, quantity: str) -> SensorModel:
+def with_hidden(spec: UnitSpec, model: SensorModel, quantity: str) -> SensorModel:
     """The model with the hidden map of a quantity as its last term, where it has no discrepancy of its own.
 
     No criterion includes that term: it is only tested for.
@@ -117,41 +114,10 @@ def with_hidden(spec: Spec | UnitSpec, model: SensorModel, quantity: str) -> Sen
     return eqx.tree_at(lambda m: m.terms, model, (*model.terms, beyond))
 
 
-def hidden_maps(spec: Spec | UnitSpec, model: SensorModel) -> list[tuple[Discrepancy, float]]:
+def hidden_maps(spec: UnitSpec, model: SensorModel) -> list[tuple[Discrepancy, float]]:
     """The hidden maps that a log of the spec's sensor is tested for, with the false-alarm level of each test."""
     maps = [(where_hidden(with_hidden(spec, model, name), name), of) for name, of in tested_maps(spec).items()]
     return [(hidden[0], of.false_alarm) for hidden, of in maps if hidden is not None]
-
-
-def noticing(built: Assembled) -> tuple[NoticeRow, ...]:
-    """The power of the plan's tests for hidden structure, for each axis and each polynomial map."""
-    tested = tested_maps(built.spec)
-    if not tested:
-        return ()
-    model = built.model
-    for quantity in tested:
-        model = with_hidden(built.spec, model, quantity)
-    std = lambda name: lambda m: next(t for t in m.terms if t.name == DISCREPANCY.format(name)).std  # noqa: E731
-    rows: list[NoticeRow] = []
-    for channel in built.channels:
-        for quantity, of in tested.items():
-            # The information on the map does not depend on its prior; with a small prior it would drown in rounding.
-            notional = eqx.tree_at(std(quantity), model, np.asarray(NOTIONAL[quantity]))
-            info = information(built.trajectory(channel), notional)
-            # The other map is that of the spec, without the hidden one that was added for its own test.
-            others = [q for q in tested if q != quantity and where_hidden(built.model, q) is None]
-            term, where, believed = _without(info, notional, others, quantity)
-            rows.append(_row(quantity, channel, of, gains_of_shares(kept(believed, where, term.std), float(term.std))))
-    return tuple(rows)
-
-
-def _without(info: SquareRootInformation, model: SensorModel, others: list[str], quantity: str):
-    """The discrepancy of a quantity, where it stands, and the information with those of `others` known to be zero."""
-    hidden = where_hidden(model, quantity)
-    assert hidden is not None
-    term, where = hidden
-    gone = [found[1] for other in others if (found := where_hidden(model, other)) is not None]
-    return term, *_knowing(info, where, gone)
 
 
 def _knowing(info: SquareRootInformation, own: slice, others: Sequence[slice]) -> tuple[slice, SquareRootInformation]:
@@ -164,8 +130,8 @@ def _knowing(info: SquareRootInformation, own: slice, others: Sequence[slice]) -
     return slice(begin, begin + own.stop - own.start), square_root(rows)
 
 
-def noticing_of_imu(unit: AssembledUnit) -> tuple[NoticeRow, ...]:
-    """As `noticing`, for each gyro of an IMU."""
+def noticing(unit: AssembledUnit) -> tuple[NoticeRow, ...]:
+    """The power of the plan's tests for hidden structure, for each gyro and each polynomial map."""
     tested, spec = tested_maps(unit.spec), unit.spec
     gyros = [c for c in unit.model.channels if c.kind == "gyro"]
     if not tested or not gyros:
@@ -181,8 +147,7 @@ def noticing_of_imu(unit: AssembledUnit) -> tuple[NoticeRow, ...]:
             of = eqx.tree_at(lambda m, k=place: m.terms[k].std, of, np.asarray(NOTIONAL[quantity]))
         channels[number] = replace(channel, model=of)
     model = UnitModel(tuple(channels), unit.model.installation, unit.model.encoder)
-    motions = [(motion, body_nodes(motion, unit.points)) for motion in (*unit.past, unit.motion)]
-    info = unit_information(motions, model)
+    info = unit_information([(unit.motion, unit.body_nodes())], model)
     where = lambda axis, quantity: model.where("gyro", axis, DISCREPANCY.format(quantity))  # noqa: E731
     rows: list[NoticeRow] = []
     for channel in gyros:

@@ -1,16 +1,17 @@
-"""The timeline of a spec: segments, readings and the sensor's model, as the contracts gradcal-timeline/2 of an axis and
-gradcal-unit-timeline/1 of a whole unit."""
+"""The timeline of a spec: segments, readings and the sensor's model, as the contracts gradcal-timeline/2 of one gyro and
+gradcal-unit-timeline/1 of an IMU."""
 
 from collections.abc import Iterable
-from typing import Any, Literal, cast, overload
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from gradcal_jax import model
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.contract_rows import section_of
+from gradcal_jax.api.structures import gyro_of
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
-from gradcal_jax.files import Spec, Timeline
+from gradcal_jax.files import Timeline
 from gradcal_jax.files import unit_timeline as unit_rows
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.contracts import (
@@ -30,8 +31,15 @@ from gradcal_jax.files.contracts import (
 from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy, Sensor
-from gradcal_jax.files.spec import expect_whole, goes_on
+from gradcal_jax.files.sensor import (
+    AccelerometerTriad,
+    Bias,
+    GyroTriad,
+    ScaleFactor,
+    ScaleFactorDiscrepancy,
+    UnitSensor,
+)
+from gradcal_jax.files.spec import expect_whole
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import segments_of
@@ -41,36 +49,31 @@ from gradcal_jax.trajectory import Move, frames
 _CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_functions="monomial")
 
 
-@overload
-def timeline(spec: Spec) -> Timeline: ...
-@overload
-def timeline(spec: UnitSpec) -> unit_rows.UnitTimeline: ...
-def timeline(spec: Spec | UnitSpec) -> Timeline | unit_rows.UnitTimeline:
-    """Every segment and reading of a spec's plan in SI, axes one after the other; temperatures (°C) are the chamber's.
+def timeline(spec: UnitSpec) -> Timeline | unit_rows.UnitTimeline:
+    """Every segment and reading of a spec's plan in SI; temperatures (°C) are the chamber's.
 
-    Another program can compute the covariance from it alone: contract gradcal-timeline/2 or, for a whole unit, with the
-    angles of all axes and attitudes, gradcal-unit-timeline/1. Errors: `ValueError` for a spec with [[done]].
+    Another program can compute the covariance from it alone. Of one gyro that the only axis of a table turns: contract
+    gradcal-timeline/2, with every reading of the angle; else gradcal-unit-timeline/1, with the angles of all axes and
+    attitudes. Errors: `ValueError` for a spec with [[done]].
     """
-    if isinstance(spec, UnitSpec):
-        return unit_timeline(spec)
     expect_whole(spec, "a timeline")
+    return _of_channel(spec) if spec.turns_one_gyro else _of_imu(spec)
+
+
+def _of_channel(spec: UnitSpec) -> Timeline:
     built = assemble(spec)
-    segments: list[SegmentRow] = []
-    readings: list[ReadingRow] = []
-    for channel in built.channels:
-        if isinstance(spec.schedule, StandardSchedule):
-            rows = _standard_rows(built, spec.schedule)
-        else:
-            rows = _gradient_rows(built, channel)
-        segments += rows[0]
-        readings += rows[1]
+    (channel,) = built.channels
+    if isinstance(spec.schedule, StandardSchedule):
+        segments, readings = _standard_rows(built, spec.schedule, channel)
+    else:
+        segments, readings = _gradient_rows(built, channel)
     standard = spec.plan if isinstance(spec.plan, StandardPlan) else None
     return Timeline(
         title=spec.title,
         estimator="best linear" if standard is None else standard.estimator,
         points=None if standard is None else standard.points,
-        sensor=_sensor_row(spec),
-        harmonics=_harmonic_rows(spec.rig.table.angle),
+        sensor=_sensor_row(spec.sensor, gyro_of(spec)),
+        harmonics=_harmonic_rows(spec.rig.table.axis[0].angle),
         segments=tuple(segments),
         readings=tuple(readings),
     )
@@ -126,7 +129,7 @@ def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], l
         add(
             float(start[first]),
             float(end[last]),
-            table_axis=None if move is None or move.shape == "rest" else cast("Axis", move.axis),
+            table_axis=None if move is None or move.shape == "rest" else channel,
             standstill_id=None if line.moving[first] else standstill,
             read=unused or bool(np.any(line.read[pieces])),
             used=not unused,
@@ -135,7 +138,9 @@ def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], l
     return segments, readings
 
 
-def _standard_rows(built: Assembled, plan: StandardSchedule) -> tuple[list[SegmentRow], list[ReadingRow]]:
+def _standard_rows(
+    built: Assembled, plan: StandardSchedule, channel: Axis
+) -> tuple[list[SegmentRow], list[ReadingRow]]:
     accuracy = float(built.model.reference.rate_accuracy)
     soak, integration = plan.soak_each, plan.integration
     segments: list[SegmentRow] = []
@@ -143,11 +148,17 @@ def _standard_rows(built: Assembled, plan: StandardSchedule) -> tuple[list[Segme
     clock, point = 0.0, 0
     for temperature in plan.temperatures:
         at: dict = {"temperature_start": float(temperature), "temperature_end": float(temperature)}
-        segments.append(SegmentRow(axis="x", start=clock, duration=soak, shape="rest", read=False, used=False, **at))
+        segments.append(
+            SegmentRow(axis=channel, start=clock, duration=soak, shape="rest", read=False, used=False, **at)
+        )
         clock += soak
         for rate in plan.rates:
-            both: dict = {"axis": "x", "standstill_id": point, "duration": integration}
-            turned = {"peak_rate": float(rate), "angle": float(rate) * integration, "table_axis": "x" if rate else None}
+            both: dict = {"axis": channel, "standstill_id": point, "duration": integration}
+            turned = {
+                "peak_rate": float(rate),
+                "angle": float(rate) * integration,
+                "table_axis": channel if rate else None,
+            }
             shape = "constant" if rate else "rest"
             segments.append(SegmentRow(read=True, start=clock, shape=shape, **both, **turned, **at))
             clock += integration
@@ -157,24 +168,23 @@ def _standard_rows(built: Assembled, plan: StandardSchedule) -> tuple[list[Segme
     return segments, readings
 
 
-def _sensor_row(spec: Spec) -> SensorRow:
-    sensor = spec.sensor
+def _sensor_row(sensor: UnitSensor, gyro: GyroTriad) -> SensorRow:
     return SensorRow(
-        arw=sensor.angle_random_walk,
-        rate_random_walk=sensor.rate_random_walk or 0.0,
-        turn_on_bias=sensor.turn_on_bias,
-        drift=_process_rows(sensor.drift),
-        scale_factor_instability=_process_rows(sensor.scale_factor_instability),
+        arw=gyro.angle_random_walk,
+        rate_random_walk=gyro.rate_random_walk or 0.0,
+        turn_on_bias=gyro.turn_on_bias,
+        drift=_process_rows(gyro.drift),
+        scale_factor_instability=_process_rows(gyro.scale_factor_instability),
         thermal_lag=sensor.lag,
         sample_clock_error=sensor.clock_error or None,
-        starts=_starts_row(spec.sensor),
-        **_of_temperature(sensor),
-        bias=None if sensor.bias is None else _map_row(sensor.bias),
-        scale_factor=None if sensor.scale_factor is None else _map_row(sensor.scale_factor),
+        starts=_starts_row(sensor, gyro),
+        **_of_temperature(gyro),
+        bias=None if gyro.bias is None else _map_row(gyro.bias),
+        scale_factor=None if gyro.scale_factor is None else _map_row(gyro.scale_factor),
     )
 
 
-def _of_temperature(sensor: Sensor | GyroTriad | AccelerometerTriad) -> dict[str, Any]:
+def _of_temperature(sensor: GyroTriad | AccelerometerTriad) -> dict[str, Any]:
     """The rows of a channel's errors by temperature and its slope."""
     error, gradient = sensor.thermometer_noise, sensor.gradient_sensitivity
     return {
@@ -190,26 +200,23 @@ def _of_temperature(sensor: Sensor | GyroTriad | AccelerometerTriad) -> dict[str
     }
 
 
-def _starts_row(sensor: Sensor) -> StartsRow:
-    error = sensor.thermometer_noise
+def _starts_row(sensor: UnitSensor, gyro: GyroTriad) -> StartsRow:
+    error = gyro.thermometer_noise
     return StartsRow(
-        drift="stationary" if sensor.drift else None,
-        rate_random_walk="zero" if sensor.rate_random_walk else None,
-        scale_factor_instability="stationary" if sensor.scale_factor_instability else None,
+        drift="stationary" if gyro.drift else None,
+        rate_random_walk="zero" if gyro.rate_random_walk else None,
+        scale_factor_instability="stationary" if gyro.scale_factor_instability else None,
         temperature_error=None if error is None else "stationary" if error.correlation_time else "constant",
         sample_clock_error="constant" if sensor.clock_error else None,
-        turn_on_bias=None if not sensor.turn_on_bias else "constant" if sensor.bias is None else "prior",
+        turn_on_bias=None if not gyro.turn_on_bias else "constant" if gyro.bias is None else "prior",
     )
 
 
-# --- a whole unit -----------------------------------------------------------------------------------------------------
+# --- an IMU -----------------------------------------------------------------------------------------------------------
 
 
-def unit_timeline(spec: UnitSpec) -> unit_rows.UnitTimeline:
-    """Every segment of a unit's plan with attitudes, the terms of each channel, and all priors. Errors: `ValueError`
-    for a spec with [[done]]."""
-    if spec.done:
-        raise goes_on("a timeline")
+def _of_imu(spec: UnitSpec) -> unit_rows.UnitTimeline:
+    """Every segment with attitudes, the terms of each channel, and all priors."""
     built, plan = assemble_unit(spec), spec.plain_schedule
     geometry, sensor, table = built.motion.geometry, spec.sensor, spec.rig.table
     return unit_rows.UnitTimeline(

@@ -1,11 +1,10 @@
 """A unit's spec in the core's terms: its channels, its installation, and the motion of the table."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from gradcal_jax import model, trajectory
@@ -19,10 +18,11 @@ from gradcal_jax.api.build import (
 )
 from gradcal_jax.files import sensor as sensor_file
 from gradcal_jax.files.bench import UnitRig
+from gradcal_jax.files.memory import too_large
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
-from gradcal_jax.files.unit_plan import UnitSchedule
+from gradcal_jax.files.unit_plan import UnitSchedule, unit_schedule
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, posterior, segments_of, unit_information, unweighted_of_unit
 from gradcal_jax.model import (
@@ -31,6 +31,7 @@ from gradcal_jax.model import (
     BodyNodes,
     BSpline,
     Channel,
+    ChannelKind,
     Discrepancy,
     GradientOfBias,
     GradientOfScale,
@@ -44,7 +45,7 @@ from gradcal_jax.model import (
     TurnOnTransient,
     UnitModel,
 )
-from gradcal_jax.trajectory import Geometry, TableMotion
+from gradcal_jax.trajectory import Geometry, Schedule, TableMotion, TablePart
 
 # Names of terms, for requirements and sentences; a gyro's maps have the names of a single axis.
 MISALIGNMENT = "misalignment_{}"
@@ -69,8 +70,9 @@ _SLACK = 1e-9
 
 
 class AssembledUnit(NamedTuple):
-    """A unit's spec in the core's terms. `points`: quadrature points along a piece for functions of temperature, which
-    are smooth there (`rough`: not along the pieces of a log). `past`: the motions before the plan begins, in order.
+    """An IMU's spec in the core's terms. `motion`: of the executed parts before the plan, and of the plan. `points`:
+    quadrature points along a piece for functions of temperature, which are smooth there (`rough`: not along the pieces
+    of a log). `sources`: for each kind of channel the indices of its noise processes by the name of their error source.
     `until_s`: where the plan is broken off, on its clock."""
 
     spec: UnitSpec
@@ -78,7 +80,7 @@ class AssembledUnit(NamedTuple):
     motion: TableMotion
     points: int
     rough: bool
-    past: tuple[TableMotion, ...] = ()
+    sources: Mapping[ChannelKind, Mapping[str, tuple[int, ...]]]
     until_s: float = np.inf
 
     def body_nodes(self) -> BodyNodes:
@@ -86,9 +88,14 @@ class AssembledUnit(NamedTuple):
         return trajectory.body_nodes(self.motion, self.points)
 
 
-def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
-    """Model and motion of a unit's spec, whose plan is broken off at `until_s` of its clock."""
-    model_ = unit_model(spec)
+def assemble_unit(
+    spec: UnitSpec, until_s: float = np.inf, change: Callable[[Schedule], Schedule] | None = None
+) -> AssembledUnit:
+    """Model and motion of an IMU's spec, whose plan is broken off at `until_s` of its clock. `change`: what the times
+    and rates of the plan become. Errors: `MemoryError` for a plan with more readings than this machine can hold."""
+    if too := too_large(spec):
+        raise MemoryError(too)
+    model_, sources = _model_and_sources(spec)
     terms = (t for c in model_.channels for t in c.model.terms)
     bases = [t.temperature for t in terms if isinstance(t, Map | SignalMap | Discrepancy)]
     degree = max(b.degree if isinstance(b, Polynomial | BSpline | HigherPolynomials) else 0 for b in bases)
@@ -96,16 +103,40 @@ def assemble_unit(spec: UnitSpec, until_s: float = np.inf) -> AssembledUnit:
     of_path = [t for c in model_.channels for t in c.model.terms if isinstance(t, PathTerm)]
     exponential = spec.sensor.lag is not None or any(isinstance(t, TurnOnTransient) for t in of_path)
     points = max(degree + 1, _LAGGED if exponential else 2 if of_path else 1)
-    past, history = list[TableMotion](), course_before(spec)
-    for part in spec.past:
-        past.append(motion_of(part, spec, model_, history))
-        history = _turning_points(past[-1])
     rough = bool(of_path) or any(b.breaks for b in bases)
-    motion = motion_of(spec.schedule, spec, model_, history)
+    parts = executed_parts(spec)
+    plan = _part(spec.schedule, spec, change)
     if until_s < np.inf:
-        motion = _broken_off(motion, until_s, _fineness(spec, model_, motion.line))
-    past = tuple(past)
-    return AssembledUnit(spec, model_, motion, points, rough, past, until_s)
+        broken = plan.between(-np.inf, until_s, whole=_reads_segments(spec))
+        if broken is None and not parts:
+            raise ValueError(f"nothing of the plan was executed until {until_s:.6g} s")
+        plan = broken
+    parts = [*parts, *([] if plan is None else [(plan, 0.0)])]
+    return AssembledUnit(spec, model_, _motion(parts, spec, model_), points, rough, sources, until_s)
+
+
+def executed_parts(spec: UnitSpec) -> list[tuple[TablePart, float]]:
+    """The executed parts of a spec, each with the pause after it (s)."""
+    parts: list[tuple[TablePart, float]] = []
+    for one in spec.done:
+        whole = _part(unit_schedule(one.plan, spec.rig), spec)
+        part = whole.between(float(one.start), float(one.end), whole=_reads_segments(spec))
+        if part is not None:
+            parts.append((part, float(one.pause)))
+        elif parts:
+            parts[-1] = parts[-1][0], parts[-1][1] + float(one.pause)
+    return parts
+
+
+def executed_motion(built: AssembledUnit) -> TableMotion | None:
+    """The motion of the executed parts alone; None without any."""
+    parts = executed_parts(built.spec)
+    return _motion(parts, built.spec, built.model) if parts else None
+
+
+def _reads_segments(spec: UnitSpec) -> bool:
+    """Whether a rest or a move counts as a whole, and not what lies between two readings of the angle."""
+    return spec.rig.table.standing == "held"
 
 
 def course_before(spec: UnitSpec) -> np.ndarray | None:
@@ -116,46 +147,30 @@ def course_before(spec: UnitSpec) -> np.ndarray | None:
     return np.array([float(t) for t in before]) if before else None
 
 
-def _turning_points(motion: TableMotion) -> np.ndarray:
-    """Temperatures (°C) at the ends of the pieces of a motion, with those before it."""
-    begin, end = motion.line.ends()
-    return np.concatenate([[] if motion.history is None else motion.history, begin[:1], end])
-
-
-def _broken_off(motion: TableMotion, until_s: float, fine: tuple[int | None, int]) -> TableMotion:
-    """The motion up to a time: of a move nothing, of a rest what lies before it, with a reading at its end."""
-    line, source = motion.line, np.arange(len(motion.axis))
-    parts = (until_s - line.start) / np.where(line.duration > 0.0, line.duration, 1.0)
-    if len(inside := np.flatnonzero((motion.axis < 0) & (parts > _SLACK) & (parts < 1.0 - _SLACK))):
-        line, source = line.divided(inside, parts[inside])
-        line = eqx.tree_at(lambda x: x.read, line, (source == inside[-1]) | line.read)
-    line = line.between(-np.inf, until_s)
-    source = source[: line.piece_count]
-    broken = trajectory.table_motion(
-        line, motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles, *fine
-    )
-    return replace(broken, history=motion.history)
-
-
 def posterior_of_unit(built: AssembledUnit) -> Posterior:
     """The posterior of a unit after its plan and the motions before it, by the estimator that the spec names."""
-    plan = built.spec.plan
-    if isinstance(plan, StandardPlan) and plan.estimator == "least squares":
+    if unweighted_estimator(built.spec):
         return unweighted_of_unit(built.motion, built.model, built.body_nodes())
-    return known_of_motions(built, (*built.past, built.motion))
+    return posterior(unit_information([(built.motion, built.body_nodes())], built.model))
 
 
-def known_of_motions(built: AssembledUnit, motions: Sequence[TableMotion]) -> Posterior:
-    """The posterior of a unit after several motions, each with drifts of its own."""
-    return posterior(unit_information([(m, trajectory.body_nodes(m, built.points)) for m in motions], built.model))
+def unweighted_estimator(spec: UnitSpec) -> bool:
+    """Whether the spec's estimator is ordinary least squares on the points' rates, as in the paper's figure."""
+    return isinstance(spec.plan, StandardPlan) and spec.plan.estimator == "least squares"
 
 
 def unit_model(spec: UnitSpec) -> UnitModel:
-    """The channels of a unit, the errors of its installation, and the encoders' noise."""
+    """The channels of an IMU, the errors of its installation, and the encoders' noise."""
+    return _model_and_sources(spec)[0]
+
+
+def _model_and_sources(spec: UnitSpec) -> tuple[UnitModel, dict[ChannelKind, dict[str, tuple[int, ...]]]]:
     sensor, channels = spec.sensor, []
+    sources: dict[ChannelKind, dict[str, tuple[int, ...]]] = {}
     if (gyro := sensor.gyro) is not None:
         clock = 0.0 if _has_common_clock(spec) else sensor.clock_error
-        processes, _ = processes_of(named_processes(gyro, clock=clock, earth_is_unknown=spec.rig.site.is_unknown))
+        own = named_processes(gyro, clock=clock, earth_is_unknown=spec.rig.site.is_unknown)
+        processes, sources["gyro"] = processes_of(own)
         channels += [
             Channel(
                 gyro_channel(gyro, processes, signals=_signal_maps(gyro, axis), path=_path_terms(gyro, axis)),
@@ -166,8 +181,10 @@ def unit_model(spec: UnitSpec) -> UnitModel:
         ]
     if (force := sensor.accelerometer) is not None:
         slow = 0.0 if force.read_on_moves_below is None else float(force.read_on_moves_below) * (1.0 + _SLACK)
+        processes, sources["accelerometer"] = processes_of(named_processes(force))
         channels += [
-            Channel(_accelerometer(force, axis), "accelerometer", AXIS_NAMES.index(axis), slow) for axis in force.axes
+            Channel(_accelerometer(force, axis, processes), "accelerometer", AXIS_NAMES.index(axis), slow)
+            for axis in force.axes
         ]
     table, angles = spec.rig.table, [axis.angle for axis in spec.rig.table.axis]
     numbers = ("standstill_offset", "reading_noise", "read_every", "timing_error")
@@ -175,7 +192,7 @@ def unit_model(spec: UnitSpec) -> UnitModel:
     rate = np.asarray(float(table.rate_accuracy or 0.0))
     held = table.standing == "held"
     encoder = model.EncoderNoise(offset, reading, every, held, timing, rate, held or bool(np.any(offset)))
-    return UnitModel(tuple(channels), _installation(spec), encoder)
+    return UnitModel(tuple(channels), _installation(spec), encoder), sources
 
 
 def _has_common_clock(spec: UnitSpec) -> bool:
@@ -271,8 +288,7 @@ def _path_terms(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[PathTe
     return terms
 
 
-def _accelerometer(triad: AccelerometerTriad, axis: str) -> model.SensorModel:
-    processes, _ = processes_of(named_processes(triad))
+def _accelerometer(triad: AccelerometerTriad, axis: str, processes: model.Processes) -> model.SensorModel:
     white, terms = np.asarray(float(triad.velocity_random_walk)), list[Term](_signal_maps(triad, axis))
     if (gradient := triad.gradient_sensitivity) is not None:
         std = np.asarray(or_infinite(gradient.prior))
@@ -329,36 +345,47 @@ def rest_poses(built: AssembledUnit) -> RestPoses:
     return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
 
 
-def motion_of(
-    plan: UnitSchedule | StandardSchedule, spec: UnitSpec, of: UnitModel, history: np.ndarray | None = None
-) -> TableMotion:
-    """The motion of a plan on a spec's rig, in pieces on which all functions of the model `of` are smooth. `history`
-    °C: turning points of the temperature before it."""
+def motion_of(plan: UnitSchedule | StandardSchedule, spec: UnitSpec, of: UnitModel) -> TableMotion:
+    """The motion of a plan on a spec's rig, in pieces on which all functions of the model `of` are smooth."""
+    return _motion([(_part(plan, spec), 0.0)], spec, of)
+
+
+def _part(
+    plan: UnitSchedule | StandardSchedule, spec: UnitSpec, change: Callable[[Schedule], Schedule] | None = None
+) -> TablePart:
+    """The pieces of a plan on a spec's rig."""
     schedule, axes, start = _schedule(plan, spec)
+    schedule = schedule if change is None else change(schedule)
     line = schedule.trajectory(spec.sensor.lag)
     # What fills a stretch stands.
     axis = np.array([*axes, -1])[np.minimum(np.asarray(schedule.pieces.move), len(axes))]
+    # Between two stretches the table stands where the cycle began, up to whole turns, and the mounting changes.
+    stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
+    return TablePart(line, axis, np.minimum(stretch, len(spec.rig.table.mounting) - 1), start)
+
+
+def _motion(parts: Sequence[tuple[TablePart, float]], spec: UnitSpec, of: UnitModel) -> TableMotion:
+    """The motion of parts of one run, each with the pause after it (s)."""
+    whole, pause = parts[0]
+    for part, later in parts[1:]:
+        whole, pause = whole.then(pause, part), later
+    line, axis, mounting, start = whole
     path = [term for c in of.channels for term in c.model.terms if isinstance(term, PathTerm)]
     decays = [1.0 / float(term.time_constant) for term in path if isinstance(term, TurnOnTransient)]
     decays += [] if spec.sensor.lag is None else [float(line.lag_rate)]
     if decays:
         line, source = line.divided(*_divisions_by_decay(line, max(decays)))
-        axis = axis[source]
-    # Between two stretches the table stands where the cycle began, up to whole turns, and the mounting changes.
-    stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
-    mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
+        axis, mounting = axis[source], mounting[source]
     fine = _fineness(spec, of, line)
-    whole = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), start, *fine)
-    smooth = trajectory.divided_motion(whole, *_breaks(of), *fine)
+    motion = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), start, *fine)
+    smooth = trajectory.divided_motion(motion, *_breaks(of), *fine)
     if not path:
         return smooth
     widths = tuple(sorted({float(term.width) for term in path if isinstance(term, Hysteresis)}))
-    return trajectory.motion_divided_by_plays(replace(smooth, history=history), widths, *fine)
+    return trajectory.motion_divided_by_plays(replace(smooth, history=course_before(spec)), widths, *fine)
 
 
-def _schedule(
-    plan: UnitSchedule | StandardSchedule, spec: UnitSpec
-) -> tuple[trajectory.Schedule, list[int], np.ndarray]:
+def _schedule(plan: UnitSchedule | StandardSchedule, spec: UnitSpec) -> tuple[Schedule, list[int], np.ndarray]:
     """The schedule of a plan as a channel sees it that every axis turns, the axis of each of its moves (−1: a rest),
     and the axes' angles (rad) at its begin."""
     schedule, _ = table_schedule(plan, spec)

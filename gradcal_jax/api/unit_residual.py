@@ -1,11 +1,11 @@
-"""Residuals of a unit's quantities after a plan: linear functions of its parameters, and statistics."""
+"""Residuals of an IMU's quantities after a plan: linear functions of its parameters, and statistics."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.posterior_of_plan import UNIT_OF
+from gradcal_jax.api.missions import earth_gain, flights_of
 from gradcal_jax.api.unit_build import (
     G_SENSITIVITY,
     GRADIENT_OF_SCALE,
@@ -16,24 +16,30 @@ from gradcal_jax.api.unit_build import (
     SPECIFIC_FORCE_BIAS,
     AssembledUnit,
 )
+from gradcal_jax.api.verdicts import UNIT_OF, mission_weights
 from gradcal_jax.files.requirement import (
     AccelerometerBiasRequirement,
     GyroBiasRequirement,
     GyroScaleFactorRequirement,
     MisalignmentRequirement,
+    MissionHeadingRequirement,
+    NorthRequirement,
     PositionRequirement,
     TiltRequirement,
     TurnRequirement,
     UnitRequirement,
 )
 from gradcal_jax.information import Posterior, contrasts, residual, statistic
+from gradcal_jax.information.missions import mission_contrasts, mission_rows
 from gradcal_jax.information.residual import Contrasts, Statistic
 from gradcal_jax.model import (
     AXIS_NAMES,
+    BIAS,
     SCALE_FACTOR,
     TEMPERATURE_GRADIENT,
     Channel,
     ChannelKind,
+    Discrepancy,
     Hysteresis,
     Map,
     SensorModel,
@@ -65,7 +71,8 @@ UNITS_OF_TERMS = {
 
 class UnitResidual(NamedTuple):
     """Standard deviations of a requirement's quantity in `unit`: `values` `(m, n_T, n_ω)` of the `m` elements `labels`,
-    on its temperatures (°C) and, for the scale factor, rates (rad/s). `si`: how many of the unit are one in SI."""
+    on its temperatures (°C; for missions their numbers) and, for the scale factor, rates (rad/s). `si`: how many of the
+    unit are one in SI."""
 
     requirement: UnitRequirement
     labels: tuple[str, ...]
@@ -78,9 +85,13 @@ class UnitResidual(NamedTuple):
     def statistic(self, name: Statistic | None = None) -> float | None:
         """The requirement's statistic, or the one of that `name`; None: not observable. Each element has one over
         temperature (and rate); over several elements it is the worst or, for "all", the root mean square."""
-        each = self._each(name or self.requirement.statistic)
-        value = np.sqrt(np.mean(each**2)) if self.requirement.axis == "all" else np.max(each)
+        value = together(self.requirement, self._each(name or self.requirement.statistic))
         return float(value) if np.isfinite(value) else None
+
+    def finite_statistic(self, name: Statistic | None = None) -> float:
+        """The same, infinite where it is not observable."""
+        value = self.statistic(name)
+        return np.inf if value is None else value
 
     def worst_axis(self) -> str | None:
         """The element with the largest statistic; None where all count together, or for a single one."""
@@ -89,38 +100,50 @@ class UnitResidual(NamedTuple):
         return self.labels[int(np.argmax(self._each(self.requirement.statistic)))]
 
     def _each(self, name: Statistic) -> np.ndarray:
-        return np.array([statistic(name, values) for values in self.values])
+        weighted = self.values * mission_weights(self.requirement, name)
+        return np.array([statistic(name, values) for values in weighted])
+
+
+def together(requirement: UnitRequirement, each: np.ndarray) -> np.ndarray:
+    """The statistics `(m, …)` of the elements of a requirement as one: the worst, or the root mean square."""
+    return np.asarray(np.sqrt(np.mean(each**2, axis=0)) if requirement.axis == "all" else np.max(each, axis=0))
 
 
 class QuantityElement(NamedTuple):
-    """A linear function of a unit's parameters on `g` points: `rows` `(g, k)` of those in `where`; or a map of a
-    channel, by the channel's model, the map's name and the temperatures and rates of a grid. `path` `(s, k)`: what is
-    added to the rows in each state of the service, of which the worst counts at every point."""
+    """A linear function of an IMU's parameters in `where` on `g` points, with a model's discrepancy apart; or a map of
+    a channel, by its model, the map's name and the temperatures and rates of a grid. `path` `(s, k)`: what is added to
+    the rows in each state of the service, of which the worst counts at every point."""
 
     label: str
     where: slice
-    of: np.ndarray | tuple[SensorModel, Any, np.ndarray, np.ndarray]
+    of: Contrasts | tuple[SensorModel, Any, np.ndarray, np.ndarray]
     path: np.ndarray | None = None
 
     def deviations(self, known: Posterior) -> np.ndarray:
         """Standard deviation on the points."""
         part = Posterior(known.spread[self.where], known.hidden[self.where])
-        if self.path is None:
-            return residual(part, *self.of).ravel() if isinstance(self.of, tuple) else part.deviations(self.of)
+        if self.path is None and not isinstance(self.of, Contrasts):
+            return residual(part, *self.of).ravel()
+        return np.max([state.left(part) for state in self.states()], axis=0)
+
+    def states(self) -> list[Contrasts]:
+        """The error at every point of the grid in each state of the service."""
         at_rest = self.contrasts()
-        each = [at_rest._replace(rows=np.asarray(at_rest.rows) + state).left(part) for state in self.path]
-        return np.max(each, axis=0)
+        if self.path is None:
+            return [at_rest]
+        return [at_rest._replace(rows=np.asarray(at_rest.rows) + state) for state in self.path]
 
     def contrasts(self) -> Contrasts:
         """The error at every point of the grid, without the path of the temperature."""
-        if isinstance(self.of, tuple):
-            model, term, *grid = self.of
-            return contrasts(model, term, *(x.ravel() for x in np.meshgrid(*grid, indexing="ij")))
-        return Contrasts(self.of, np.zeros_like(self.of), np.zeros(len(self.of)))
+        if isinstance(self.of, Contrasts):
+            return self.of
+        model, term, *grid = self.of
+        return contrasts(model, term, *(x.ravel() for x in np.meshgrid(*grid, indexing="ij")))
 
 
 class RequiredQuantity(NamedTuple):
-    """A requirement's quantity on its grid, independent of the plan, for computing a `UnitResidual`."""
+    """A requirement's quantity on its grid, independent of the plan, for computing a `UnitResidual`. `beside`: an
+    independent error that no plan changes."""
 
     requirement: UnitRequirement
     temperatures: np.ndarray
@@ -142,11 +165,14 @@ class RequiredQuantity(NamedTuple):
 def quantity_of(built: AssembledUnit, requirement: UnitRequirement, most: int | None = None) -> RequiredQuantity:
     """A requirement's quantity on its grid, or on one of at most `most` a side. `beside`: the mounting's uncertainty,
     added to a misalignment relative to the case, or that of a sensitivity to dT/dt, added to a bias on a slope."""
-    cold, warm = (float(t) for t in requirement.temperature)
-    counts = [min(count, most or count) for count in requirement.grid]
-    temperatures, rates, beside = np.linspace(cold, warm, counts[0]), np.zeros(1), 0.0
-    if isinstance(requirement, GyroScaleFactorRequirement):
-        rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), counts[1])
+    rates, beside = np.zeros(1), 0.0
+    if isinstance(requirement, MissionHeadingRequirement):
+        temperatures = np.arange(float(len(requirement.mission)))
+    else:
+        counts = [min(count, most or count) for count in requirement.grid]
+        temperatures = np.linspace(*(float(t) for t in requirement.temperature), counts[0])
+        if isinstance(requirement, GyroScaleFactorRequirement):
+            rates = np.linspace(*(float(w) for w in requirement.rate), counts[1])
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "case":
         frame = built.spec.sensor.frame
         if frame is None or frame.fixed_by != "case":
@@ -156,14 +182,49 @@ def quantity_of(built: AssembledUnit, requirement: UnitRequirement, most: int | 
         triad = getattr(built.spec.sensor, "gyro" if isinstance(requirement, GyroBiasRequirement) else "accelerometer")
         if triad.gradient_sensitivity is None:
             beside = triad.gradient_std * max(abs(slope) for _, slope in requirement.service())
-    return RequiredQuantity(
-        requirement, temperatures, rates, tuple(_elements(built, requirement, temperatures, rates)), beside
-    )
+    elements = tuple(_elements(built, requirement, temperatures, rates))
+    return RequiredQuantity(requirement, temperatures, rates, elements, beside)
 
 
 def unit_residual(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> UnitResidual:
     """The residual of a requirement's quantity."""
     return quantity_of(built, requirement).residual(known)
+
+
+def errors_of(model: UnitModel, known: Posterior, quantity: RequiredQuantity) -> np.ndarray:
+    """A root `(m, s, n_T, n_ω, r)` of the covariance of all errors of a quantity (SI), in the states of its service."""
+    hidden = [
+        (model.where(c.kind, c.axis, term.name), float(term.std) ** 2)
+        for c in model.channels
+        for term in c.model.terms
+        if isinstance(term, Discrepancy)
+    ]
+    # A calibration does not carry the discrepancy's estimate, whose covariance is prior less posterior.
+    carried = np.zeros((model.size, 0))
+    if hidden:
+        where = np.concatenate([np.arange(model.size)[at] for at, _ in hidden])
+        prior = np.concatenate([np.full(at.stop - at.start, variance) for at, variance in hidden])
+        values, vectors = np.linalg.eigh(np.diag(prior) - known.spread[where] @ known.spread[where].T)
+        carried = np.zeros((model.size, len(where)))
+        carried[where] = vectors * np.sqrt(np.maximum(values, 0.0))
+    count, roots = len(quantity.elements), []
+    for k, element in enumerate(quantity.elements):
+        beside = np.zeros(count)
+        beside[k] = quantity.beside
+        states = [
+            np.concatenate(
+                [
+                    np.asarray(state.rows) @ known.spread[element.where],
+                    np.asarray(state.alone) @ carried[element.where],
+                    np.broadcast_to(beside, (len(state.beyond), count)),
+                ],
+                axis=1,
+            )
+            for state in element.states()
+        ]
+        roots.append(np.stack(states))
+    shape = len(quantity.temperatures), len(quantity.rates)
+    return np.stack(roots).reshape(count, -1, *shape, roots[0].shape[-1])
 
 
 def _elements(
@@ -174,12 +235,17 @@ def _elements(
     if isinstance(requirement, PositionRequirement | TiltRequirement | TurnRequirement):
         for label, rows in _navigation(built, requirement, temperatures):
             if requirement.axis in ("all", "worst", label):
-                yield QuantityElement(label, slice(None), rows)
+                yield QuantityElement(label, slice(None), _plain(rows))
     elif isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
         own: ChannelKind = "gyro" if requirement.quantity == "gyro_misalignment" else "accelerometer"
         for label, rows in internal_misalignments(model, own, temperatures):
             if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
-                yield QuantityElement(label, slice(None), rows)
+                yield QuantityElement(label, slice(None), _plain(rows))
+    elif isinstance(requirement, MissionHeadingRequirement | NorthRequirement):
+        for c in model.channels:
+            axis = AXIS_NAMES[c.axis]
+            if c.kind == "gyro" and requirement.axis in ("all", "worst", axis):
+                yield QuantityElement(axis, model.where(c.kind, c.axis), _heading(c.model, requirement, temperatures))
     else:
         kind, terms = _TERMS[requirement.quantity]
         for c in model.channels:
@@ -239,7 +305,22 @@ def _of_term(
     of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
     if isinstance(of, Map):
         return QuantityElement(label, own, (channel.model, term, temperatures, rates))
-    return QuantityElement(label, own, _signal_rows(channel, term, temperatures))
+    return QuantityElement(label, own, _plain(_signal_rows(channel, term, temperatures)))
+
+
+def _plain(rows: np.ndarray) -> Contrasts:
+    """Contrasts without a part of a model's discrepancy."""
+    return Contrasts(rows, np.zeros_like(rows), np.zeros(len(rows)))
+
+
+def _heading(
+    model: SensorModel, requirement: MissionHeadingRequirement | NorthRequirement, temperatures: np.ndarray
+) -> Contrasts:
+    """The error of a gyro's heading at the end of every mission, or of north at every temperature, rad."""
+    if isinstance(requirement, NorthRequirement):
+        return contrasts(model, BIAS, temperatures, np.zeros(len(temperatures))).times(earth_gain(requirement))
+    rows = [mission_rows(model, flight, np.array([end]))[0] for flight, end in flights_of(requirement)]
+    return mission_contrasts(model, np.stack(rows))
 
 
 def _signal_rows(channel: Channel, term: str, temperatures: np.ndarray) -> np.ndarray:

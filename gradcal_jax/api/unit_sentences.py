@@ -15,8 +15,12 @@ from gradcal_jax.api.unit_build import (
 from gradcal_jax.api.unit_residual import UNITS_OF_TERMS, quantity_of
 from gradcal_jax.files.absent import absent_terms
 from gradcal_jax.files.changes import changed
-from gradcal_jax.information import Posterior, posterior, square_root
-from gradcal_jax.model import AXIS_NAMES, Discrepancy, Hysteresis, PathTerm
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement
+from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.spec import expect_spec
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.information import Posterior, posterior, square_root, unobservable_combinations
+from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, Hysteresis, Map, PathTerm
 from gradcal_jax.trajectory import Trajectory, frames
 from gradcal_jax.units import G
 
@@ -30,6 +34,12 @@ _ALONG = 0.9
 _SEEN = 0.3
 # Share of the prior of a hysteresis beyond which a course hardly observes it.
 _HARDLY_SEEN = 0.7
+# Number of unobservable combinations that are named each; more are lists of parameters.
+_FEW_COMBINATIONS = 4
+# Relative difference of rates that rounding to a controller's steps explains.
+_NEARLY = 1e-3
+# Points of a piece at which its largest rate is evaluated.
+_PLACES = 33
 # Change of temperature within a piece that counts as none, K.
 _SAME_K = 1e-6
 # Smallest over largest singular value of up-directions that do not lie in one plane.
@@ -62,16 +72,44 @@ def _prior(built: AssembledUnit) -> Posterior:
     return posterior(square_root(built.model.prior_rows()))
 
 
+def unobservable(spec: UnitSpec) -> list[str]:
+    """One sentence for each combination of parameters (named as in the paper, SI) that the plan cannot observe; for
+    several channels none, if there are many. Errors: as `predict`."""
+    built = assemble_unit(expect_spec(spec))
+    return _of_combinations(built, _combinations(built, posterior_of_unit(built)), _axes_of(built))
+
+
+def _combinations(built: AssembledUnit, known: Posterior) -> list[str]:
+    few = len(built.model.channels) == 1 or known.hidden.shape[1] <= _FEW_COMBINATIONS
+    return unobservable_combinations(known, built.model) if few else []
+
+
+def _of_combinations(built: AssembledUnit, combinations: list[str], axes: np.ndarray) -> list[str]:
+    if not combinations:
+        return []
+    blind = {name for name in built.model.names() if any(name in combination for combination in combinations)}
+    cures = "; ".join(_cures(built, axes, blind)) or "change the plan"
+    if len(built.model.channels) == 1:
+        alone = f"{built.model.channels[0].name}."
+        combinations = [combination.replace(alone, "") for combination in combinations]
+    return [f"the plan cannot observe {combination}: {cures}; or give it a prior" for combination in combinations]
+
+
+def _axes_of(built: AssembledUnit) -> np.ndarray:
+    """The table's axes in the body as each piece begins, `(P, L, 3)`."""
+    motion, example = built.motion, built.motion.example
+    return frames(motion.geometry, motion.angles()[0][example], motion.mounting[example]).axes[motion.kind]
+
+
 def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
     """A sentence for each thing that the plan cannot observe, remedies first; and for requirements beyond the plan's
-    temperatures."""
-    every = unobserved_parameters(built, known)
+    temperatures and rates."""
+    axes, combinations = _axes_of(built), _combinations(built, known)
+    every = [name for name in unobserved_parameters(built, known) if not any(name in c for c in combinations)]
     of_path = one_way_sentences(built, known)
     # A hysteresis that is not observed has its own sentence.
     names = [name for name in every if not of_path or HYSTERESIS.partition("{")[0] not in name]
-    motion, example = built.motion, built.motion.example
-    axes = frames(motion.geometry, motion.angles()[0][example], motion.mounting[example]).axes[motion.kind]
-    sentences = _cures(built, axes, set(names))
+    sentences = _of_combinations(built, combinations, axes) + _cures(built, axes, set(names))
     if any(".m_" in name for name in names) or _orthogonality_is_hidden(built, known):
         sentences += _reversals(built, axes)
     groups: dict[str, list[str]] = {}
@@ -81,7 +119,8 @@ def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
     sentences += [f"the plan says nothing of {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
     sentences += of_path or _one_way_of_class(built)
     sentences += _limited_by_priors(built, known) + _as_before(built, known)
-    return sentences + _saturated(built, axes) + _beyond(built)
+    sentences += _saturated(built, axes) + _beyond(built) + _beyond_rates(built, axes)
+    return sentences + _of_this_run(built)
 
 
 def one_way_sentences(built: AssembledUnit, known: Posterior, line: Trajectory | None = None) -> list[str]:
@@ -208,19 +247,57 @@ def _as_before(built: AssembledUnit, known: Posterior) -> list[str]:
 
 def _saturated(built: AssembledUnit, axes: np.ndarray) -> list[str]:
     """Sentences on gyros that a turn takes beyond their full scale less its margin, where their output is not valid."""
-    gyro, motion = built.spec.sensor.gyro, built.motion
+    gyro = built.spec.sensor.gyro
     if gyro is None or gyro.usable_rate is None:
         return []
-    moves = np.flatnonzero(motion.axis >= 0)
-    halves = np.broadcast_to([0.0, 0.5, 1.0], (len(moves), 3))
-    fastest = np.max(np.abs(motion.line.rate(halves, moves)), axis=1, initial=0.0)
-    seen = np.max(np.abs(axes[moves, motion.axis[moves]]) * fastest[:, None], axis=0, initial=0.0)
     return [
         f"gyro {name} sees up to {np.degrees(rate):.4g} deg/s, beyond its full scale less the margin, "
         f"{np.degrees(gyro.usable_rate):.4g} deg/s: turn more slowly"
-        for name, rate in zip(AXIS_NAMES, seen, strict=True)
+        for name, rate in zip(AXIS_NAMES, _fastest(built, axes), strict=True)
         if name in gyro.axes and rate > gyro.usable_rate * (1.0 + 1e-6)
     ]
+
+
+def _fastest(built: AssembledUnit, axes: np.ndarray) -> np.ndarray:
+    """The fastest turn along each of the body's axes, rad/s."""
+    motion = built.motion
+    moves = np.flatnonzero((motion.axis >= 0) & ~motion.line.gap)
+    places = np.broadcast_to(np.linspace(0.0, 1.0, _PLACES), (len(moves), _PLACES))
+    fastest = np.max(np.abs(motion.line.rate(places, moves)), axis=1, initial=0.0)
+    return np.max(np.abs(axes[moves, motion.axis[moves]]) * fastest[:, None], axis=0, initial=0.0)
+
+
+def _beyond_rates(built: AssembledUnit, axes: np.ndarray) -> list[str]:
+    """Sentences on requirements beyond the rates along their gyros."""
+    fastest, sentences = _fastest(built, axes), list[str]()
+    for r in built.spec.requirement:
+        if not isinstance(r, GyroScaleFactorRequirement | MissionHeadingRequirement):
+            continue
+        widest = max(abs(float(rate)) for rate in r.rate)
+        gyros = [c.axis for c in built.model.channels if c.kind == "gyro"]
+        slow = [k for k in gyros if r.axis in ("all", "worst", AXIS_NAMES[k]) and widest > fastest[k] * (1.0 + _NEARLY)]
+        if slow:
+            least = np.degrees(min(fastest[k] for k in slow))
+            about = "" if len(gyros) == 1 else f" about {', '.join(AXIS_NAMES[k] for k in slow)}"
+            sentences.append(
+                f"requirement '{r.name}' asks for rates up to {np.degrees(widest):.4g} deg/s, but the plan reaches "
+                f"{least:.4g} deg/s only{about}: beyond that the structure of the map is trusted"
+            )
+    return sentences
+
+
+def _of_this_run(built: AssembledUnit) -> list[str]:
+    """Sentences on turn-on biases, which a map of one run includes."""
+    sentences: list[str] = []
+    for kind, si in (("gyro", "rad/s"), ("accelerometer", "m/s^2")):
+        triad = getattr(built.spec.sensor, kind)
+        if triad is not None and triad.bias is not None and triad.turn_on_bias:
+            unit, factor = UNITS_OF_TERMS[si]
+            sentences.append(
+                f"within one run the turn-on bias of the {kind}s cannot be told from a0: the bias map is this run's, "
+                f"and another run's differs by {float(triad.turn_on_bias) * factor:.4g} {unit} (standard deviation)"
+            )
+    return sentences
 
 
 def _beyond(built: AssembledUnit) -> list[str]:
@@ -233,7 +310,7 @@ def _beyond(built: AssembledUnit) -> list[str]:
             beyond.setdefault((float(r.temperature[0]), float(r.temperature[1])), []).append(f"'{r.name}'")
     return [
         (f"requirement {names[0]} asks" if len(names) == 1 else f"requirements {', '.join(names)} ask")
-        + f" for {cold:g} … {warm:g} °C, but the unit goes through {low:.4g} … {high:.4g} °C only: beyond that the "
+        + f" for {cold:g} … {warm:g} °C, but the sensor goes through {low:.4g} … {high:.4g} °C only: beyond that the "
         "structure of the maps is trusted"
         for (cold, warm), names in beyond.items()
     ]
@@ -256,7 +333,10 @@ def _cures(built: AssembledUnit, axes: np.ndarray, names: set[str]) -> list[str]
                     sentences.append(f"accelerometer {axis} never points {where}: add a pose")
         turned = np.any(np.abs(axes[moves, motion.axis[moves], c.axis]) > _SEEN)
         if c.kind == "gyro" and any(re.search(r"\.b[\d_]", name) for name in blind) and not turned:
-            sentences.append(f"no turn is about gyro {axis}: add one while a table axis lies along it")
+            where = f"no turn is about gyro {axis}: add one while a table axis lies along it"
+            sentences.append("the axis never turns: add turns" if built.spec.is_one_axis else where)
+        elif c.kind == "gyro" and blind:
+            sentences += _too_few(built, axes, c)
     if any(".g_" in name for name in names) and len(up):
         spread = np.linalg.svd(np.column_stack([np.ones(len(up)), up]), compute_uv=False)
         if spread[-1] < _FLAT * spread[0]:
@@ -265,6 +345,50 @@ def _cures(built: AssembledUnit, axes: np.ndarray, names: set[str]) -> list[str]
                 "sensitivity cannot be told apart: four directions are needed that do not"
             )
     return sentences
+
+
+def _too_few(built: AssembledUnit, axes: np.ndarray, channel: Channel) -> list[str]:
+    """What the plan has too few of for a gyro's maps: rates or temperatures, beside the number of coefficients."""
+    maps = [term for term in channel.model.terms if isinstance(term, Map)]
+    cures: list[str] = []
+    scale = channel.model.scale
+    if scale is not None and scale.rate is not None:
+        rates, needed = _distinct_rates(built, axes, channel.axis), scale.rate.size
+        if rates is not None and rates < needed:
+            cures.append(
+                f"{_number(rates)} distinct {'rate' if rates == 1 else 'rates'} for {_number(needed)} coefficients in "
+                f"rate: add a turn at {'a second' if rates == 1 else 'another'} rate"
+            )
+    most = max(term.temperature.size for term in maps)
+    line, schedule = built.motion.line, built.spec.schedule
+    begin, end = (e[~line.gap] for e in line.ends())
+    if max(begin.max(), end.max()) - min(begin.min(), end.min()) < 1.0:
+        if most > 1:
+            cures.append(f"one temperature for {_number(most)} coefficients in temperature: go through a range")
+    elif isinstance(schedule, StandardSchedule) and (visited := len(set(schedule.temperatures))) < most:
+        cures.append(
+            f"{_number(visited)} temperatures for {_number(most)} coefficients in temperature: add "
+            f"{_number(most - visited)}"
+        )
+    return cures
+
+
+def _distinct_rates(built: AssembledUnit, axes: np.ndarray, axis: int) -> int | None:
+    """The number of different constant rates along a body axis, counted with sign; None where a turn's rate varies
+    throughout."""
+    motion, line = built.motion, built.motion.line
+    varying = np.isin(np.arange(line.piece_count), line.varying_pieces)
+    turning = (motion.axis >= 0) & np.asarray(line.moving) & ~line.gap
+    constant = np.flatnonzero(turning & ~varying)
+    if np.setdiff1d(line.segment[turning], line.segment[constant]).size:
+        return None
+    along = line.end_rate()[constant] * axes[constant, motion.axis[constant], axis]
+    return len(np.unique(np.round(np.degrees(along), 6)))
+
+
+def _number(count: int) -> str:
+    words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+    return words[count] if count < len(words) else str(count)
 
 
 def _orthogonality_is_hidden(built: AssembledUnit, known: Posterior) -> bool:

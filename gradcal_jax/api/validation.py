@@ -15,7 +15,6 @@ import numpy as np
 from gradcal_jax import estimation, formulas
 from gradcal_jax.api.log_rows import count_rows, table_axis_of, table_readings, usable_rows
 from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM, G
-from gradcal_jax.api.unit_channel import integrated_rows
 from gradcal_jax.display import summary
 from gradcal_jax.files.calibration import LOG_HASH, TEMPERATURE_RATE, Calibration, Result, correction
 from gradcal_jax.files.log import Log, LogError
@@ -120,7 +119,8 @@ def acceptances(calibration: Calibration, validations: list[AxisValidation]) -> 
     rows: list[Acceptance] = []
     by_axis = {one.axis: one for one in validations}
     for result in calibration.result:
-        axis = "gyros" if result.quantity == "gyro_scale_factor" else result.axis
+        together = "gyros" if result.quantity == "gyro_scale_factor" else result.axis
+        axis = result.axis if result.axis in by_axis else together
         if result.target is None or axis not in by_axis:
             continue
         cells = [c for c in by_axis[axis].cells if c.unit == result.unit and c.how_many > 1]
@@ -217,7 +217,7 @@ def _axis(
         rests = int(still.sum())
         bias = (_rms(before, time[kept]), _rms(after, time[kept]))
         cells += _cells(warm, None, before, after, edges, "deg/h")
-    rows = count_rows(log, unit, integrated_rows(done, len(raw)))
+    rows = count_rows(log, unit, estimation.within(done.rows, ~done.broken, len(raw)))
     return AxisValidation(axis, moves, rests, scale, bias, tuple(cells), rows, tuple(messages))
 
 

@@ -11,16 +11,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from gradcal_jax import estimation, identify
-from gradcal_jax.api.calibration import EstimateReport, estimate_calibration, joined
+from gradcal_jax.api.estimate import EstimateReport, SensorEstimate, estimate_log
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.instability import RestRecord, at_rest, number, plausible, too_noisy
 from gradcal_jax.files import Spec, parse_spec
-from gradcal_jax.files.calibration import Noise
+from gradcal_jax.files.calibration import Calibration, Covariance, Noise
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.sensor import Sensor
+from gradcal_jax.files.sensor import GyroTriad
 from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
 
 DEGREE = 3
@@ -44,7 +45,7 @@ def estimate_warm_up(
     """The bias over temperature, a cubic, of every unit in records at rest; each log has units of one clock.
 
     The covariance includes the noise of the record itself, slow noise too. `options`, `sources` as of
-    `estimate_calibration`. **Raises:** `LogError` without a temperature that spans 10 K, without a rest, and where the
+    `estimate_log`. **Raises:** `LogError` without a temperature that spans 10 K, without a rest, and where the
     record shows no angle random walk.
     """
     options = options or Options()
@@ -54,33 +55,32 @@ def estimate_warm_up(
     if missing := [unit for unit in units if not any(unit in log.units for log in logs)]:
         known = ", ".join(unit for log in logs for unit in log.units)
         raise LogError(f"there is no unit '{missing[0]}' in this log; it has {known}")
-    return EstimateReport(
-        tuple(c for part in parts for c in part.calibrations),
-        tuple(c for part in parts for c in part.channels),
-        {unit: rows for part in parts for unit, rows in part.verdicts.items()},
-        {unit: rows for part in parts for unit, rows in part.messages.items()},
-    )
+    parts, sensors = zip(*parts, strict=True)
+    return EstimateReport(tuple(one for own in sensors for one in own), (), parts)
 
 
-def _unit(log: Log, unit: str, axes: Sequence[str], options: Options, sources: dict[str, str] | None) -> EstimateReport:
-    log = _marked(log, unit)
-    parts: list[EstimateReport] = []
-    sensors: list[Sensor] = []
-    messages = [
+def _unit(
+    log: Log, unit: str, axes: Sequence[str], options: Options, sources: dict[str, str] | None
+) -> tuple[Calibration, list[SensorEstimate]]:
+    """The calibration of all axes of a unit, and the estimate of each."""
+    log, sensors, noises = _marked(log, unit), list[SensorEstimate](), list[GyroTriad]()
+    before = [
         f"the rate of the vehicle is taken as zero: of the Earth's up to {_EARTH:.0f} deg/h is in the bias, unless "
         "--earth-rate takes it off"
     ] * (not options.earth_rate)
     for axis in axes or log.axes:
         spec, words = warm_up_spec(log, axis, unit)
-        parts.append(estimate_calibration(spec, log, axes=(axis,), units=(unit,), options=options, sources=sources))
-        sensors.append(spec.sensor)
-        messages += [words, *(f"axis {axis}: {m}" for m in parts[-1].messages[unit] if "no table angle" not in m)]
-    calibrations = [part.calibrations[0] for part in parts]
+        (one,) = estimate_log(spec, [log], axis=axis, units=(unit,), options=options, sources=sources).sensors
+        own = (f"axis {axis}: {m}" for m in one.messages if "no table angle" not in m)
+        sensors.append(one._replace(messages=(*before, words, *own)))
+        before = []
+        gyro = one.built.spec.sensor.gyro
+        assert gyro is not None
+        noises.append(gyro)
+    calibrations = [one.calibration for one in sensors]
     # Without the 1/f noise, which resembles a random walk only over seconds.
-    walk = max(s.angle_random_walk for s in sensors)
-    slow = max(
-        float(s.drift[-1].standard_deviation) / np.sqrt(float(s.drift[-1].correlation_time) / 2) for s in sensors
-    )
+    walk = max(s.angle_random_walk for s in noises)
+    slow = max(float(s.drift[-1].standard_deviation) / np.sqrt(float(s.drift[-1].correlation_time) / 2) for s in noises)
     noise = Noise(
         angle_random_walk=walk,
         rate_random_walk=Quantity.of(slow, "rad/s/sqrt(s)"),
@@ -94,14 +94,17 @@ def _unit(log: Log, unit: str, axes: Sequence[str], options: Options, sources: d
             "covariance": joined([c.covariance for c in calibrations if c.covariance is not None]),
             "noise": noise,
             "frame": f"the axes {named} of the log, not orthogonalised",
-            "provenance": {**first.provenance, "readings": ", ".join(c.provenance["readings"] for c in calibrations)},
+            "provenance": {**first.provenance, "rows": ", ".join(c.provenance["rows"] for c in calibrations)},
         }
     )
-    return EstimateReport(
-        (whole,),
-        tuple(channel for part in parts for channel in part.channels),
-        {unit: tuple(row for part in parts for row in part.verdicts[unit])},
-        {unit: tuple(dict.fromkeys(messages))},
+    return whole, sensors
+
+
+def joined(blocks: Sequence[Covariance]) -> Covariance:
+    """One covariance of channels that were estimated each by itself."""
+    matrix = np.asarray(block_diag(*(np.array(block.matrix).reshape(2 * (len(block.names),)) for block in blocks)))
+    return Covariance(
+        names=tuple(name for block in blocks for name in block.names), matrix=tuple(map(tuple, matrix.tolist()))
     )
 
 

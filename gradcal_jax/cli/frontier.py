@@ -47,11 +47,10 @@ def frontier(
     plot
         Draw the frontier into this file.
     """
-    from gradcal_jax.files.axis_as_imu import general
-    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.recipe import spec_in
 
     drawable(plot)
-    specification = general(any_spec_in(spec))
+    specification = spec_in(spec)
     times = durations(motion, points)
     use_float64()
     from gradcal_jax import api

@@ -23,9 +23,9 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     json
         Print the limits for other programs.
     """
-    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.recipe import spec_in
 
-    specification = any_spec_in(spec)
+    specification = spec_in(spec)
     use_float64()
     from gradcal_jax.api.flow import limit as limit_of
 

@@ -36,7 +36,7 @@ def new(
     from gradcal_jax.files import column_guess, points, presets
 
     if listing:
-        rows = [(name, presets.title(name)) for name in (*presets.names(), *presets.unit_names())]
+        rows = [(name, presets.title(name)) for name in presets.names()]
         rows += [(_COLUMN_MAP, "What the columns of a recording mean, for --columns")]
         print(columns([*rows, (_POINT_MAP, "What the columns of a table of points mean, for --points")], indent=""))
         return DONE
@@ -55,9 +55,9 @@ def new(
     write_whole(output, text)
     if preset not in examples:
         from gradcal_jax.cli.predict import omitted_lines
-        from gradcal_jax.files.recipe import any_spec_in
+        from gradcal_jax.files.recipe import spec_in
 
-        if omitted := omitted_lines(any_spec_in(Path(output))):
+        if omitted := omitted_lines(spec_in(Path(output))):
             print("\n".join(omitted))
     following = {
         _COLUMN_MAP: f"gradcal allan LOG --columns {output}",

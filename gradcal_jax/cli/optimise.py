@@ -59,14 +59,13 @@ def optimise(
         Go on with an interrupted search of the same spec, which is kept beside the output.
     """
     from gradcal_jax.files import write_toml
-    from gradcal_jax.files.axis_as_imu import general
-    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.recipe import spec_in
 
     writable(output, force or resume)
     drawable(plot)
     if steps is not None and steps < 20:
         raise ValueError(f"--steps: expected at least 20, got {steps}")
-    specification = general(any_spec_in(spec))
+    specification = spec_in(spec)
     use_float64()
     from gradcal_jax import api
     from gradcal_jax.api import checkpoints

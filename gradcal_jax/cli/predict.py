@@ -15,7 +15,7 @@ from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.api.monte_carlo import TwinRow
-    from gradcal_jax.files import Prediction, Spec
+    from gradcal_jax.files import Prediction
     from gradcal_jax.files.contracts import RequirementRow
     from gradcal_jax.files.unit_spec import UnitSpec
 
@@ -38,11 +38,10 @@ def predict(
     seed
         The seed of the simulated calibrations.
     """
-    from gradcal_jax.files.recipe import any_spec_in
-    from gradcal_jax.files.unit_spec import UnitSpec
+    from gradcal_jax.files.recipe import spec_in
 
     drawable(plot)
-    specification = any_spec_in(spec)
+    specification = spec_in(spec)
     use_float64()
     from gradcal_jax import api
 
@@ -64,8 +63,7 @@ def predict(
         print("\n".join(["", *omitted])) if omitted else None
         if monte_carlo is not None:
             print(_simulated(rows, tests, monte_carlo, seed))
-    of_unit = isinstance(specification, UnitSpec)
-    save_figure(lambda p: p.draw_unit(specification) if of_unit else p.draw_prediction(specification), plot, quiet=json)
+    save_figure(lambda plots: plots.draw_prediction(specification), plot, quiet=json)
     met = all(row.verdict in (None, "met") for row in prediction.requirements)
     return DONE if met and all(test.consistent for test in tests.values()) else NOT_AS_WISHED
 
@@ -86,16 +84,10 @@ def compare(
     """
     if not specs:
         raise ValueError("compare what? Name two or more spec files")
-    from gradcal_jax.files.recipe import any_spec_in
-    from gradcal_jax.files.unit_spec import UnitSpec
+    from gradcal_jax.files.recipe import spec_in
 
     drawable(plot)
-    plans = [(path.stem, any_spec_in(path)) for path in specs]
-    of_axes = [(name, spec) for name, spec in plans if not isinstance(spec, UnitSpec)]
-    if plot is not None and len(of_axes) < len(plans):
-        raise ValueError(
-            "--plot compares plans of one gyro axis; draw a unit's plan by: gradcal predict SPEC --plot FILE"
-        )
+    plans = [(path.stem, spec_in(path)) for path in specs]
     use_float64()
     from gradcal_jax import api
 
@@ -104,7 +96,7 @@ def compare(
         print("[" + ",\n".join(prediction.model_dump_json(indent=2) for _, prediction in predictions) + "]")
     else:
         print(side_by_side(predictions))
-    save_figure(lambda plots: plots.draw_comparison(of_axes), plot, quiet=json)
+    save_figure(lambda plots: plots.draw_comparison(plans), plot, quiet=json)
     return DONE
 
 
@@ -129,19 +121,18 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
     return "\n".join(lines)
 
 
-def omitted_lines(spec: "Spec | UnitSpec") -> list[str]:
+def omitted_lines(spec: "UnitSpec") -> list[str]:
     """Error terms that are absent from the file, with the typical figures that count for them. Empty: none."""
     from gradcal_jax.files.absent import (
-        EARTH,
+        EARTH_AT_SITE,
         EARTH_IS_UNKNOWN,
         absent_terms,
         branch_sentences,
         sensor_grade,
         table_grade,
     )
-    from gradcal_jax.files.unit_spec import UnitSpec
 
-    absent, of_branches = absent_terms(spec), branch_sentences(spec) if isinstance(spec, UnitSpec) else []
+    absent, of_branches = absent_terms(spec), branch_sentences(spec)
     if not absent:
         return of_branches
     sensor, table = sensor_grade(spec.sensor), table_grade(spec)
@@ -153,7 +144,9 @@ def omitted_lines(spec: "Spec | UnitSpec") -> list[str]:
         "put your own figures into the file; 0 (or an empty list) says that there is none. Sources of the figures: "
         "gradcal check --json",
     ]
-    return lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH for term in absent) + of_branches
+    return (
+        lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH_AT_SITE for term in absent) * spec.is_one_axis + of_branches
+    )
 
 
 def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:

@@ -43,10 +43,10 @@ def recipe(
         Print the name of the recipe, and its prediction after rounding, as JSON.
     """
     from gradcal_jax.files import Quantity, to_toml
-    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.recipe import spec_in
     from gradcal_jax.files.tracks import Stability
 
-    specification = any_spec_in(spec)
+    specification = spec_in(spec)
     wishes = {
         "within": ("temperature difference", stable_within),
         "for_at_least": ("time", stable_for),

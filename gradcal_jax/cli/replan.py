@@ -52,10 +52,9 @@ def replan(
     from gradcal_jax import api
     from gradcal_jax.api.replan import rest_of
     from gradcal_jax.api.search_results import record_of
-    from gradcal_jax.files.axis_as_imu import general
 
     spans = [(part.start_s, part.end_s) for part in done]
-    rest = general(rest_of(recipe.spec, spans, left_s=left_s, pause_s=pause_s))
+    rest = rest_of(recipe.spec, spans, left_s=left_s, pause_s=pause_s)
     best, interrupted = searches.search_and_watch(rest, quick=quick)
     status = f"interrupted, the best so far: {best.sentence}" if interrupted else ""
     code = INTERRUPTED if interrupted else DONE if best.converged else NOT_AS_WISHED

@@ -26,10 +26,10 @@ def sensitivity(spec: Path, /, *, json: Json = False, plot: Plot = None) -> int:
     plot
         Draw them as bars into this file.
     """
-    from gradcal_jax.files.recipe import any_spec_in
+    from gradcal_jax.files.recipe import spec_in
 
     drawable(plot)
-    specification = any_spec_in(spec)
+    specification = spec_in(spec)
     use_float64()
     from gradcal_jax.api.sensitivity import sensitivity
 

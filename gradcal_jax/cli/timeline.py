@@ -36,8 +36,8 @@ def timeline(
     Parameters
     ----------
     json
-        Print gradcal-timeline/2: segments, readings and the sensor's model, in SI; of a whole unit
-        gradcal-unit-timeline/1, with the angles of all axes and the attitude.
+        Print gradcal-timeline/2: segments, readings and the sensor's model, in SI; of an IMU gradcal-unit-timeline/1,
+        with the angles of all axes and the attitude.
     csv
         Print the rows as comma-separated values, in SI.
     rows
@@ -45,24 +45,22 @@ def timeline(
     """
     if json and csv:
         raise ValueError("--json or --csv: choose one")
-    from gradcal_jax.files.recipe import any_spec_in
-    from gradcal_jax.files.unit_spec import UnitSpec
+    from gradcal_jax.files import Timeline
+    from gradcal_jax.files.recipe import spec_in
 
-    specification = any_spec_in(spec)
+    specification = spec_in(spec)
     use_float64()
     from gradcal_jax import api
 
-    if isinstance(specification, UnitSpec):
-        if rows == "readings":
-            raise ValueError("of a whole unit every segment says which channels have a row of it: leave --rows out")
-        unit = api.timeline(specification)
-        if json:
-            print(unit.model_dump_json(exclude_none=True))
-        else:
-            _as_csv(unit.segments) if csv else print(_table_of_unit(unit))
-        return DONE
     contents = api.timeline(specification)
-    if json:
+    if not isinstance(contents, Timeline):
+        if rows == "readings":
+            raise ValueError("of an IMU every segment says which channels have a row of it: leave --rows out")
+        if json:
+            print(contents.model_dump_json(exclude_none=True))
+        else:
+            _as_csv(contents.segments) if csv else print(_table_of_imu(contents))
+    elif json:
         print(contents.model_dump_json(indent=2, exclude_none=True))
     elif csv:
         _as_csv(contents.segments if rows == "segments" else contents.readings)
@@ -109,7 +107,7 @@ def _table(plan: "Timeline", rows: str) -> str:
     return "\n".join(lines)
 
 
-def _table_of_unit(unit: "UnitTimeline") -> str:
+def _table_of_imu(unit: "UnitTimeline") -> str:
     axes = [f"{axis.name}, deg" for axis in unit.table]
     table: list[tuple[str, ...]] = [("start", "what", "lasts", *axes, "up, from the unit", "chamber, degC", "read")]
     for s in unit.segments[:_MOST_ROWS]:

@@ -28,7 +28,6 @@ from ..files.log import SERIAL_NUMBER, AngleReadings, Finding, Log, Reason
 from ..files.log_file import LogInBlocks
 from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
-from ..files.unit_spec import UnitSpec
 from ..hardware.errors import HardwareError
 from ..hardware.journal import Event, JournalContents, records_of
 from ..hardware.roles import STANDARD_GRAVITY, ImuBatch
@@ -107,10 +106,9 @@ def _of_unit(
     samples = stack.enter_context(SampleSpool(folder=spool))
     sessions = sessions_of(records, device, samples)
     names = [axis.name for axis in rig.axis]
-    if isinstance(recipe.spec, UnitSpec):
-        # A whole unit's table has the axes of its spec, in that order; a single axis may have another name.
-        drawn = [axis.name for axis in recipe.spec.rig.table.axis]
-        names = drawn if set(drawn) <= set(names) else names
+    # The axes of the spec, in that order; a single axis may have another name.
+    drawn = [axis.name for axis in recipe.spec.rig.table.axis]
+    names = drawn if set(drawn) <= set(names) else names
     axes = _axes_of(sessions, names)
     for session in sessions:
         kept, left = parts_of(session, axes)

@@ -11,16 +11,15 @@ from gradcal_jax.estimation.consistency import (
     whiteness,
 )
 from gradcal_jax.estimation.diagnosis import diagnosis as diagnosis
-from gradcal_jax.estimation.executed import Executed, column_readings, executed, standing_with
-from gradcal_jax.estimation.neighbours import Group, closest_neighbours, like_rates, moves_between_rests
+from gradcal_jax.estimation.executed import Executed, column_readings, executed, standing_with, within
+from gradcal_jax.estimation.neighbours import Group, closest_neighbours, like_rates, moves_between_rests, neighbours_of
 from gradcal_jax.estimation.planned_moves import PlannedMove
-from gradcal_jax.estimation.plateaus import Plateaus, plateaus
+from gradcal_jax.estimation.plateaus import Plateaus, TablePoints, plateaus
 from gradcal_jax.estimation.read_motion import motion_at_points, motion_by_readings
-from gradcal_jax.estimation.robust import HUBER, estimate_robustly
-from gradcal_jax.estimation.samples import integrated_error, sample_nodes, true_rate
+from gradcal_jax.estimation.robust import HUBER
 from gradcal_jax.estimation.settling import settling as settling
 from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
-from gradcal_jax.estimation.solve import Estimate, Observations, Whitened, solve, whitened, whitened_columns
+from gradcal_jax.estimation.solve import Estimate, Whitened, solve
 from gradcal_jax.estimation.standstill import find_standstills
 from gradcal_jax.estimation.structure import StructureTest, chi_squared, components, size_of, structure_test
 from gradcal_jax.estimation.temperature import smoothed_temperature

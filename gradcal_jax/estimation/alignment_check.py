@@ -30,7 +30,7 @@ class CoarseFit(NamedTuple):
 def coarse_fits(rows: UnitRows, geometry: Geometry) -> dict[str, CoarseFit]:
     """The matrices of gyros and accelerometers by kind; zero rows for channels that the log lacks."""
     rests = [(int(a), int(b)) for a, b in runs(rows.standing) if b - a > 2]
-    if len(rests) < 2:
+    if len(rests) < 2 or not np.isfinite(rows.angles).any():
         return dict.fromkeys(("gyro", "accelerometer"), CoarseFit(np.eye(3), np.zeros(3, bool)))
     step = np.diff(rows.time_s, prepend=rows.time_s[0])
     angles = np.array(mean_angles(rows, [(a, b - 1) for a, b in rests])).reshape(len(rests), -1)

@@ -161,3 +161,11 @@ def _parts(time: np.ndarray, before: int, after: int, longest: float) -> list[in
 def _runs(where: np.ndarray) -> list[tuple[int, int]]:
     """First and last row of every run of true values."""
     return [(int(first), int(end) - 1) for first, end in runs(where)]
+
+
+def within(rows: np.ndarray, pieces: np.ndarray, count: int) -> np.ndarray:
+    """`(count,)`: whether a row lies in one of the chosen pieces."""
+    change = np.zeros(count + 1, np.int64)
+    np.add.at(change, rows[:-1][pieces] + 1, 1)
+    np.add.at(change, rows[1:][pieces] + 1, -1)
+    return np.cumsum(change[:-1]) > 0

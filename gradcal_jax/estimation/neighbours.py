@@ -11,10 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gradcal_jax.estimation.unit_solve import UnitEstimate, UnitReadings
+from gradcal_jax.information import segments_of
+from gradcal_jax.model import SCALE_FACTOR
+
 # Relative difference below which rates are equal.
 _ALIKE = 0.1
 # Least angle of a move (rad) for a scale factor.
 _LEAST_ANGLE = np.radians(1.0)
+# Share of a table's turn that a gyro senses of one about its own axis.
+_OWN_AXIS = 1.0 - 1e-4
 
 
 class MovesBetweenRests(NamedTuple):
@@ -118,3 +124,36 @@ def like_rates(rates: np.ndarray, share: float) -> np.ndarray:
     like = np.empty(len(order), int)
     like[order] = np.concatenate([[0], np.cumsum(apart)])
     return like
+
+
+def neighbours_of(readings: UnitReadings, solution: UnitEstimate, width_k: float) -> dict[str, tuple[Group, ...]]:
+    """The groups of every gyro with a scale factor, by its name, of moves about its own axis; gyros without such moves
+    are left out. Errors: `ValueError` for a width that is not positive."""
+    motion, model, result = readings.done.motion, readings.model, dict[str, tuple[Group, ...]]()
+    if motion.line.rates:
+        return result
+    at, nodes = segments_of(motion, model), readings.nominal()
+
+    def along(of_group, shape: tuple[int, ...]) -> np.ndarray:
+        return np.asarray(at.sums(nodes.integrals(of_group, shape)[nodes.kind]))
+
+    turned = along(lambda g: g.integral(g.rate - g.earth), (3,))
+    path = along(lambda g: g.integral(np.linalg.norm(g.rate - g.earth, axis=-1)), ())
+    error = readings.observed - readings.expected(np.zeros(model.size))
+    ends, moving = readings.temperature_c[readings.done.rows], np.asarray(at.axis) >= 0
+    warm, seconds = 0.5 * (ends[at.first] + ends[at.last + 1]), np.asarray(at.sums(motion.line.duration))
+    for i, (c, columns) in enumerate(zip(model.channels, model.own_columns(nodes), strict=True)):
+        own = c.model.where(SCALE_FACTOR)
+        if c.kind != "gyro" or own.start == own.stop:
+            continue
+        rows, of_channel = at.row_channel == i, np.zeros(len(at.first))
+        of_channel[at.row_segment[rows]] = error[rows]
+        scale = solution.parameters[model.where(c.kind, c.axis, SCALE_FACTOR)]
+        by_map = np.asarray(at.sums(columns[:, own])) @ scale
+        beside = moving & (np.abs(turned[:, c.axis]) < _OWN_AXIS * path)
+        broken = np.asarray(motion.line.gap)[at.first] | beside
+        sums = np.cumsum(of_channel), np.cumsum(by_map)
+        moves = moves_between_rests(*sums, turned[:, c.axis], seconds, warm, moving, broken)
+        if groups := closest_neighbours(moves, width_k):
+            result[c.name] = groups
+    return result

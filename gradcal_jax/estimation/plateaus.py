@@ -25,6 +25,13 @@ _LEAST_SHARE = 0.5
 _HELD_OVER_S, _STABLE_K = 1.0, 1.0
 
 
+class TablePoints(NamedTuple):
+    """The executed points of a table; `sigma` `(P,)`: of each piece's mean rate, rad/s, if known."""
+
+    done: Executed
+    sigma: np.ndarray | None
+
+
 class Plateaus(NamedTuple):
     """The executed points; pieces between them are `broken`."""
 

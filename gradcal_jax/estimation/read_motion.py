@@ -24,15 +24,17 @@ _STANDS_S, _GUARD_S = 1.0, 0.1
 def motion_by_readings(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
     """The motion in a log's rows of a table of one axis, whose angles count where `log.at_a_stop`.
 
-    Errors: `ValueError` where there are fewer than two readings.
+    Where none is known, nothing is read of the moves. Errors: `ValueError` where there are fewer than two readings.
     """
-    read = log.at_a_stop & np.isfinite(log.angles[:, 0])
+    unknown = not np.isfinite(log.angles[:, 0]).any()
+    read = log.at_a_stop & (np.isfinite(log.angles[:, 0]) | unknown)
     groups = [np.flatnonzero(read[a:b]) + a for a, b in runs(log.standing | read)]
     groups = [rows for rows in groups if len(rows)]
     if sum(map(len, groups)) < 2:
         raise ValueError("the log never stands still for two readings, so nothing can be read from it")
     worth = np.ones(len(read)) if log.worth is None else log.worth
-    stands = [float(np.average(log.angles[rows, 0], weights=worth[rows])) for rows in groups]
+    angles = np.zeros(len(read)) if unknown else log.angles[:, 0]
+    stands = [float(np.average(angles[rows], weights=worth[rows])) for rows in groups]
     speed, unusable = _speed(log, geometry), np.cumsum(~log.usable)
     rows, axes, flags, ways = [int(groups[0][0])], list[int](), list[tuple[bool, bool]](), list[np.ndarray | None]()
 
@@ -54,7 +56,7 @@ def motion_by_readings(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
     for number, (first, *others) in enumerate(groups):
         if number:
             last, angle = rows[-1], stands[number] - stands[number - 1]
-            if unusable[last] != unusable[first] or log.mounting[last] != log.mounting[first]:
+            if unknown or unusable[last] != unusable[first] or log.mounting[last] != log.mounting[first]:
                 add(int(first), np.linspace(0.0, angle, 3), lost=True)
             else:
                 still = _still(log, last, int(first))

@@ -14,37 +14,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from gradcal_jax.estimation.solve import Estimate, Observations, Whitened, solve, whitened
 from gradcal_jax.information import NoiseSteps
 from gradcal_jax.information.by_reading import filter_readings
-from gradcal_jax.model import SensorModel
 
 HUBER = 2.5
 _ROUNDS = 20
 # Change of a weight at which the rounds end.
 _NO_CHANGE = 0.01
 Solution = TypeVar("Solution")
-
-
-def estimate_robustly(
-    observations: Observations, model: SensorModel, *, threshold: float = HUBER
-) -> tuple[Estimate, Whitened, np.ndarray]:
-    """The estimate of one unit, its reweighted rows, and the weights `(n,)` of the readings used (1: counted in full).
-
-    Ends when no weight changes by 0.01; without outliers the result is exactly that of `solve`. Errors: `ValueError`
-    for a threshold that is not positive.
-    """
-    if not threshold > 0.0:
-        raise ValueError(f"the threshold of a robust estimate must be positive, not {threshold}")
-
-    def solved(steps: NoiseSteps, _=None) -> tuple[Whitened, Estimate]:
-        white = whitened(observations, model, steps)
-        return white, solve(white)
-
-    steps, used = observations.steps, observations.used
-    residuals = lambda both: both[1].residuals[0]  # noqa: E731
-    (white, estimate), weights = reweighted(steps, used, solved(steps), residuals, solved, threshold, _ROUNDS)
-    return estimate, white, weights
 
 
 def reweighted(
@@ -54,14 +31,18 @@ def reweighted(
     residuals: Callable[[Solution], np.ndarray],
     again: Callable[[NoiseSteps, Solution], Solution],
     threshold: float,
-    rounds: int,
+    with_noise: Callable[[NoiseSteps, np.ndarray], NoiseSteps],
 ) -> tuple[Solution, np.ndarray]:
-    """The solution and the weights of the readings `used`, after the weights have converged.
+    """The solution and the weights of the readings `used`, after the weights have converged: none changes by 0.01.
 
-    `residuals` of a solution, in their standard deviations; `again`: solves with other noise steps.
+    `residuals` of a solution, in their standard deviations; `again`: solves with other noise steps; `with_noise`: steps
+    whose readings have more noise, by these variances `(N,)`. Errors: `ValueError` for a threshold that is not
+    positive.
     """
-    plain, extra, weights = steps.reading_variance, np.zeros(len(used)), np.ones(int(used.sum()))
-    for _ in range(rounds):
+    if not threshold > 0.0:
+        raise ValueError(f"the threshold of a robust estimate must be positive, not {threshold}")
+    plain, extra, weights = steps, np.zeros(len(used)), np.ones(int(used.sum()))
+    for _ in range(_ROUNDS):
         spread = innovation_variance(steps)[used]
         # The innovation relative to its variance without the increase.
         plain_spread = spread - extra[used]
@@ -71,7 +52,7 @@ def reweighted(
             break
         weights = new
         extra[used] = (1.0 / weights - 1.0) * plain_spread
-        steps = steps._replace(reading_variance=plain + extra)
+        steps = with_noise(plain, extra)
         solution = again(steps, solution)
     return solution, weights
 

@@ -9,78 +9,83 @@ P_s the rows of all priors, balances both (empirical Bayes; with directions with
 likelihood). Each value costs one small factorisation, since the data are first reduced to p rows.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from scipy import optimize
 
 from gradcal_jax.estimation.solve import Whitened
-from gradcal_jax.model import SensorModel
+from gradcal_jax.model import Map, UnitModel
 
 _GRID = 13
 _DECADES = 3.0
 
 
 class Smoothness(NamedTuple):
-    """Chosen standard deviations of neighbours' differences, in rad/s and as a ratio (None: a map without this prior).
+    """Chosen standard deviations of neighbours' differences, by channel and name of the map, in the map's SI unit.
 
     `at_edge`: whether one of them is at the edge of the searched range, so that the data do not determine it.
     """
 
-    bias: float | None
-    scale_factor: float | None
+    stds: dict[tuple[str, str], float]
     at_edge: bool
 
 
-def with_smoothness(model: SensorModel, bias: float | None, scale_factor: float | None) -> SensorModel:
-    """The model with other standard deviations of the smoothness priors that it has."""
-    if bias is not None and model.bias is not None:
-        model = eqx.tree_at(lambda m: m.bias.smoothness_std, model, np.asarray(bias, dtype=float))
-    if scale_factor is not None and model.scale is not None:
-        model = eqx.tree_at(lambda m: m.scale.smoothness_std, model, np.asarray(scale_factor, dtype=float))
-    return model
+def smooth_maps(model: UnitModel) -> list[tuple[int, int]]:
+    """The maps with a smoothness prior, as numbers of their channel and of their term."""
+    return [
+        (i, k)
+        for i, channel in enumerate(model.channels)
+        for k, term in enumerate(channel.model.terms)
+        if isinstance(term, Map) and term.has_smoothness
+    ]
 
 
-def choose_smoothness(white: Whitened, model: SensorModel, unit: int = 0) -> Smoothness:
-    """The strength at which one unit's data are most probable.
+def with_smoothness(model: UnitModel, stds: Sequence[float]) -> UnitModel:
+    """The model with other standard deviations of its smoothness priors, in the order of `smooth_maps`."""
+    places = smooth_maps(model)
+    return eqx.tree_at(
+        lambda m: [m.channels[i].model.terms[k].smoothness_std for i, k in places],
+        model,
+        [np.asarray(std, dtype=float) for std in stds],
+    )
+
+
+def choose_smoothness(white: Whitened, model: UnitModel, unit: int = 0) -> Smoothness:
+    """The strengths at which one unit's data are most probable.
 
     Searched within three decades about the strengths of the model. Errors: `ValueError` for a model without a
     smoothness prior.
     """
-    now = [
-        float(of.smoothness_std) if of is not None and of.has_smoothness else None for of in (model.bias, model.scale)
-    ]
-    free = [k for k, value in enumerate(now) if value is not None]
-    if not free:
+    places = smooth_maps(model)
+    terms: list[Any] = [model.channels[i].model.terms[k] for i, k in places]
+    if not places:
         raise ValueError("no map of this model has a smoothness prior: give B-splines or bins with one")
     rows = white.rows_of(unit)
     orthogonal, triangle = np.linalg.qr(rows)
     data = orthogonal.T @ white.data[unit]
-    start = np.log([value for value in now if value is not None])
-
-    def strengths(log_std: np.ndarray) -> list[float | None]:
-        values = dict(zip(free, np.exp(log_std).tolist(), strict=True))
-        return [values.get(0), values.get(1)]
+    start = np.log([float(term.smoothness_std) for term in terms])
 
     def minus_twice(log_std: np.ndarray) -> float:
-        prior = np.asarray(with_smoothness(model, *strengths(log_std)).prior_rows())
+        prior = np.asarray(with_smoothness(model, np.exp(log_std).tolist()).prior_rows())
         return _minus_twice_log(triangle, data, prior)
 
     reach = _DECADES * np.log(10.0)
     offsets = np.linspace(-reach, reach, _GRID)
     best = start.copy()
-    for _ in range(2 if len(free) > 1 else 1):  # one strength after the other, then both together
-        for k in range(len(free)):
-            trials = [np.where(np.arange(len(free)) == k, start[k] + o, best) for o in offsets]
+    for _ in range(2 if len(places) > 1 else 1):  # one strength after the other, then both together
+        for k in range(len(places)):
+            trials = [np.where(np.arange(len(places)) == k, start[k] + o, best) for o in offsets]
             best = trials[int(np.argmin([minus_twice(t) for t in trials]))]
     simplex = np.concatenate([best[None], best[None] + 0.5 * (offsets[1] - offsets[0]) * np.eye(len(best))])
     options = {"xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
     bounds = [(s - reach, s + reach) for s in start]
     optimum = optimize.minimize(minus_twice, best, method="Nelder-Mead", bounds=bounds, options=options)
     at_edge = bool(np.any(np.abs(np.abs(optimum.x - start) - reach) < 0.01 * reach))
-    bias, scale_factor = strengths(optimum.x)
-    return Smoothness(bias, scale_factor, at_edge)
+    names = [(model.channels[i].name, term.name) for (i, _), term in zip(places, terms, strict=True)]
+    return Smoothness(dict(zip(names, np.exp(optimum.x).tolist(), strict=True)), at_edge)
 
 
 def _minus_twice_log(triangle: np.ndarray, data: np.ndarray, prior: np.ndarray) -> float:

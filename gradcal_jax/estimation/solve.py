@@ -18,34 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.information import NoiseSteps, Posterior, SquareRootInformation, posterior, whiten
+from gradcal_jax.information import Posterior, SquareRootInformation, posterior
 from gradcal_jax.information.posterior import OBSERVABLE
-from gradcal_jax.model import SensorModel
-
-
-class Observations(NamedTuple):
-    """Readings of one channel of `U` units, which share the table and so the noise's timing.
-
-    `columns` `(N, p)`, common to the units, or `(U, N, p)`, one for each (their temperatures differ); rad per unit of
-    each parameter. `readings` `(N, U)`, rad; values at steps without a reading are not used. `time_s` `(N,)`: of
-    each step's end. `temperature_c`, `rate_rad_per_s` `(N,)`: means over the step, for reports.
-    """
-
-    steps: NoiseSteps
-    columns: np.ndarray
-    readings: np.ndarray
-    time_s: np.ndarray
-    temperature_c: np.ndarray
-    rate_rad_per_s: np.ndarray
-
-    def columns_of(self, unit: int) -> np.ndarray:
-        """`(N, p)` of one unit."""
-        return self.columns if self.columns.ndim == 2 else self.columns[unit]
-
-    @property
-    def used(self) -> np.ndarray:
-        """`(N,)`: the steps that have a reading."""
-        return self.steps.used
 
 
 class Whitened(NamedTuple):
@@ -103,30 +77,6 @@ class Estimate(NamedTuple):
     residuals: np.ndarray
     chi_squared: np.ndarray
     degrees: np.ndarray
-
-
-def whitened(observations: Observations, model: SensorModel, steps: NoiseSteps | None = None) -> Whitened:
-    """Whiten all units' columns and readings together. `steps` replaces the observations' own (reweighting)."""
-    steps = observations.steps if steps is None else steps
-    used = observations.used
-    # Values at steps without a reading must not become NaN times zero.
-    readings = np.where(used[:, None], observations.readings, 0.0)
-    if not np.isfinite(readings).all():
-        raise ValueError("a reading that is used is not finite: mark its step as not used")
-    return Whitened(*_together(steps, observations.columns, readings), model.prior_rows())
-
-
-def whitened_columns(observations: Observations) -> np.ndarray:
-    """The columns of observations, whitened, for the readings used: `(U or 1, n, k)`."""
-    return _together(observations.steps, observations.columns, observations.readings[:, :0])[0]
-
-
-def _together(steps: NoiseSteps, columns: np.ndarray, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened columns `(U or 1, n, k)` and readings `(U, n)`."""
-    every = columns if columns.ndim == 3 else columns[None]
-    rows = whiten(steps, np.concatenate([*every, readings], axis=1))[steps.used]
-    count = rows.shape[1] - readings.shape[1]
-    return np.moveaxis(rows[:, :count].reshape(len(rows), len(every), -1), 1, 0), rows[:, count:].T
 
 
 def solve(white: Whitened) -> Estimate:

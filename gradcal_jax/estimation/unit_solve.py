@@ -54,6 +54,8 @@ _SETTLED = 1e-3
 _TURNS = np.radians(1.0)
 # Step of finite differences, rad.
 _SMALL_TURN = 1e-5
+# Least part of an encoder's error in the row of a gyro that is along its axis.
+_SEES_ENCODER = 0.5
 
 
 class Installed(NamedTuple):
@@ -120,7 +122,8 @@ def _small(vector: np.ndarray) -> np.ndarray:
 
 class UnitReadings(NamedTuple):
     """A unit's readings, for comparison with any table: `observed` `(R,)`, integrals in rad and m/s; `felt` `(P, 3)`,
-    the mean specific force over every piece, m/s², if known.
+    the mean specific force over every piece, m/s², if known; `sigma` `(R,)`: standard deviations, in the place of the
+    model's noise of the channels (None: the model's).
     """
 
     model: UnitModel
@@ -130,6 +133,7 @@ class UnitReadings(NamedTuple):
     points: int
     observed: np.ndarray
     felt: np.ndarray | None
+    sigma: np.ndarray | None = None
 
     def expected(self, parameters: np.ndarray) -> np.ndarray:
         """`h(β)` `(R,)` of the parameters in the engine's coordinates."""
@@ -166,6 +170,21 @@ class UnitReadings(NamedTuple):
         white = np.asarray(whiten(steps, np.where((row >= 0)[:, None], rows[row], 0.0)))
         return white[self.by_steps(np.asarray(at.used))]
 
+    def with_noise(self, steps: NoiseSteps, variance: np.ndarray) -> NoiseSteps:
+        """The steps with more noise of their readings, `(N,)`: where the only axis of a table is read, of its encoder,
+        which the next row contains, too."""
+        line, axes = self.done.motion.line, self.done.motion.geometry.axis_count
+        if axes > 1 or self.model.encoder.held or line.rates:
+            return steps._replace(reading_variance=steps.reading_variance + variance)
+        now = sum(1 + c.model.processes.count for c in self.model.channels)
+        stays = np.zeros(len(variance), bool) if steps.stays is None else np.asarray(steps.stays)
+        along = np.asarray(steps.observation)[:, now]
+        of_encoder = ~stays & (np.abs(along) > _SEES_ENCODER)
+        covariance = np.array(steps.covariance)
+        covariance[of_encoder, now, now] += variance[of_encoder] / along[of_encoder] ** 2
+        of_row = steps.reading_variance + np.where(of_encoder, 0.0, variance)
+        return steps._replace(covariance=covariance, reading_variance=of_row)
+
     def nominal(self) -> BodyNodes:
         """The nodes of the nominal table."""
         return self._nodes(self.done.motion.geometry)
@@ -178,9 +197,9 @@ class UnitReadings(NamedTuple):
         """
         motion, model = self.done.motion, self.model
         if about is None:
-            return unit_system(motion, model, self.nominal())
+            return self._system(self.nominal())
         table = installed(motion.geometry, model, about[model.calibrated :])
-        steps, columns = unit_system(motion, model, self._nodes(table.geometry, table.error_of))
+        steps, columns = self._system(self._nodes(table.geometry, table.error_of))
         here, begin = self.expected(about), model.calibrated
         for term in model.installation:
             if isinstance(term, BaseTilt | NonOrthogonality | MountingError):
@@ -189,6 +208,18 @@ class UnitReadings(NamedTuple):
                     columns[:, k] = self.by_steps((self.expected(there) - here) / _SMALL_TURN)
             begin += term.size
         return steps, columns
+
+    def _system(self, nodes: BodyNodes) -> tuple[NoiseSteps, np.ndarray]:
+        steps, columns = unit_system(self.done.motion, self.model, nodes)
+        if self.sigma is None:
+            return steps, columns
+        # What follows the channels' integrals and processes are errors of the reference.
+        own = slice(sum(1 + c.model.processes.count for c in self.model.channels))
+        transition, covariance, initial = (np.array(x) for x in (steps.transition, steps.covariance, steps.initial))
+        transition[:, own], covariance[:, own, own], initial[own, own] = 0.0, 0.0, 0.0
+        variance = steps.reading_variance + self.by_steps(self.sigma) ** 2
+        own_noise = {"transition": transition, "covariance": covariance, "initial": initial}
+        return steps._replace(reading_variance=variance, **own_noise), columns
 
     def _nodes(self, geometry: Geometry, error_of=None) -> BodyNodes:
         return nodes_of_rows(self.done, self.log, geometry, self.points, self.temperature_c, error_of, self.felt)
@@ -237,6 +268,9 @@ def _angles_read(log: UnitRows, rows: np.ndarray, moved: np.ndarray) -> np.ndarr
     result = np.empty_like(moved)
     for axis, angles in enumerate(log.angles.T):
         known = np.flatnonzero(np.isfinite(angles))
+        if not len(known):
+            result[:, axis] = moved[:, axis]
+            continue
         after = np.clip(np.searchsorted(log.time_s[known], log.time_s[rows]), 0, len(known) - 1)
         before = np.maximum(after - 1, 0)
         nearer = log.time_s[rows] - log.time_s[known[before]] < log.time_s[known[after]] - log.time_s[rows]
@@ -283,11 +317,13 @@ def estimate_unit(
     """Parameters of a unit and its installation from its rows, with minimal norm in unobservable directions.
 
     `about`: approximate parameters in the engine's coordinates, the point of linearisation. `threshold`: rows with
-    larger residuals, in standard deviations, get a lower weight; see `robust`. Errors: `ValueError` where a used row is
-    not finite.
+    larger residuals, in standard deviations, get a lower weight; see `robust`. Errors: `ValueError` where no row
+    is used, or one is not finite.
     """
     steps, columns = readings.linear(about)
     used = np.asarray(segments_of(readings.done.motion, readings.model).used)
+    if not used.any():
+        raise ValueError("no reading is left between two rows that may be used")
     if not np.isfinite(readings.observed[used]).all():
         raise ValueError("a reading that is used is not finite")
     estimate = _solved(readings, steps, columns, used, about)
@@ -298,7 +334,9 @@ def estimate_unit(
         return _solved(readings, noise, columns, used, last.parameters)
 
     kept = readings.by_steps(used)
-    estimate, weights = reweighted(steps, kept, estimate, lambda e: e.estimate.residuals[0], again, threshold, _ROUNDS)
+    estimate, weights = reweighted(
+        steps, kept, estimate, lambda e: e.estimate.residuals[0], again, threshold, readings.with_noise
+    )
     return estimate._replace(weights=weights)
 
 

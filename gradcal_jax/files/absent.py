@@ -13,11 +13,10 @@ from typing import Any, Final, NamedTuple, cast
 
 from gradcal_jax import units
 from gradcal_jax.files.bench import UnitTable
-from gradcal_jax.files.changes import AnySpec, changed
+from gradcal_jax.files.changes import changed
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.sensor import HOST_CLOCK, GyroTriad, Sensor, UnitSensor
-from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.sensor import HOST_CLOCK, GyroTriad, UnitSensor
 from gradcal_jax.files.unit_spec import UnitSpec
 
 # Terms that act through one of the maps alone, or through motion or temperature.
@@ -61,14 +60,14 @@ _NORMAL_GRAVITY: Final = AbsentTerm(
 )
 
 
-def absent_terms(spec: Spec | UnitSpec) -> list[AbsentTerm]:
+def absent_terms(spec: UnitSpec) -> list[AbsentTerm]:
     """Every term of the error budget that the file does not name and that affects its plan. Errors: none."""
     return list(_of_unit(spec) if isinstance(spec, UnitSpec) and not spec.is_one_axis else _of_axis(spec))
 
 
-def _of_axis(spec: Spec | UnitSpec) -> Iterator[AbsentTerm]:
+def _of_axis(spec: UnitSpec) -> Iterator[AbsentTerm]:
     sensor, grade = spec.sensor, sensor_grade(spec.sensor).name
-    gyro = sensor if isinstance(sensor, Sensor) else sensor.gyro
+    gyro = sensor.gyro
     assert gyro is not None
     of_sensor, of_table = terms_of("sensor", grade), terms_of("table", table_grade(spec).name)
     matters = _matters_of_sensor(gyro, sensor.clock, spec.plan)
@@ -76,7 +75,7 @@ def _of_axis(spec: Spec | UnitSpec) -> Iterator[AbsentTerm]:
     matters = _matters_of_table(spec, gyro)
     of_table = [t for t in of_table if t.key in matters]
     of_angle = _below("angle.", of_table)
-    if isinstance(spec, Spec):
+    if False:
         yield from _unnamed(sensor, "sensor", own)
         yield from _unnamed(spec.rig.table, "rig.table", [t for t in of_table if "." not in t.key])
         yield from _unnamed(spec.rig.table.angle, "rig.table.angle", of_angle)
@@ -189,13 +188,13 @@ def _below(prefix: str, terms: list[AbsentTerm]) -> list[AbsentTerm]:
     return [t._replace(key=t.key.removeprefix(prefix)) for t in terms if t.key.startswith(prefix)]
 
 
-def with_typical(spec: AnySpec) -> AnySpec:
+def with_typical(spec: UnitSpec) -> UnitSpec:
     """The spec with every absent term at its typical value. Errors: `SpecError` where the two contradict each other."""
     absent = absent_terms(spec)
     return changed(spec, {term.key: term.value for term in absent}) if absent else spec
 
 
-def sensor_grade(sensor: Sensor | UnitSensor) -> Grade:
+def sensor_grade(sensor: UnitSensor) -> Grade:
     """The class of a gyro: `sensor.grade`, or else by its drift, or else by its angle random walk; of a unit without
     gyros that of its accelerometers."""
     if isinstance(sensor, UnitSensor):
@@ -224,7 +223,7 @@ def _by_noise(kind: str, drift: Any, dimension: str, walk: tuple[float, str, str
     return _grade(kind, size, "drift", dimension, "its drift") if size else _grade(kind, walk[0], "walk", *walk[1:])
 
 
-def slopes_of(sensor: Sensor | UnitSensor, kind: str = "gyro") -> tuple[float, float]:
+def slopes_of(sensor: UnitSensor, kind: str = "gyro") -> tuple[float, float]:
     """Typical slopes over temperature of a channel's bias (rad/s/K or m/s^2/K) and of its scale factor (1/K): the
     spec's own, where it states them, or those of the class."""
     if kind == "accelerometer":
@@ -242,9 +241,9 @@ def slopes_of(sensor: Sensor | UnitSensor, kind: str = "gyro") -> tuple[float, f
     return tuple(abs(float(s)) if s is not None else t for s, t in zip(stated, (bias, scale), strict=True))  # pyright: ignore[reportReturnType]
 
 
-def table_grade(spec: Spec | UnitSpec) -> Grade:
+def table_grade(spec: UnitSpec) -> Grade:
     """The class of a rate table, by its named angle errors; the worst class without any."""
-    angles = [spec.rig.table.angle] if isinstance(spec, Spec) else [axis.angle for axis in spec.rig.table.axis]
+    angles = [spec.rig.table.angle] if False else [axis.angle for axis in spec.rig.table.axis]
     size = max(max(float(a.reading_noise), float(a.standstill_offset)) for a in angles)
     if size == 0.0:
         return _grade("table", math.inf, "angle", "angle", "the worst: no angle error is named")
@@ -267,7 +266,7 @@ def terms_of(kind: str, grade: str) -> list[AbsentTerm]:
     return [AbsentTerm(term["key"], term["value"], term["source"]) for term in _row(kind, grade)["term"]]
 
 
-def _matters_of_sensor(gyro: Sensor | GyroTriad, clock: str | None, plan: object) -> set[str]:
+def _matters_of_sensor(gyro: GyroTriad, clock: str | None, plan: object) -> set[str]:
     left_out: set[str] = set()
     if gyro.bias is None:
         left_out |= _OF_BIAS - {"turn_on_bias"}
@@ -280,7 +279,7 @@ def _matters_of_sensor(gyro: Sensor | GyroTriad, clock: str | None, plan: object
     return {term.key for term in terms_of("sensor", grades()[0])} - left_out
 
 
-def _matters_of_table(spec: Spec | UnitSpec, gyro: Sensor | GyroTriad) -> set[str]:
+def _matters_of_table(spec: UnitSpec, gyro: GyroTriad) -> set[str]:
     plan = spec.plan
     mounting = set[str]() if gyro.scale_factor is None else {"mounting_accuracy"}
     if isinstance(plan, StandardPlan):
@@ -299,7 +298,7 @@ def _matters_of_table(spec: Spec | UnitSpec, gyro: Sensor | GyroTriad) -> set[st
     return matters | ({"angle.timing_error"} if on_the_move else set())
 
 
-def _of_the_maps(term: AbsentTerm, sensor: Sensor | GyroTriad) -> AbsentTerm:
+def _of_the_maps(term: AbsentTerm, sensor: GyroTriad) -> AbsentTerm:
     """A temperature error acts through the slopes of the estimated maps."""
     if term.key != "temperature_error":
         return term
@@ -308,7 +307,7 @@ def _of_the_maps(term: AbsentTerm, sensor: Sensor | GyroTriad) -> AbsentTerm:
     return term._replace(value={name: value for name, value in term.value.items() if name not in without})
 
 
-def _of_clock(term: AbsentTerm, sensor: Sensor | UnitSensor) -> AbsentTerm:
+def _of_clock(term: AbsentTerm, sensor: UnitSensor) -> AbsentTerm:
     """The computer's clock counts, with which a run compares the sensor's, unless the spec takes the sensor's."""
     if term.key != "sample_clock_error" or sensor.clock == "sensor":
         return term

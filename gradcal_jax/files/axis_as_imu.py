@@ -1,17 +1,24 @@
-"""The spec of one gyro axis in the general form: `[sensor.gyro]` of one axis, along the only axis of a table."""
+"""The spec of one gyro axis, as earlier versions wrote it, in the general form: `[sensor.gyro]` of one axis, along the
+only axis of a table.
 
+Tables are converted before they are validated, so what is wrong in them stays wrong; `keys_of_axis` gives a problem the
+key that the file has. What a file of one axis may not have, and the general form may, are problems of the conversion.
+"""
+
+import contextlib
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, Final, cast
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
-from gradcal_jax.files.moves import AXES, Axis, Move, ResolvedMove
-from gradcal_jax.files.problems import Problem, SpecError
-from gradcal_jax.files.quantity import PositiveAcceleration, Quantity, SizeOfTime
-from gradcal_jax.files.spec import Spec, expect_spec
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.moves import AXES, Axis, Move, ResolvedMove, choose_move
+from gradcal_jax.files.problems import Key, Problem, SpecError, from_validation, hint
+from gradcal_jax.files.quantity import EarthRate, PositiveAcceleration, Quantity, SizeOfTime, Time
+from gradcal_jax.files.section import refuse
 from gradcal_jax.formulas import EARTH_RATE
 
 Tables = dict[str, Any]
@@ -20,6 +27,8 @@ _OF_IMU: Final = (
     "name", "grade", "thermal_lag", "clock", "sample_clock_error", "temperature_offset", "temperature_lag",
 )  # fmt: skip
 _OF_TABLE: Final = ("drive", "answer_time", "rate_accuracy")
+_OF_AXIS: Final = ("max_rate", "max_acceleration", "travel", "angle", "keep_out")
+_PARTS: Final = ("gyro", "accelerometer", "frame", "uncertain")
 # The body's axes on a table whose axis points up: the gyro's own is along it.
 _MOUNTINGS: Final[Mapping[str, Tables]] = {
     "x": {"x": "+z", "y": "+x", "z": "+y"},
@@ -33,81 +42,168 @@ _NO_SUCH_TABLE: Final = (
 _SECONDS: Final = "s"
 
 
-def general(spec: Spec | UnitSpec) -> UnitSpec:
-    """A spec in the general form. Errors: `SpecError` for a plan that turns several axes of a sensor, `TypeError` for
-    anything but a spec."""
-    if isinstance(spec, UnitSpec):
-        return spec
-    return unit_spec_of(axis_as_imu(expect_spec(spec).model_dump(mode="json", exclude_unset=True)))
+@contextmanager
+def _collected(problems: list[Problem], *key: str | int) -> Generator[None]:
+    """Context that adds its problems, with keys relative to `key`, to others."""
+    try:
+        yield
+    except SpecError as error:
+        problems += [problem.under(*key) for problem in error.problems]
+
+
+def is_of_axis(document: Mapping[str, Any]) -> bool:
+    """Whether tables are the spec of one gyro axis: its figures stand in [sensor] and [rig.table] themselves."""
+    sensor, table = _table(document.get("sensor")), _table(_table(document.get("rig")).get("table"))
+    general = {"gyro", "accelerometer"} & set(sensor) or {"axis", "mounting", "standing"} & set(table)
+    return bool(sensor or table) and not general
 
 
 def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables:
     """The tables of a one-axis spec as those of an IMU of one gyro, which predict the same; not validated.
 
     `axis`: of a plan that turns several, the one whose gyro is seen; moves of the others are rests. Errors: `SpecError`
-    for a plan that turns several axes, without `axis`, and for moves that are not determined.
+    for a plan that turns several axes, without `axis`, and for what a file of one axis may not have.
     """
+    tables, problems = convert(document, axis)
+    refuse(*problems)
+    return tables
+
+
+def convert(document: Mapping[str, Any], axis: Axis | None = None) -> tuple[Tables, list[Problem]]:
+    """As `axis_as_imu`, with the problems of the conversion, whose keys are those of the file."""
     spec = copy.deepcopy(dict(document))
+    problems: list[Problem] = []
     turned = turned_axes(spec)
     if axis is None and len(turned) > 1:
-        raise SpecError([Problem(("plan", "cycle", "moves"), _NO_SUCH_TABLE.format(", ".join(turned)))])
+        problems.append(Problem(("plan", "cycle", "moves"), _NO_SUCH_TABLE.format(", ".join(turned))))
     seen = axis or turned[0]
-    sensor, rig = spec["sensor"], spec["rig"]
-    table = dict(rig["table"])
-    plan, every = _plan(spec["plan"], seen, rig["table"])
-    result: Tables = {key: spec[key] for key in ("format", "title") if key in spec}
-    result["sensor"] = _sensor(sensor, seen)
-    common = {key: table.pop(key) for key in _OF_TABLE if key in table}
-    mounting = _MOUNTINGS[seen] | ({"accuracy": table.pop("mounting_accuracy")} if "mounting_accuracy" in table else {})
-    turn = {"name": seen, "direction": [0.0, 0.0, 1.0], **table}
-    turn["angle"] = table.get("angle", {}) | {"read_every": every}
-    result["rig"] = {key: rig[key] for key in ("name", "chamber", "resolution") if key in rig}
-    result["rig"]["table"] = {"standing": "read", **common, "axis": [turn], "mounting": mounting}
+    rig = _table(spec.get("rig"))
+    table = dict(_table(rig.get("table")))
+    plan, every = _plan(spec.get("plan"), seen, table, problems)
+    of_rig = {key: value for key, value in rig.items() if key != "earth_rate"}
+    if isinstance(rig.get("table"), Mapping):
+        of_rig["table"] = _table_of(table, seen, every)
     if "earth_rate" in rig:
-        result["rig"]["site"] = {"latitude": _latitude(rig["earth_rate"])}
-    result["requirement"] = [_requirement(row, seen) for row in spec.get("requirement", ())]
-    result["plan"] = plan
-    if "design" in spec:
-        result["design"] = _design(spec["design"])
-    if "done" in spec:
-        result["done"] = [part | {"plan": _plan(part["plan"], seen, rig["table"])[0]} for part in spec["done"]]
-    return result
+        of_rig["site"] = {"latitude": "unknown"}
+        with _collected(problems):
+            of_rig["site"] = {"latitude": _latitude(rig["earth_rate"])}
+    sensor = _table(spec.get("sensor"))
+    if (quantity := sensor.get("quantity", "gyro")) != "gyro":
+        message = 'expected "gyro": one axis is a gyro\'s; accelerometers are in [sensor.accelerometer]'
+        problems.append(Problem(("sensor", "quantity"), message + hint(quantity, ["gyro"]), quantity))
+    own: Tables = {"sensor": _sensor(sensor, seen), "rig": of_rig, "plan": plan}
+    result = spec | {name: value for name, value in own.items() if isinstance(spec.get(name), Mapping)}
+    if isinstance(rows := spec.get("requirement"), list):
+        result["requirement"] = [_requirement(row, seen) for row in cast("list[Any]", rows)]
+    if isinstance(design := spec.get("design"), Mapping):
+        with _collected(problems):
+            result["design"] = _design(_table(design))
+    if isinstance(parts := spec.get("done"), list):
+        result["done"] = []
+        for number, part in enumerate(cast("list[Any]", parts)):
+            of_part: list[Problem] = []
+            plan = _plan(_table(part).get("plan"), seen, table, of_part)[0]
+            result["done"].append(_table(part) | {"plan": plan})
+            problems += [problem.under("done", number) for problem in of_part]
+    return result, problems
+
+
+def keys_of_axis(problem: Problem) -> Problem:
+    """A problem of converted tables, with the key that the file of one axis has."""
+    key: Key
+    match problem.key:
+        case ("sensor", "gyro", *rest):
+            key = ("sensor", *rest)
+        case ("rig", "table", "mounting", *_, "accuracy"):
+            key = ("rig", "table", "mounting_accuracy")
+        case ("rig", "table", "axis", 0, "angle", "read_every"):
+            key = ("plan", "read_every")
+        case ("rig", "table", "axis", 0, *rest):
+            key = ("rig", "table", *rest)
+        case ("rig", "site", *_):
+            key = ("rig", "earth_rate")
+        case _:
+            return problem
+    return replace(problem, key=key)
+
+
+def change_of_imu(tables: Mapping[str, Any], key: Key, value: object) -> tuple[Key, object]:
+    """The key and the value of the general form for ones of a spec of one axis, where an IMU of `tables` is one."""
+    sensor, table = tables.get("sensor", {}), tables.get("rig", {}).get("table", {})
+    match key:
+        case ("sensor", str() as name, *rest) if name not in (*_OF_IMU, *_PARTS) and {"gyro"} == set(sensor) & {
+            "gyro",
+            "accelerometer",
+        }:
+            return ("sensor", "gyro", name, *rest), value
+        case ("rig", "earth_rate"):
+            return ("rig", "site", "latitude"), value if value is None else _latitude(value)
+        case ("rig", "table", "mounting_accuracy"):
+            first = (0,) if "mounting" in table else ()
+            return ("rig", "table", "mounting", *first, "accuracy"), value
+        case ("rig", "table", str() as name, *rest) if name in _OF_AXIS and len(table.get("axis", ())) == 1:
+            return ("rig", "table", "axis", 0, name, *rest), value
+        case _:
+            return key, value
 
 
 def turned_axes(document: Mapping[str, Any]) -> Sequence[Axis]:
     """The sensor axes that a spec's plan turns, in order; x for one that stands."""
-    moves = document["plan"].get("cycle", {}).get("moves", ())
-    return tuple(dict.fromkeys(move.get("axis", AXES[0]) for move in moves if "rest" not in move)) or AXES[:1]
+    moves = _moves_of(_table(document.get("plan")))
+    turned = (_table(move).get("axis", AXES[0]) for move in moves if "rest" not in _table(move))
+    return tuple(name for name in dict.fromkeys(turned) if name in AXES) or AXES[:1]
 
 
-def _sensor(sensor: Tables, axis: Axis) -> Tables:
-    imu = {key: sensor[key] for key in _OF_IMU if key in sensor}
-    gyro = {"axes": [axis]} | {k: v for k, v in sensor.items() if k not in (*_OF_IMU, "quantity", "uncertain")}
-    uncertain = sensor.get("uncertain")
-    if isinstance(uncertain, str):
-        gyro["uncertain"] = imu["uncertain"] = uncertain
+def _table(value: object) -> Tables:
+    """The value where it is a table; what is none is found when the spec is validated."""
+    return dict(cast("Tables", value)) if isinstance(value, Mapping) else {}
+
+
+def _moves_of(plan: Tables) -> list[Any]:
+    moves = _table(plan.get("cycle")).get("moves")
+    return cast("list[Any]", moves) if isinstance(moves, list) else []
+
+
+def _sensor(of_file: Tables, axis: Axis) -> Tables:
+    imu = {key: of_file[key] for key in _OF_IMU if key in of_file}
+    gyro = {"axes": [axis]} | {k: v for k, v in of_file.items() if k not in (*_OF_IMU, "quantity", "uncertain")}
+    uncertain = of_file.get("uncertain")
+    if isinstance(uncertain, Mapping):
+        of = _table(uncertain)
+        for part, keys in ((imu, _OF_IMU), (gyro, set(of) - set(_OF_IMU))):
+            if own := {key: of[key] for key in of if key in keys}:
+                part["uncertain"] = own
     elif uncertain is not None:
-        for of, keys in ((imu, _OF_IMU), (gyro, set(uncertain) - set(_OF_IMU))):
-            if own := {key: uncertain[key] for key in uncertain if key in keys}:
-                of["uncertain"] = own
+        gyro["uncertain"] = imu["uncertain"] = uncertain
     return imu | {"gyro": gyro}
+
+
+def _table_of(table: Tables, axis: Axis, every: Any) -> Tables:
+    common = {key: table.pop(key) for key in _OF_TABLE if key in table}
+    mounting = _MOUNTINGS[axis] | ({"accuracy": table.pop("mounting_accuracy")} if "mounting_accuracy" in table else {})
+    angle = table.get("angle", {})
+    turn = {"name": axis, "direction": [0.0, 0.0, 1.0], **table}
+    turn["angle"] = _table(angle) | {"read_every": every} if isinstance(angle, Mapping) else angle
+    return {"standing": "read", **common, "axis": [turn], "mounting": [mounting]}
 
 
 def _design(design: Tables) -> Tables:
     """The scenarios change keys where they are in the general form."""
-    if "scenario" not in design:
+    if not isinstance(rows := design.get("scenario"), list):
         return design
-    return design | {"scenario": [_scenario(scenario) for scenario in design["scenario"]]}
+    return design | {
+        "scenario": [_scenario(_table(row)) if isinstance(row, Mapping) else row for row in cast("list[Any]", rows)]
+    }
 
 
 def _scenario(scenario: Tables) -> Tables:
-    sensor, rig = dict(scenario.get("sensor", {})), dict(scenario.get("rig", {}))
-    result = {key: scenario[key] for key in ("name", "weight") if key in scenario}
+    sensor, rig = _table(scenario.get("sensor")), _table(scenario.get("rig"))
+    result = {key: value for key, value in scenario.items() if key not in ("sensor", "rig")}
     if sensor:
         of_imu, gyro = ({k: v for k, v in sensor.items() if (k in _OF_IMU) == own} for own in (True, False))
         result["sensor"] = of_imu | ({"gyro": gyro} if gyro else {})
     if rig:
-        table = dict(rig.pop("table", {}))
+        table = _table(rig.pop("table", None))
         common = {key: table.pop(key) for key in _OF_TABLE if key in table}
         if "mounting_accuracy" in table:
             common["mounting[0]"] = {"accuracy": table.pop("mounting_accuracy")}
@@ -117,48 +213,91 @@ def _scenario(scenario: Tables) -> Tables:
     return result
 
 
-def _latitude(earth_rate: str) -> str:
+def _latitude(earth_rate: object) -> object:
     """Where an axis that points up has this rate of the Earth."""
     if earth_rate == "unknown":
         return earth_rate
-    sine = Quantity.read(earth_rate, "angular rate") / EARTH_RATE
-    return Quantity.of(math.asin(max(-1.0, min(sine, 1.0))), "deg").text
+    try:
+        rate = TypeAdapter(EarthRate).validate_python(earth_rate)
+    except ValidationError as error:
+        raise SpecError(problem.under("rig", "earth_rate") for problem in from_validation(error)) from None
+    return Quantity.of(math.asin(max(-1.0, min(rate / EARTH_RATE, 1.0))), "deg").text
 
 
-def _requirement(row: Tables, axis: Axis) -> Tables:
-    """Requirements on a map are on that of the gyro; all others are as they are."""
-    of_maps = row.get("quantity") in ("bias", "scale_factor")
-    return row | ({"quantity": f"gyro_{row['quantity']}", "axis": axis} if of_maps else {})
+_QUANTITIES: Final[Mapping[str, str]] = {
+    "bias": "gyro_bias",
+    "scale_factor": "gyro_scale_factor",
+    "heading": "mission_heading",
+}
 
 
-def _plan(plan: Tables, axis: Axis, table: Tables) -> tuple[Tables, str]:
+def _requirement(row: Any, axis: Axis) -> Any:
+    """The requirement on the gyro, by the quantity's general name."""
+    if not isinstance(row, Mapping):
+        return row
+    quantity = _table(row).get("quantity", "")
+    return _table(row) | {"quantity": _QUANTITIES.get(quantity, quantity), "axis": axis}
+
+
+def _plan(of_file: object, axis: Axis, table: Tables, problems: list[Problem]) -> tuple[Any, Any]:
     """The plan, and the spacing of the table's readings where the plan does not say it."""
-    every: str = plan.get("read_every", "rest")
-    plan = {key: value for key, value in plan.items() if key not in ("read_every", "reference")}
-    if "cycle" not in plan:
-        return plan, every
-    cycle = plan["cycle"]
-    moves: list[Tables] = cycle["moves"]
+    if not isinstance(of_file, Mapping):
+        return of_file, "rest"
+    plan = _table(of_file)
+    plan.pop("reference", None)
+    every = plan.pop("read_every", None)
+    if plan.get("method") == "gradient" and "cycle" not in plan and every is None:
+        message = 'this key is missing: without a cycle it says how often the standing axis is read, such as "1 s"'
+        problems.append(Problem(("plan", "read_every"), message, kind="missing"))
+    if "cycle" in plan and every is not None:
+        message = "with a cycle, the moves say when the axis is read; leave this key out"
+        problems.append(Problem(("plan", "read_every"), message, every))
+    if not isinstance(plan.get("cycle"), Mapping) or not (moves := _moves_of(plan)):
+        return plan, every or "rest"
+    cycle = plan["cycle"] = _table(plan["cycle"])
     of_others: Tables = {"read": "none"}
-    spacings = [move["read_every"] for move in moves if "rest" in move and "read_every" in move]
-    every = next(iter(spacings), "rest")
-    others = cycle.get("other_axes", {})
-    if others.get("read"):
-        every = others.setdefault("read_every", every)
-        of_others = {"read_every": every}
-    cycle["moves"] = [_move(move, axis, of_others, table) for move in moves]
-    return plan, every
+    spacings = [_table(move)["read_every"] for move in moves if {"rest", "read_every"} <= set(_table(move))]
+    every = next(filter(_is_time, spacings), "rest")
+    if (others := _table(cycle.get("other_axes"))).get("read"):
+        if not spacings and "read_every" not in others:
+            message = "this key is missing: no rest of the cycle says how often a standing axis is read"
+            problems.append(Problem(("plan", "cycle", "other_axes", "read_every"), message, kind="missing"))
+        every = others.get("read_every", every)
+        of_others = {"read_every": every} if _is_time(every) else {}
+        cycle["other_axes"] = others | of_others
+    converted: list[Any] = []
+    for i, move in enumerate(moves):
+        with _collected(problems, "plan", "cycle", "moves", i):
+            converted.append(_move(_table(move), axis, of_others, table) if isinstance(move, Mapping) else move)
+    if len(converted) == len(moves):
+        cycle["moves"] = converted
+    else:
+        del plan["cycle"]
+    return plan, every if _is_time(every) else "rest"
+
+
+def _is_time(value: object) -> bool:
+    with contextlib.suppress(ValidationError):
+        return bool(TypeAdapter(Time).validate_python(value))
+    return False
 
 
 def _move(move: Tables, axis: Axis, of_others: Tables, table: Tables) -> Tables:
     plain = {key: value for key, value in move.items() if key != "axis"}
     if "rest" in move:
         return plain if {"read", "read_every"} & set(move) else plain | {"read": "end"}
-    if move.get("axis", AXES[0]) == axis:
+    if "shape" not in move:
+        choose_move(move)
+    if (of := move.get("axis", AXES[0])) == axis:
         return plain
-    limit = TypeAdapter(PositiveAcceleration).validate_python(table["max_acceleration"])
-    answer_time = TypeAdapter(SizeOfTime).validate_python(table.get("answer_time", "0 s"))
-    resolved: ResolvedMove = cast("Any", TypeAdapter(Move).validate_python(move)).resolve(float(limit))
+    if of not in AXES:
+        return move
+    try:
+        limit = TypeAdapter(PositiveAcceleration).validate_python(table.get("max_acceleration"))
+        answer_time = TypeAdapter(SizeOfTime).validate_python(table.get("answer_time", "0 s"))
+        resolved: ResolvedMove = cast("Any", TypeAdapter(Move).validate_python(move)).resolve(float(limit))
+    except ValidationError:
+        return move
     lasts = resolved.answered(float(answer_time)).duration
     repeated = {"repeat": move["repeat"]} if "repeat" in move else {}
     return {"rest": Quantity.of(lasts, _SECONDS).text, **repeated, **of_others}

@@ -145,9 +145,10 @@ def _spec(answers: Mapping[str, str], known: Mapping[str, tuple[Any, ...]]) -> s
         answers,
         grade=grade,
         terms="\n".join(line for key in _TERMS for line in _written(key, terms[key])),
+        terms_of_gyro="\n".join(line for key in _TERMS_OF_GYRO for line in _written(key, terms[key])),
         in_t=f'centre = "{middle} degC", scale = "{half} K"',
         fastest=_deg(fastest),
-        table_terms=_table_lines(table, "mounting_accuracy"),
+        mounting_terms=_accuracy(table),
         angle_terms=_table_lines(table, "angle.reading_noise", "angle.timing_error", "angle.scale_error"),
         coldest=coldest,
         warmest=warmest,
@@ -161,10 +162,16 @@ def _spec(answers: Mapping[str, str], known: Mapping[str, tuple[Any, ...]]) -> s
 
 
 # Plain keys stand above tables.
-_TERMS: Final = (
-    "rate_random_walk", "turn_on_bias", "thermal_lag", "sample_clock_error", "temperature_offset", "temperature_lag",
-    "drift", "scale_factor_instability", "temperature_error", "bias_temperature_gradient",
+_TERMS: Final = ("thermal_lag", "sample_clock_error", "temperature_offset", "temperature_lag")
+_TERMS_OF_GYRO: Final = (
+    "rate_random_walk", "turn_on_bias", "drift", "scale_factor_instability", "temperature_error",
+    "bias_temperature_gradient",
 )  # fmt: skip
+
+
+def _accuracy(table: str) -> str:
+    """The mounting's accuracy for a class of table, as a further key of an inline table."""
+    return "".join(f', accuracy = "{t.value}"' for t in terms_of("table", table) if t.key == "mounting_accuracy")
 
 
 def _table_lines(table: str, *keys: str) -> str:
@@ -181,7 +188,7 @@ def _written(key: str, term: Any) -> list[str]:
     entries = cast("list[dict[str, str]]", term.value if several else [term.value])
     lines: list[str] = []
     for entry in entries:
-        head = f"[[sensor.{key}]]" if several else f"[sensor.{key}]"
+        head = f"[[sensor.gyro.{key}]]" if several else f"[sensor.gyro.{key}]"
         lines += [f"{head}   # {term.source}", *(f'{name} = "{value}"' for name, value in entry.items())]
     return lines
 

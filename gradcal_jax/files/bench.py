@@ -11,7 +11,6 @@ from gradcal_jax.files.problems import Problem, repeated_names
 from gradcal_jax.files.quantity import (
     Angle,
     Count,
-    EarthRate,
     Latitude,
     Number,
     Of,
@@ -64,28 +63,6 @@ class AngleReference(Section):
         return repeated_names("harmonics", "order", [str(harmonic.order) for harmonic in self.harmonics], message)
 
 
-class Table(Section):
-    """The rate table."""
-
-    max_rate: PositiveRate
-    """Largest rate of the axis."""
-    max_acceleration: PositiveAcceleration
-    """Largest acceleration of the axis."""
-    travel: Travel = Quantity(float("inf"), "unlimited", "angle")
-    """How far it may turn each way from where it starts; "unlimited" where no cable winds up."""
-    rate_accuracy: SizeOfScaleFactor | None = None
-    """Standard deviation of the reference rate of the standard method, a ratio; absent: exact."""
-    drive: Literal["motor", "hand"] = "motor"
-    """Whether a motor or a hand turns it."""
-    answer_time: SizeOfTime = NO_TIME
-    """What an operator needs for each turn by hand beside its duration: half to read the request, half to answer."""
-    mounting_accuracy: SizeOfAngle | None = None
-    """Standard deviation of each of the two angles between the sensor's input axis and the table's axis: its cosine is
-    an error of the scale factor."""
-    angle: AngleReference = AngleReference()
-    """Error budget of the angle."""
-
-
 class Chamber(Section):
     """The climatic chamber: where it can go and how fast."""
 
@@ -113,22 +90,6 @@ class Resolution(Section):
     """Step of an acceleration."""
     angle: SizeOfAngle | None = None
     """Step of an angle."""
-
-
-class Rig(Section):
-    """The bench: table, chamber, and the steps of their controllers."""
-
-    name: Text | None = None
-    """A name for people."""
-    table: Table
-    """The table."""
-    chamber: Chamber
-    """The climatic chamber."""
-    earth_rate: EarthRate | None = None
-    """The Earth's rate along the sensor's axis, which `estimate` subtracts: 15.04 deg/h times the sine of the latitude
-    for an axis that points up, zero for one that points east; "unknown" or absent: up to 15.04 deg/h count."""
-    resolution: Resolution | None = None
-    """Steps of the controllers; absent: those of the drivers here."""
 
 
 NO_ANGLE: Final = Quantity(0.0, "0 deg", "angle")
@@ -259,6 +220,9 @@ class UnitMounting(Section):
         return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
+_Mountings = Annotated[tuple[UnitMounting, ...], Field(min_length=1, max_length=12)]
+
+
 def _one_or_more(value: object) -> object:
     return (cast("object", value),) if isinstance(value, Mapping) else value
 
@@ -280,7 +244,7 @@ class UnitTable(Section):
     """Standard deviation of the reference rate of the standard method, a ratio; absent: exact."""
     axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
     """Axes, outermost first."""
-    mounting: Annotated[tuple[UnitMounting, ...], BeforeValidator(_one_or_more), Field(min_length=1, max_length=12)] = (
+    mounting: Annotated[_Mountings, BeforeValidator(_one_or_more, json_schema_input_type=UnitMounting | _Mountings)] = (
         UnitMounting(),
     )
     """One mounting, or several that are used one after the other."""

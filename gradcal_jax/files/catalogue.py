@@ -35,13 +35,12 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field
 
 from gradcal_jax.display import summary
-from gradcal_jax.files.changes import any_spec_of, patched, tables_of
+from gradcal_jax.files.changes import patched, spec_of, tables_of
 from gradcal_jax.files.document import TitledFile, parsed, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.sweep import named_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
@@ -116,7 +115,7 @@ class CatalogueCase:
     """One combination. `spec` is its spec, or None with the `failure` that says why it has none."""
 
     names: tuple[str, str, str, str]
-    spec: Spec | UnitSpec | None
+    spec: UnitSpec | None
     failure: str = ""
 
     @property
@@ -162,9 +161,9 @@ def parse_catalogue(text: str, source: str = "", folder: str | Path = ".") -> Ca
 
 
 def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[CatalogueCase]:
-    bases: dict[str, Spec | UnitSpec] = {}
+    bases: dict[str, UnitSpec] = {}
 
-    def base_of(name: str) -> Spec | UnitSpec:
+    def base_of(name: str) -> UnitSpec:
         if name not in bases:
             bases[name] = named_spec(name, folder, source)
         return bases[name]
@@ -173,7 +172,7 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Catalogue
         base, tables, problems = base_of(entry.base), dict[str, Any](), ()
         try:
             tables = patched(base, {f"{kind}.{key}": value for key, value in entry.change.items()})
-            any_spec_of(tables)
+            spec_of(tables)
         except SpecError as error:
             problems = error.problems
         # A section that does not fit the base's others may fit other sections of the catalogue.
@@ -208,6 +207,6 @@ def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[Catalogue
             "design": design,
         }
         try:
-            yield CatalogueCase(names, any_spec_of(document))
+            yield CatalogueCase(names, spec_of(document))
         except SpecError as error:
             yield CatalogueCase(names, None, " ".join(str(error).split()))

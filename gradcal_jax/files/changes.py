@@ -7,15 +7,16 @@ A value is what the file would hold: a quantity has its unit, and a plain number
 
 import copy
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, Final, TypeVar, cast
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final, cast
 
+from gradcal_jax.files.axis_as_imu import change_of_imu
+from gradcal_jax.files.moves import AXES, Axis
 from gradcal_jax.files.problems import ABSENT, Key, Problem, SpecError, dotted
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.spec import Spec, is_of_unit, spec_of
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 
-AnySpec = TypeVar("AnySpec", bound=Spec | UnitSpec)
 _PART: Final = re.compile(r"(?:^|\.)([A-Za-z_][A-Za-z0-9_-]*)|\[([0-9]{1,9})\]")
 
 
@@ -39,26 +40,45 @@ def tables_of(spec: Section) -> dict[str, Any]:
     return spec.model_dump(mode="json", exclude_unset=True)
 
 
-def changed(spec: AnySpec, changes: Mapping[str, object], source: str = "") -> AnySpec:
-    """A new spec with some keys set, such as {"rig.table.max_rate": "200 deg/s"}; None removes a key.
+def changed(spec: UnitSpec, changes: Mapping[str, object], source: str = "") -> UnitSpec:
+    """A new spec with some keys set, such as {"rig.chamber.max_heating": "2 K/min"}; None removes a key.
 
-    Values are as in the file: text with units. Errors: `SpecError` for unknown keys and bad values.
+    Values are as in the file: text with units. Of one gyro on a table of one axis the keys of [sensor.gyro] and
+    [[rig.table.axis]] may be told as those of [sensor] and [rig.table], as in files of earlier versions. Errors:
+    `SpecError` for unknown keys and bad values.
     """
-    return cast("AnySpec", any_spec_of(patched(spec, changes, source), source))
+    return spec_of(patched(spec, changes, source), source)
 
 
-def any_spec_of(document: Mapping[str, Any], source: str = "") -> Spec | UnitSpec:
-    """The spec of one axis or of a whole unit from tables as TOML gives them. Raises `SpecError`."""
-    return unit_spec_of(document, source) if is_of_unit(document) else spec_of(document, source)
+def along_axis(spec: UnitSpec, axis: Axis) -> UnitSpec:
+    """The spec of one gyro on a table of one axis, of another axis of the body that hangs along that of the table, as
+    the gyro's own did. Errors: `ValueError` for other specs."""
+    axes: Sequence[Axis] = () if spec.sensor.gyro is None else spec.sensor.gyro.axes
+    if not spec.is_one_axis or len(axes) != 1:
+        raise ValueError("an axis may be chosen where the spec has one gyro along the only axis of a table")
+    if (own := axes[0]) == axis:
+        return spec
+    tables = tables_of(spec)
+    table, turned = tables["rig"]["table"], AXES.index(axis) - AXES.index(own)
+    tables["sensor"]["gyro"]["axes"] = [axis]
+    hung: Any = table["mounting"]
+    for mounting in hung if isinstance(hung, list) else [hung]:
+        # In the same cyclic order, so that the body's axes stay right-handed.
+        mounting |= {AXES[(k + turned) % 3]: mounting[a] for k, a in enumerate(AXES)}
+    for turn in table["axis"]:
+        turn["name"] = axis if turn["name"] == own else turn["name"]
+    for row in tables.get("requirement", ()):
+        row |= {"axis": axis} if "axis" in row else {}
+    return spec_of(tables)
 
 
-def patched(spec: Spec | UnitSpec, changes: Mapping[str, object], source: str = "") -> dict[str, Any]:
+def patched(spec: UnitSpec, changes: Mapping[str, object], source: str = "") -> dict[str, Any]:
     """The tables of a spec with some keys set, not checked. Raises `SpecError` for keys that have no place."""
     tables = tables_of(spec)
     problems: list[Problem] = []
     for text, value in changes.items():
         try:
-            _put(tables, split_key(text), value)
+            _put(tables, *change_of_imu(tables, split_key(text), value))
         except SpecError as error:
             problems += error.problems
         except ValueError as error:

@@ -1,70 +1,151 @@
-"""Checks between sections: limits of rig and sensor, and references.
+"""Checks between the sections of a spec: limits of rig and sensor, references, keys without effect.
 
-A section that could not be read is None; the checks that depend on it are skipped, so that one run of `check` reports
-all other problems.
+A section that could not be read is None; a check that needs it is left out, so that all other problems come at once.
 """
 
 import contextlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
 
-from gradcal_jax.files.bench import Chamber, Rig
-from gradcal_jax.files.design import Design, design_problems, notice_problems
-from gradcal_jax.files.moves import AXES, ResolvedMove
-from gradcal_jax.files.plan import ChamberCourse, GradientPlan, RampItem, StandardPlan
-from gradcal_jax.files.problems import Key, Problem, SpecError
+from gradcal_jax.files.bench import Chamber, UnitMounting, UnitTable
+from gradcal_jax.files.design import design_problems, notice_problems
+from gradcal_jax.files.plan import ChamberCourse, RampItem, StandardPlan
+from gradcal_jax.files.problems import Key, Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.requirement import HeadingRequirement, Requirement, ScaleFactorRequirement
-from gradcal_jax.files.schedule import GradientSchedule, TemperatureSegment, gradient_schedule, resolve_cycle
-from gradcal_jax.files.sensor import Sensor
+from gradcal_jax.files.requirement import (
+    GyroScaleFactorRequirement,
+    MisalignmentRequirement,
+    MissionHeadingRequirement,
+    PositionRequirement,
+    TiltRequirement,
+    TurnRequirement,
+    UnitRequirement,
+)
+from gradcal_jax.files.schedule import TemperatureSegment
+from gradcal_jax.files.sensor import GyroTriad
+from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, resolve_steps, row_count, unit_schedule
+
+if TYPE_CHECKING:
+    from gradcal_jax.files.unit_spec import UnitSpec
 
 # Rounded figures (a ramp rounded to hundredths of a second) may exceed a limit by this share.
-_SLACK = 1e-6
+_SLACK: Final = 1e-6
 # Tolerance (K) of a mission's range beyond the plan's, whose ends are rounded to the chamber's steps.
-_NEARLY = 0.5
+_NEARLY: Final = 0.5
+_MOST_READINGS: Final = 50_000_000
 
 
-def between_sections(
-    sensor: Sensor | None,
-    rig: Rig | None,
-    requirements: Sequence[Requirement] | None,
-    plan: GradientPlan | StandardPlan | None,
-    design: Design | None,
-) -> Iterator[Problem]:
-    """Every problem between the sections, keys from the top of the file."""
-    if requirements is not None:
-        yield from _requirements(requirements, sensor)
-        if plan is not None and (visited := visited_temperatures(plan, rig)) is not None:
-            for i, requirement in enumerate(requirements):
-                yield from _missions(i, requirement, visited, "the plan")
-        if design is not None:
-            names = [requirement.name for requirement in requirements]
-            yield from (p.under("design") for p in design_problems(design, names, of_axis=True))
-    if design is not None and design.notice is not None and sensor is not None:
-        yield from (p.under("design", "notice") for p in notice_problems(design.notice, sensor.scale_factor))
+def problems_between(spec: "UnitSpec") -> Iterator[Problem]:
+    """Every problem between the sections of a spec, of which some may be None."""
+    for needed, check in _CHECKS:
+        if all(getattr(spec, name) is not None for name in needed.split()):
+            yield from check(spec)
+
+
+def _schedule(spec: "UnitSpec") -> UnitSchedule | None:
+    """The schedule of a gradient plan without problems."""
+    with contextlib.suppress(SpecError):
+        return None if isinstance(spec.plan, StandardPlan) else spec.gradient_schedule
+    return None
+
+
+def _steps(spec: "UnitSpec") -> tuple[UnitStep, ...]:
+    """The steps of the cycle that have no problems themselves."""
+    if isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None:
+        return ()
+    return resolve_steps(spec.plan.cycle, spec.rig)[0]
+
+
+def _plan_on_rig(spec: "UnitSpec") -> Iterator[Problem]:
+    plan, table, chamber = spec.plan, spec.rig.table, spec.rig.chamber
     if isinstance(plan, StandardPlan):
-        yield from (p.under("plan") for p in standard_within(plan, rig, sensor))
-    elif plan is not None and rig is not None:
-        yield from (p.under("plan") for p in _gradient(plan, rig, sensor))
-
-
-def visited_temperatures(plan: GradientPlan | StandardPlan, rig: Rig | None) -> tuple[float, float] | None:
-    """The coldest and the warmest chamber temperature of used data (°C); None where the plan has errors."""
-    if isinstance(plan, StandardPlan):
-        return min(plan.temperatures), max(plan.temperatures)
+        yield from (p.under("plan") for p in _standard(plan, table, chamber))
+        return
     try:
-        segments = () if rig is None else gradient_schedule(plan, rig).segments
-    except SpecError:  # said elsewhere
-        segments = ()
-    ends = [t for s in segments if s.used for t in (s.temperature_start, s.temperature_end)]
-    return (min(ends), max(ends)) if ends else None
+        schedule = spec.gradient_schedule
+    except SpecError as error:
+        yield from (p.under("plan") for p in (*error.problems, *_course(plan, chamber, None)))
+        return
+    yield from (p.under("plan") for p in _course(plan, chamber, schedule.segments))
+    rows = row_count(schedule, table)
+    key = ("rig", "table", "axis", 0, "angle", "read_every") if plan.cycle is None else ("plan", "cycle")
+    if rows > _MOST_READINGS:
+        yield Problem(key, f"the plan has {rows} readings; at most {_MOST_READINGS}: read less often")
+    elif rows == 0:
+        yield Problem(key, "the plan has no readings")
+
+
+def _full_scale(spec: "UnitSpec") -> Iterator[Problem]:
+    """Where a plan turns a gyro faster than it measures."""
+    gyro, table = spec.sensor.gyro, spec.rig.table
+    if gyro is None or gyro.usable_rate is None:
+        return
+    angles = [0.0] * len(table.axis)
+    turns: list[tuple[Key, float, str]] = []
+    if isinstance(spec.plan, StandardPlan):
+        part = _part_along(gyro, table, 0, angles)
+        turns += [(("plan", "rates", i), part * abs(rate), rate.text) for i, rate in enumerate(spec.plan.rates or ())]
+    elif spec.plan.cycle is not None:
+        steps, start, _ = resolve_steps(spec.plan.cycle, spec.rig)
+        angles = list(start)
+        # Axes move one after the other: those inside stand at known angles.
+        for step in (step for step in steps if step.axis >= 0):
+            rate = step.move.fastest * _part_along(gyro, table, step.axis, angles)
+            turns.append((("plan", "cycle", "moves", step.source), rate, step.move.words))
+            angles[step.axis] += step.move.repeat * step.move.angle
+    for key, rate, text in turns:
+        if rate > gyro.usable_rate * (1.0 + _SLACK):
+            message = (
+                f"reaches {math.degrees(rate):.5g} deg/s and exceeds the sensor's full scale, {gyro.full_scale}, "
+                f"less its margin, {gyro.full_scale_margin}"
+            )
+            yield Problem(key, message, text)
+
+
+def _part_along(gyro: GyroTriad, table: UnitTable, turning: int, angles: Sequence[float]) -> float:
+    """The largest part of a table axis's rate that any gyro measures, for angles (rad) of the axes inside."""
+    direction = table.axis[turning].unit_vector
+    for inner, angle in zip(table.axis[turning + 1 :], angles[turning + 1 :], strict=True):
+        direction = _turned(direction, inner.unit_vector, -angle)
+    return max(abs(_in_body(direction, mounting)["xyz".index(a)]) for mounting in table.mounting for a in gyro.axes)
+
+
+def _in_body(vector: Sequence[float], mounting: UnitMounting) -> Sequence[float]:
+    """A vector of the innermost axis's frame in the body's."""
+    body = [sum(c * v for c, v in zip(column, vector, strict=True)) for column in mounting.columns]
+    size = math.hypot(*(mounting.rotation or ()))
+    return _turned(body, [float(r) / size for r in mounting.rotation or ()], -size) if size else body
+
+
+def _turned(vector: Sequence[float], axis: Sequence[float], angle: float) -> tuple[float, ...]:
+    """A vector turned by an angle (rad) about a unit vector (Rodrigues)."""
+    (a, b, c), (x, y, z) = axis, vector
+    cross, along = (b * z - c * y, c * x - a * z, a * y - b * x), a * x + b * y + c * z
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return tuple(
+        v * cosine + w * sine + n * along * (1.0 - cosine) for v, w, n in zip(vector, cross, axis, strict=True)
+    )
+
+
+def _missions_on_plan(spec: "UnitSpec") -> Iterator[Problem]:
+    """Where missions leave the temperatures that the plan visits."""
+    if isinstance(spec.plan, StandardPlan):
+        ends = [float(temperature) for temperature in spec.plan.temperatures]
+    else:
+        schedule = _schedule(spec)
+        segments = () if schedule is None else schedule.segments
+        ends = [t for s in segments if s.used for t in (s.temperature_start, s.temperature_end)]
+    if ends:
+        for i, requirement in enumerate(spec.requirement):
+            yield from _missions(i, requirement, (min(ends), max(ends)), "the plan")
 
 
 def _missions(
-    i: int, requirement: Requirement, span: tuple[float, float] | None, whose: str, column: str = "temperature"
+    i: int, requirement: UnitRequirement, span: tuple[float, float] | None, whose: str, column: str = "temperature"
 ) -> Iterator[Problem]:
     """Where the i-th requirement's missions leave the calibrated range (°C, or rad/s)."""
-    if span is None or not isinstance(requirement, HeadingRequirement):
+    if span is None or not isinstance(requirement, MissionHeadingRequirement):
         return
     slack, factor, unit = (_NEARLY, 1.0, "degC") if column == "temperature" else (_SLACK, math.degrees(1.0), "deg/s")
     low, high = (f"{factor * end:.5g}" for end in span)
@@ -79,32 +160,81 @@ def _missions(
             yield Problem(("requirement", i, "mission", k), message)
 
 
-def _requirements(requirements: Sequence[Requirement], sensor: Sensor | None) -> Iterator[Problem]:
-    seen: dict[str, int] = {}
-    for i, requirement in enumerate(requirements):
-        key = ("requirement", i)
-        if requirement.name in seen:
-            message = f"is the name of requirement[{seen[requirement.name]}] too; names must differ"
-            yield Problem((*key, "name"), message, requirement.name)
-        seen.setdefault(requirement.name, i)
-        if sensor is None:
-            continue
-        if isinstance(requirement, HeadingRequirement):
-            for part in (sensor.bias, sensor.scale_factor):
-                if part is not None:
-                    yield from _missions(i, requirement, part.temperature.span, "the temperature basis")
-            if sensor.scale_factor is not None:
-                yield from _missions(i, requirement, sensor.scale_factor.rate.span, "the rate basis", "rate")
-            continue
-        name = "scale_factor" if requirement.quantity == "scale_factor" else "bias"
-        section = sensor.scale_factor if name == "scale_factor" else sensor.bias
-        if section is None:
-            message = f"is not estimated: there is no [sensor.{name}]"
+def _names(spec: "UnitSpec") -> Iterator[Problem]:
+    names = [requirement.name for requirement in spec.requirement]
+    yield from repeated_names("requirement", "name", names, "two requirements have this name; names must differ")
+
+
+def _requirements_of_sensor(spec: "UnitSpec") -> Iterator[Problem]:
+    """Requirements of what is not estimated, of axes that there are not, or beyond what the bases cover."""
+    for i, requirement in enumerate(spec.requirement):
+        key: Key = ("requirement", i)
+        needed = _NEEDED[requirement.quantity]
+        if requirement.quantity == "accelerometer_misalignment" and requirement.relative_to == "internal":
+            needed = (*needed, "gyro.misalignment")
+        tables = {name: _table_of(spec, name) for name in needed}
+        of = needed[0].split(".")[0]
+        if missing := next((name for name, table in tables.items() if table is None), None):
+            message = f"needs [sensor.{missing}], which the spec does not estimate"
             yield Problem((*key, "quantity"), message, requirement.quantity)
             continue
-        yield from _inside(requirement.temperature, section.temperature.span, (*key, "temperature"))
-        if isinstance(requirement, ScaleFactorRequirement) and sensor.scale_factor is not None:
-            yield from _inside(requirement.rate, sensor.scale_factor.rate.span, (*key, "rate"))
+        if absent := [f"{kind} {a}" for kind, a in _needed_axes(requirement) if a not in _table_of(spec, kind).axes]:
+            message = f"needs {', '.join(absent)}, which the sensor has not"
+            yield Problem((*key, "quantity"), message, requirement.quantity)
+        elif requirement.axis in ("x", "y", "z") and requirement.axis not in _table_of(spec, of).axes:
+            yield Problem((*key, "axis"), "the sensor has no such axis", requirement.axis)
+        if isinstance(requirement, MissionHeadingRequirement):
+            maps = (_table_of(spec, "gyro.bias"), _table_of(spec, "gyro.scale_factor"))
+            for part in (part for part in maps if part is not None):
+                yield from _missions(i, requirement, part.temperature.span, "the temperature basis")
+            if (scale := _table_of(spec, "gyro.scale_factor")) is not None:
+                yield from _missions(i, requirement, scale.rate.span, "the rate basis", "rate")
+            continue
+        for table in tables.values():
+            if (basis := getattr(table, "temperature", None)) is not None:
+                yield from _inside(requirement.temperature, basis.span, (*key, "temperature"))
+        if isinstance(requirement, GyroScaleFactorRequirement):
+            yield from _inside(requirement.rate, tables["gyro.scale_factor"].rate.span, (*key, "rate"))
+
+
+_NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
+    "gyro_bias": ("gyro.bias",),
+    "gyro_scale_factor": ("gyro.scale_factor",),
+    "gyro_misalignment": ("gyro.misalignment",),
+    "g_sensitivity": ("gyro.g_sensitivity",),
+    "accelerometer_bias": ("accelerometer.bias",),
+    "accelerometer_scale_factor": ("accelerometer.scale_factor",),
+    "accelerometer_misalignment": ("accelerometer.misalignment",),
+    "second_order": ("accelerometer.second_order",),
+    "position": ("gyro.bias", "accelerometer.bias"),
+    "tilt": ("accelerometer.bias",),
+    "heading": ("gyro.scale_factor",),
+    "mission_heading": ("gyro",),
+    "north": ("gyro.bias",),
+}
+"""The tables of [sensor] that a quantity needs."""
+
+
+def _table_of(spec: "UnitSpec", dotted: str) -> Any:
+    """A table below [sensor]; None where it or one above is absent."""
+    value: Any = spec.sensor
+    for name in dotted.split("."):
+        value = None if value is None else getattr(value, name)
+    return value
+
+
+def _needed_axes(requirement: UnitRequirement) -> list[tuple[str, str]]:
+    """Sensors without which a requirement's quantity would count as known exactly."""
+    if isinstance(requirement, TurnRequirement):
+        return [("gyro", "z")]
+    if isinstance(requirement, TiltRequirement):
+        return [("accelerometer", a) for a in "xy"]
+    if isinstance(requirement, PositionRequirement):
+        return [(kind, a) for kind in ("gyro", "accelerometer") for a in "xy"]
+    if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
+        kinds = ("gyro", "accelerometer") if requirement.quantity.startswith("accelerometer") else ("gyro",)
+        return [(kind, a) for kind in kinds for a in "xyz"]
+    return []
 
 
 def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, key: Key) -> list[Problem]:
@@ -117,47 +247,36 @@ def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, ke
     ]
 
 
-def standard_within(plan: StandardPlan, rig: Rig | None, sensor: Sensor | None) -> Iterator[Problem]:
-    """Where a standard plan exceeds chamber, table or sensor; keys relative to the plan."""
-    rates = plan.rates or ()
-    if rig is not None:
-        for i, temperature in enumerate(plan.temperatures):
-            yield from _in_chamber(temperature, rig.chamber, ("temperatures", i))
-        for before, after in zip(plan.temperatures, plan.temperatures[1:], strict=False):
-            slope = rig.chamber.max_heating if after > before else rig.chamber.max_cooling
-            needed = abs(after - before) / slope
-            if needed > plan.soak * (1.0 + _SLACK):
-                message = f"is too short: from {before} to {after} the chamber alone needs {needed / 60.0:.4g} min"
-                yield Problem(("soak",), message, plan.soak.text)
-                break
-        for i, rate in enumerate(rates):
-            swept = abs(rate) * plan.integration
-            if swept > rig.table.travel * (1.0 + _SLACK):
-                message = (
-                    f"turns {math.degrees(swept):.6g} deg in {plan.integration}, "
-                    f"and the table's travel is {rig.table.travel}"
-                )
-                yield Problem(("rates", i), message, rate.text)
-    for i, rate in enumerate(rates):
-        yield from _rate_limits(abs(rate), rig, sensor, ("rates", i), rate.text)
+def _standard(plan: StandardPlan, table: UnitTable, chamber: Chamber) -> Iterator[Problem]:
+    """Where a standard plan exceeds chamber or table; keys relative to the plan."""
+    axis, *others = table.axis
+    if others:
+        yield Problem(("method",), "the standard method holds the rate of a table of one axis", "standard")
+    for i, temperature in enumerate(plan.temperatures):
+        yield from _in_chamber(temperature, chamber, ("temperatures", i))
+    for before, after in zip(plan.temperatures, plan.temperatures[1:], strict=False):
+        slope = chamber.max_heating if after > before else chamber.max_cooling
+        needed = abs(after - before) / slope
+        if needed > plan.soak * (1.0 + _SLACK):
+            message = f"is too short: from {before} to {after} the chamber alone needs {needed / 60.0:.4g} min"
+            yield Problem(("soak",), message, plan.soak.text)
+            break
+    for i, rate in enumerate(plan.rates or ()):
+        swept = abs(rate) * plan.integration
+        if swept > axis.travel * (1.0 + _SLACK):
+            message = (
+                f"turns {math.degrees(swept):.6g} deg in {plan.integration}, and the table's travel is {axis.travel}"
+            )
+            yield Problem(("rates", i), message, rate.text)
+        if abs(rate) > axis.max_rate * (1.0 + _SLACK):
+            message = (
+                f'reaches {math.degrees(abs(rate)):.5g} deg/s and exceeds max_rate of axis "{axis.name}", '
+                f"{axis.max_rate}"
+            )
+            yield Problem(("rates", i), message, rate.text)
 
 
-def _gradient(plan: GradientPlan, rig: Rig, sensor: Sensor | None) -> Iterator[Problem]:
-    schedule: GradientSchedule | None = None
-    try:
-        schedule = gradient_schedule(plan, rig)
-    except SpecError as error:
-        yield from error.problems
-    if plan.cycle is not None:
-        with contextlib.suppress(SpecError):  # said above
-            moves = resolve_cycle(plan.cycle, rig).moves
-            yield from _motion(moves, rig, sensor)
-            if schedule is not None:
-                yield from _travel(moves, schedule.cycles, rig)
-    yield from course_within(plan, rig.chamber, None if schedule is None else schedule.segments)
-
-
-def course_within(
+def _course(
     plan: ChamberCourse, chamber: Chamber, segments: tuple[TemperatureSegment, ...] | None
 ) -> Iterator[Problem]:
     """Where a course leaves the chamber's range or exceeds its slopes; keys relative to the plan."""
@@ -203,58 +322,82 @@ def _slope(slope: Quantity, heats: bool, chamber: Chamber, key: Key) -> Iterator
         yield Problem(key, f"exceeds rig.chamber.{name}, {limit}", slope.text)
 
 
-def _rate_limits(rate: float, rig: Rig | None, sensor: Sensor | None, key: Key, text: str) -> Iterator[Problem]:
-    if rig is not None and rate > rig.table.max_rate * (1.0 + _SLACK):
-        message = f"reaches {math.degrees(rate):.5g} deg/s and exceeds rig.table.max_rate, {rig.table.max_rate}"
-        yield Problem(key, message, text)
-    if sensor is not None and sensor.usable_rate is not None and rate > sensor.usable_rate * (1.0 + _SLACK):
-        message = (
-            f"reaches {math.degrees(rate):.5g} deg/s and exceeds the sensor's full scale, {sensor.full_scale}, "
-            f"less its margin, {sensor.full_scale_margin}"
-        )
-        yield Problem(key, message, text)
+def _site(spec: "UnitSpec") -> Iterator[Problem]:
+    """The latitude may be absent where the Earth's rate is the same all the time."""
+    if (spec.rig.site.latitude is None or spec.rig.site.is_unknown) and not spec.is_one_axis:
+        message = "this key is missing: the Earth's rate and gravity change with the table's angles"
+        yield Problem(("rig", "site", "latitude"), message, kind="missing")
 
 
-def _motion(moves: Sequence[ResolvedMove], rig: Rig, sensor: Sensor | None) -> Iterator[Problem]:
-    limit = rig.table.max_acceleration
-    for i, move in enumerate(moves):
-        key = ("cycle", "moves", i)
-        if move.is_rest:
-            continue
-        if (move.shape == "hand") != (rig.table.drive == "hand"):
-            wrong = "needs a table that is turned by hand" if move.shape == "hand" else "cannot be made by hand"
-            message = f'{wrong}; rig.table.drive is "{rig.table.drive}"'
-            yield Problem((*key, "shape"), message, move.shape)
-        # Tolerance as a fraction of the peak: a ramp rounded to hundredths of a second may miss a limit.
-        yield from _rate_limits(move.fastest, rig, sensor, key, move.words)
-        if move.peak_acceleration > limit * (1.0 + _SLACK):
-            message = (
-                f"accelerates at up to {math.degrees(move.peak_acceleration):.5g} deg/s^2 and exceeds "
-                f"rig.table.max_acceleration, {limit}"
-            )
-            yield Problem(key, message, move.words)
+def _frame(spec: "UnitSpec") -> Iterator[Problem]:
+    frame, mountings = spec.sensor.frame, spec.rig.table.mounting
+    of_case = frame is not None and frame.fixed_by == "case"
+    if len(mountings) > 1 and not of_case:
+        message = 'with several mountings the frame is the case\'s; expected fixed_by = "case"'
+        yield Problem(("sensor", "frame", "fixed_by"), message, frame and frame.fixed_by)
+    for i, mounting in enumerate(mountings):
+        if of_case and not mounting.accuracy:
+            message = 'must be above zero: the frame is the case\'s (sensor.frame.fixed_by = "case")'
+            yield Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg")
 
 
-def _travel(moves: Sequence[ResolvedMove], cycles: int, rig: Rig) -> Iterator[Problem]:
-    """The cable winds up over all cycles: each axis must stay within the travel either way of its start."""
-    travel = rig.table.travel
-    if math.isinf(travel):
+def _done(spec: "UnitSpec") -> Iterator[Problem]:
+    if spec.done and isinstance(spec.plan, StandardPlan):
+        yield Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone')
+    for number, part in enumerate(spec.done):
+        segments = None
+        try:
+            segments = unit_schedule(part.plan, spec.rig).segments
+        except SpecError as error:
+            yield from (p.under("done", number, "plan") for p in error.problems)
+        yield from (p.under("done", number, "plan") for p in _course(part.plan, spec.rig.chamber, segments))
+        if part.end <= part.start:
+            yield Problem(("done", number, "end"), "expected a time after its start", part.end.text)
+
+
+def _done_of_sensor(spec: "UnitSpec") -> Iterator[Problem]:
+    for kind in ("gyro", "accelerometer") if spec.done else ():
+        if (triad := _table_of(spec, kind)) is not None and triad.turn_on_transient:
+            message = "the time since power-on is not known in a run that goes on ([[done]]); leave the key out"
+            yield Problem(("sensor", kind, "turn_on_transient"), message)
+
+
+def _accelerometer(spec: "UnitSpec") -> Iterator[Problem]:
+    accelerometer, steps = spec.sensor.accelerometer, _steps(spec)
+    if accelerometer is None or not steps:
         return
-    for axis in AXES:
-        mine = [(i, move) for i, move in enumerate(moves) if move.axis == axis and not move.is_rest]
-        if not mine:
-            continue
-        net = math.fsum(move.repeat * move.angle for _, move in mine)
-        for first in sorted({0, max(0, cycles - 1)}):
-            at = first * net
-            for i, move in mine:
-                ends = (0.0, (move.repeat - 1) * move.angle)
-                reach = max(abs(at + end + side) for end in ends for side in (move.low, move.high))
-                if reach > travel * (1.0 + _SLACK):
-                    message = f"takes the {axis} axis {math.degrees(reach):.6g} deg from its start"
-                    if first > 0:
-                        message += f" in cycle {first + 1} (each cycle ends {math.degrees(net):.6g} deg further)"
-                    message += f"; rig.table.travel is {travel} each way"
-                    yield Problem(("cycle", "moves", i), message, move.words)
-                    return
-                at += move.repeat * move.angle
+    slow = float(accelerometer.read_on_moves_below or 0.0)
+    turning = [float(step.move.fastest) for step in steps if step.axis >= 0]
+    if len(turning) == len(steps) and min(turning) > slow:
+        message = "never rests, where accelerometers are read; add { rest = … }"
+        yield Problem(("plan", "cycle", "moves"), message)
+    if slow and turning and min(turning) > slow:
+        message = f"has no effect: the slowest move reaches {math.degrees(min(turning)):.4g} deg/s; raise it, or "
+        key = ("sensor", "accelerometer", "read_on_moves_below")
+        limit = str(accelerometer.read_on_moves_below)
+        yield Problem(key, message + "leave it out (and the lever arm)", limit)
+
+
+def _design(spec: "UnitSpec") -> Iterator[Problem]:
+    assert spec.design is not None
+    names = [requirement.name for requirement in spec.requirement]
+    problems = [*design_problems(spec.design, names, of_axis=spec.turns_one_gyro)]
+    if (gyro := spec.sensor.gyro) is not None and spec.design.notice is not None:
+        problems += [p.under("notice") for p in notice_problems(spec.design.notice, gyro.scale_factor)]
+    yield from (p.under("design") for p in problems)
+
+
+_CHECKS: Final[tuple[tuple[str, Callable[["UnitSpec"], Iterator[Problem]]], ...]] = (
+    ("rig plan", _plan_on_rig),
+    ("sensor rig plan", _full_scale),
+    ("requirement rig plan", _missions_on_plan),
+    ("requirement", _names),
+    ("requirement sensor", _requirements_of_sensor),
+    ("sensor rig", _site),
+    ("sensor rig", _frame),
+    ("done rig plan", _done),
+    ("done sensor", _done_of_sensor),
+    ("sensor rig plan", _accelerometer),
+    ("design requirement sensor rig plan", _design),
+)
+"""The checks, by the sections that they need."""

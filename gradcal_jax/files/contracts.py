@@ -18,6 +18,7 @@ Axis = Literal["x", "y", "z"]
 UnitQuantity = Literal[
     "gyro_bias", "gyro_scale_factor", "gyro_misalignment", "g_sensitivity", "accelerometer_bias",
     "accelerometer_scale_factor", "accelerometer_misalignment", "second_order", "position", "tilt", "heading",
+    "mission_heading", "north",
 ]  # fmt: skip
 
 Functions = Literal["monomial", "legendre", "chebyshev", "b-spline", "bins"]
@@ -288,7 +289,7 @@ class RequirementRow(Section):
 
     name: str
     """Of the requirement."""
-    quantity: Literal["scale_factor", "bias", "north"] | UnitQuantity
+    quantity: Literal["scale_factor", "bias"] | UnitQuantity
     """Which quantity."""
     unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
     """Unit of all figures."""

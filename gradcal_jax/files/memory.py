@@ -4,20 +4,24 @@ import contextlib
 import os
 from typing import Final
 
-from gradcal_jax.files.schedule import GradientSchedule
-from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.unit_plan import row_count
+from gradcal_jax.files.unit_spec import UnitSpec
 
 # For the whitened rows and their computation, by reading and column; measured: 2.6 kB a reading with 39 columns.
 _BYTES: Final = 68.0
 
 
-def needed_bytes(spec: Spec) -> float:
+def needed_bytes(spec: UnitSpec) -> float:
     """Memory that a prediction of the spec takes beside the program's own, to a factor of two."""
-    schedule, sensor = spec.schedule, spec.sensor
-    readings = schedule.readings if isinstance(schedule, GradientSchedule) else len(schedule.points)
-    columns = sum(part.size for part in (sensor.bias, sensor.scale_factor) if part is not None)
-    columns += 4 + len(sensor.drift) + len(sensor.scale_factor_instability) + 2 * len(spec.rig.table.angle.harmonics)
-    return _BYTES * readings * columns
+    schedule, gyro, forces = spec.schedule, spec.sensor.gyro, spec.sensor.accelerometer
+    readings = len(schedule.points) if isinstance(schedule, StandardSchedule) else row_count(schedule, spec.rig.table)
+    columns = 4 + 2 * sum(len(axis.angle.harmonics) for axis in spec.rig.table.axis)
+    for triad in (gyro, forces):
+        if triad is not None:
+            maps = (getattr(part, "size", 1) for part in (triad.bias, triad.scale_factor) if part is not None)
+            columns += len(triad.axes) * (sum(maps) + len(triad.drift) + len(triad.scale_factor_instability))
+    return _BYTES * readings * columns * sum(len(t.axes) for t in (gyro, forces) if t is not None)
 
 
 def available_bytes() -> float:
@@ -33,7 +37,7 @@ def available_bytes() -> float:
         return float("inf")
 
 
-def too_large(spec: Spec) -> str:
+def too_large(spec: UnitSpec) -> str:
     """A sentence where the spec's readings need more memory than there is; empty otherwise."""
     needed, there = needed_bytes(spec), available_bytes()
     if needed <= there:

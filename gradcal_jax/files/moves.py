@@ -273,7 +273,7 @@ class CosineRamps(_RampedTurn):
 
     SHAPE, STEEPNESS = "cosine ramps", math.pi / 2.0
 
-    shape: Literal["cosine ramps"]
+    shape: Literal["cosine ramps"] = "cosine ramps"
     """Course of the rate."""
 
 
@@ -322,7 +322,7 @@ class Hand(_Turn):
 
 Move = Annotated[
     Rest | CosineRamps | LinearRamps | Hand,
-    read_by(lambda table: _choose_move(table)),
+    read_by(lambda table: choose_move(table)),
 ]
 
 SHAPES: Final[dict[str, type[Section]]] = {
@@ -331,7 +331,8 @@ SHAPES: Final[dict[str, type[Section]]] = {
 }
 
 
-def _choose_move(table: Mapping[str, object]) -> object:
+def choose_move(table: Mapping[str, object]) -> object:
+    """The rest or turn of a table. Raises `SpecError` for one that is neither."""
     if "rest" in table:
         return Rest.model_validate(table)
     if "shape" not in table:

@@ -17,7 +17,6 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
-from gradcal_jax.files.moves import Move
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     Flag,
@@ -28,7 +27,7 @@ from gradcal_jax.files.quantity import (
     Temperature,
     Time,
 )
-from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
+from gradcal_jax.files.section import Section, read_by, refuse, refuse_misspelt
 
 
 class Soak(Section):
@@ -99,17 +98,6 @@ class OtherAxes(Section):
     def _problems(self) -> Iterator[Problem]:
         if self.read_every is not None and not self.read:
             yield Problem(("read_every",), 'has no effect without "read = true"', self.read_every.text)
-
-
-class Cycle(Section):
-    """The motion that repeats."""
-
-    moves: Annotated[tuple[Move, ...], Field(min_length=1, max_length=1000)]
-    """Rests and turns, in order."""
-    other_axes: OtherAxes | None = None
-    """Time that the other axes take in each cycle."""
-    duration: Time | None = None
-    """Length of a cycle; absent: that of its moves and other axes; longer: the axis stands for the rest."""
 
 
 class _Slopes:
@@ -190,28 +178,6 @@ class ChamberCourse(Section):
             yield Problem(("temperature",), "start and end must differ", [t.text for t in self.temperature])
 
 
-class GradientPlan(ChamberCourse):
-    """The gradient method: the temperature ramps, the axis turns and rests, the reference is the angle."""
-
-    method: Literal["gradient"]
-    """The method."""
-    reference: Literal["angle"] = "angle"
-    """The reference of the readings."""
-    read_every: Time | None = None
-    """Spacing of the readings of a plan without a cycle."""
-    cycle: Cycle | None = None
-    """Motion that repeats during the ramp; absent: the axis stands."""
-
-    def _problems(self) -> Iterator[Problem]:
-        yield from self.course_problems(with_cycle=self.cycle is not None)
-        if self.cycle is None and self.read_every is None:
-            message = 'this key is missing: without a cycle it says how often the standing axis is read, such as "1 s"'
-            yield Problem(("read_every",), message, kind="missing")
-        if self.cycle is not None and self.read_every is not None:
-            message = "with a cycle, the moves say when the axis is read; leave this key out"
-            yield Problem(("read_every",), message, self.read_every.text)
-
-
 class StandardPlan(Section):
     """The standard method: stable temperatures, a reference rate at each."""
 
@@ -235,6 +201,3 @@ class StandardPlan(Section):
             if self.temperatures[i] == self.temperatures[i - 1]:
                 message = "repeats the entry before it; lengthen the integration instead"
                 yield Problem(("temperatures", i), message, self.temperatures[i].text)
-
-
-Plan = Annotated[GradientPlan | StandardPlan, chosen_by("method", {"gradient": GradientPlan, "standard": StandardPlan})]

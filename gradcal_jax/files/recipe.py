@@ -5,15 +5,18 @@ changed by hand, and is refused. Nothing here imports JAX: `gradcal_jax.api.reci
 has all that a runner needs of it.
 """
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Any, Final, Literal, cast
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
-from gradcal_jax.files.changes import any_spec_of, differences, tables_of
+from gradcal_jax import units
+from gradcal_jax.files.axis_as_imu import is_of_axis
+from gradcal_jax.files.changes import differences, tables_of
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
 from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.mission import missions_from
@@ -21,11 +24,10 @@ from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.rounding import ControllerSteps
-from gradcal_jax.files.section import Section, read_by
-from gradcal_jax.files.spec import Spec, is_of_unit, of_one_axis, spec_of
+from gradcal_jax.files.section import Section
+from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.units import times_text
 
 FORMAT: Final = "gradcal-recipe/1"
 
@@ -73,10 +75,6 @@ class RecipeOrigin(Section):
     """Of the search."""
 
 
-def _spec_inside(tables: Mapping[str, object]) -> Spec | UnitSpec:
-    return UnitSpec.model_validate(tables) if is_of_unit(tables) else Spec.model_validate(tables)
-
-
 class Recipe(TitledFile):
     """A whole recipe."""
 
@@ -101,7 +99,7 @@ class Recipe(TitledFile):
     """Residual of the rounded plan."""
     optimisation: dict[str, Any] | None = None
     """The optimiser's own record: objective, before, now, starts, limits."""
-    spec: Annotated[Spec | UnitSpec, read_by(_spec_inside)] = Field(title="gradcal-spec/1")
+    spec: UnitSpec = Field(title="gradcal-spec/1")
     """The spec whose plan these tracks are."""
 
     def _problems(self) -> Iterable[Problem]:
@@ -121,18 +119,11 @@ class Recipe(TitledFile):
         return [
             f"Recipe: {self.title}" if self.title else "Recipe",
             self.status,
-            times_text(self.prediction.duration_s, self.prediction.soak_s, self.prediction.motion_s),
+            units.times_text(self.prediction.duration_s, self.prediction.soak_s, self.prediction.motion_s),
             f"segments of the chamber: {len(self.chamber.programme)}; cycles of the table: "
             f"{sum(block.repeat for block in self.motion)}",
             narrow_table(rows),
         ]
-
-    @property
-    def axis_spec(self) -> Spec:
-        """The spec of one axis. Raises `SpecError` where it is of a whole unit."""
-        if isinstance(self.spec, UnitSpec):
-            raise of_one_axis()
-        return self.spec
 
     @property
     def duration_s(self) -> float:
@@ -154,31 +145,15 @@ def read_recipe(path: str | Path) -> Recipe:
     return parse_recipe(read_text(path), str(path))
 
 
-def spec_in(path: str | Path) -> Spec:
-    """The spec of one axis in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
-    with missions_from(Path(path).parent):
-        return from_text(axis_spec_of, read_text(path), str(path))
-
-
-def any_spec_in(path: str | Path) -> Spec | UnitSpec:
-    """As `spec_in`, and the spec of a whole unit, too."""
+def spec_in(path: str | Path) -> UnitSpec:
+    """The spec in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
     with missions_from(Path(path).parent):
         return from_text(spec_or_recipes_of, read_text(path), str(path))
 
 
-def axis_spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
-    """The spec of one axis from the tables of a spec or recipe. Raises `SpecError` where it is of a whole unit."""
-    if not is_recipe(document):
-        return spec_of(document, source)
-    try:
-        return recipe_of(document, source).axis_spec
-    except SpecError as error:
-        raise SpecError(error.problems, source) from None
-
-
-def spec_or_recipes_of(document: Mapping[str, Any], source: str = "") -> Spec | UnitSpec:
-    """The spec of one axis or of a whole unit from the tables of a spec or recipe. Raises `SpecError`."""
-    return recipe_of(document, source).spec if is_recipe(document) else any_spec_of(document, source)
+def spec_or_recipes_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:
+    """The spec from the tables of a spec or recipe. Raises `SpecError`."""
+    return recipe_of(document, source).spec if is_recipe(document) else spec_of(document, source)
 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:
@@ -191,7 +166,43 @@ def recipe_of(document: Mapping[str, Any], source: str = "") -> Recipe:
     if document.get("format") == "gradcal-spec/1":
         message = "this is a spec; make a recipe of it: gradcal recipe SPEC -o recipe.toml"
         raise SpecError([Problem(("format",), message, document["format"])], source)
-    return model_of(Recipe, document, FORMAT, source)
+    spec = document.get("spec")
+    of_axis = isinstance(spec, Mapping) and is_of_axis(cast("Mapping[str, Any]", spec))
+    return model_of(Recipe, _of_imu(document, source) if of_axis else document, FORMAT, source)
+
+
+def _of_imu(document: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """The tables of a recipe of one axis, as earlier versions wrote them, in the general form. Its angles may differ by
+    a step of the controller, since those of turns were rounded, and the table's are."""
+    try:
+        spec = spec_of(document["spec"])
+        steps = ControllerSteps.model_validate(document.get("resolution", {}))
+    except SpecError as error:
+        raise SpecError((p.under("spec") for p in error.problems), source) from None
+    except ValidationError:
+        return dict(document)  # said where the recipe is validated
+    name = spec.rig.table.axis[0].name
+    _, motion = tracks_of(spec, None if steps.acceleration is None else float(steps.acceleration))
+    blocks = [block.model_dump(mode="json", exclude_unset=True) for block in motion]
+    written = [dict(block) for block in document.get("motion", ())]
+    for block, old in zip(blocks, written, strict=False):
+        old |= {key: block[key] for key in ("start", "read_every_after") if key in block}
+        own = block["moves"] + [{}] * len(old.get("moves", ()))
+        old["moves"] = [
+            was | _rounded_angle(now, was, steps) for now, was in zip(own, old.get("moves", ()), strict=False)
+        ]
+    rows = dict(document.get("prediction", {}))
+    rows["parameters"] = [{**row, "name": f"gyro_{name}.{row['name']}"} for row in rows.get("parameters", ())]
+    return {**document, "spec": tables_of(spec), "motion": written, "prediction": rows}
+
+
+def _rounded_angle(now: Mapping[str, Any], was: Mapping[str, Any], steps: ControllerSteps) -> dict[str, Any]:
+    """The angle of a move, where it is less than a step of the controller from the one of the file."""
+    with contextlib.suppress(KeyError, TypeError, ValueError):
+        difference = units.parse(now["angle"], "angle") - units.parse(was["angle"], "angle")
+        if abs(difference) <= 1.001 * float(steps.angle):
+            return {"angle": now["angle"]}
+    return {}
 
 
 def is_recipe(document: Mapping[str, Any]) -> bool:

@@ -1,9 +1,9 @@
-"""`[[requirement]]`: the errors that the calibration of an axis or a whole unit limits, and their statistics."""
+"""`[[requirement]]`: the errors that a calibration limits, and their statistics."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import BeforeValidator, Field, Strict, model_validator
+from pydantic import Field, Strict, model_validator
 
 from gradcal_jax.files.bases import increasing
 from gradcal_jax.files.mission import Missions
@@ -31,161 +31,9 @@ Risk = Annotated[Quantity, Of("scale factor", above="0 %", at_most="50 %")]
 Points = Annotated[int, Field(strict=True, ge=2, le=5001)]
 
 
-def _rates_only(value: object) -> object:
-    if value == "mean of max":
-        raise ValueError('a bias has no rate to average over; expected "mean", "max" or "rms"')
-    return value
-
-
-class _OfAxis(Section):
-    name: Text
-    """Its name, which verdicts and [design] refer to."""
-    quantity: Any
-    """What must be good."""
-
-
-class ScaleFactorRequirement(_OfAxis):
-    """A requirement on the scale factor's error over a box of temperature and rate.
-
-    The target is met where `coverage` times the statistic is within it (simple acceptance); with `risk` it is guarded:
-    met where the error at the worst place of the box is beyond it with no more than that chance.
-    """
-
-    quantity: Literal["scale_factor"]
-    temperature: tuple[Temperature, Temperature]
-    """Lowest and highest temperature of the box."""
-    rate: tuple[Rate, Rate]
-    """Lowest and highest rate of the box."""
-    statistic: Literal["mean of max", "max", "mean", "rms"] = "mean of max"
-    """How the standard deviation is summed up over the box; "mean of max": mean over rate of the largest over
-    temperature."""
-    target: PositiveScaleFactor | None = None
-    """Limit on the error, which gives a verdict; absent: none."""
-    coverage: Coverage = 1.0
-    """Standard deviations that must be within the target; 1 as in the paper."""
-    risk: Risk | None = None
-    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
-    grid: tuple[Points, Points] = (101, 121)
-    """Numbers of temperatures and of rates at which the box is evaluated, ends included."""
-
-    def _problems(self) -> Iterator[Problem]:
-        yield from increasing(self.temperature, "temperature")
-        yield from increasing(self.rate, "rate")
-        if self.grid[0] * self.grid[1] > 1_000_000:
-            yield Problem(("grid",), "at most 1000000 points together", list(self.grid))
-
-
 class _OfRuns(Section):
     of: Literal["any run", "this run"] = "any run"
     """Whether the turn-on bias of another power-on counts: in "any run" it does, in "this run" it does not."""
-
-
-class BiasRequirement(_OfAxis, _OfRuns):
-    """A requirement on the bias's error over a range of temperature. Targets as for a scale factor."""
-
-    quantity: Literal["bias"]
-    temperature: tuple[Temperature, Temperature]
-    """Lowest and highest temperature."""
-    statistic: Annotated[Literal["max", "mean", "rms"], BeforeValidator(_rates_only)] = "mean"
-    """How the standard deviation is summed up over temperature."""
-    target: PositiveRate | None = None
-    """Limit on the error, which gives a verdict; absent: none."""
-    coverage: Coverage = 1.0
-    """Standard deviations that must be within the target; 1 as in the paper."""
-    risk: Risk | None = None
-    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
-    grid: tuple[Points] = (101,)
-    """Number of temperatures at which the range is evaluated, ends included."""
-
-    def _problems(self) -> Iterable[Problem]:
-        return increasing(self.temperature, "temperature")
-
-
-class HeadingRequirement(_OfAxis):
-    """The calibration's error in the integrated rate at the end of a `mission`, or `after` a time in it.
-
-    For several missions the weighted root mean square, or the "max". `target` limits the calibration's part alone,
-    because no calibration removes the unit's own noise. `coverage`, `risk`: as for a scale factor.
-    """
-
-    quantity: Literal["heading"]
-    mission: Missions
-    """Tables of rate and temperature over time, with weights."""
-    after: Time | None = None
-    """When the error is taken; absent: at the end of each mission."""
-    statistic: Literal["rms", "max"] = "rms"
-    """How several missions are summed up."""
-    target: PositiveAngle | None = None
-    """Limit on the error that the calibration leaves, which gives a verdict; absent: none."""
-    coverage: Coverage = 1.0
-    """Standard deviations that must be within the target; 1 as in the paper."""
-    risk: Risk | None = None
-    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
-
-    def _problems(self) -> Iterator[Problem]:
-        for i, mission in enumerate(self.mission):
-            end = mission.rows.time[-1]
-            if self.after is not None and self.after > end:
-                message = f"is after the end of {mission.file}, which lasts {end:.6g} s"
-                yield Problem(("after",), message, self.after.text)
-            if self.statistic == "max" and "weight" in mission.model_fields_set:
-                yield Problem(("mission", i, "weight"), 'has no effect on the statistic "max"', mission.weight)
-
-    @property
-    def grid(self) -> tuple[int]:
-        """Number of missions."""
-        return (len(self.mission),)
-
-    @property
-    def temperature(self) -> tuple[Quantity, Quantity]:
-        """The coldest and the warmest of all missions."""
-        every = [t for mission in self.mission for t in mission.rows.temperature]
-        return Quantity.of(min(every), "degC"), Quantity.of(max(every), "degC")
-
-    @property
-    def rate(self) -> tuple[Quantity, Quantity]:
-        """The least and the largest rate of all missions."""
-        every = [w for mission in self.mission for w in mission.rows.rate]
-        return Quantity.of(min(every), "deg/s"), Quantity.of(max(every), "deg/s")
-
-
-class NorthRequirement(_OfAxis):
-    """The error of a gyrocompass: of the bias, over the Earth's rate across the meridian at the `latitude`.
-
-    `after`: the time at rest to find north, on which the unit's own noise depends. The rest as for a bias.
-    """
-
-    quantity: Literal["north"]
-    latitude: Annotated[Quantity, Of("angle", at_least="-89 deg", at_most="89 deg")]
-    """Where north is sought."""
-    after: Time
-    """How long it stands to find north, on which the unit's own noise depends."""
-    temperature: tuple[Temperature, Temperature]
-    """Lowest and highest temperature."""
-    statistic: Literal["max", "mean", "rms"] = "mean"
-    """How the standard deviation is summed up over temperature."""
-    target: PositiveAngle | None = None
-    """Limit on the error that the calibration leaves, which gives a verdict; absent: none."""
-    coverage: Coverage = 1.0
-    """Standard deviations that must be within the target; 1 as in the paper."""
-    risk: Risk | None = None
-    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
-    grid: tuple[Points] = (101,)
-    """Number of temperatures at which the range is evaluated, ends included."""
-
-    def _problems(self) -> Iterable[Problem]:
-        return increasing(self.temperature, "temperature")
-
-
-_CLASSES: Final[Mapping[str, type[Section]]] = {
-    "scale_factor": ScaleFactorRequirement,
-    "bias": BiasRequirement,
-    "heading": HeadingRequirement,
-    "north": NorthRequirement,
-}
-Requirement = Annotated[
-    ScaleFactorRequirement | BiasRequirement | HeadingRequirement | NorthRequirement, chosen_by("quantity", _CLASSES)
-]
 
 
 Over = Literal["mean", "max", "rms"]
@@ -194,13 +42,11 @@ Over = Literal["mean", "max", "rms"]
 Elements = Literal["all", "worst", "x", "y", "z"]
 
 
-class _OfUnit(Section):
+class _OfElements(Section):
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y", "z")
 
     name: Text
     """Its name, which verdicts and [design] refer to."""
-    temperature: tuple[Temperature, Temperature]
-    """Lowest and highest temperature."""
     axis: Elements = "worst"
     """One element, the worst of them, or all (root mean square)."""
     target: Any = None
@@ -211,12 +57,20 @@ class _OfUnit(Section):
     """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
 
     def _problems(self) -> Iterator[Problem]:
-        yield from increasing(self.temperature, "temperature")
         if self.axis not in self.ELEMENTS:
             yield Problem(("axis",), f"expected {one_of(self.ELEMENTS)}", self.axis)
 
 
-class _OverTemperature(_OfUnit):
+class _InARange(_OfElements):
+    temperature: tuple[Temperature, Temperature]
+    """Lowest and highest temperature."""
+
+    def _problems(self) -> Iterator[Problem]:
+        yield from _OfElements._problems(self)
+        yield from increasing(self.temperature, "temperature")
+
+
+class _OverTemperature(_InARange):
     """A requirement over temperature, summed up first of each element, then over the elements."""
 
     grid: tuple[Points] = (101,)
@@ -262,7 +116,7 @@ class GyroBiasRequirement(_OverTemperature, _OfRuns, _OnAPath):
     target: PositiveRate | None = None
 
 
-class GyroScaleFactorRequirement(_OfUnit, _OnAPath):
+class GyroScaleFactorRequirement(_InARange, _OnAPath):
     """Scale factor of the gyros over a box of temperature and rate."""
 
     quantity: Literal["gyro_scale_factor"]
@@ -275,10 +129,11 @@ class GyroScaleFactorRequirement(_OfUnit, _OnAPath):
     """How the standard deviation is summed up over the box."""
     target: PositiveScaleFactor | None = None
 
-    @model_validator(mode="after")
-    def _rates(self) -> "GyroScaleFactorRequirement":
-        refuse(*increasing(self.rate, "rate"))
-        return self
+    def _problems(self) -> Iterator[Problem]:
+        yield from _InARange._problems(self)
+        yield from increasing(self.rate, "rate")
+        if self.grid[0] * self.grid[1] > 1_000_000:
+            yield Problem(("grid",), "at most 1000000 points together", list(self.grid))
 
 
 class MisalignmentRequirement(_OverTemperature):
@@ -320,7 +175,7 @@ class SecondOrderRequirement(_OverTemperature):
     target: PositiveSecondOrder | None = None
 
 
-class PositionRequirement(_OfUnit, _OfRuns):
+class PositionRequirement(_InARange, _OfRuns):
     """Horizontal position after free-inertial navigation at rest, level: the calibration's part."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
@@ -336,7 +191,7 @@ class PositionRequirement(_OfUnit, _OfRuns):
     target: PositiveLength | None = None
 
 
-class TiltRequirement(_OfUnit, _OfRuns):
+class TiltRequirement(_InARange, _OfRuns):
     """Error of the vertical that levelled accelerometers give, the worse of two directions."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
@@ -350,7 +205,7 @@ class TiltRequirement(_OfUnit, _OfRuns):
     target: PositiveAngle | None = None
 
 
-class TurnRequirement(_OfUnit, _OfRuns):
+class TurnRequirement(_InARange, _OfRuns):
     """Heading error after a level turn about the body's z axis."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "z")
@@ -368,7 +223,63 @@ class TurnRequirement(_OfUnit, _OfRuns):
     target: PositiveAngle | None = None
 
 
-_UNIT_CLASSES: Final[Mapping[str, type[Section]]] = {
+class MissionHeadingRequirement(_OfElements):
+    """The calibration's error in the integrated rate of a gyro at the end of a `mission`, or `after` a time in it.
+
+    For several missions the weighted root mean square, or the "max". `target` limits the calibration's part alone,
+    because no calibration removes the sensor's own noise.
+    """
+
+    quantity: Literal["mission_heading"]
+    """What must be good."""
+    mission: Missions
+    """Tables of rate and temperature over time, with weights."""
+    after: Time | None = None
+    """When the error is taken; absent: at the end of each mission."""
+    statistic: Literal["rms", "max"] = "rms"
+    """How several missions are summed up."""
+    target: PositiveAngle | None = None
+
+    def _problems(self) -> Iterator[Problem]:
+        yield from _OfElements._problems(self)
+        for i, mission in enumerate(self.mission):
+            end = mission.rows.time[-1]
+            if self.after is not None and self.after > end:
+                message = f"is after the end of {mission.file}, which lasts {end:.6g} s"
+                yield Problem(("after",), message, self.after.text)
+            if self.statistic == "max" and "weight" in mission.model_fields_set:
+                yield Problem(("mission", i, "weight"), 'has no effect on the statistic "max"', mission.weight)
+
+    @property
+    def grid(self) -> tuple[int]:
+        """Number of missions."""
+        return (len(self.mission),)
+
+    @property
+    def temperature(self) -> tuple[Quantity, Quantity]:
+        """The coldest and the warmest of all missions."""
+        every = [t for mission in self.mission for t in mission.rows.temperature]
+        return Quantity.of(min(every), "degC"), Quantity.of(max(every), "degC")
+
+    @property
+    def rate(self) -> tuple[Quantity, Quantity]:
+        """The least and the largest rate of all missions."""
+        every = [w for mission in self.mission for w in mission.rows.rate]
+        return Quantity.of(min(every), "deg/s"), Quantity.of(max(every), "deg/s")
+
+
+class NorthRequirement(_OverTemperature):
+    """The error of a gyrocompass: of a gyro's bias, over the Earth's rate across the meridian at the `latitude`."""
+
+    quantity: Literal["north"]
+    latitude: Annotated[Quantity, Of("angle", at_least="-89 deg", at_most="89 deg")]
+    """Where north is sought."""
+    after: Time
+    """How long it stands to find north, on which the sensor's own noise depends."""
+    target: PositiveAngle | None = None
+
+
+_CLASSES: Final[Mapping[str, type[Section]]] = {
     "gyro_bias": GyroBiasRequirement,
     "gyro_scale_factor": GyroScaleFactorRequirement,
     "gyro_misalignment": MisalignmentRequirement,
@@ -380,6 +291,8 @@ _UNIT_CLASSES: Final[Mapping[str, type[Section]]] = {
     "position": PositionRequirement,
     "tilt": TiltRequirement,
     "heading": TurnRequirement,
+    "mission_heading": MissionHeadingRequirement,
+    "north": NorthRequirement,
 }
 UnitRequirement = Annotated[
     GyroBiasRequirement
@@ -391,7 +304,10 @@ UnitRequirement = Annotated[
     | SecondOrderRequirement
     | PositionRequirement
     | TiltRequirement
-    | TurnRequirement,
-    chosen_by("quantity", _UNIT_CLASSES),
+    | TurnRequirement
+    | MissionHeadingRequirement
+    | NorthRequirement,
+    chosen_by("quantity", _CLASSES),
 ]
+Requirement = UnitRequirement
 UnitRequirements = Annotated[tuple[UnitRequirement, ...], Field(max_length=100)]

@@ -3,22 +3,22 @@
 Moves keep their order: a turn's duration is rounded up, so that its ramps do not exceed the limits, and the longest
 standstill of the cycle becomes shorter by as much. An acceleration is the next step up, which may shorten the turn; the
 longest standstill is longer by as much. A ramp's slope is rounded to the nearest step, or to the next slower one where
-a repetition of the cycle would be lost. Whole turns stay whole. For a whole unit the axes' angles at rest are rounded,
-so that rounding errors of poses do not add up, and every pose is replaced by its turns.
+a repetition of the cycle would be lost. Whole turns stay whole. The axes' angles at rest are rounded, so that rounding
+errors do not add up, and every pose is replaced by its turns.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
-from typing import Any, Final, Generic, cast
+from typing import Any, Final, cast
 
 from gradcal_jax import units
 from gradcal_jax.files.bench import Resolution
-from gradcal_jax.files.changes import AnySpec, any_spec_of, differences, tables_of
+from gradcal_jax.files.changes import differences, tables_of
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.problems import ABSENT, Problem, SpecError, dotted
+from gradcal_jax.files.problems import ABSENT, dotted
 from gradcal_jax.files.quantity import (
     Angle,
     PositiveAcceleration,
@@ -28,16 +28,15 @@ from gradcal_jax.files.quantity import (
     Quantity,
     Time,
 )
-from gradcal_jax.files.schedule import GradientSchedule, ResolvedCycle, Stretch
+from gradcal_jax.files.schedule import Stretch
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.tracks import makeable_acceleration, trapezoid_acceleration
 from gradcal_jax.files.unit_plan import UnitSchedule, duration_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.formulas import repetitions
 
 _HAIR: Final = Decimal("1e-6")  # of a step: rounding of the arithmetic, never of the plan
-_MOST_MOVES: Final = 1000
 # Relative difference of accelerations that changes nothing of a turn.
 _SAME_ACCELERATION: Final = 1e-3
 # By kind of text: which of the steps, its dimension, the fewest steps of a value other than zero, and the way to round.
@@ -75,7 +74,7 @@ class ControllerSteps(Section):
 _ACCELERATION: Final = Quantity.read("1.9073486328125 deg/s^2", "angular acceleration")
 
 
-def steps_of(spec: Spec | UnitSpec) -> ControllerSteps:
+def steps_of(spec: UnitSpec) -> ControllerSteps:
     """The steps that a spec's `[rig.resolution]` gives, defaults for the others."""
     resolution = spec.rig.resolution or Resolution()
     names = ("temperature", "time", "rate", "angle", "acceleration")
@@ -84,15 +83,15 @@ def steps_of(spec: Spec | UnitSpec) -> ControllerSteps:
 
 
 @dataclass(frozen=True)
-class Rounded(Generic[AnySpec]):
+class Rounded:
     """`changes`: the changes by rounding, a sentence each; `notes`: deviations of the controllers from the plan."""
 
-    spec: AnySpec
+    spec: UnitSpec
     changes: tuple[str, ...]
     notes: tuple[str, ...]
 
 
-def rounded(spec: AnySpec, steps: ControllerSteps | None = None, *, keep_shapes: bool = False) -> Rounded[AnySpec]:
+def rounded(spec: UnitSpec, steps: ControllerSteps | None = None, *, keep_shapes: bool = False) -> Rounded:
     """The spec with a plan that the controllers can execute.
 
     `keep_shapes`: the table can follow any shape; without it turns become trapezoids ("linear ramps") of the same
@@ -103,34 +102,20 @@ def rounded(spec: AnySpec, steps: ControllerSteps | None = None, *, keep_shapes:
     rounder = _Rounder(steps or steps_of(spec), keep_shapes)
     tables = tables_of(spec)
     plan: Table = tables["plan"]
-    result: Spec | UnitSpec
-    if isinstance(spec, UnitSpec):
-        if isinstance(spec.plan, StandardPlan):
-            result = _standard(tables, rounder)
-        else:
-            _temperatures(plan, rounder)
-            if spec.plan.cycle is not None:
-                _unit_cycle(spec, spec.executable_schedule, plan["cycle"], rounder)
-            result = _keep_cycles(spec, tables, rounder)
-    elif isinstance(schedule := spec.schedule, GradientSchedule):
-        _temperatures(plan, rounder)
-        rounder.entries(plan, read_every="time")
-        if schedule.cycle is not None:
-            _cycle(spec, plan["cycle"], schedule, schedule.cycle, rounder)
-        result = _keep_cycles(spec, tables, rounder)
+    if isinstance(spec.plan, StandardPlan):
+        kinds = {"temperatures": "temperature", "soak": "longer time", "integration": "time", "rates": "rate"}
+        rounder.entries(plan, **kinds)
+        result = spec_of(tables)
     else:
-        result = _standard(tables, rounder)
+        _temperatures(plan, rounder)
+        if spec.plan.cycle is not None:
+            _cycle(spec, spec.executable_schedule, plan["cycle"], rounder)
+        result = _keep_cycles(spec, tables, rounder)
     changes = (
         f"{dotted(key)}: {_shown(before)} -> {_shown(after)}"
         for key, before, after in differences(tables_of(spec)["plan"], tables_of(result)["plan"], ("plan",))
     )
-    return Rounded(cast("AnySpec", result), tuple(changes), tuple(rounder.notes))
-
-
-def _standard(tables: Table, rounder: "_Rounder") -> Spec | UnitSpec:
-    kinds = {"temperatures": "temperature", "soak": "longer time", "integration": "time", "rates": "rate"}
-    rounder.entries(tables["plan"], **kinds)
-    return any_spec_of(tables)
+    return Rounded(result, tuple(changes), tuple(rounder.notes))
 
 
 class _Rounder:
@@ -197,23 +182,21 @@ class _Rounder:
 # ------------------------------------------------------------------------------------------------- gradient method
 
 
-def _keep_cycles(spec: AnySpec, tables: Table, rounder: _Rounder) -> AnySpec:
+def _keep_cycles(spec: UnitSpec, tables: Table, rounder: _Rounder) -> UnitSpec:
     """The spec of rounded tables, its slope the next slower one where a repetition of the cycle would be lost."""
     plan = tables["plan"]
-    result, before = any_spec_of(tables), _cycles(spec)
+    result, before = spec_of(tables), _cycles(spec)
     if _cycles(result) < before and isinstance(plan.get("gradient"), str):
         slope = rounder.text("slower slope", tables_of(spec)["plan"]["gradient"])
-        again = any_spec_of({**tables, "plan": {**plan, "gradient": slope}})
+        again = spec_of({**tables, "plan": {**plan, "gradient": slope}})
         result = again if _cycles(again) > _cycles(result) else result
     if _cycles(result) < before:
         rounder.notes.append(f"rounding leaves room for {_cycles(result)} cycles instead of {before}")
-    return cast("AnySpec", result)
+    return result
 
 
-def _cycles(spec: Spec | UnitSpec) -> int:
-    if isinstance(spec, UnitSpec):
-        return sum(stretch.cycles for stretch in spec.gradient_schedule.stretches)
-    return spec.gradient_schedule.cycles
+def _cycles(spec: UnitSpec) -> int:
+    return sum(stretch.cycles for stretch in spec.gradient_schedule.stretches)
 
 
 def _temperatures(plan: Table, rounder: _Rounder) -> None:
@@ -224,24 +207,8 @@ def _temperatures(plan: Table, rounder: _Rounder) -> None:
         rounder.entries(item, **kinds)
 
 
-def _cycle(spec: Spec, cycle: Table, schedule: GradientSchedule, planned: ResolvedCycle, rounder: _Rounder) -> None:
-    fastest = min(float(spec.rig.table.max_rate), spec.sensor.usable_rate or math.inf)
-    steepest = float(spec.rig.table.max_acceleration)
-    moves: list[Table] = []
-    for table, move in zip(cycle["moves"], planned.moves, strict=True):
-        moves += _moves(table, move, steepest, fastest, rounder)
-    if len(moves) > _MOST_MOVES:
-        message = f"as turns to and fro these are {len(moves)} moves, at most {_MOST_MOVES}: make fewer cycles"
-        raise SpecError([Problem(("plan", "cycle", "moves"), message)])
-    cycle["moves"] = moves
-    rounder.entries(cycle.get("other_axes", {}), duration="time", read_every="time")
-    rounder.entries(cycle, duration="time")
-    numbers = planned.moving, planned.duration, planned.idle, float(spec.rig.table.answer_time)
-    _keep_period(cycle, schedule.stretches, *numbers, rounder)
-
-
-def _unit_cycle(spec: UnitSpec, schedule: UnitSchedule, cycle: Table, rounder: _Rounder) -> None:
-    """Every rest and turn of a unit's cycle in full, and the axes' first angles."""
+def _cycle(spec: UnitSpec, schedule: UnitSchedule, cycle: Table, rounder: _Rounder) -> None:
+    """Every rest and turn of a cycle in full, and the axes' first angles."""
     axes = spec.rig.table.axis
     gyro = spec.sensor.gyro
     usable = math.inf if gyro is None else gyro.usable_rate or math.inf
@@ -262,11 +229,11 @@ def _unit_cycle(spec: UnitSpec, schedule: UnitSchedule, cycle: Table, rounder: _
         fastest = min(float(axes[k].max_rate), usable)
         steepest = float(axes[k].max_acceleration)
         if move.shape == "hand":
-            turns = _moves(dict(moves_of_file[step.source]), move, steepest, fastest, rounder)
-            held = spec.rig.table.standing == "held"
-            moves += [
-                {name: value for name, value in table.items() if not (held and name == "read")} for table in turns
-            ]
+            turn = dict(moves_of_file[step.source])
+            rounder.entries(turn, duration="time")
+            moves.append(
+                {key: value for key, value in turn.items() if key != "read" or spec.rig.table.standing == "read"}
+            )
             at[k] += move.repeat * move.angle
             continue
         shape = rounder.shape(move)
@@ -328,17 +295,6 @@ def _keep_period(
     moved = over > 0.0 or idle == 0.0  # idle time makes up for shorter turns by itself
     if moved and abs(over) > 1e-9 * period and longest - over >= 2.0 * float(rounder.steps.time):
         table[key] = rounder.to("time", longest - over, ROUND_FLOOR)
-
-
-def _moves(table: Table, move: ResolvedMove, steepest: float, fastest: float, rounder: _Rounder) -> list[Table]:
-    rounder.entries(table, read_every="time")
-    if move.is_rest or move.shape == "hand":
-        rounder.entries(table, rest="time", duration="time")
-        return [table]
-    kept = {key: table[key] for key in ("axis", "read", "read_every") if key in table}
-    if "repeat" in table:
-        kept["repeat"] = table["repeat"]
-    return [_turn(move.angle, move, rounder.shape(move), steepest, fastest, rounder) | kept]
 
 
 def _turn(angle: float, move: ResolvedMove, shape: str, steepest: float, fastest: float, rounder: _Rounder) -> Table:

@@ -236,12 +236,6 @@ def _smoothness(value: Quantity | None, *bases: str) -> list[Problem]:
     return []
 
 
-def _gyro(value: object) -> object:
-    if value == "accelerometer":
-        raise ValueError('accelerometers cannot be planned for yet; expected "gyro"')
-    return value
-
-
 HOST_CLOCK: Final = 1e-6
 """Standard deviation, a ratio, of a sensor's clock that a run compares with the computer's. The comparison itself,
 some 1 ms at either end, is good to 0.1 ppm over hours; the computer's own clock, kept by a time server, to 1 ppm."""
@@ -352,30 +346,6 @@ class _Gyro(_Channel):
 
 
 Grade = Literal["consumer", "tactical", "navigation"]
-
-
-class Sensor(_Gyro, _Instrument):
-    """A gyro axis. An absent term counts with a figure typical of the sensor's class; zero, or an empty list, is the
-    user's word that there is none."""
-
-    FIGURES: ClassVar[tuple[str, ...]] = (*_Gyro.FIGURES, "sample_clock_error")
-
-    name: Text | None = None
-    """A name for people."""
-    grade: Grade | None = None
-    """Class that gives typical figures for absent terms; absent: by drift or random walk."""
-    quantity: Annotated[Literal["gyro"], BeforeValidator(_gyro)]
-    """What the sensor measures."""
-
-    @model_validator(mode="after")
-    def _something_to_find(self) -> "Sensor":
-        if self.bias is None and self.scale_factor is None:
-            refuse(Problem((), "there is nothing to calibrate; add [sensor.bias], [sensor.scale_factor] or both"))
-        return self
-
-    def uncertain_figures(self) -> dict[str, tuple[Quantity, Quantity]]:
-        """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
-        return figures_of("sensor", self)
 
 
 BodyAxis = Literal["x", "y", "z"]

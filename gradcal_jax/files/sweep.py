@@ -38,7 +38,6 @@ from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Count, Text, Whole
 from gradcal_jax.files.recipe import spec_or_recipes_of
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 
 FORMAT: Final = "gradcal-sweep/1"
@@ -273,7 +272,7 @@ class Sweep:
 
     file: SweepFile
     text: str
-    base: Spec | UnitSpec
+    base: UnitSpec
 
     __repr__ = summary
 
@@ -300,7 +299,7 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     return Sweep(file, text, base)
 
 
-def named_spec(name: str, folder: Path, source: str = "") -> Spec | UnitSpec:
+def named_spec(name: str, folder: Path, source: str = "") -> UnitSpec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
     tables, place = _named(name, folder, source)
     with missions_from(Path(place).parent):
@@ -311,12 +310,12 @@ def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str
     path = folder / name
     if path.suffix or path.exists():
         return read_toml(read_text(path), str(path)), str(path)
-    if name in (*presets.names(), *presets.unit_names()):
+    if name in presets.names():
         return read_toml(presets.text(name), name), name
     raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal new --list')], source)
 
 
-def _known(axis: Axis, base: Spec | UnitSpec) -> None:
+def _known(axis: Axis, base: UnitSpec) -> None:
     """A key that no spec has is a slip, and is said at once, not a thousand times."""
     trial = {key: axis.at(0.0) for key in axis.changes}
     try:

@@ -4,8 +4,8 @@ A temperature segment begins at its time, which is the end of the one before, or
 first one, and every one whose data are used and that follows a soak or a step. A block of motion begins with a segment
 and repeats its moves; times in it count from the beginning of each repetition.
 
-In a whole unit's track every axis of the table has its own name, one of them turns at a time, and all are read at the
-shortest interval of their encoders; a block has their first angles and, of several mountings, the unit's.
+Axes of the table turn one at a time, and all are read at the shortest interval of their encoders; a block has their
+first angles and, of several mountings, the device's.
 
 The controllers of rotary stages turn by trapezoids of the rate. `acceleration` is that of the trapezoid with the move's
 angle, peak rate and duration, or a spline's largest.
@@ -36,9 +36,8 @@ from gradcal_jax.files.quantity import (
     Time,
 )
 from gradcal_jax.files.rig import Name
-from gradcal_jax.files.schedule import GradientSchedule, Stretch, TemperatureSegment
+from gradcal_jax.files.schedule import Stretch, TemperatureSegment
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_plan import UnitSchedule
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.units import dimension_of
@@ -95,7 +94,7 @@ class TrackMove(Section):
     duration: Time
     """How long."""
     axis: Name = "x"
-    """Axis of the sensor; of a whole unit, of the table."""
+    """Axis of the table."""
     angle: Angle | None = None
     """Angle turned, signed."""
     rate: Rate | None = None
@@ -128,9 +127,9 @@ class MotionBlock(Section):
     read_every_after: Time | None = None
     """Spacing of readings while it stands then."""
     mounting: Count | None = None
-    """Of a whole unit: number of the mounting, from 1."""
+    """Number of the mounting, from 1, where there are several."""
     hang: Text | None = None
-    """How the unit hangs on the table, in words, where that changes between blocks: the operator is asked to do it."""
+    """How the device hangs on the table, in words, where that changes: the operator is asked to do it."""
     start: dict[Name, Angle] = Field(default_factory=dict)
     """Angles of the table's axes as it begins, outermost first."""
     moves: Annotated[tuple[TrackMove, ...], Field(min_length=1)]
@@ -144,25 +143,15 @@ class ChamberTrack(Section):
     """Segments, in order."""
 
 
-def tracks_of(
-    spec: Spec | UnitSpec, acceleration_step: float | None = None
-) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
+def tracks_of(spec: UnitSpec, acceleration_step: float | None = None) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
     """The two tracks of a spec's plan. `acceleration_step` of the table's controller, rad/s²; None: it makes any."""
-    schedule = spec.schedule
-    if isinstance(spec, UnitSpec):
-        if isinstance(spec.plan, StandardPlan):
-            return _standard(spec.plan, spec.rig.table.axis[0].name)
-        segments = _course(spec.executable_schedule.segments)
-        blocks = _unit_blocks(spec.executable_schedule, spec.rig, segments)
-        strongest = {str(axis.name): float(axis.max_acceleration) for axis in spec.rig.table.axis}
-    elif isinstance(schedule, GradientSchedule):
-        segments = _course(schedule.segments)
-        blocks = _blocks(schedule, segments)
-        strongest = dict[str, float].fromkeys("xyz", float(spec.rig.table.max_acceleration))
-    else:
-        assert isinstance(spec.plan, StandardPlan)
-        return _standard(spec.plan, "x")
+    axes = spec.rig.table.axis
+    if isinstance(spec.plan, StandardPlan):
+        return _standard(spec.plan, axes[0].name)
+    segments = _course(spec.executable_schedule.segments)
+    blocks = _blocks(spec.executable_schedule, spec.rig, segments)
     if acceleration_step is not None:
+        strongest = {str(axis.name): float(axis.max_acceleration) for axis in axes}
         blocks = tuple(_makeable(block, acceleration_step, strongest) for block in blocks)
     return ChamberTrack(programme=tuple(segments)), blocks
 
@@ -232,38 +221,7 @@ def _first(stretch: Stretch, segments: list[ChamberSegment]) -> str:
     return min(segments, key=lambda segment: abs(segment.start - stretch.start)).name
 
 
-def _blocks(schedule: GradientSchedule, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
-    cycle, moves = schedule.cycle, list[TrackMove]()
-    every = schedule.read_every if cycle is None else cycle.other_read_every
-    if cycle is not None:
-        clock = 0.0
-        for move in cycle.moves:
-            moves.append(_move(move, clock))
-            clock += move.repeat * move.duration
-        if cycle.other > 0.0:
-            moves.append(_line(clock, cycle.other, do="wait", **_reading(every)))
-            clock += cycle.other
-        if cycle.idle > 0.0:
-            moves.append(_line(clock, cycle.idle, do="wait", read="none"))
-    left = None if cycle is None else cycle.left_read_every
-    blocks: list[MotionBlock] = []
-    for number, stretch in enumerate(schedule.stretches, 1):
-        first = _first(stretch, segments)
-        if cycle is None or not stretch.cycles:
-            stand = _line(0.0, stretch.duration, do="rest", **_reading(schedule.read_every if cycle is None else left))
-            blocks.append(_block(number, first, [stand], stretch.duration))
-        else:
-            more: dict[str, Any] = {"repeat": stretch.cycles}
-            if stretch.leftover > 0.0 and left != math.inf:
-                more["read_every_after"] = _in("s", stretch.leftover if left is None else left)
-            blocks.append(_block(number, first, moves, cycle.duration, stretch.leftover, **more))
-    return tuple(blocks)
-
-
-# ---------------------------------------------------------------------------------------------------- a whole unit
-
-
-def _unit_blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
+def _blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
     axes, hung = rig.table.axis, rig.table.mounting
     spacing = min(float(axis.angle.read_every) for axis in axes)
     held, once = rig.table.standing == "held", math.isinf(spacing)
@@ -321,17 +279,6 @@ def hanging(mounting: UnitMounting, number: int) -> str:
     return f"{text}, turned on by {', '.join(angle.text for angle in mounting.rotation)} about its x, y and z"
 
 
-def _move(move: ResolvedMove, start: float) -> TrackMove:
-    own: dict[str, Any] = _reading(move.read_every) if move.read_every else {"read": "end" if move.read_end else "none"}
-    if move.repeat > 1:
-        own["repeat"] = move.repeat
-    if not move.is_rest:
-        own |= _motion(move)
-    elif "do" not in own:
-        own["do"] = "rest"
-    return _line(start, move.duration, axis=move.axis, **own)
-
-
 def _motion(move: ResolvedMove) -> dict[str, Any]:
     motion: dict[str, Any] = {
         "angle": _in("deg", math.degrees(move.angle)),
@@ -354,10 +301,6 @@ def makeable_acceleration(acceleration: float, step: float | None, steepest: flo
 def trapezoid_acceleration(move: ResolvedMove) -> float:
     """Acceleration of the trapezoid with a move's angle, peak rate and duration (rad/s²)."""
     return abs(move.peak_rate) / (0.5 * move.duration - move.ramp if move.shape == "hand" else move.ramp)
-
-
-def _reading(every: float | None) -> dict[str, Any]:
-    return {"read": "none"} if every is None or math.isinf(every) else {"read_every": _in("s", every)}
 
 
 # ------------------------------------------------------------------------------------------------- standard method

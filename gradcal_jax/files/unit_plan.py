@@ -15,17 +15,21 @@ from pydantic import Field, GetJsonSchemaHandler, ValidationError, model_seriali
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from gradcal_jax.files.bench import TableAxis, UnitRig
-from gradcal_jax.files.moves import Move, ResolvedMove, Rest
+from gradcal_jax.files.bench import TableAxis, UnitRig, UnitTable
+from gradcal_jax.files.moves import CosineRamps, Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse, OtherAxes, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Temperature, Text, Time
-from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
+from gradcal_jax.files.schedule import (
+    CourseTimes,
+    Stretch,
+    TemperatureSegment,
+    programme_of,
+)
 from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
+from gradcal_jax.formulas import reading_count
 
 _SLACK = 1e-6
-# Tolerance of a whole cycle, as a fraction, for the times of a journal.
-_WHOLE = 1e-3
 _FULL_TURN = 2.0 * math.pi
 _MOST = 1e6 * _FULL_TURN
 _HELD = 'has no effect where the table holds its angle; leave it out, or set rig.table.standing = "read"'
@@ -87,22 +91,16 @@ class AxisMove(Section):
     def _as_written(self, handler: Callable[[Any], Any]) -> dict[str, Any]:
         """The table of the file: the move's own keys beside "axis", without defaults."""
         tables: dict[str, Any] = handler(self)
-        move: dict[str, Any] = tables.pop("move")
-        if move.get("shape") == "cosine ramps" and {"turn", "turns"} & set(move) and {"duration", "ramp"} & set(move):
-            # Without an angle it is the shape that makes the table a move; without a time it would be a quick turn.
-            del move["shape"]
-        return move | tables
+        return tables.pop("move") | tables
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """The file's table: a move's keys beside the name of the axis; the shape may be left out."""
+        """The file's table: a move's keys beside the name of the axis."""
         moves: dict[str, Any] = handler.resolve_ref_schema(handler(schema))["properties"]["move"]
         kinds: list[dict[str, Any]] = []
         for ref in moves["anyOf"]:
             kind = dict(handler.resolve_ref_schema(ref))
             kind["properties"] = kind["properties"] | {"axis": {"type": "string", "minLength": 1}}
-            if kind["properties"].get("shape", {}).get("const") == "cosine ramps":
-                kind["required"] = [name for name in kind.get("required", ()) if name != "shape"]
             kinds.append(kind)
         return {"anyOf": kinds}
 
@@ -112,16 +110,14 @@ def _choose(whole: Mapping[str, object]) -> object:
     if "pose" in table:
         return Pose.model_validate(table)
     axis = table.pop("axis", None)
-    if "rest" not in table and "shape" not in table:
-        turns = [key for key in table if key in ("turn", "turns")]
-        if not turns:
-            refuse_misspelt(table, ["rest", "turn", "pose"])
-            raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
-        if not {"duration", "ramp"} & set(table):
-            return QuickTurn.model_validate(dict(whole))
-        table["shape"] = "cosine ramps"
-    tables: dict[str, Any] = {"move": table}
+    plain = "rest" not in table and "shape" not in table
+    if plain and not {"turn", "turns"} & set(table):
+        refuse_misspelt(table, ["rest", "turn", "pose"])
+        raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
+    if plain and not {"duration", "ramp"} & set(table):
+        return QuickTurn.model_validate(dict(whole))
     try:
+        tables: dict[str, Any] = {"move": CosineRamps.model_validate(table) if plain else table}
         return AxisMove.model_validate(tables if axis is None else {**tables, "axis": axis})
     except ValidationError as error:
         # The move's keys stand in the file beside "axis".
@@ -205,36 +201,35 @@ class UnitSchedule(CourseTimes):
         return bool(self.steps) and not self.after and not any(own)
 
 
+def row_count(schedule: UnitSchedule, table: UnitTable) -> int:
+    """Rows of data of each channel: of a table that is read while it stands the readings of its angle, else a row for
+    each rest and turn; the first reading of each stretch not counted."""
+    spacing = min(float(axis.angle.read_every) for axis in table.axis)
+
+    def rows(steps: Iterable[UnitStep]) -> int:
+        return sum(step.move.repeat * _rows(step.move, spacing, table) for step in steps)
+
+    cycle, after = rows(schedule.steps), rows(schedule.after)
+    total = 0
+    for stretch in schedule.stretches:
+        total += stretch.cycles * cycle + max(0, stretch.cycles - 1) * after
+        stands = stretch.leftover if stretch.cycles else stretch.duration
+        total += _rows(ResolvedMove("rest", "x", stands), spacing, table) if stands > 0.0 else 0
+    return total
+
+
+def _rows(move: ResolvedMove, spacing: float, table: UnitTable) -> int:
+    every = spacing if move.reads_as_table else move.read_every
+    if table.standing == "held":
+        return 1
+    if every is None or math.isinf(every):
+        return int(move.read_end)
+    return reading_count(move.duration, every)
+
+
 def duration_of(steps: Iterable[UnitStep]) -> float:
     """Duration of steps (s)."""
     return math.fsum(step.move.repeat * step.move.duration for step in steps)
-
-
-def cycles_between(schedule: UnitSchedule, start: float, end: float) -> UnitSchedule | None:
-    """The whole cycles of a plan of one stretch between two times (s), as a plan of their own; None: none. The last one
-    includes the time that is left after it."""
-    (stretch,), period = schedule.stretches, schedule.period
-    first = max(0, math.ceil((start - stretch.start) / period - _WHOLE))
-    last = min(stretch.cycles, math.floor((end - stretch.start) / period + _WHOLE))
-    if last <= first:
-        return None
-    begins, ends, leftover = stretch.start + first * period, stretch.start + last * period, 0.0
-    if last == stretch.cycles and end > ends + stretch.leftover - _WHOLE * period:
-        leftover = stretch.leftover
-        ends += leftover
-    segments: list[TemperatureSegment] = []
-    for s in schedule.segments:
-        low, high = max(s.start, begins), min(s.end, ends)
-        if high - low > _SLACK:
-            cold, warm = (s.temperature_start + s.slope * (time - s.start) for time in (low, high))
-            segments.append(TemperatureSegment(s.kind, low - begins, high - low, cold, warm, s.used))
-    turned = [0.0] * len(schedule.start)
-    for step in schedule.steps:
-        if step.axis >= 0:
-            turned[step.axis] += first * step.move.repeat * step.move.angle
-    angles = tuple(begin + angle for begin, angle in zip(schedule.start, turned, strict=True))
-    stretch = Stretch(0.0, ends - begins, last - first, leftover)
-    return UnitSchedule(tuple(segments), (stretch,), schedule.steps, angles, schedule.after)
 
 
 def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
@@ -242,7 +237,7 @@ def unit_schedule(plan: UnitPlan, rig: UnitRig) -> UnitSchedule:
     if plan.cycle is None:
         segments, stretches = programme_of(plan, rig.chamber, None)
         return UnitSchedule(segments, stretches, (), (0.0,) * len(rig.table.axis))
-    steps, start, problems = _steps(plan.cycle, rig)
+    steps, start, problems = resolve_steps(plan.cycle, rig)
     refuse(*problems)
     moving, after = duration_of(steps), _after(plan.cycle, duration_of(steps), rig)
     segments, stretches = programme_of(plan, rig.chamber, (moving, moving + duration_of(after)))
@@ -309,7 +304,9 @@ def _once_each(
     return tuple(course[:-1]), tuple(replace(stretch, start=stretch.start + k * whole) for k in range(mountings))
 
 
-def _steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[float, ...], list[Problem]]:
+def resolve_steps(cycle: UnitCycle, rig: UnitRig) -> tuple[tuple[UnitStep, ...], tuple[float, ...], list[Problem]]:
+    """The steps of a cycle, the angles (rad) at which it begins, and the problems of moves that are left out, with keys
+    relative to the plan."""
     axes = {axis.name: k for k, axis in enumerate(rig.table.axis)}
     problems: list[Problem] = []
     start = [0.0] * len(axes)
@@ -427,11 +424,15 @@ def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None)
 
 def _limits(move: ResolvedMove, axis: TableAxis) -> Iterator[Problem]:
     if move.fastest > axis.max_rate * (1.0 + _SLACK):
-        message = f'reaches {math.degrees(move.fastest):.5g} deg/s; axis "{axis.name}" goes up to {axis.max_rate}'
+        reached = f"{math.degrees(move.fastest):.5g} deg/s"
+        message = f'reaches {reached} and exceeds max_rate of axis "{axis.name}", {axis.max_rate}'
         yield Problem((), message, move.words)
     if move.peak_acceleration > axis.max_acceleration * (1.0 + _SLACK):
         reached = f"{math.degrees(move.peak_acceleration):.5g} deg/s^2"
-        yield Problem((), f'accelerates at {reached}; axis "{axis.name}": {axis.max_acceleration}', move.words)
+        message = (
+            f'accelerates at {reached} and exceeds max_acceleration of axis "{axis.name}", {axis.max_acceleration}'
+        )
+        yield Problem((), message, move.words)
 
 
 def _travel(schedule: UnitSchedule, rig: UnitRig) -> Iterator[Problem]:

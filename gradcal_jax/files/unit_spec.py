@@ -1,53 +1,46 @@
 """gradcal-spec/1 of a whole unit: `[sensor.gyro]` and `[sensor.accelerometer]` on a table of one to three axes."""
 
+import contextlib
 import math
-from collections.abc import Iterator, Mapping
-from functools import cached_property
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache, cached_property
+from typing import Annotated, Any, Final, Literal, cast
 
-from pydantic import Field
+from pydantic import Field, TypeAdapter, ValidationError
 
-from gradcal_jax.files.bench import Rig, Table, UnitRig
-from gradcal_jax.files.checks import course_within, standard_within
-from gradcal_jax.files.design import Design, design_problems, notice_problems
-from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
+from gradcal_jax.files.bench import UnitRig
+from gradcal_jax.files.checks import problems_between
+from gradcal_jax.files.design import Design
+from gradcal_jax.files.document import TitledFile
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.problems import Problem, SpecError
+from gradcal_jax.files.problems import Key, Problem
 from gradcal_jax.files.quantity import Quantity, SizeOfTime, Text, Time
-from gradcal_jax.files.requirement import (
-    MisalignmentRequirement,
-    PositionRequirement,
-    TiltRequirement,
-    TurnRequirement,
-    UnitRequirement,
-    UnitRequirements,
-)
+from gradcal_jax.files.requirement import UnitRequirements
 from gradcal_jax.files.schedule import StandardSchedule, standard_schedule
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import UnitSensor
-from gradcal_jax.files.spec import FORMAT
-from gradcal_jax.files.unit_plan import AnyUnitPlan, UnitPlan, UnitSchedule, cycles_between, unit_schedule
+from gradcal_jax.files.unit_plan import AnyUnitPlan, UnitPlan, UnitSchedule, unit_schedule
+
+FORMAT: Final = "gradcal-spec/1"
 
 
-class CyclesDone(Section):
-    """The executed part of a unit's plan before a run was broken off; `[[done]]`, which `gradcal replan` writes. Whole
-    cycles count."""
+class ExecutedPart(Section):
+    """The executed part of a plan before a run was broken off; `[[done]]`, which `gradcal replan` writes."""
 
     plan: UnitPlan
-    """The plan that was executed then, of one stretch of used data."""
+    """The plan that was executed then."""
     start: SizeOfTime
     """Its beginning, on that plan's clock."""
     end: Time
     """Until when."""
-    pause: Time = Quantity(1800.0, "30 min", "time")
-    """Time until the next part or the plan begins; the sensor stays switched on."""
+    pause: Time = Quantity.of(1800.0, "s")
+    """Time until the next part or the plan begins; the device stays switched on. Absent: 30 min."""
 
 
 class UnitSpec(TitledFile):
     """A spec of a whole unit; read-only. Quantities behave as numbers in SI (°C) and keep their text.
 
-    `schedule` is the plan resolved for the rig. From `read_unit_spec` or `parse_unit_spec`. Errors: their `SpecError`.
+    `schedule` is the plan resolved for the rig. From `read_spec` or `parse_spec`. Errors: their `SpecError`.
     """
 
     format: Literal["gradcal-spec/1"]
@@ -61,91 +54,13 @@ class UnitSpec(TitledFile):
     """Requirements on the calibration."""
     plan: AnyUnitPlan
     """Course of the chamber, and motion of the table."""
-    done: Annotated[tuple[CyclesDone, ...], Field(max_length=1000)] = ()
-    """The parts executed before the plan begins, in the same run; every prediction includes them, with independent
-    drifts."""
+    done: Annotated[tuple[ExecutedPart, ...], Field(max_length=1000)] = ()
+    """The parts executed before the plan begins, in the same run; every prediction includes them."""
     design: Design | None = None
     """What `optimise` may change; no other command reads it."""
 
     def _problems(self) -> Iterator[Problem]:
-        try:
-            steps = () if isinstance(self.schedule, StandardSchedule) else self.schedule.steps
-        except SpecError as error:
-            yield from (p.under("plan") for p in error.problems)
-            return
-        if isinstance(self.plan, StandardPlan):
-            yield from (p.under("plan") for p in _standard(self.plan, self.rig))
-            if self.done:
-                yield Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone')
-        else:
-            segments = self.gradient_schedule.segments
-            yield from (p.under("plan") for p in course_within(self.plan, self.rig.chamber, segments))
-        yield from self._site()
-        for kind in ("gyro", "accelerometer") if self.done else ():
-            if (triad := getattr(self.sensor, kind)) is not None and triad.turn_on_transient:
-                message = "the time since power-on is not known in a run that goes on ([[done]]); leave the key out"
-                yield Problem(("sensor", kind, "turn_on_transient"), message)
-        for number, part in enumerate(self.done):
-            try:
-                several = len(unit_schedule(part.plan, self.rig).stretches) > 1
-            except SpecError as error:
-                yield from (p.under("done", number, "plan") for p in error.problems)
-                continue
-            if several:
-                yield Problem(("done", number, "plan"), "expected one stretch of used data, in one mounting")
-            if part.plan.cycle is None:
-                yield Problem(("done", number, "plan", "cycle"), "this key is missing: whole cycles count")
-            if part.end <= part.start:
-                yield Problem(("done", number, "end"), "expected a time after its start", part.end.text)
-        names = [r.name for r in self.requirement]
-        for i, requirement in enumerate(self.requirement):
-            if requirement.name in names[:i]:
-                yield Problem(("requirement", i, "name"), "two requirements have this name", requirement.name)
-            wanted = _needs(requirement)
-            missing = next((key for key in wanted if self._absent(key)), None)
-            if missing is not None:
-                message = f"needs [sensor.{missing}], which the spec does not estimate"
-                yield Problem(("requirement", i, "quantity"), message, requirement.quantity)
-            elif absent := [f"{kind} {a}" for kind, a in _needed_axes(requirement) if a not in self._axes_of(kind)]:
-                message = f"needs {', '.join(absent)}, which the unit has not"
-                yield Problem(("requirement", i, "quantity"), message, requirement.quantity)
-            elif requirement.axis in ("x", "y", "z"):
-                triad = self.sensor.gyro if wanted[0].startswith("gyro") else self.sensor.accelerometer
-                assert triad is not None
-                if requirement.axis not in triad.axes:
-                    yield Problem(("requirement", i, "axis"), "the unit has no such axis", requirement.axis)
-        accelerometer, frame = self.sensor.accelerometer, self.sensor.frame
-        slow = 0.0 if accelerometer is None else float(accelerometer.read_on_moves_below or 0.0)
-        read = not steps or any(step.axis < 0 or step.move.fastest <= slow for step in steps)
-        if accelerometer is not None and not read:
-            message = "never rests, where accelerometers are read; add { rest = … }"
-            yield Problem(("plan", "cycle", "moves"), message)
-        turning = [float(step.move.fastest) for step in steps if step.axis >= 0]
-        if accelerometer is not None and slow and turning and min(turning) > slow:
-            message = f"has no effect: the slowest move reaches {math.degrees(min(turning)):.4g} deg/s; raise it, or "
-            key = ("sensor", "accelerometer", "read_on_moves_below")
-            limit = str(accelerometer.read_on_moves_below)
-            yield Problem(key, message + "leave it out (and the lever arm)", limit)
-        if self.design is not None:
-            found = [*design_problems(self.design, names, of_axis=self.turns_one_gyro)]
-            if (gyro := self.sensor.gyro) is not None and self.design.notice is not None:
-                found += [p.under("notice") for p in notice_problems(self.design.notice, gyro.scale_factor)]
-            yield from (p.under("design") for p in found)
-        several = len(self.rig.table.mounting) > 1
-        if several and (frame is None or frame.fixed_by != "case"):
-            message = 'with several mountings the frame is the case\'s; expected fixed_by = "case"'
-            yield Problem(("sensor", "frame", "fixed_by"), message, frame and frame.fixed_by)
-        if frame is not None and frame.fixed_by == "case":
-            for i, mounting in enumerate(self.rig.table.mounting):
-                if not mounting.accuracy:
-                    message = 'must be above zero: the frame is the case\'s (sensor.frame.fixed_by = "case")'
-                    yield Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg")
-
-    def _site(self) -> Iterator[Problem]:
-        """The latitude may be absent where the Earth's rate is the same all the time."""
-        if (self.rig.site.latitude is None or self.rig.site.is_unknown) and not self.is_one_axis:
-            message = "this key is missing: the Earth's rate and gravity change with the table's angles"
-            yield Problem(("rig", "site", "latitude"), message, kind="missing")
+        return problems_between(self)
 
     @property
     def is_one_axis(self) -> bool:
@@ -174,18 +89,6 @@ class UnitSpec(TitledFile):
             begins = next(iter(map(float, self.plan.cycle.start.values())), 0.0)
         read = table.standing == "read" or isinstance(self.plan, StandardPlan)
         return simple and level and read and not begins and (frame is None or frame.fixed_by != "case")
-
-    def _axes_of(self, kind: str) -> tuple[str, ...]:
-        triad = getattr(self.sensor, kind)
-        return () if triad is None else triad.axes
-
-    def _absent(self, dotted: str) -> bool:
-        value: Any = self.sensor
-        for name in dotted.split("."):
-            value = getattr(value, name)
-            if value is None:
-                return True
-        return False
 
     @cached_property
     def schedule(self) -> UnitSchedule | StandardSchedule:
@@ -222,67 +125,42 @@ class UnitSpec(TitledFile):
             )
         return schedule
 
-    @property
-    def past(self) -> tuple[UnitSchedule, ...]:
-        """The parts executed before the plan begins: their whole cycles."""
-        parts = (cycles_between(unit_schedule(p.plan, self.rig), float(p.start), float(p.end)) for p in self.done)
-        return tuple(part for part in parts if part is not None)
 
-
-def _standard(plan: StandardPlan, rig: UnitRig) -> Iterator[Problem]:
-    """Problems of the standard method, keys relative to the plan: as of one axis, about the table's only axis."""
-    axis, *others = rig.table.axis
-    if others:
-        yield Problem(("method",), "the standard method holds the rate of a table of one axis", "standard")
-    same = {name: getattr(axis, name) for name in ("max_rate", "max_acceleration", "travel")}
-    yield from standard_within(plan, Rig(table=Table(**same), chamber=rig.chamber), None)
-
-
-def _needed_axes(requirement: UnitRequirement) -> list[tuple[str, str]]:
-    """Sensors without which a requirement's quantity would count as known exactly."""
-    if isinstance(requirement, TurnRequirement):
-        return [("gyro", "z")]
-    if isinstance(requirement, TiltRequirement):
-        return [("accelerometer", a) for a in "xy"]
-    if isinstance(requirement, PositionRequirement):
-        return [(kind, a) for kind in ("gyro", "accelerometer") for a in "xy"]
-    if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
-        kinds = ("gyro", "accelerometer") if requirement.quantity.startswith("accelerometer") else ("gyro",)
-        return [(kind, a) for kind in kinds for a in "xyz"]
-    return []
-
-
-def _needs(requirement: UnitRequirement) -> tuple[str, ...]:
-    """The tables of [sensor] that a requirement's quantity needs."""
-    both = requirement.quantity == "accelerometer_misalignment" and requirement.relative_to == "internal"
+@cache
+def _sections() -> Mapping[str, TypeAdapter[Any]]:
+    """The readers of the sections, one by one."""
     return {
-        "gyro_bias": ("gyro.bias",),
-        "gyro_scale_factor": ("gyro.scale_factor",),
-        "gyro_misalignment": ("gyro.misalignment",),
-        "g_sensitivity": ("gyro.g_sensitivity",),
-        "accelerometer_bias": ("accelerometer.bias",),
-        "accelerometer_scale_factor": ("accelerometer.scale_factor",),
-        "accelerometer_misalignment": ("accelerometer.misalignment", *(["gyro.misalignment"] if both else [])),
-        "second_order": ("accelerometer.second_order",),
-        "position": ("gyro.bias", "accelerometer.bias"),
-        "tilt": ("accelerometer.bias",),
-        "heading": ("gyro.scale_factor",),
-    }[requirement.quantity]
+        name: TypeAdapter(Annotated[field.annotation, Field(), *field.metadata])
+        for name, field in UnitSpec.model_fields.items()
+        if name not in TitledFile.model_fields
+    }
 
 
-def read_unit_spec(path: str | Path) -> UnitSpec:
-    """Read the spec of a whole unit; quantities as text with units, SI (°C) inside.
-
-    Errors: `SpecError` that lists everything wrong with it, each with its key and what was expected.
-    """
-    return parse_unit_spec(read_text(path), str(path))
-
-
-def parse_unit_spec(text: str, source: str = "") -> UnitSpec:
-    """A unit's spec from the text of a TOML file; `source` names it in messages. Errors: `SpecError`."""
-    return from_text(unit_spec_of, text, source)
+def hidden_problems(document: Mapping[str, Any], problems: Sequence[Problem]) -> list[Problem]:
+    """Problems between the sections that can be read by themselves, of tables that have other problems."""
+    kept = {"requirement": (), "done": (), **_without_unknown_keys(document, problems)}
+    sections: dict[str, Any] = dict.fromkeys(_sections())
+    for name in sections.keys() & kept.keys():
+        with contextlib.suppress(ValidationError):
+            sections[name] = _sections()[name].validate_python(kept[name])
+    reported = {problem.key for problem in problems}
+    return [p for p in problems_between(UnitSpec.model_construct(**sections)) if p.key not in reported]
 
 
-def unit_spec_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:
-    """A unit's spec from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
-    return model_of(UnitSpec, document, FORMAT, source, lambda _: ())
+def _without_unknown_keys(document: Mapping[str, Any], problems: Sequence[Problem]) -> dict[str, Any]:
+    """The document less its unknown keys; a section with a likely slip for a known key is left out whole."""
+    unknown = {problem.key for problem in problems if problem.kind == "unknown"}
+    slips = {problem.key[0] for problem in problems if problem.kind == "unknown" and "nearest" in problem.message}
+    kept = {name: value for name, value in document.items() if name not in slips}
+    return cast("dict[str, Any]", _pruned(kept, (), unknown))
+
+
+def _pruned(value: object, key: Key, unknown: set[Key]) -> object:
+    if isinstance(value, Mapping):
+        table = cast("Mapping[str, object]", value)
+        return {
+            name: _pruned(entry, (*key, name), unknown) for name, entry in table.items() if (*key, name) not in unknown
+        }
+    if isinstance(value, list):
+        return [_pruned(entry, (*key, i), unknown) for i, entry in enumerate(cast("list[object]", value))]
+    return value

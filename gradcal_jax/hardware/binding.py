@@ -1,9 +1,9 @@
 """A recipe as the runner's track: one step for each segment without data and for each repetition of the motion.
 
 A run resumes at a step, so a ramp of hours is cut into the repetitions of its cycle (or into pieces of ten minutes
-where the table only stands). Steps of one stretch of data follow one another without a break. Angles are relative to
-the axis's start; every step has the angles and the temperature at its beginning, for resuming there. A whole unit's
-angles count from the axes' zeros, and the axes go to each stretch's starting angles before it.
+where the table only stands). Steps of one stretch of data follow one another without a break. Angles count from the
+axes' zeros, and the axes go to each stretch's starting angles before it; every step has the angles and the temperature
+at its beginning, for resuming there.
 """
 
 import math
@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from ..files.recipe import Recipe
-from ..files.sensor import Sensor, UnitSensor
+from ..files.sensor import UnitSensor
 from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove, read_at_rest
-from ..files.unit_spec import UnitSpec
 from ..formulas import reading_times
 from ..units import to_unit
 from .errors import HardwareError
@@ -39,8 +38,8 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
             stretches[-1][1].append(segment)
         else:
             stretches.append((block, [segment]))
-    # A unit's table that is read while it stands is read at the end of its rests, too, as in the plan.
-    ends = isinstance(recipe.spec, UnitSpec) and recipe.spec.rig.table.standing == "read"
+    # A table that is read while it stands is read at the end of its rests, too, as in the plan.
+    ends = recipe.spec.rig.table.standing == "read"
     steps: list[TrackStep] = []
     for block, segments in stretches:
         if block is None:
@@ -50,10 +49,9 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
     return Track(tuple(steps), _gyro_errors(recipe.spec.sensor), read_at_rest(recipe.motion))
 
 
-def _gyro_errors(sensor: Sensor | UnitSensor) -> GyroErrors | None:
+def _gyro_errors(sensor: UnitSensor) -> GyroErrors | None:
     """Three standard deviations of what the spec says before the calibration, where that is more than usual."""
-    gyro = sensor if isinstance(sensor, Sensor) else sensor.gyro
-    if gyro is None:
+    if (gyro := sensor.gyro) is None:
         return None
     usual, bias, scale = GyroErrors(), 0.0, 0.0
     if gyro.bias is not None and gyro.bias.prior is not None:

@@ -7,7 +7,6 @@ from typing import Any, Final, TypedDict, Unpack
 
 from ..files.recipe import Recipe
 from ..files.rig import OPERATOR, TERMINAL, RigFile
-from ..files.unit_spec import UnitSpec
 from ..files.writing import write_whole
 from .clock import RealClock
 from .journal import JournalContents
@@ -17,7 +16,6 @@ from .session import run_session
 from .setup import configs_of
 from .simulate.datagrams import RATES_HZ
 from .simulate.lab import SimulatedLab
-from .simulate.unit_lab import SimulatedUnitLab
 from .simulate.virtual_clock import VirtualClock
 from .states import RunProgress, RunResult
 from .supervision import Knows
@@ -26,7 +24,6 @@ from .terminal import Terminal
 # A resumed simulated run continues this long after its last record.
 _LATER_S: Final = 60.0
 _MOST_UNITS: Final = 8
-_ONE: Final = "one sensor hangs on the simulated table of a single axis"
 
 
 class Attended(TypedDict, total=False):
@@ -57,7 +54,7 @@ def run(
 
     Give either the `rig`, or `simulate`: then the devices are simulated, in virtual time or `speed` times faster than
     the clock, with hidden errors drawn by `seed`, the sensor sampled at `sample_rate_hz` (125, 250, … 2000 Hz), and
-    `units` whole units on the table; log, calibration and page say so. `attended`: the operator's interface
+    `units` devices on the table; log, calibration and page say so. `attended`: the operator's interface
     (`on_progress`, `with_runner`, `wait_when_paused`, `handle_signals`), and the `terminal` of the operator who turns
     axes by hand. `about`: texts by name, such as operator, unit and note, kept with the run and in its log.
 
@@ -75,9 +72,9 @@ def run(
     if sample_rate_hz not in RATES_HZ:
         known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
         raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; it does at {known} Hz")
-    if not 1 <= units <= (_MOST_UNITS if isinstance(recipe.spec, UnitSpec) else 1):
-        most = f"1 to {_MOST_UNITS} units hang on the simulated table" if isinstance(recipe.spec, UnitSpec) else _ONE
-        raise ValueError(f"{most}; expected another number than {units}")
+    if not 1 <= units <= _MOST_UNITS:
+        message = f"1 to {_MOST_UNITS} units hang on the simulated table; expected another number than {units}"
+        raise ValueError(message)
     simulation = {"seed": seed, "speed": speed, "sample_rate_hz": sample_rate_hz, "units": units}
     lab, clock = _laboratory(recipe, simulation)
     made = new_folder(path, recipe, lab.rig, simulated=simulation, about=about)
@@ -123,12 +120,9 @@ def _require_operator(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
 
 def _laboratory(
     recipe: Recipe, simulation: Mapping[str, Any], before: JournalContents | None = None
-) -> tuple[SimulatedLab | SimulatedUnitLab, VirtualClock]:
+) -> tuple[SimulatedLab, VirtualClock]:
     """The simulated laboratory of a run and its clock, which goes on after the records `before`."""
     clock = VirtualClock(0.0 if before is None else before.latest_s + _LATER_S, speed=simulation["speed"])
     settings: Any = {"seed": int(simulation["seed"]), "sample_rate_hz": float(simulation["sample_rate_hz"])}
-    if isinstance(recipe.spec, UnitSpec):
-        mounting = 0 if before is None else max(mounting_of(before) - 1, 0)
-        units = int(simulation["units"])
-        return SimulatedUnitLab(recipe.spec, clock, **settings, units=units, mounting=mounting), clock
-    return SimulatedLab(recipe.spec, clock, **settings), clock
+    mounting = 0 if before is None else max(mounting_of(before) - 1, 0)
+    return SimulatedLab(recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting), clock

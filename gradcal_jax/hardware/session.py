@@ -15,7 +15,6 @@ from functools import partial
 from types import FrameType
 
 from ..files.rig import RigFile
-from ..files.unit_spec import UnitSpec
 from .binding import track_of
 from .clock import Clock
 from .errors import HardwareError
@@ -109,7 +108,7 @@ def run_session(
             wait_when_paused=wait_when_paused,
             first_step=first_step,
             mounting=0 if resumed is None else mounting_of(resumed),
-            draw=partial(drawn, recipe.spec) if isinstance(recipe.spec, UnitSpec) else None,
+            draw=partial(drawn, recipe.spec),
         )
         runner.on_new_session = new_session
         if with_runner is not None:

@@ -35,6 +35,7 @@ from gradcal_jax.information.residual import STATISTICS, contrasts, residual, st
 from gradcal_jax.information.unit_rows import (
     encoder_rows,
     estimator_of_means,
+    noise_parts,
     row_of_steps,
     segments_of,
     unit_information,

@@ -1,19 +1,20 @@
 """The error budget: the share of each source of error in a residual.
 
 A statistic r of the residual depends on the noise through `G = ΦᵀV⁻¹Φ` alone, and V is a sum over sources, each
-proportional to its variance σ². With `Ḡ = ∂r/∂G` the filter's own derivative (`by_reading`) gives `∂r/∂V`, and so
-`∂ln r/∂ln σ` of each source. With that of the priors these shares add up to one, since r is homogeneous in all standard
-deviations together. No finite differences are used.
+proportional to its variance σ². Since `∂G/∂ln σ = −2 ΦᵀV⁻¹V_σV⁻¹Φ`, one matrix for each source gives `∂ln r/∂ln σ` of
+every residual, with `∂r/∂G` of that residual. With those of the priors these shares add up to one, since r is
+homogeneous in all standard deviations together. No finite differences are used.
 """
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.information.by_reading import Readings, noise_cotangents
+from gradcal_jax.information.by_reading import adjoint_parts, filter_readings
 from gradcal_jax.information.noise_steps import NoiseSteps
-from gradcal_jax.information.posterior import LeastSquares, Posterior, noise_of_sums
+from gradcal_jax.information.posterior import Posterior
 from gradcal_jax.information.residual import Contrasts, Statistic
 
 
@@ -31,38 +32,41 @@ def weights_of(name: Statistic, values: Float[np.ndarray, "n_T n_w"]) -> Float[n
     return weights
 
 
-class Sensitivity:
-    """Derivative of one statistic of a residual map with respect to `G` and to the variance that no plan changes."""
+class Sensitivity(NamedTuple):
+    """Derivative of one statistic of residuals with respect to `G`, to the parameters' covariance, and to the variance
+    that no plan changes."""
 
-    def __init__(
-        self, known: Posterior, places: Contrasts, statistic: Statistic, values: Float[np.ndarray, "n_T n_w"]
-    ) -> None:
-        weights = weights_of(statistic, values).ravel()
-        counts = weights > 0.0
-        rows, alone, beyond = (of[counts] for of in places)
-        half = 0.5 * weights[counts] / values.ravel()[counts]
-        of_rows, of_alone = (c @ known.spread @ known.spread.T for c in (rows, alone))
-        self.of_gram = -(of_rows.T * half) @ of_rows + (of_alone.T * half) @ of_alone
-        self.of_covariance = (rows.T * half) @ rows - (alone.T * half) @ alone
-        self.of_beyond = float(half @ beyond)
+    of_gram: Float[np.ndarray, "p p"]
+    of_covariance: Float[np.ndarray, "p p"]
+    of_beyond: float
 
 
-def noise_shares(
-    steps: NoiseSteps, readings: Readings, of_gram: np.ndarray, sources: Mapping[str, NoiseSteps]
-) -> dict[str, float]:
-    """`∂r/∂ln σ` of each of `sources`, given by its part of the noise. `readings`: of all columns."""
-    covariance, variance, initial = noise_cotangents(steps, readings, of_gram)
-
-    def of(part: NoiseSteps) -> float:
-        pairs = (covariance, part.covariance), (variance, part.reading_variance), (initial, part.initial)
-        return 2.0 * float(sum(np.sum(a * b) for a, b in pairs))
-
-    return {name: of(part) for name, part in sources.items()}
+def sensitivity_of(known: Posterior, places: Contrasts, of_variance: Float[np.ndarray, " g"]) -> Sensitivity:
+    """`of_variance`: derivative of the statistic with respect to the variance at each place."""
+    rows, alone, beyond = places
+    of_rows, of_alone = (c @ known.spread @ known.spread.T for c in (rows, alone))
+    return Sensitivity(
+        -(of_rows.T * of_variance) @ of_rows + (of_alone.T * of_variance) @ of_alone,
+        (rows.T * of_variance) @ rows - (alone.T * of_variance) @ alone,
+        float(of_variance @ beyond),
+    )
 
 
-def unweighted_shares(
-    estimator: LeastSquares, of_covariance: np.ndarray, sources: Mapping[str, NoiseSteps]
-) -> dict[str, float]:
-    """As `noise_shares`, for an estimator that does not depend on the noise."""
-    inner = estimator.back.T @ of_covariance @ estimator.back
-    return {name: 2.0 * float(np.sum(inner * noise_of_sums(part, estimator.weights))) for name, part in sources.items()}
+def information_lost(
+    steps: NoiseSteps, columns: Float[np.ndarray, "N p"], sources: Mapping[str, NoiseSteps]
+) -> dict[str, Float[np.ndarray, "p p"]]:
+    """`ΦᵀV⁻¹V_σV⁻¹Φ` of each of `sources`, given by its part of the noise."""
+    start = np.zeros((steps.observation.shape[1], columns.shape[1]))
+    readings = filter_readings(start, steps.initial, steps, columns)
+    lost = {name: np.zeros((columns.shape[1],) * 2) for name in sources}
+    for at, us, rhos in adjoint_parts(steps, readings):
+        flat = rhos.reshape(-1, rhos.shape[-1])
+        for name, part in sources.items():
+            if np.any(covariance := part.covariance[at]):
+                lost[name] += flat.T @ (covariance @ rhos).reshape(flat.shape)
+            if np.any(variance := part.reading_variance[at]):
+                lost[name] += (us.T * variance) @ us
+            if at.start == 0:
+                first = steps.transition[0].T @ rhos[0]
+                lost[name] += first.T @ part.initial @ first
+    return lost

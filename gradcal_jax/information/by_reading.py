@@ -4,12 +4,16 @@ A reading takes about ten microseconds and nothing is compiled: the fastest way 
 without a compiler.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.information.noise_steps import NoiseSteps
+
+# Number of steps whose adjoint states are kept together.
+_TOGETHER = 1024
 
 
 class Readings(NamedTuple):
@@ -45,19 +49,18 @@ def filter_readings(
     return Readings(rows, gain, per_std, mean, covariance)
 
 
-def noise_cotangents(
-    steps: NoiseSteps, readings: Readings, of_gram: Float[np.ndarray, "p p"]
-) -> tuple[Float[np.ndarray, "N n n"], Float[np.ndarray, " N"], Float[np.ndarray, "n n"]]:
-    """Derivatives with respect to the covariance of every step, the variance of every reading and the initial
-    covariance, of a function whose derivative with respect to `rowsᵀ rows` is `of_gram`.
-    """
+def adjoint_parts(
+    steps: NoiseSteps, readings: Readings
+) -> Iterator[tuple[slice, Float[np.ndarray, "K p"], Float[np.ndarray, "K n p"]]]:
+    """`V⁻¹ columns` of the readings, and what it adds to each step's state: `Σ (H F … F)ᵀ V⁻¹ columns` over all later
+    readings. In parts, the last first, each with the place of its steps."""
     count, p = readings.rows.shape
-    us, rhos = np.empty((count, p)), np.empty((*steps.observation.shape, p))
-    later = np.zeros(rhos.shape[1:])
-    for k in range(count - 1, -1, -1):
-        us[k] = readings.per_std[k] * readings.rows[k] - readings.gain[k] @ later
-        rhos[k] = steps.observation[k, :, None] * us[k] + later
-        later = steps.transition[k].T @ rhos[k]
-    inner = (of_gram + of_gram.T) / 2
-    of_steps = -(rhos @ inner) @ rhos.swapaxes(1, 2)
-    return of_steps, -np.sum((us @ inner) * us, axis=1), -(later @ inner) @ later.T
+    n, later = steps.observation.shape[1], np.zeros((steps.observation.shape[1], p))
+    for begin in range((count - 1) // _TOGETHER * _TOGETHER, -1, -_TOGETHER):
+        at = slice(begin, min(begin + _TOGETHER, count))
+        us, rhos = np.empty((at.stop - begin, p)), np.empty((at.stop - begin, n, p))
+        for k in range(at.stop - 1, begin - 1, -1):
+            us[k - begin] = readings.per_std[k] * readings.rows[k] - readings.gain[k] @ later
+            rhos[k - begin] = steps.observation[k, :, None] * us[k - begin] + later
+            later = steps.transition[k].T @ rhos[k - begin]
+        yield at, us, rhos

@@ -14,18 +14,18 @@ uncertainty `u`, `s` the standard deviation of the errors before that measuremen
   Gauss–Legendre between places set by T, A, u and s is exact to rounding.
 """
 
+from collections.abc import Callable
 from math import erfc, sqrt
 from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-
-from gradcal_jax.information.posterior import Posterior
-from gradcal_jax.information.residual import Contrasts, Statistic, statistic_of_each
-from gradcal_jax.model import Discrepancy, SensorModel
+from jaxtyping import Float
 
 # Standard deviations beyond which lies 1e-23 of a normal distribution.
 _FAR = 10.0
+# Number of errors drawn together, and the share of the largest principal direction below which one is left out.
+_BATCH, _NEGLIGIBLE = 500, 1e-9
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
@@ -89,35 +89,25 @@ def global_risks(s: float, u: float, limit: float, acceptance: float) -> GlobalR
 
 
 def chance_of_keeping(
-    known: Posterior,
-    model: SensorModel,
-    places: Contrasts,
-    shape: tuple[int, int],
-    name: Statistic,
+    root: Float[np.ndarray, "m s T w r"],
+    statistic: Callable[[Float[np.ndarray, "m T w d"]], Float[np.ndarray, " d"]],
     limit: float,
     draws: int = 4000,
-) -> tuple[float, float] | None:
-    """Share of units whose error after a calibration is within `limit`: by the named statistic, and at every point.
+) -> tuple[float, float]:
+    """Share of sensors whose error after a calibration is within `limit`: by a statistic of the magnitudes, and at
+    every place.
 
-    The statistic is of one unit's |error| over all `places` of that `shape`, with errors drawn from the posterior
-    (binomial standard error 0.5 % and less). `limit` in the places' unit. None where the plan leaves something
-    unobservable.
+    `root`: of the errors' covariance over m quantities in s states, of which the worst counts, at places T × w. Errors
+    are drawn (binomial standard error 0.5 % and less) along its principal directions, so that a result does not depend
+    on the parameters behind it.
     """
-    if known.hidden.shape[1]:
-        return None
-    roots = [places.rows @ known.spread]
-    if np.any(places.alone):
-        # A calibration does not carry the discrepancy's estimate, whose covariance is prior less posterior.
-        hidden = [term for term in model.terms if isinstance(term, Discrepancy)]
-        where = np.concatenate([np.arange(model.size)[model.where(term.name)] for term in hidden])
-        prior = np.concatenate([np.full(term.size, float(term.std) ** 2) for term in hidden])
-        values, vectors = np.linalg.eigh(np.diag(prior) - known.spread[where] @ known.spread[where].T)
-        roots.append(places.alone[:, where] @ (vectors * np.sqrt(np.maximum(values, 0.0))))
-    root = np.concatenate(roots, axis=1)
+    shape, (left, sizes, _) = root.shape[:-1], np.linalg.svd(root.reshape(-1, root.shape[-1]), full_matrices=False)
+    left = left[:, sizes > _NEGLIGIBLE * sizes[0]] * sizes[sizes > _NEGLIGIBLE * sizes[0]]
+    largest = np.argmax(np.abs(left), axis=0)
+    left = left * np.sign(left[largest, np.arange(left.shape[1])])
     rng, kept = np.random.default_rng(0), np.zeros(2)
-    for _ in range(0, draws, 500):
-        errors = np.abs(root @ rng.standard_normal((root.shape[1], 500)))
-        each = statistic_of_each(name, errors.reshape(*shape, -1))
-        kept += np.count_nonzero(each <= limit), np.count_nonzero(errors.max(axis=0) <= limit)
-    shares = kept / (500 * -(-draws // 500))
+    for _ in range(0, draws, _BATCH):
+        errors = np.abs(left @ rng.standard_normal((left.shape[1], _BATCH))).reshape(*shape, _BATCH).max(axis=1)
+        kept += np.count_nonzero(statistic(errors) <= limit), np.count_nonzero(errors.max(axis=(0, 1, 2)) <= limit)
+    shares = kept / (_BATCH * -(-draws // _BATCH))
     return float(shares[0]), float(shares[1])

@@ -1,4 +1,4 @@
-"""A mission: the error of the integrated rate after a calibration, and the contribution of the unit's own noise.
+"""A mission: the error of the integrated rate after a calibration, and the contribution of the sensor's own noise.
 
 A calibration reduces the rate error `B(T) + M(T, ω)·ω` to `ψᵀ(β − β̂)`, and its integral along a mission to
 
@@ -14,11 +14,12 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
 from gradcal_jax.information.residual import Contrasts
-from gradcal_jax.model import Discrepancy, Nodes, Processes, SampleNodes, SensorModel
+from gradcal_jax.model import Discrepancy, GradientOfBias, Map, Nodes, Processes, SampleNodes, SensorModel
 from gradcal_jax.trajectory import quadrature
 
 # Gauss nodes on each straight line: exact for quintic by quintic maps times the rate.
@@ -45,7 +46,11 @@ class Flight(NamedTuple):
 
 
 def mission_rows(model: SensorModel, flight: Flight, at: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p"]:
-    """Contribution of each parameter's unit to the integrated rate since the begin at times `at` (s, increasing)."""
+    """Contribution of each parameter's unit to the integrated rate since the begin at times `at` (s, increasing). Terms
+    of forces, of other axes' rates and of the temperature's path have none."""
+    own = [term for term in model.terms if isinstance(term, Map | GradientOfBias | Discrepancy)]
+    places = np.concatenate([np.arange(model.size)[model.where(term.name)] for term in own])
+    part = eqx.tree_at(lambda m: m.terms, model, tuple(own))
     kept = flight.time[flight.time < at[-1]]
     breaks = np.unique(np.concatenate([kept, at, np.linspace(0.0, at[-1], _LINES + 1)]))
     rate, temperature = (np.interp(breaks, flight.time, of) for of in (flight.rate, flight.temperature))
@@ -66,7 +71,7 @@ def mission_rows(model: SensorModel, flight: Flight, at: Float[np.ndarray, " k"]
             moving=True,
         )
         change = np.array([temperature[last] - temperature[first]])
-        rows[number] = np.asarray(model.columns(Nodes((group,), change, np.zeros(1), np.zeros(1))))[0]
+        rows[number, places] = np.asarray(part.columns(Nodes((group,), change, np.zeros(1), np.zeros(1))))[0]
     return np.cumsum(rows, axis=0)[np.searchsorted(cuts, ends)]
 
 

@@ -20,7 +20,7 @@ standstill (a third state) or, on the move, the rate times the error of its time
 of both. Where the reference is a held rate, every segment's error is one draw of the reference, `ā_li e_now`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -135,6 +135,14 @@ def unit_system(
     return steps, columns if len(row) == len(columns) else xp.where((row >= 0)[:, None], columns[row], 0.0)
 
 
+def noise_parts(
+    motion: TableMotion, models: Mapping[str, UnitModel], nodes: BodyNodes, steps: NoiseSteps
+) -> dict[str, NoiseSteps]:
+    """The parts of a system's noise, by models of one structure; with the observations of `steps`, of all noise."""
+    at = segments_of(motion, next(iter(models.values())))
+    return {name: _joint_steps(motion, model, nodes, at, steps.observation)[0] for name, model in models.items()}
+
+
 def row_of_steps(motion: TableMotion, model: UnitModel) -> np.ndarray:
     """The row that each step of `unit_system` reads (−1: none)."""
     return _order(segments_of(motion, model), _by_pieces(model))[1]
@@ -172,9 +180,9 @@ def _without_rounding(columns: Float[AnyArray, "R p"], units: list[str]) -> Floa
 
 
 def _joint_steps(
-    motion: TableMotion, model: UnitModel, nodes: BodyNodes, at: Segments
+    motion: TableMotion, model: UnitModel, nodes: BodyNodes, at: Segments, observed: AnyArray | None = None
 ) -> tuple[NoiseSteps, np.ndarray]:
-    """The steps, and the row that each reads (−1: none)."""
+    """The steps, and the row that each reads (−1: none). `observed`: the observations, if they are known."""
     xp = namespace(motion, model, nodes)
     line, channels = motion.line, len(model.channels)
     m = sum(c.model.processes.count for c in model.channels)
@@ -241,7 +249,6 @@ def _joint_steps(
     transition += [((everything, states, states), 1.0), (pairs, errors.transition)]
     covariance.append((pairs, errors.covariance))
     initial.append(((states[:, None], states[None]), errors.initial))
-    observation = _observations(motion, nodes, at, model, n, channels + m)
     # No step lies between rows of one segment; steps within a segment have no row.
     source, row = _order(at, by_pieces)
     fresh = np.flatnonzero(np.diff(source, prepend=-1))
@@ -251,7 +258,9 @@ def _joint_steps(
     if len(fresh) < len(row):
         still = np.broadcast_to(np.eye(n), (len(row), n, n))
         through, noise = put(still, fresh, through), put(np.zeros(still.shape), fresh, noise)
-    observed = observation if len(row) == len(observation) else xp.where((row >= 0)[:, None], observation[row], 0.0)
+    if observed is None:
+        of_rows = _observations(motion, nodes, at, model, n, channels + m)
+        observed = of_rows if len(row) == len(of_rows) else xp.where((row >= 0)[:, None], of_rows[row], 0.0)
     used = at.used[row] & (row >= 0)
     whole = placed((n, n), *initial)
     return NoiseSteps(through, noise, observed, xp.zeros(len(row)), used, whole, stays), row

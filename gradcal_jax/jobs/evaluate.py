@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.files import Spec, changed, to_toml
-from gradcal_jax.files.changes import any_spec_of
+from gradcal_jax.files import changed, spec_of, to_toml
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.jobs.results import PointResult, Residual, one_line
 
@@ -28,7 +27,7 @@ def optimise_points(base: Mapping[str, Any], points: list[tuple[int, Changes]]) 
 
 
 def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> list[PointResult]:
-    spec = any_spec_of(base)
+    spec = spec_of(base)
     results: list[PointResult] = []
     for index, changes in points:
         try:
@@ -38,7 +37,7 @@ def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> lis
     return results
 
 
-def _predicted(index: int, spec: Spec | UnitSpec) -> PointResult:
+def _predicted(index: int, spec: UnitSpec) -> PointResult:
     rows = requirement_rows(spec)
     axes = len(rows) // max(len(spec.requirement), 1)
     residuals = tuple(
@@ -54,7 +53,7 @@ def _predicted(index: int, spec: Spec | UnitSpec) -> PointResult:
     return PointResult(index, "", spec.schedule.duration, spec.schedule.soak, spec.schedule.motion, residuals)
 
 
-def _optimised(index: int, spec: Spec | UnitSpec) -> PointResult:
+def _optimised(index: int, spec: UnitSpec) -> PointResult:
     from gradcal_jax.api.flow import optimise
 
     best = optimise(spec)
@@ -67,7 +66,7 @@ def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
     from gradcal_jax.api.flow import optimise
     from gradcal_jax.api.recipe import recipe
 
-    spec = any_spec_of(tables)
+    spec = spec_of(tables)
     best = optimise(spec)
     executable = recipe(best)
     wanted = None if spec.design is None else spec.design.minimise
@@ -89,7 +88,7 @@ def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def least_possible(spec: Spec | UnitSpec) -> float | None:
+def least_possible(spec: UnitSpec) -> float | None:
     """The proven lower limit for any plan on this rig in this time, in the objective's unit; None without a proof."""
     from gradcal_jax.api.limit import limits
 

@@ -218,9 +218,10 @@ def _budgets(sources: Sources):
     spec = sources.recipe.axis_spec
     known_values = dict(assumed_noise(sources.recipe, None))
     reached = {(row.name, row.axis): row for row in sources.calibration.result}
-    for (name, channel), parts in counted_shares(spec).items():
-        row = reached.get((name, channel))
-        if row is None or row.value is None or row.verdict == "not valid":
+    shares = counted_shares(spec)
+    for (name, channel), row in reached.items():
+        parts = shares.get(name, {})
+        if not parts or row.value is None or row.verdict == "not valid":
             continue
         inputs: list[Input] = []
         for part, share in parts.items():

@@ -54,6 +54,20 @@ def parameters(
     return facts
 
 
+def estimated_coefficients(calibration: Calibration) -> tuple[list[tuple[str, ...]], tuple[int, ...]]:
+    """The coefficients of a calibration after a head, and the numbers of the columns that are flush right. Where it
+    has errors that no residual shows, they count in one sigma, beside that of the fit."""
+    rows: list[tuple[str, ...]] = [("parameter", "value", "1σ", "of the fit", "unit")]
+    for row in coefficient_rows(calibration):
+        unit, factor = UNITS_OF_TERMS.get(row["unit"], (row["unit"], 1.0))
+        if row["std"] is None:
+            rows.append((row["name"], "not observable", "", "", unit))
+        else:
+            stds = (f"{row[key] * factor:.4g}" for key in ("std_counted", "std"))
+            rows.append((row["name"], f"{row['value'] * factor:.4f}", *stds, unit))
+    return (rows, (1, 2, 3)) if calibration.unseen else ([(*row[:3], row[4]) for row in rows], (1, 2))
+
+
 def hidden_values(truth: Mapping[str, Any] | None, calibration: Calibration | None) -> dict[str, float]:
     """The true values of a simulated sensor and table, by the names of a calibration file."""
     if truth is None or calibration is None:

@@ -4,13 +4,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from html import escape
 from typing import Any, Final, NamedTuple
 
-from gradcal_jax.api.calibration import EstimateReport
+from gradcal_jax.api.estimate import EstimateReport
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.contracts import Prediction
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.requirement_table import requirement_table
-from gradcal_jax.pages.coefficients import parameters
-from gradcal_jax.pages.estimated_channel import estimated_coefficients, tests_of_channel
+from gradcal_jax.pages.coefficients import estimated_coefficients, parameters
 from gradcal_jax.pages.predicted_coefficients import coefficient_table
 from gradcal_jax.pages.unit import parameter_rows
 from gradcal_jax.units import times_text
@@ -38,16 +37,19 @@ def _prediction(prediction: Prediction) -> Iterator[str | _Table]:
 
 
 def _estimate(report: EstimateReport) -> Iterator[str | _Table]:
-    for calibration in report.calibrations:
-        yield _head("Estimate of " + _named(calibration.serial_number, calibration.simulated))
-        for channel in report.channels:
-            if channel.unit == calibration.serial_number:
-                yield _text(f"axis {channel.axis}: {len(channel.weights)} readings")
-                yield _Table(*estimated_coefficients(channel, report.unseen_of(channel)))
-                yield _Table(tests_of_channel(channel), (1, 2, 3))
-        if rows := report.verdicts[calibration.serial_number]:
-            yield _Table(requirement_table(rows), (2, 3, 4, 5))
-        yield _list(report.messages[calibration.serial_number])
+    for one in report.sensors:
+        yield _head("Estimate of " + _named(one.unit, one.calibration.simulated))
+        yield _text(f"{len(one.solution.weights)} readings; {one.calibration.valid_range}")
+        yield _Table(*estimated_coefficients(one.calibration))
+        yield _tests(one.calibration)
+        if one.requirements:
+            yield _Table(requirement_table(one.requirements), (2, 3, 4, 5))
+        yield _list(one.messages)
+
+
+def _tests(calibration: Calibration) -> _Table:
+    rows = [(t.name, f"{t.statistic:.1f}", str(t.degrees), f"{t.chance:.2g}") for t in calibration.fit]
+    return _Table([("test", "statistic", "degrees", "chance"), *rows], (1, 2, 3))
 
 
 def _calibration(calibration: Calibration) -> Iterator[str | _Table]:
@@ -59,8 +61,7 @@ def _calibration(calibration: Calibration) -> Iterator[str | _Table]:
             [("requirement", "statistic", "residual 1σ", "target", "verdict"), *calibration.result_rows], (2, 3)
         )
     if calibration.fit:
-        tests = [(t.name, f"{t.statistic:.1f}", str(t.degrees), f"{t.chance:.2g}") for t in calibration.fit]
-        yield _Table([("test", "statistic", "degrees", "chance"), *tests], (1, 2, 3))
+        yield _tests(calibration)
     yield _list([*(f"not observable: {name}" for name in calibration.unobservable), calibration.lacks or ""])
 
 

@@ -13,9 +13,9 @@ from typing import Any, Final
 
 from gradcal_jax import api
 from gradcal_jax.files import Spec, SpecError, changed
-from gradcal_jax.files.plan import GradientPlan
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.unit_plan import UnitPlan
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.units import time_text
 
@@ -33,7 +33,7 @@ def panel_of(recipe: Recipe) -> dict[str, Any]:
     """
     spec = recipe.axis_spec
     plan = spec.plan
-    if not isinstance(plan, GradientPlan) or plan.temperature is None or not isinstance(plan.gradient, Quantity):
+    if not isinstance(plan, UnitPlan) or plan.temperature is None or not isinstance(plan.gradient, Quantity):
         raise ValueError("the panel varies the slope of one ramp, and this plan is not one ramp: leave --panel out")
     points = [_point(spec, plan, *at) for at in product(SLOPES, RAMPS, ANGLES)]
     rows = recipe.prediction.requirements
@@ -64,7 +64,7 @@ def panel_of(recipe: Recipe) -> dict[str, Any]:
 
 
 def _point(
-    spec: Spec, plan: GradientPlan, slope: float, ramps: int, angle: float
+    spec: Spec, plan: UnitPlan, slope: float, ramps: int, angle: float
 ) -> tuple[float, list[tuple[float | None, str | None]]] | None:
     """Hours of the whole plan, and of each requirement its value and verdict; None where the plan does not fit."""
     try:
@@ -76,7 +76,7 @@ def _point(
     return varied.schedule.duration / 3600.0, [(row.judged, row.verdict) for row in first]
 
 
-def _course(plan: GradientPlan, slope: float, ramps: int) -> Mapping[str, object]:
+def _course(plan: UnitPlan, slope: float, ramps: int) -> Mapping[str, object]:
     assert plan.temperature is not None
     assert isinstance(plan.gradient, Quantity)
     rate = f"{60.0 * float(plan.gradient) * slope:.9g} K/min"

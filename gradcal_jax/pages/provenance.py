@@ -3,7 +3,6 @@
 from gradcal_jax.files.absent import absent_terms
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.spec import Spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.pages.sources import Sources
 
@@ -42,7 +41,7 @@ def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> lis
     return rows
 
 
-def omitted_rows(spec: Spec | UnitSpec) -> list[tuple[str, str]]:
+def omitted_rows(spec: UnitSpec) -> list[tuple[str, str]]:
     """The error terms that a spec leaves out, with the figures that count for them."""
     words = "not stated, and so counted as is typical of its class: "
     return [(term.key, words + term.typical) for term in absent_terms(spec)]

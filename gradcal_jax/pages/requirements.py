@@ -3,19 +3,22 @@
 import re
 from typing import Any, Final, NamedTuple, cast
 
-from gradcal_jax import api
+import numpy as np
+
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.ieee_terms import Box, calibration_map, grid_of, prior_map
 from gradcal_jax.api.missions import ErrorCurve, error_curves
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, run_of, statistic_of
 from gradcal_jax.api.prediction import counted_posteriors
 from gradcal_jax.api.systematic import CountedPosteriors
-from gradcal_jax.files import Spec
+from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
+from gradcal_jax.api.unit_residual import quantity_of
+from gradcal_jax.api.verdicts import mission_weights, run_of
 from gradcal_jax.files.calibration import Result
 from gradcal_jax.files.contracts import RequirementRow
-from gradcal_jax.files.moves import Axis
-from gradcal_jax.files.requirement import HeadingRequirement, Requirement
-from gradcal_jax.information import Posterior, statistic
+from gradcal_jax.files.requirement import MissionHeadingRequirement, UnitRequirement
+from gradcal_jax.files.spec import expect_spec
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.information import statistic
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.pages.sources import Sources
 
@@ -86,36 +89,39 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
             for _, deviation in (calibration_map(calibration, channel, name, *grid_of(channel, None, name)),)
         ]
         return "", [result_alone(row) for row in calibration.result], maps
-    built, known, counted = _plan(recipe.axis_spec)
-    other = None if sources.before is None else _plan(sources.before)
-    results = {} if calibration is None else {(r.name, r.axis, r.quantity): r for r in reversed(calibration.result)}
+    spec = expect_spec(recipe.axis_spec)
+    built, known, counted = _plan(spec)
+    other = None if sources.before is None else _plan(expect_spec(sources.before))
+    results = {} if calibration is None else {(r.name, r.axis): r for r in reversed(calibration.result)}
     rows: list[RequirementFact] = []
     maps: list[MapFact] = []
     before_is = ""
     for row in recipe.prediction.requirements:
-        requirement = next(r for r in recipe.axis_spec.requirement if r.name == row.name)
+        requirement = next(r for r in spec.requirement if r.name == row.name)
         drawn: list[tuple[str, Box]] = []
-        earlier = _before(other, recipe.axis_spec, requirement, row.axis)
-        before = None if earlier is None else finite(statistic_of(requirement, earlier.values))
+        earlier = prior_map(spec, requirement) if other is None else _judged_map(other[2], requirement)
+        before = None if earlier is None else finite(statistic(requirement.statistic, earlier.values))
         more = {"before": before, "limit": sources.limits.get(row.name), "own": row.own, "coverage": row.coverage}
-        rows.append(fact_of(row, results.get((row.name, row.axis, row.quantity)), **more))
+        rows.append(fact_of(row, results.get((row.name, row.axis)), **more))
         if earlier is not None:
             before_is = "the spec's priors, without a calibration"
             if other is not None:
                 before_is = f"the plan of {sources.before_name}, on the rig of that file"
             drawn.append(("before", earlier))
-        if isinstance(requirement, HeadingRequirement):
-            curves = error_curves(built, known[cast("Axis", row.axis)], requirement)
+        name = requirement.quantity.removeprefix("gyro_")
+        if isinstance(requirement, MissionHeadingRequirement):
+            curves = [curve for _, curve in error_curves(built, known, requirement)]
             names = [f"calibration, {c.file}" if len(curves) > 1 else "calibration" for c in curves]
-            maps.append(MapFact(row.name, row.axis, row.quantity, (), tuple(zip(names, curves, strict=True))))
+            maps.append(MapFact(row.name, row.axis, name, (), tuple(zip(names, curves, strict=True))))
             continue
-        values = _judged_map(counted[cast("Axis", row.axis)], requirement)
-        drawn.append(("predicted", Box(*values, row.unit)))
-        name, channel = requirement.quantity, calibration and calibration.channel_of("gyro", row.axis)
+        predicted = _judged_map(counted, requirement)
+        assert predicted is not None
+        drawn.append(("predicted", predicted))
+        channel = calibration and calibration.channel_of("gyro", row.axis)
         if calibration and channel and channel.term_of(name) is not None:
             grid = grid_of(channel, requirement, name)
             drawn.append(("achieved", calibration_map(calibration, channel, name, *grid)[1]))
-        maps.append(MapFact(row.name, row.axis, row.quantity, tuple(drawn)))
+        maps.append(MapFact(row.name, row.axis, name, tuple(drawn)))
     record = recipe.optimisation or {}
     name, value = re.sub(r" \([^)]*\)$", "", str(record.get("objective", ""))), record.get("before")
     if not before_is and name and isinstance(value, float | int):
@@ -142,27 +148,21 @@ def hidden_by_structure(requirements: list[RequirementFact], maps: list[MapFact]
     ]
 
 
-def _plan(spec: Spec):
-    """A spec's model, the posterior of every channel after its plan, and those that verdicts judge."""
-    built = api.assemble(spec)
-    known: dict[Axis, Posterior] = {channel: api.posterior_of_plan(built, channel) for channel in built.channels}
-    return built, known, {channel: budget for _, channel, budget in counted_posteriors(built, known)}
+def _plan(spec: UnitSpec):
+    """A spec's model, the posterior after its plan, and those that verdicts judge."""
+    built = assemble_unit(spec)
+    known = posterior_of_unit(built)
+    return built, known, counted_posteriors(built, known)
 
 
-def _judged_map(budget: CountedPosteriors, requirement: Requirement):
-    """Temperatures, rates and residual that a verdict judges."""
-    return api.residual_map(budget.built, budget.judged(run_of(requirement)), requirement)
-
-
-def _before(other, spec: Spec, requirement: Requirement, channel: str) -> Box | None:
-    """The residual of another plan on the same box or, without one, the spec's prior."""
-    if other is None:
-        return prior_map(spec, requirement)
-    built, _, counted = other
-    section = built.spec.sensor.scale_factor if requirement.quantity == "scale_factor" else built.spec.sensor.bias
-    if channel not in counted or (section is None and requirement.quantity != "heading"):
+def _judged_map(budget: CountedPosteriors, requirement: UnitRequirement) -> Box | None:
+    """The residual that a verdict judges, of the first element; None where the other plan's sensor does not have it."""
+    quantity = quantity_of(budget.built, requirement)
+    if not quantity.elements:
         return None
-    return Box(*_judged_map(counted[channel], requirement), UNIT_OF[requirement.quantity][0])
+    left = quantity.residual(budget.judged(run_of(requirement)))
+    values = left.values[0] * mission_weights(requirement, requirement.statistic)
+    return Box(left.temperatures, np.degrees(left.rates), values, left.unit)
 
 
 def result_alone(row: Result) -> RequirementFact:

@@ -12,8 +12,8 @@ from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import Calibration, is_calibration, read_calibration
 from gradcal_jax.files.document import read_text, read_toml
 from gradcal_jax.files.recipe import Recipe, is_recipe, recipe_of, spec_in
-from gradcal_jax.files.spec import is_of_unit
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import FORMAT, UnitSpec
 from gradcal_jax.hardware.run_folder import RunFolder
 
 CALIBRATION_IN_RUN = "calibration.toml"
@@ -70,8 +70,8 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
             take("run", folder, path)
             continue
         document = read_toml(read_text(path), str(path))
-        if is_of_unit(document):
-            take("unit", unit_spec_of(document, str(path)), path)
+        if document.get("format") == FORMAT:
+            take("unit", spec_of(document, str(path)), path)
         elif is_recipe(document):
             take_recipe(recipe_of(document, str(path)), path)
         elif is_calibration(document):

@@ -1,6 +1,6 @@
 """Figures. Functions take `ax=None`, label axes with units, return their artists and never call `show`."""
 
-from gradcal_jax.plots import calibration, unit_calibration
+from gradcal_jax.plots import calibration
 from gradcal_jax.plots.calibration_maps import draw_calibrated_scale_factor
 from gradcal_jax.plots.design import draw_frontier, draw_sensitivities
 from gradcal_jax.plots.identification import draw_drift
@@ -9,7 +9,7 @@ from gradcal_jax.plots.spec import draw_comparison, draw_heading, draw_predictio
 from gradcal_jax.plots.style import save, style_of
 from gradcal_jax.plots.sweep import draw_sweep
 from gradcal_jax.plots.tracks import draw_temperature
-from gradcal_jax.plots.unit import draw_poses, draw_unit, draw_unit_residual
+from gradcal_jax.plots.unit import draw_poses, draw_unit_residual
 
 __all__ = [
     "draw_calibrated_scale_factor",
@@ -24,7 +24,6 @@ __all__ = [
     "draw_sensitivities",
     "draw_sweep",
     "draw_temperature",
-    "draw_unit",
     "draw_unit_residual",
     "draw_worst_over_temperature",
     "save",

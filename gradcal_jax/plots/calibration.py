@@ -1,85 +1,164 @@
-"""Estimated calibrations: the maps with their uncertainty, and the residuals of the readings."""
+"""Figures of estimates: terms over temperature and rate, and residuals of the rows or of gravity."""
+
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.api.calibration import EstimateReport
-from gradcal_jax.api.posterior_of_plan import DEG_PER_H, DEG_PER_S, PPM
-from gradcal_jax.api.unit_channel import UnitChannel
-from gradcal_jax.information import contrasts
-from gradcal_jax.plots.style import PALETTE, draw_band, new_axes, new_panels
+from gradcal_jax.api.estimate import EstimateReport, SensorEstimate
+from gradcal_jax.api.hand_estimate import HandReport
+from gradcal_jax.api.path_dependence import BiasCurve
+from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+from gradcal_jax.files.calibration import CalibratedChannel, Calibration
+from gradcal_jax.information import segments_of
+from gradcal_jax.plots.calibration_maps import draw_calibrated_scale_factor, draw_calibrated_term, panels_of
+from gradcal_jax.plots.style import PALETTE, new_axes
+from gradcal_jax.units import G
 
-_MOST_PANELS = 12
+_MOST_SENSORS = 12
 
 
-def draw_scale_factor(channel: UnitChannel, *, ax: Axes | None = None) -> tuple[Axes, list[Line2D]]:
-    """M over rate at the coldest, the middle and the warmest temperature of the data, with one standard deviation."""
+def draw_residuals_over_time(report: SensorEstimate, *, ax: Axes | None = None) -> tuple[Axes, list[PathCollection]]:
+    """Whitened residuals of every channel over time, nearly all within ± 3; those of reduced weight are marked."""
     ax = new_axes(ax)
-    low, high = channel.valid_temperature_c
-    slow, fast = channel.valid_rate_rad_per_s
-    rates = np.linspace(slow, fast, 121)
-    lines: list[Line2D] = []
-    for index, temperature in enumerate(dict.fromkeys((low, 0.5 * (low + high), high))):
-        value, std = _map(channel, "scale_factor", np.full_like(rates, temperature), rates)
-        lines.append(draw_band(ax, rates * DEG_PER_S, value * PPM, std * PPM, index, f"{temperature:.4g} °C"))
-    ax.set(xlabel="rate, deg/s", ylabel="scale-factor error M ± 1σ, ppm", title=_name(channel))
-    ax.legend()
-    return ax, lines
-
-
-def draw_bias(channel: UnitChannel, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """B over temperature, with one standard deviation."""
-    ax = new_axes(ax)
-    temperature = np.linspace(*channel.valid_temperature_c, 121)
-    value, std = _map(channel, "bias", temperature, np.zeros_like(temperature))
-    line = draw_band(ax, temperature, value * DEG_PER_H, std * DEG_PER_H, 0)
-    ax.set(xlabel="temperature, °C", ylabel="bias B ± 1σ, deg/h", title=_name(channel))
-    return ax, line
-
-
-def draw_innovations(channel: UnitChannel, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
-    """Normalised innovations over time; those of reduced weight are marked."""
-    ax = new_axes(ax)
-    used = channel.observations.used
-    time = channel.observations.time_s[used] / 3600.0
-    residual = channel.estimate.residuals[0]
-    points = ax.scatter(time, residual, s=4, color=PALETTE[0], rasterized=True)
-    low = channel.weights < 1.0
-    if low.any():
+    at = segments_of(report.executed.motion, report.built.model)
+    line = report.executed.motion.line
+    time = (line.start + line.duration)[at.last][at.row_segment][report.solution.used] / 3600.0
+    channel = at.row_channel[report.solution.used]
+    drawn = []
+    for k, c in enumerate(report.built.model.channels):
+        own = channel == k
+        residual = report.solution.estimate.residuals[0][own]
+        marker = "o" if c.kind == "gyro" else "^"
+        name = c.name.replace("_", " ")
+        drawn.append(
+            ax.scatter(time[own], residual, s=6, marker=marker, color=PALETTE[k % 6], label=name, rasterized=True)
+        )
+    if (low := report.solution.weights < 1.0).any():
+        residual = report.solution.estimate.residuals[0]
         ax.scatter(time[low], residual[low], s=30, marker="x", color=PALETTE[1], label="reduced weight")
-        ax.legend()
     for level in (-3.0, 3.0):
         ax.axhline(level, color="black", linewidth=0.7, linestyle=":")
-    ax.set(xlabel="time, h", ylabel="normalised innovation, σ", title=_name(channel))
-    return ax, points
+    ax.set(xlabel="time, h", ylabel="whitened residual, σ", title="residuals of the rows")
+    ax.legend(ncols=2, fontsize="small")
+    return ax, drawn
 
 
-def draw_estimate(report: EstimateReport) -> Figure:
-    """A row for each channel: its maps and its residuals (the first channels, where there are very many)."""
-    shown = report.channels[:_MOST_PANELS]
-    width = 1 + max((c.model.bias is not None) + (c.model.scale is not None) for c in shown)
-    figure, panels = new_panels(len(shown), width, (5.2, 3.8))
-    for axes, channel in zip(panels, shown, strict=True):
-        places = list(axes)
-        if channel.model.bias is not None:
-            draw_bias(channel, ax=places.pop(0))
-        if channel.model.scale is not None:
-            draw_scale_factor(channel, ax=places.pop(0))
-        draw_innovations(channel, ax=places.pop(0))
-        for left in places:
-            left.remove()
+def draw_gravity_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
+    """|f| − g over each position, µg."""
+    ax = new_axes(ax)
+    left = report.solution.accelerometer.left / G * 1e6
+    drawn = ax.scatter(np.arange(1, len(left) + 1), left, s=14, color=PALETTE[0])
+    ax.axhline(0.0, color="black", linewidth=0.7)
+    title = f"the norm of gravity: {np.sqrt(np.mean(left**2)):.3g} µg rms"
+    ax.set(xlabel="position", ylabel="|f| - g, µg", title=title)
+    return ax, drawn
+
+
+def draw_turns_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes, list[PathCollection]]:
+    """The error of gravity's direction after each turn, in two directions across it, mrad."""
+    ax = new_axes(ax)
+    left = 1e3 * report.solution.gyro.left.reshape(-1, 2)
+    number = np.arange(1, len(left) + 1)
+    drawn = [ax.scatter(number, left[:, k], s=14, marker="o^"[k], color=PALETTE[k + 1]) for k in range(2)]
+    ax.axhline(0.0, color="black", linewidth=0.7)
+    rms = np.sqrt(np.mean(left**2))
+    ax.set(xlabel="turn", ylabel="error of direction, mrad", title=f"gravity turned by the gyros: {rms:.3g} mrad rms")
+    return ax, drawn
+
+
+def draw_by_hand(report: HandReport) -> Figure:
+    """The residuals of gravity's norm, and of its direction after turns."""
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    first, second = figure.subplots(1, 2)
+    draw_gravity_left(report, ax=first)
+    draw_turns_left(report, ax=second)
+    figure.suptitle(f"unit {report.unit}" + (", SIMULATED" if report.calibration.simulated else ""))
     return figure
 
 
-def _map(channel: UnitChannel, quantity, temperature: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    both, outside, _ = contrasts(channel.model, quantity, temperature, rate)
-    rows = both - outside  # the discrepancy is not part of the calibration
-    std = channel.estimate.known[0].deviations(rows)
-    return rows @ channel.estimate.parameters[0], np.where(np.isfinite(std), std, np.nan)
+def draw_loop(curve: BiasCurve, *, ax: Axes | None = None) -> tuple[Axes, list[Line2D]]:
+    """The bias of a channel beyond its map over temperature, on every leg: measured, and the model with ± 2 standard
+    deviations of it."""
+    ax = new_axes(ax)
+    unit, factor = UNITS_OF_TERMS[curve.si_unit]
+    lines: list[Line2D] = []
+    for first, end in legs_of(curve.temperature_c):
+        own = slice(first, end)
+        heats = curve.temperature_c[end - 1] > curve.temperature_c[first]
+        at, colour = curve.temperature_c[own], PALETTE[1 if heats else 0]
+        seen, fitted = ((v - curve.map)[own] * factor for v in (curve.measured, curve.model))
+        std = curve.std[own] * factor
+        lines += ax.plot(at, seen, ".", markersize=3, color=colour)
+        dash = "-" if heats else "--"
+        lines += ax.plot(at, fitted, dash, color=colour, label="heating" if heats else "cooling")
+        ax.fill_between(at, fitted - 2.0 * std, fitted + 2.0 * std, alpha=0.15, color=colour)
+    handles, labels = ax.get_legend_handles_labels()
+    by_label = dict(zip(labels, handles, strict=True))
+    ax.legend(by_label.values(), by_label.keys(), fontsize="small")
+    ax.set(xlabel="temperature, °C", ylabel=unit, title=f"{curve.channel.replace('_', ' ')}: bias beyond its map")
+    return ax, lines
 
 
-def _name(channel: UnitChannel) -> str:
-    return f"axis {channel.axis}, unit {channel.unit}"
+def legs_of(temperature: np.ndarray) -> list[tuple[int, int]]:
+    """Rows `first … end − 1` of every heating or cooling leg of more than a twentieth of the range."""
+    least, legs = 0.05 * float(np.ptp(temperature)), [0]
+    highest = lowest = 0
+    # A leg ends where the temperature has returned by that from its extreme.
+    way = 0
+    for k, t in enumerate(temperature):
+        highest, lowest = (k if t > temperature[highest] else highest), (k if t < temperature[lowest] else lowest)
+        if way >= 0 and temperature[highest] - t > least:
+            legs, way, lowest = [*legs, highest], -1, k
+        elif way <= 0 and t - temperature[lowest] > least:
+            legs, way, highest = [*legs, lowest], 1, k
+    edges = [*legs, len(temperature) - 1]
+    return [(a, b + 1) for a, b in pairwise(edges) if abs(temperature[b] - temperature[a]) >= least]
+
+
+def draw_estimate(report: EstimateReport) -> Figure:
+    """A part for each sensor (the first ones, where there are very many): the terms of its calibration, the loops over
+    temperature where it has any, and the residuals."""
+    shown = report.sensors[:_MOST_SENSORS]
+    rows = [_rows_of(one) for one in shown]
+    figure = Figure(figsize=(10.0, 3.2 * sum(rows)), layout="constrained")
+    parts = figure.subfigures(len(shown), 1, squeeze=False, height_ratios=rows)[:, 0]
+    for part, one in zip(parts, shown, strict=True):
+        _draw_sensor(one, part)
+    return figure
+
+
+def _loops_of(report: SensorEstimate) -> Sequence[BiasCurve]:
+    return report.curves if report.path is not None or report.calibration.path else ()
+
+
+def _over_rate(calibration: Calibration) -> list[CalibratedChannel]:
+    """The channels whose scale factor depends on the rate."""
+    scales = ((channel, channel.term_of("scale_factor")) for channel in calibration.channel)
+    return [channel for channel, term in scales if term is not None and term.rate is not None]
+
+
+def _rows_of(report: SensorEstimate) -> int:
+    """Rows of panels, two in each, and one of the residuals."""
+    calibration = report.calibration
+    return (len(panels_of(calibration)) + len(_over_rate(calibration)) + len(_loops_of(report)) + 1) // 2 + 1
+
+
+def _draw_sensor(report: SensorEstimate, figure: SubFigure) -> None:
+    calibration, rows = report.calibration, _rows_of(report)
+    grid = figure.add_gridspec(rows, 2)
+    places = iter(grid[k // 2, k % 2] for k in range(2 * rows - 2))
+    for kind, name in panels_of(calibration):
+        draw_calibrated_term(calibration, kind, name, ax=figure.add_subplot(next(places)))
+    for channel in _over_rate(calibration):
+        ax, _ = draw_calibrated_scale_factor(calibration, channel, ax=figure.add_subplot(next(places)))
+        ax.set_title(channel.label)
+    for curve in _loops_of(report):
+        draw_loop(curve, ax=figure.add_subplot(next(places)))
+    draw_residuals_over_time(report, ax=figure.add_subplot(grid[rows - 1, :]))
+    simulated = ", SIMULATED" if calibration.simulated else ""
+    figure.suptitle(f"calibration of {calibration.serial_number}{simulated}")

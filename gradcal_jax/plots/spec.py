@@ -7,12 +7,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.api import UNIT_OF, assemble, posterior_of_plan, residual_map
 from gradcal_jax.api.missions import ErrorCurve, error_curves
-from gradcal_jax.files import Spec
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
+from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, UnitRequirement
+from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.information import Posterior
 from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
 from gradcal_jax.plots.style import from_zero, new_axes, new_panels, style_of
+from gradcal_jax.plots.unit import draw_poses, draw_unit_residual
+
+_PANEL = (6.0, 4.0)
+_COLUMNS = 2
 
 
 def draw_heading(
@@ -40,56 +47,75 @@ def draw_heading(
     return ax, drawn
 
 
-def draw_prediction(spec: Spec) -> Figure:
-    """A residual map for each scale-factor requirement, curves for each other requirement, for every axis.
+def draw_prediction(spec: UnitSpec) -> Figure:
+    """The residual of each requirement: a map of a single scale factor, curves of the elements of all else; and where
+    attitudes count, the poses on the sphere.
 
     Errors: `ValueError` for a spec without requirements.
     """
-    built = assemble(spec)
-    known = {channel: posterior_of_plan(built, channel) for channel in built.channels}
-    panels = [(r, c) for r in spec.requirement for c in built.channels]
-    if not panels:
+    spec = expect_spec(spec)
+    if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is no residual to draw: add one")
-    figure, all_axes = new_panels(len(panels), 1, (6.4, 4.2))
-    for axes, (requirement, channel) in zip(all_axes[:, 0], panels, strict=True):
-        name = requirement.name if len(built.channels) == 1 else f"{requirement.name}, axis {channel}"
-        if requirement.quantity == "heading":
-            curves = error_curves(built, known[channel], requirement)
-            draw_heading([("calibration" + (f", {c.file}" if len(curves) > 1 else ""), c) for c in curves], ax=axes)
-            axes.set_title(name)
-            continue
-        temperature, rate, values = residual_map(built, known[channel], requirement)
-        unit = UNIT_OF[requirement.quantity][0]
-        if requirement.quantity.endswith("scale_factor"):
-            draw_map(temperature, rate, values, unit, title=name, ax=axes)
-        else:
-            draw_over_temperature(temperature, values, unit, ax=axes)
-            axes.set_title(name)
+    built = assemble_unit(spec)
+    known = posterior_of_unit(built)
+    count, across = len(spec.requirement) + (not spec.is_one_axis), 1 if spec.is_one_axis else _COLUMNS
+    rows = -(-count // across)
+    figure = Figure(figsize=(_PANEL[0] * across, _PANEL[1] * rows), layout="constrained")
+    for k, requirement in enumerate(spec.requirement):
+        _draw_requirement(built, known, requirement, figure.add_subplot(rows, across, k + 1))
+    if not spec.is_one_axis:
+        draw_poses(spec, ax=figure.add_subplot(rows, across, count, projection="mollweide"))
     if spec.title:
         figure.suptitle(spec.title)
     return figure
 
 
-def draw_comparison(specs: Sequence[tuple[str, Spec | UnitSpec]]) -> Figure:
-    """Plans side by side: for each requirement's name, one curve a plan. Errors: `ValueError` without requirements."""
-    names = list(dict.fromkeys((r.name, r.quantity) for _, spec in specs for r in spec.requirement))
+def _draw_requirement(built: AssembledUnit, known: Posterior, requirement: UnitRequirement, ax: Axes) -> None:
+    """The residual of one requirement."""
+    if isinstance(requirement, MissionHeadingRequirement):
+        curves = error_curves(built, known, requirement)
+        draw_heading([(_label("calibration", curves, *of), of[1]) for of in curves], ax=ax)
+        ax.set_title(requirement.name)
+        return
+    left = unit_residual(built, known, requirement)
+    if len(left.labels) == 1 and isinstance(requirement, GyroScaleFactorRequirement):
+        draw_map(left.temperatures, np.degrees(left.rates), left.values[0], left.unit, title=requirement.name, ax=ax)
+    else:
+        draw_unit_residual(requirement, left, ax=ax)
+
+
+def _label(words: str, curves: Sequence[tuple[str, ErrorCurve]], axis: str, curve: ErrorCurve) -> str:
+    """A label with what several curves differ by."""
+    several_axes, several = len({a for a, _ in curves}) > 1, len({c.file for _, c in curves}) > 1
+    return words + (f", {axis}" if several_axes else "") + (f", {curve.file}" if several else "")
+
+
+def draw_comparison(specs: Sequence[tuple[str, UnitSpec]]) -> Figure:
+    """Plans side by side: for each requirement's name, one curve a plan and element. Errors: `ValueError` without
+    requirements."""
+    plans = [(label, assemble_unit(expect_spec(spec))) for label, spec in specs]
+    names = list(dict.fromkeys((r.name, r.quantity) for _, built in plans for r in built.spec.requirement))
     if not names:
         raise ValueError("none of the specs has a [[requirement]], so there is no residual to draw: add one")
     figure, all_axes = new_panels(len(names), 1, (6.8, 4.0))
-    for axes, (name, quantity) in zip(all_axes[:, 0], names, strict=True):
-        for index, (label, spec) in enumerate(specs):
-            built = assemble(spec)
-            known = posterior_of_plan(built, built.channels[0])
-            for requirement in (r for r in spec.requirement if (r.name, r.quantity) == (name, quantity)):
-                if requirement.quantity == "heading":
-                    curves = error_curves(built, known, requirement)
-                    draw_heading([(label, curve) for curve in curves], own=False, first=index, ax=axes)
+    known = [posterior_of_unit(built) for _, built in plans]
+    for axes, of_name in zip(all_axes[:, 0], names, strict=True):
+        drawn = 0
+        for (label, built), of in zip(plans, known, strict=True):
+            for requirement in (r for r in built.spec.requirement if (r.name, r.quantity) == of_name):
+                if isinstance(requirement, MissionHeadingRequirement):
+                    curves = [(label, curve) for _, curve in error_curves(built, of, requirement)]
+                    draw_heading(curves, own=False, first=drawn, ax=axes)
+                    drawn += len(curves)
                     continue
-                temperature, rate, values = residual_map(built, known, requirement)
-                if quantity.endswith("scale_factor"):
-                    draw_worst_over_temperature(rate, values, "ppm", label=label, index=index, ax=axes)
-                else:
-                    draw_over_temperature(temperature, values, UNIT_OF[quantity][0], label=label, index=index, ax=axes)
-        axes.set_title(name)
+                left = unit_residual(built, of, requirement)
+                for element, values in zip(left.labels, left.values, strict=True):
+                    style = {"label": label if len(left.labels) == 1 else f"{label}, {element}", "index": drawn}
+                    if isinstance(requirement, GyroScaleFactorRequirement):
+                        draw_worst_over_temperature(np.degrees(left.rates), values, left.unit, **style, ax=axes)
+                    else:
+                        draw_over_temperature(left.temperatures, values, left.unit, **style, ax=axes)
+                    drawn += 1
+        axes.set_title(of_name[0])
         axes.legend()
     return figure

@@ -5,30 +5,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
-from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit, rest_poses
-from gradcal_jax.api.unit_residual import UnitResidual, unit_residual
+from gradcal_jax.api.unit_build import assemble_unit, rest_poses
+from gradcal_jax.api.unit_residual import UnitResidual
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, style_of
-
-_PANEL = (5.2, 3.4)
-_COLUMNS = 2
-
-
-def draw_unit(spec: UnitSpec) -> Figure:
-    """A panel for each requirement, a curve for each of its elements, and the poses on the sphere."""
-    built = assemble_unit(spec)
-    known = posterior_of_unit(built)
-    count = len(spec.requirement) + 1
-    rows = -(-count // _COLUMNS)
-    figure = Figure(figsize=(_PANEL[0] * _COLUMNS, _PANEL[1] * rows), layout="constrained")
-    for k, requirement in enumerate(spec.requirement):
-        residual = unit_residual(built, known, requirement)
-        draw_unit_residual(requirement, residual, ax=figure.add_subplot(rows, _COLUMNS, k + 1))
-    draw_poses(spec, ax=figure.add_subplot(rows, _COLUMNS, count, projection="mollweide"))
-    if spec.title:
-        figure.suptitle(spec.title)
-    return figure
 
 
 def draw_unit_residual(requirement: UnitRequirement, residual: UnitResidual, *, ax: Axes | None = None) -> Axes:

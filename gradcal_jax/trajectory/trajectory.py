@@ -144,7 +144,14 @@ class Trajectory(PytreeModule):
 
     def between(self, begin: float, end: float) -> "Trajectory":
         """The trajectory of the pieces that lie wholly between two times (s, in the time of `start`)."""
-        kept = (self.start >= begin - _SAME_TIME) & (self.start + self.duration <= end + _SAME_TIME)
+        return self.of_pieces(self.lying_between(begin, end))
+
+    def lying_between(self, begin: float, end: float) -> Bool[np.ndarray, " P"]:
+        """Which pieces lie wholly between two times (s)."""
+        return (self.start >= begin - _SAME_TIME) & (self.start + self.duration <= end + _SAME_TIME)
+
+    def of_pieces(self, kept: Bool[np.ndarray, " P"]) -> "Trajectory":
+        """The trajectory of these pieces."""
         rows = np.flatnonzero(kept)
         changes = {name: getattr(self, name)[rows] for name in _OF_PIECES}
         places = {name: np.flatnonzero(np.isin(rows, getattr(self, name))) for name in _PLACES}

@@ -13,12 +13,12 @@ import pytest
 from loop_scene import SIZE, recorded, spec_of
 
 from gradcal_jax.api import predict
-from gradcal_jax.api.unit_estimate import UnitReport, estimate_units
+from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.files.changes import changed
+from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.loops import LAWS, Law
 from gradcal_jax.hardware.simulate.unit import UnitTruth
-from gradcal_jax.hardware.simulate.unit_lab import draw_unit_truth
 
 pytestmark = pytest.mark.evidence
 
@@ -45,7 +45,7 @@ def on_branches(truth: UnitTruth) -> np.ndarray:
     return np.stack([both[2], both[1]])
 
 
-def apart(report: UnitReport, truth: UnitTruth) -> tuple[np.ndarray, np.ndarray]:
+def apart(report: SensorEstimate, truth: UnitTruth) -> tuple[np.ndarray, np.ndarray]:
     """Error of the estimate on both branches, and its predicted standard deviation, `(2, n, 3)`, deg/h."""
     built, solution = report.built, report.solution
     true, errors, stds = on_branches(truth), np.zeros((2, len(AT), 3)), np.zeros((2, len(AT), 3))
@@ -66,8 +66,8 @@ def runs(law: Law | None, *, back: bool, size: float = SIZE, plays: bool = True,
     spec, results = spec_of(back=back, size=size, plays=plays), []
     drawn = spec_of(back=back, size=size if law else 1e-6)
     for number in range(units):
-        truth = draw_unit_truth(drawn, 36, number, law)
-        (report,) = estimate_units(spec, [recorded(truth, spec, back=back, seed=1000 + number)])
+        truth = draw_truth(drawn, 36, number, law)
+        (report,) = estimate_sensors(spec, [recorded(truth, spec, back=back, seed=1000 + number)])
         results.append(apart(report, truth))
     return tuple(np.stack(of) for of in zip(*results, strict=True))
 

@@ -15,7 +15,7 @@ from gradcal_jax.files.absent import (
     terms_of,
     with_typical,
 )
-from gradcal_jax.files.changes import any_spec_of
+from gradcal_jax.files.spec import spec_of
 
 BARE = gj.presets.text("consumer-mems")
 
@@ -52,7 +52,7 @@ def paper_without_zeros(name):
             if value in ([], {"standard_deviation": "0 K"}) or str(value).startswith("0 "):
                 del table[key.removeprefix("angle.")]
     del rig["earth_rate"]
-    return any_spec_of(tables)
+    return spec_of(tables)
 
 
 def test_terms_that_the_plan_cannot_feel_are_not_listed():
@@ -77,7 +77,7 @@ def test_the_paper_s_presets_have_exactly_the_paper_s_terms(preset):
 
 @pytest.mark.parametrize("preset", [n for n in gj.presets.names() if not n.startswith("paper")] + ["two-axis-table"])
 def test_presets_of_a_class_are_counted_not_zeroed(preset):
-    left_out = keys(any_spec_of(tomllib.loads(gj.presets.text(preset))))
+    left_out = keys(spec_of(tomllib.loads(gj.presets.text(preset))))
     assert any(key.endswith(("mounting_accuracy", "scale_error")) for key in left_out)
     assert "sensor.temperature_offset" in left_out
 

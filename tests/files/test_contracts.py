@@ -104,12 +104,13 @@ def test_unknown_names_get_a_sentence():
 
 
 def test_presets_are_commented_titled_and_sound():
-    assert len(presets.names()) == 10
+    assert len(presets.names()) == 21
     for name in presets.names():
         text = presets.text(name)
         assert text.startswith("# ")
         assert text.count("#") >= 5
         assert presets.title(name) == files.parse_spec(text).title
-        assert files.parse_spec(text).schedule.readings > 0
+        schedule = files.parse_spec(text).schedule
+        assert schedule.duration > 0.0
     with pytest.raises(ValueError, match='nearest: "tactical-mems"'):
         presets.text("tactical_mem")

@@ -13,12 +13,12 @@ import gradcal_jax as gj
 from gradcal_jax.files import changed, presets, read_spec, spec_of, tables_of, to_toml
 from gradcal_jax.files.mission import Mission, _rows_or_faults
 from gradcal_jax.files.problems import SpecError, from_validation
-from gradcal_jax.files.recipe import any_spec_in
+from gradcal_jax.files.recipe import spec_in
 from gradcal_jax.files.schemas import schema
 
 HEAD = "time (s), rate (deg/s), temperature (degC)"
 TABLE = f"# a flight\n{HEAD}\n\n0, 0, 20\n60, 30, 25.5\n"
-REQUIREMENT = '[[requirement]]\nname = "flight"\nquantity = "heading"\nmission = {}\n[plan]\n'
+REQUIREMENT = '[[requirement]]\nname = "flight"\nquantity = "mission_heading"\nmission = {}\n[plan]\n'
 
 
 def spec_text(mission: str = '"flight.csv"', more: str = "") -> str:
@@ -112,7 +112,7 @@ def test_a_spec_holds_its_missions_once_read(folder, tmp_path_factory, monkeypat
     assert (mission.file, mission.table) == ("flight.csv", TABLE)
     # From another folder, without the file: tables, text and changes stand alone.
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
-    assert any_spec_in(folder / "spec.toml").requirement == spec.requirement
+    assert spec_in(folder / "spec.toml").requirement == spec.requirement
     (folder / "flight.csv").unlink()
     again = gj.parse_spec(to_toml(spec))
     assert again.requirement[2].mission == spec.requirement[2].mission
@@ -169,7 +169,7 @@ def test_a_mission_beyond_a_basis_is_refused(folder):
     spec = read_spec(folder / "spec.toml")
     rate = {"basis": "b-spline", "knots": knots}
     with pytest.raises(SpecError, match=r"line 5: the rate is 30 deg/s, outside the rate basis, -60 to 29"):
-        changed(spec, {"sensor.scale_factor.rate": rate, "requirement[0].rate": ["-20 deg/s", "20 deg/s"]})
+        changed(spec, {"sensor.gyro.scale_factor.rate": rate, "requirement[0].rate": ["-20 deg/s", "20 deg/s"]})
 
 
 @pytest.mark.parametrize(
@@ -194,5 +194,5 @@ def test_north_and_heading_need_what_they_rest_on():
         '[[requirement]]\nname = "north"\nquantity = "north"\nlatitude = "48 deg"\nafter = "5 min"\n'
         'temperature = ["0 degC", "40 degC"]\n[plan]\n'
     )
-    with pytest.raises(SpecError, match=r"is not estimated: there is no \[sensor.bias\]"):
+    with pytest.raises(SpecError, match=r"needs \[sensor.gyro.bias\], which the spec does not estimate"):
         gj.parse_spec(presets.text("paper-dynamic-gradient").replace("[plan]\n", requirement, 1))

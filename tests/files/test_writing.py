@@ -43,7 +43,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path):
     [
         "plan.gradient",
         "plan.cycle.moves[1].duration",
-        "rig.table.angle.standstill_offset",
+        "rig.table.axis[0].angle.standstill_offset",
         "requirement[0].temperature[1]",
     ],
 )
@@ -63,15 +63,15 @@ def test_changes_reach_into_lists_and_new_tables_and_remove():
             "plan.cycle.moves[1].duration": "81.45 s",
             "rig.resolution.time": "0.1 s",
             "plan.soak": None,
-            "sensor.scale_factor.rate.degree": 2,
+            "sensor.gyro.scale_factor.rate.degree": 2,
             "requirement[0].temperature[1]": "60 degC",
         },
     )
-    assert spec.schedule.cycle.moves[1].ramp == pytest.approx(9.45)
-    assert spec.plan.cycle.moves[1].duration.text == "81.45 s"
+    assert spec.schedule.steps[1].move.ramp == pytest.approx(9.45)
+    assert spec.plan.cycle.moves[1].move.duration.text == "81.45 s"
     assert spec.rig.resolution.time == 0.1
     assert spec.schedule.soak == 0.0
-    assert spec.sensor.scale_factor.size == 12
+    assert spec.sensor.gyro.scale_factor.size == 12
     assert spec.requirement[0].temperature[1].text == "60 degC"
 
 
@@ -86,7 +86,7 @@ def test_changes_reach_into_lists_and_new_tables_and_remove():
         ({"plan..x": 1.0}, "plan..x"),
         ({"[0]": 1.0}, "[0]"),
         ({"plan.gradient": float("nan")}, "plan.gradient"),
-        ({"rig.table.max_rate": True}, "rig.table.max_rate"),
+        ({"rig.table.axis[0].max_rate": True}, "rig.table.axis[0].max_rate"),
     ],
 )
 def test_impossible_changes_are_refused_by_key(changes, key):

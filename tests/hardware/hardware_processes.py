@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from simulated_devices.port_lab import SimulatedLab, SimulatedUnitLab
+from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.rig import read_rig
@@ -30,7 +30,7 @@ def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: flo
     clock, spec = RealClock(speed=speed), read_recipe(folder / "recipe.toml").spec
     if isinstance(spec, UnitSpec):
         burst_s = 0.016 if speed == 1.0 else 0.5
-        made = SimulatedUnitLab(
+        made = SimulatedLab(
             spec, clock, seed=seed, units=units, sample_rate_hz=sample_rate_hz, burst_s=burst_s, room_c=20.0
         )
     else:

@@ -11,8 +11,8 @@ from hardware_evidence import record
 from scipy.stats import chi2
 from unit_bench import MOVES, made, short
 
+from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.api.unit_build import assemble_unit
-from gradcal_jax.api.unit_estimate import estimate_units
 from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import changed, presets
@@ -57,7 +57,7 @@ def test_forty_units_err_as_predicted(tmp_path: Path, axes: str, spec: UnitSpec)
         assert execute.run(made(spec), folder, simulate=True, seed=seed, units=UNITS).exit_status == "success"
         hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
         for unit, found in hidden["units"].items():
-            (report,) = estimate_units(spec, [run_log.log(folder, unit)])
+            (report,) = estimate_sensors(spec, [run_log.log(folder, unit)])
             truth = found | hidden["installation"]
             error = report.solution.parameters - np.linalg.solve(reported, np.array([truth[name] for name in names]))
             known = report.solution.known

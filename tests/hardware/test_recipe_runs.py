@@ -17,7 +17,7 @@ from simulated_devices.port_lab import SimulatedLab
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.recipe import read_recipe
-from gradcal_jax.files.unit_spec import parse_unit_spec
+from gradcal_jax.files.unit_plan import UnitSchedule, row_count
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.errors import HardwareError
@@ -43,13 +43,14 @@ SPEED = 20.0
 @pytest.mark.parametrize("name", presets.names())
 def test_every_preset_becomes_a_track_that_takes_as_long_as_its_plan(name: str) -> None:
     made = unpredicted(parse_spec(presets.text(name)))
-    track = track_of(made, ["table"])
+    table = made.spec.rig.table
+    track = track_of(made, [axis.name for axis in table.axis])
     assert track.duration_s == pytest.approx(made.duration_s, rel=1e-9)
     readings = sum(len(step.read_at_s) for step in track.steps)
     schedule = made.spec.schedule
-    if hasattr(schedule, "stretches"):
+    if isinstance(schedule, UnitSchedule) and table.standing == "read":
         # The first reading of each stretch is not among the plan's.
-        assert readings == pytest.approx(schedule.readings + len(schedule.stretches), abs=2)
+        assert readings == pytest.approx(row_count(schedule, table) + len(schedule.stretches), abs=2)
     assert track.steps[0].ready is not None
     for step in track.steps:
         ends = [move.start_s + move.duration_s for move in step.moves]
@@ -96,7 +97,7 @@ def test_the_chamber_hears_every_segment_of_the_recipe_when_it_begins(name: str)
     for begin, segment in zip(begins, made.chamber.programme, strict=False):
         ramp = None if segment.slope is None else pytest.approx(abs(float(segment.slope)) * 60.0)
         wanted.append((pytest.approx(begin, abs=1e-3), pytest.approx(float(segment.temperature_end)), ramp))
-    heard = chamber_hears(track_of(made, ["table"]))
+    heard = chamber_hears(track_of(made, [axis.name for axis in spec.rig.table.axis]))
     assert heard == wanted
 
 
@@ -136,7 +137,7 @@ def test_gyros_may_differ_from_the_table_by_what_the_spec_says_of_them() -> None
     # 3 % a coefficient of nine, and 2 deg/s a gyro.
     assert poor.share == pytest.approx(3.0 * 0.03 * 3.0)
     assert poor.bias_dps == pytest.approx(3.0 * 2.0 * 3.0**0.5)
-    forces = parse_unit_spec(presets.text("accelerometer-six-positions"))
+    forces = parse_spec(presets.text("accelerometer-six-positions"))
     assert track_of(unpredicted(forces), [axis.name for axis in forces.rig.table.axis]).gyros is None
 
 

@@ -17,8 +17,9 @@ from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import SpecError, changed, presets
 from gradcal_jax.files.recipe import read_recipe
+from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.files.unit_plan import cycles_between
-from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError
 from gradcal_jax.hardware.stretches import adopt, stretches_of
 from gradcal_jax.information import unit_system, whiten
@@ -108,7 +109,7 @@ def test_what_is_known_by_now_and_at_the_end(spec: UnitSpec) -> None:
 def test_what_cannot_be_planned_anew_is_a_sentence(spec: UnitSpec) -> None:
     with pytest.raises(ValueError, match="nothing of the ramp is left"):
         rest_of(spec, [(0.0, spec.schedule.duration)])
-    several = parse_unit_spec(presets.text("one-axis-table"))
+    several = parse_spec(presets.text("one-axis-table"))
     with pytest.raises(ValueError, match="several stretches of used data the rest is not planned anew: go on with"):
         rest_of(several, [(0.0, 600.0)])
     with pytest.raises(ValueError, match="what is known by now is not worked out yet"):

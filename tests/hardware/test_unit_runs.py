@@ -17,7 +17,7 @@ from gradcal_jax.decoding import run_log
 from gradcal_jax.files import changed, presets
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.rig import RigFile, parse_rig
-from gradcal_jax.files.unit_spec import parse_unit_spec
+from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.binding import track_of
@@ -168,7 +168,7 @@ def test_the_estimate_finds_what_was_hidden(ran: tuple[Path, Log]) -> None:
 
 
 def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path: Path) -> None:
-    spec = parse_unit_spec(presets.text("one-axis-table"))
+    spec = parse_spec(presets.text("one-axis-table"))
     recipe = made(spec)
     steps = track_of(recipe, ["turn"]).steps
     asked = [step for number, step in enumerate(steps) if step.mounting and step.goes_there]
@@ -254,7 +254,7 @@ def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
         "rig.chamber.max_cooling": "60 K/min",
         "sensor.gyro.scale_factor.prior": "1000 ppm",
     }
-    recipe = made(changed(parse_unit_spec(presets.text("one-axis-table")), keys))
+    recipe = made(changed(parse_spec(presets.text("one-axis-table")), keys))
     run = tmp_path / "run"
     runners: list[Runner] = []
 
@@ -294,7 +294,7 @@ def test_a_gimbal_turned_by_hand(tmp_path: Path) -> None:
         "rig.chamber.max_heating": "60 K/min",
         "sensor.gyro.scale_factor.prior": "1000 ppm",
     }
-    recipe = made(changed(parse_unit_spec(presets.text("gimbal-by-hand")), keys))
+    recipe = made(changed(parse_spec(presets.text("gimbal-by-hand")), keys))
     run = tmp_path / "run"
     assert execute.run(recipe, run, simulate=True, seed=2).exit_status == "success"
     shown = b"".join(r.data for r in RunFolder(run).contents().records if isinstance(r, Chunk) and not r.received)

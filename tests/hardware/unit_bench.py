@@ -6,13 +6,16 @@ from typing import Any
 import numpy as np
 from hardware_bench import unpredicted
 
+from gradcal_jax.api.estimate import fitted_twice, unit_rows
 from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.fit_of_log import fitted_twice
+from gradcal_jax.api.recorded_rows import unit_rows
 from gradcal_jax.api.unit_build import assemble_unit
-from gradcal_jax.api.unit_estimate import fitted_twice, unit_rows
 from gradcal_jax.files import changed
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec, read_unit_spec
+from gradcal_jax.files.spec import parse_spec, read_spec
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.information import segments_of, unit_system, whiten
@@ -47,7 +50,7 @@ def hand(minutes: float, **changes: Any) -> UnitSpec:
         "rig.chamber.max_cooling": "60 K/min",
         "sensor.gyro.scale_factor.prior": "1000 ppm",
     }
-    return changed(read_unit_spec(HAND), keys | changes)
+    return changed(read_spec(HAND), keys | changes)
 
 
 def short(cycles: int = 1) -> UnitSpec:
@@ -64,7 +67,7 @@ def short(cycles: int = 1) -> UnitSpec:
         "sensor.accelerometer.scale_factor.temperature": temperature,
     }
     text = HAND.read_text(encoding="utf-8").replace('["-30 degC", "70 degC"]', '["20 degC", "30 degC"]')
-    return changed(parse_unit_spec(text), keys | {"rig.chamber.max_heating": "60 K/min"})
+    return changed(parse_spec(text), keys | {"rig.chamber.max_heating": "60 K/min"})
 
 
 def made(spec: UnitSpec) -> Recipe:
@@ -91,7 +94,7 @@ def estimated(log: Log, spec: UnitSpec, truth: dict[str, float]) -> tuple[float,
     rows, _ = unit_rows(built, [log], log.units[0], Options())
     assert log.temperature_c is not None
     # As it was read: what smooths a thermometer's steps in a ramp of an hour is too slow for one of a minute.
-    done, readings, found = fitted_twice(built, log.units[0], rows, log.temperature_c[0])
+    done, readings, found, _ = fitted_twice(built, log.units[0], rows, log.temperature_c[0])
     steps, _ = unit_system(done.motion, model, readings.nominal())
     used = np.asarray(steps.used)
     apart = np.where(segments_of(done.motion, model).used, readings.observed - readings.expected(found.parameters), 0.0)

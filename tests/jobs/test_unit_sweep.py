@@ -40,7 +40,7 @@ def test_plans_of_imus_are_optimised_in_sweeps(monkeypatch):
     job = parse_sweep(FILE.replace("[[axis]]", 'do = "optimise"\n[[axis]]'))
     first, wrong = optimise_points(gj.tables_of(job.base), [(i, Points(job).changes(i)) for i in (0, 2)])
     assert "rig.table.tilt" in wrong.failure
-    found = gj.parse_unit_spec(first.spec)
+    found = gj.parse_spec(first.spec)
     rows = gj.predict(found).requirements
     assert [r.values[2] for r in first.residuals] == pytest.approx([r.mean for r in rows], rel=1e-12)
     assert found.plan != job.base.plan

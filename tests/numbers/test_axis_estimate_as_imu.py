@@ -12,18 +12,19 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "estimation"))
 
+from gradcal_jax.api.calibration import estimate_calibration
 from logs_zoo import GRADIENT, STANDARD, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api.calibration import estimate_calibration
+from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.structure_tests import discrepancies
-from gradcal_jax.api.unit_estimate import estimate_units
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.axis_as_imu import axis_as_imu
 from gradcal_jax.files.changes import tables_of
 from gradcal_jax.files.log import LogError
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 
 UNWEIGHTED = STANDARD.replace('"standard"', '"standard"\nestimator = "least squares"')
 STATIC = GRADIENT[: GRADIENT.index("[plan.cycle]")] + 'read_every = "2 s"\n'
@@ -37,7 +38,7 @@ CASES = {
 
 
 def as_imu(spec: Spec) -> UnitSpec:
-    return unit_spec_of(axis_as_imu(tables_of(spec)))
+    return spec_of(axis_as_imu(tables_of(spec)))
 
 
 def text_of(name: str) -> str:
@@ -56,7 +57,7 @@ def test_one_log_gives_one_calibration(name: str) -> None:
         spec, units=1, sample_rate_hz=50.0, seed=3, readings=name != "standing" and "standard" not in name
     )
     axis = estimate_calibration(spec, made.log).calibrations[0]
-    (report,) = estimate_units(as_imu(spec), [made.log])
+    (report,) = estimate_sensors(as_imu(spec), [made.log])
     imu = report.calibration
     std = dict(zip(axis.covariance.names, np.sqrt(np.diag(axis.covariance.matrix)), strict=True))
     other = dict(zip(imu.covariance.names, np.sqrt(np.diag(imu.covariance.matrix)), strict=True))
@@ -73,10 +74,10 @@ def test_one_log_gives_one_calibration(name: str) -> None:
 def test_an_imu_is_tested_for_more_structure_and_what_it_lacks_is_measured() -> None:
     spec = spec_of()
     higher = changed(spec, {"sensor.scale_factor.temperature.degree": 3})
-    (quiet,) = estimate_units(as_imu(spec), [simulate_log(spec, sample_rate_hz=20.0, seed=5).log])
+    (quiet,) = estimate_sensors(as_imu(spec), [simulate_log(spec, sample_rate_hz=20.0, seed=5).log])
     assert not any(test.noticed for _, test in quiet.structure)
     made = simulate_log(higher, sample_rate_hz=20.0, seed=6)
-    (report,) = estimate_units(as_imu(spec), [made.log])
+    (report,) = estimate_sensors(as_imu(spec), [made.log])
     (test,) = (test for channel, test in report.structure if (channel, test.quantity) == ("gyro_x", "scale_factor"))
     assert test.noticed
     assert test.asked == (3, 1)
@@ -100,7 +101,7 @@ def test_the_lag_of_an_imus_maps_is_found(lag_s: float) -> None:
         times = np.array([s.start for s in spec.schedule.segments] + [spec.schedule.segments[-1].end])
         air = [s.temperature_start for s in spec.schedule.segments] + [spec.schedule.segments[-1].temperature_end]
         log.temperature_c[:] = np.interp(log.time_s, times, air)
-    (report,) = estimate_units(as_imu(spec), [log], options=Options(lag="fit"))
+    (report,) = estimate_sensors(as_imu(spec), [log], options=Options(lag="fit"))
     lag = report.calibration.channel[0].thermal_lag
     assert float(lag or 0.0) == pytest.approx(lag_s, abs=3.0)
     assert any(("late (1σ" if lag_s else "no lag of the maps shows") in m for m in report.messages)
@@ -113,22 +114,22 @@ def test_the_earths_rate_and_the_tables_axis_may_be_given_with_the_log() -> None
     log.rate_rad_per_s[:] += along
     table = log.table_axes[0]
     plain, known = (
-        estimate_units(imu, [log], options=Options(earth_rate=rate, table_axis=table))[0].calibration.values()
+        estimate_sensors(imu, [log], options=Options(earth_rate=rate, table_axis=table))[0].calibration.values()
         for rate in (None, along)
     )
     # What is known to turn has the scale factor's error, too.
     assert plain["gyro_x.a0"] - known["gyro_x.a0"] == pytest.approx(along, rel=5e-3)
     with pytest.raises(LogError, match="no table axis tilt"):
-        estimate_units(imu, [log], options=Options(table_axis="tilt"))
+        estimate_sensors(imu, [log], options=Options(table_axis="tilt"))
     sideways = tables_of(imu)
     sideways["rig"]["table"]["axis"][0]["direction"] = [1.0, 0.0, 0.0]
     sideways["rig"]["table"]["mounting"] = [{"x": "+x", "y": "+y", "z": "+z"}]
     with pytest.raises(ValueError, match="only axis that points up"):
-        estimate_units(unit_spec_of(sideways), [log], options=Options(earth_rate=along))
+        estimate_sensors(spec_of(sideways), [log], options=Options(earth_rate=along))
 
 
 def test_points_that_a_log_lacks_are_named() -> None:
     made = simulate_log(spec_of(STANDARD), sample_rate_hz=20.0, seed=4)
     longer = as_imu(spec_of(STANDARD.replace('"40 degC"]\nsoak', '"40 degC", "60 degC"]\nsoak')))
-    (report,) = estimate_units(longer, [made.log])
+    (report,) = estimate_sensors(longer, [made.log])
     assert any("5 of the plan's points are not in the log, the first at 60 degC" in m for m in report.messages)

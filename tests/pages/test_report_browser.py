@@ -5,7 +5,7 @@ from headless_chromium import BOXES, Chromium, browser, overlaps
 from report_samples import calibration, recipe, rehearse
 from unit_bench import made, short
 
-from gradcal_jax.api.unit_estimate import estimate_units
+from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files.calibration import write_calibration
 from gradcal_jax.hardware import execute
@@ -27,7 +27,7 @@ def html(request, tmp_path_factory):
     if request.param == "a whole unit":
         plan = made(short())
         execute.run(plan, folder / "run", simulate=True, seed=3)
-        (found,) = estimate_units(plan.spec, [run_log.log(folder / "run")])
+        (found,) = estimate_sensors(plan.spec, [run_log.log(folder / "run")])
         write_calibration(found.calibration, folder / "run" / "calibration.toml")
     else:
         plan = recipe()

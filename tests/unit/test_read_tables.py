@@ -7,9 +7,10 @@ import pytest
 from estimate_scenes import draw_truth, record, scene
 from scipy.stats import chi2
 
+from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_estimate import UnitReport, estimate_units
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 
 ANGLE = {"reading_noise": "20 arcsec", "standstill_offset": "10 arcsec", "read_every": "1 s"}
 
@@ -19,14 +20,14 @@ def read_scene(plan: str) -> UnitSpec:
     document["rig"]["table"]["standing"] = "read"
     for axis in document["rig"]["table"]["axis"]:
         axis["angle"] = axis.get("angle", {}) | ANGLE
-    return unit_spec_of(document)
+    return spec_of(document)
 
 
-def estimated(spec: UnitSpec, seed: int) -> tuple[UnitReport, float]:
+def estimated(spec: UnitSpec, seed: int) -> tuple[SensorEstimate, float]:
     """The estimate of a simulated log, and the χ² of its error (NEES)."""
     rng = np.random.default_rng(seed)
     truth = draw_truth(spec, rng)
-    (report,) = estimate_units(spec, record(spec, truth, rng))
+    (report,) = estimate_sensors(spec, record(spec, truth, rng))
     error = report.solution.parameters - np.linalg.solve(report.built.model.to_reported, np.array(list(truth.values())))
     white = np.linalg.solve(report.solution.known.spread, error)
     return report, float(white @ white)

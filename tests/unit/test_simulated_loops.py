@@ -5,11 +5,11 @@ import pytest
 
 from gradcal_jax.files import presets
 from gradcal_jax.files.changes import changed
-from gradcal_jax.files.unit_spec import parse_unit_spec
+from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.loops import LoopTruth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.unit import SimulatedUnit
-from gradcal_jax.hardware.simulate.unit_lab import draw_table, draw_unit_truth
 
 HOUR = np.pi / 180.0 / 3600.0
 PERIOD_S = 2.0
@@ -56,7 +56,7 @@ class Ramp(ChamberPlant):
 
 def test_a_unit_has_the_loops_and_transients_that_its_spec_names():
     gradient = {"sensor.gyro.bias_temperature_gradient": "5 deg/h/(K/min)"}
-    plain = changed(parse_unit_spec(presets.text("two-axis-table")), gradient)
+    plain = changed(parse_spec(presets.text("two-axis-table")), gradient)
     spec = changed(
         plain,
         {
@@ -65,14 +65,14 @@ def test_a_unit_has_the_loops_and_transients_that_its_spec_names():
             "sensor.accelerometer.scale_factor_hysteresis": [{"width": "5 K", "prior": "10 ppm/K"}],
         },
     )
-    drawn, before = draw_unit_truth(spec, 3, 1, "relays"), draw_unit_truth(plain, 3, 1)
+    drawn, before = draw_truth(spec, 3, 1, "relays"), draw_truth(plain, 3, 1)
     assert drawn.names == before.names
     (loop,), (of_scale,) = drawn.triads["gyro"].loops, drawn.triads["accelerometer"].loops
     assert (loop.law, loop.width_k, loop.of_input, of_scale.of_input) == ("relays", 10.0, False, True)
-    assert {draw_unit_truth(spec, seed, 1).triads["gyro"].loops[0].law for seed in range(8)} == {
+    assert {draw_truth(spec, seed, 1).triads["gyro"].loops[0].law for seed in range(8)} == {
         "relays", "thermal masses"
     }  # fmt: skip
-    sizes = np.array([draw_unit_truth(spec, seed, 1).triads["gyro"].loops[0].size for seed in range(200)])
+    sizes = np.array([draw_truth(spec, seed, 1).triads["gyro"].loops[0].size for seed in range(200)])
     assert np.std(sizes) / HOUR == pytest.approx(300.0, rel=0.1)
     table, _, _ = draw_table(spec, 3)
     # The same seed draws the same noise and sensitivity to dT/dt; what differs is the path.

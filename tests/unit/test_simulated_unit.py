@@ -7,12 +7,12 @@ import pytest
 import unit_twin as twin
 
 from gradcal_jax.files import presets
-from gradcal_jax.files.unit_spec import parse_unit_spec
+from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.unit import ErrorTerm, SimulatedUnit
-from gradcal_jax.hardware.simulate.unit_lab import draw_table, draw_unit_truth
 
-SPEC = parse_unit_spec(presets.text("two-axis-table"))
+SPEC = parse_spec(presets.text("two-axis-table"))
 RATE_HZ = 500.0
 LEGS = [
     twin.Leg(-1, 0.5),
@@ -61,7 +61,7 @@ def simulated(truth, table, seconds: float):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_simulated_unit_is_the_twin(seed: int) -> None:
-    drawn, (table, _, shared) = draw_unit_truth(SPEC, seed, 1), draw_table(SPEC, seed)
+    drawn, (table, _, shared) = draw_truth(SPEC, seed, 1), draw_table(SPEC, seed)
     truth = drawn.names | {name: value for name, value in shared.items() if not name.startswith("angle_")}
     truth["sample_clock"] = 0.0
     rig = SPEC.rig
@@ -99,7 +99,7 @@ def test_the_simulated_unit_is_the_twin(seed: int) -> None:
 
 
 def test_what_is_off_the_axes_feels_the_turning() -> None:
-    drawn, (table, _, _) = draw_unit_truth(SPEC, 5, 1), draw_table(SPEC, 5)
+    drawn, (table, _, _) = draw_truth(SPEC, 5, 1), draw_table(SPEC, 5)
     at_the_axes = silent(drawn)
     lever = np.array([0.05, 0.0, 0.0])
     seconds = 1.8
@@ -121,7 +121,7 @@ def test_what_is_off_the_axes_feels_the_turning() -> None:
 
 
 def test_noise_is_as_strong_as_the_spec_says() -> None:
-    drawn, (table, _, _) = draw_unit_truth(SPEC, 7, 1), draw_table(SPEC, 7)
+    drawn, (table, _, _) = draw_truth(SPEC, 7, 1), draw_table(SPEC, 7)
     quiet = simulated(silent(drawn), table, 5.5)
     noisy = simulated(replace(drawn, lever=(0.0, 0.0, 0.0), gyro_lever=(0.0, 0.0, 0.0), clock_error=0.0), table, 5.5)
     # Differences of neighbours: the drifts, slower than a minute, fall out.

@@ -8,8 +8,9 @@ import pytest
 from estimate_scenes import draw_truth, record, scene
 from scipy.stats import chi2
 
+from gradcal_jax.api.estimate import estimate_sensors
+from gradcal_jax.api.fit_of_log import planned_moves
 from gradcal_jax.api.unit_build import assemble_unit
-from gradcal_jax.api.unit_estimate import estimate_units, planned_moves
 from gradcal_jax.files.log import Log
 
 RECORDED_HZ = 100
@@ -57,7 +58,7 @@ def test_a_unit_is_estimated_within_its_covariance(plan, rate_hz, marked):
     spec, rng = scene(plan, 1.0), np.random.default_rng(11)
     truth = draw_truth(spec, rng)
     logs = [slower(log, rate_hz) for log in record(spec, truth, rng, rate_hz=float(RECORDED_HZ))]
-    (report,) = estimate_units(spec, logs if marked else [replace(log, standstill=None) for log in logs])
+    (report,) = estimate_sensors(spec, logs if marked else [replace(log, standstill=None) for log in logs])
     values = np.linalg.solve(report.built.model.to_reported, np.array(list(truth.values())))
     white = np.linalg.solve(report.solution.known.spread, report.solution.parameters - values)
     assert 1e-3 < chi2.sf(white @ white, len(white)) < 1.0 - 1e-3

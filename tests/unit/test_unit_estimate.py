@@ -8,9 +8,9 @@ import pytest
 from estimate_scenes import PLANS, draw_truth, record, scene
 from scipy import stats
 
+from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_estimate import UnitReport, estimate_units
 from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.estimation.unit_executed import UnitRows, across_stops, executed_unit
 from gradcal_jax.files.log import Log, LogError
@@ -21,20 +21,20 @@ from gradcal_jax.trajectory import frames
 UNITS = 300
 
 
-def estimated(spec: UnitSpec, seed: int) -> tuple[UnitReport, np.ndarray]:
+def estimated(spec: UnitSpec, seed: int) -> tuple[SensorEstimate, np.ndarray]:
     """One unit drawn, simulated and estimated; and its true reported parameters."""
     rng = np.random.default_rng(seed)
     truth = draw_truth(spec, rng)
-    (report,) = estimate_units(spec, record(spec, truth, rng))
+    (report,) = estimate_sensors(spec, record(spec, truth, rng))
     return report, np.array(list(truth.values()))
 
 
-def error_of(report: UnitReport, truth: np.ndarray) -> np.ndarray:
+def error_of(report: SensorEstimate, truth: np.ndarray) -> np.ndarray:
     """In the engine's coordinates."""
     return report.solution.parameters - np.linalg.solve(report.built.model.to_reported, truth)
 
 
-def squared(report: UnitReport, truth: np.ndarray) -> float:
+def squared(report: SensorEstimate, truth: np.ndarray) -> float:
     """The error of all parameters, normalised by their covariance: χ² with as many degrees of freedom."""
     root = report.solution.known.spread
     white = np.linalg.solve(root, error_of(report, truth)) if root.shape[0] == root.shape[1] else np.full(1, np.nan)
@@ -68,7 +68,7 @@ def test_an_installation_error_put_in_by_hand_is_found_as_such():
     spec = scene("two axes", 1.0)
     truth = dict.fromkeys(draw_truth(spec, np.random.default_rng(0)), 0.0)
     truth |= {"tilt_north": 2e-3, "orthogonality_tilt_spin": -1.5e-3}
-    (report,) = estimate_units(spec, record(spec, truth, np.random.default_rng(5)))
+    (report,) = estimate_sensors(spec, record(spec, truth, np.random.default_rng(5)))
     found = {error.name: error for error in report.calibration.table}
     for name in ("tilt_north", "orthogonality_tilt_spin"):
         assert abs(found[name].value - truth[name]) < 4.0 * found[name].standard_deviation < 2e-4
@@ -80,7 +80,7 @@ def test_gyros_off_the_axes_are_sensitive_to_what_they_feel_there():
     """At 0.4 m a move adds a whole g to gravity, and a sensitivity of 50 deg/h/g makes minutes of arc of it."""
     spec, rng = scene("two axes", 0.1), np.random.default_rng(21)
     truth = draw_truth(spec, rng)
-    (report,) = estimate_units(spec, record(spec, truth, rng, lever=(0.3, -0.2, 0.1)))
+    (report,) = estimate_sensors(spec, record(spec, truth, rng, lever=(0.3, -0.2, 0.1)))
     values = np.array(list(truth.values()))
     assert 1e-4 < report.consistency.fit.probability < 1.0 - 1e-4
     assert 1e-4 < stats.chi2.sf(squared(report, values), len(values)) < 1.0 - 1e-4
@@ -94,7 +94,7 @@ def test_standstills_that_no_log_marks_are_found_and_lost_rows_do_no_harm():
     status[0, 5000:5100] = 4
     rate = log.rate_rad_per_s.copy()
     rate[0, 5000:5100] = np.nan
-    (report,) = estimate_units(spec, [replace(log, standstill=None, status=status, rate_rad_per_s=rate)])
+    (report,) = estimate_sensors(spec, [replace(log, standstill=None, status=status, rate_rad_per_s=rate)])
     assert any("no standstills" in message for message in report.messages)
     values = np.array(list(truth.values()))
     assert 1e-4 < stats.chi2.sf(squared(report, values), len(values)) < 1.0 - 1e-4
@@ -105,7 +105,7 @@ def test_a_table_that_was_knocked_against_spoils_no_robust_estimate():
     spec, rng = scene("two axes", 0.1), np.random.default_rng(8)
     truth = draw_truth(spec, rng)
     (log,) = record(spec, truth, rng)
-    quiet = estimate_units(spec, [log], options=Options(robust=True))[0]
+    quiet = estimate_sensors(spec, [log], options=Options(robust=True))[0]
     _require_consistent(quiet, truth)
     force, rate = log.specific_force_m_per_s2.copy(), log.rate_rad_per_s.copy()
     middles = [(first + end) // 2 for first, end in runs(log.standstill >= 0)[6:24:6]]
@@ -113,8 +113,8 @@ def test_a_table_that_was_knocked_against_spoils_no_robust_estimate():
         force[0, at, k % 3] += 2.0
         rate[0, at, k % 3] += 0.1
     knocked = replace(log, specific_force_m_per_s2=force, rate_rad_per_s=rate)
-    (plain,) = estimate_units(spec, [knocked])
-    (robust,) = estimate_units(spec, [knocked], options=Options(robust=True))
+    (plain,) = estimate_sensors(spec, [knocked])
+    (robust,) = estimate_sensors(spec, [knocked], options=Options(robust=True))
     values = np.array(list(truth.values()))
     # Twice as many readings as parameters are few, and a shock moves what is found before it is seen.
     assert squared(plain, values) > 3.0 * len(values)
@@ -136,7 +136,9 @@ def test_an_axis_that_was_away_where_a_run_was_resumed_does_no_harm(away_deg):
     angle[move, 1] += np.radians(away_deg) * np.sin(np.linspace(0.0, np.pi, len(move)))
     rate[0, move] += 0.3 * away_deg / 130.0
     starts = np.array([0, move[len(move) // 2]])
-    (report,) = estimate_units(spec, [replace(log, table_angle_rad=angle, rate_rad_per_s=rate, stretch_starts=starts)])
+    (report,) = estimate_sensors(
+        spec, [replace(log, table_angle_rad=angle, rate_rad_per_s=rate, stretch_starts=starts)]
+    )
     _require_consistent(report, truth)
 
 
@@ -163,7 +165,7 @@ def test_a_standstill_ends_where_a_run_broke_off_at_rest():
         stretch_starts=np.array([0, broke]),
         rows_read=len(kept),
     )
-    (report,) = estimate_units(spec, [part])
+    (report,) = estimate_sensors(spec, [part])
     _require_consistent(report, truth)
 
 
@@ -176,7 +178,7 @@ def test_rates_that_are_stamped_late_do_no_harm():
     assert rows > 2
     for first, end in runs(log.standstill < 0):
         angle[first : end - rows] = angle[first + rows : end]
-    (report,) = estimate_units(spec, [replace(log, table_angle_rad=angle)])
+    (report,) = estimate_sensors(spec, [replace(log, table_angle_rad=angle)])
     _require_consistent(report, truth)
 
 
@@ -230,7 +232,7 @@ def _moves_of(log: Log, axis: int) -> list[np.ndarray]:
     return [rows for rows, by in turned if by[axis] > 0.5 and np.sum(by) - by[axis] < 0.01]
 
 
-def _require_consistent(report: UnitReport, truth: dict[str, float]) -> None:
+def _require_consistent(report: SensorEstimate, truth: dict[str, float]) -> None:
     values = np.array(list(truth.values()))
     assert 1e-4 < stats.chi2.sf(squared(report, values), len(values)) < 1.0 - 1e-4
     assert 1e-4 < report.consistency.fit.probability < 1.0 - 1e-4
@@ -256,14 +258,14 @@ def test_a_log_of_another_table_is_a_sentence(change, said):
     spec, rng = scene("two axes", 0.1), np.random.default_rng(1)
     (log,) = record(spec, draw_truth(spec, rng), rng)
     with pytest.raises(LogError, match=said):
-        estimate_units(spec, [change(log)])
+        estimate_sensors(spec, [change(log)])
 
 
 def test_several_mountings_want_a_log_each():
     spec, rng = scene("one axis, three mountings", 0.1), np.random.default_rng(1)
     logs = record(spec, draw_truth(spec, rng), rng)
     with pytest.raises(LogError, match="one log for each"):
-        estimate_units(spec, logs[:2])
+        estimate_sensors(spec, logs[:2])
 
 
 @pytest.mark.evidence

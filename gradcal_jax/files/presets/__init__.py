@@ -5,33 +5,22 @@ Sensor figures are typical of a class of devices, of no vendor's.
 
 import tomllib
 from importlib import resources
-from importlib.resources.abc import Traversable
 
 from gradcal_jax.files.problems import hint
 
 
 def names() -> tuple[str, ...]:
-    """The presets of one gyro axis, in alphabetical order."""
-    return _in(resources.files(__name__))
-
-
-def unit_names() -> tuple[str, ...]:
-    """The presets of a whole unit, gyros and accelerometers, in alphabetical order."""
-    return _in(resources.files(__name__) / "units")
-
-
-def _in(folder: Traversable) -> tuple[str, ...]:
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
+    """The presets, in alphabetical order."""
+    entries = resources.files(__name__).iterdir()
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in entries if entry.name.endswith(".toml")))
 
 
 def text(name: str) -> str:
     """The TOML text of a preset. Raises `ValueError` with the nearest right spelling."""
-    of_axis, every = names(), (*names(), *unit_names())
-    if name not in every:
-        ending = hint(name, every, f"; known: {', '.join(every)}")
+    if name not in (known := names()):
+        ending = hint(name, known, f"; known: {', '.join(known)}")
         raise ValueError(f'there is no preset named "{name}"{ending}')
-    folder = resources.files(__name__)
-    return ((folder if name in of_axis else folder / "units") / f"{name}.toml").read_text(encoding="utf-8")
+    return (resources.files(__name__) / f"{name}.toml").read_text(encoding="utf-8")
 
 
 def template(name: str) -> str:

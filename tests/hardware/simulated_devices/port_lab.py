@@ -1,6 +1,6 @@
-"""The simulated laboratories on ports: an ESPEC, a chain of Zaber stages or a person at a terminal, STIM300 units."""
+"""The simulated laboratory on ports: an ESPEC, a chain of Zaber stages or a person at a terminal, STIM300 units."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, Self
 
 import numpy as np
@@ -10,39 +10,29 @@ from simulated_devices.port import SimulatedPort
 from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 from simulated_devices.zaber import SimulatedZaber
 
-from gradcal_jax.files.bench import Table, TableAxis
+from gradcal_jax.files.bench import TableAxis
 from gradcal_jax.files.rig import rig_of
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate import lab, unit_lab
+from gradcal_jax.hardware.simulate import lab
 from gradcal_jax.hardware.simulate.datagrams import RATES_HZ
 from gradcal_jax.hardware.simulate.plants import AxisPlant
-from gradcal_jax.hardware.simulate.sensor import SampledSensor
 
 
-class OnPorts(lab.SimulatedDevices):
+class SimulatedLab(lab.SimulatedLab):
     """Each device on a port of its own. A context manager."""
 
-    def _connect(
-        self,
-        axes: Mapping[str, Table | TableAxis],
-        sensors: Mapping[str, SampledSensor],
-        *,
-        by_hand: bool,
-        typed: bool,
-        hang: Callable[[int], None] | None = None,
-        seed: int,
-        sample_rate_hz: float,
-        burst_s: float,
-    ) -> None:
-        del typed  # no encoder hangs on a port
-        clock = self._clock
-        low_c, high_c = self.range_c
-        self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=high_c, low_c=low_c))
+    def _connect(self, spec: UnitSpec, clock: Clock, seed: int, sample_rate_hz: float, burst_s: float) -> None:
+        drawn, by_hand = spec.rig.table, spec.rig.table.drive == "hand"
+        axes = {axis.name: axis for axis in drawn.axis}
+        low_c, high_c = (float(end) for end in spec.rig.chamber.range)
+        self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=high_c + 5.0, low_c=low_c - 5.0))
         plants = dict(zip(map(str, axes), self.axis_plants, strict=True))
+        hang = self._hang if len(drawn.mounting) > 1 else None
         operator = SimulatedOperator(plants, clock, OperatorOptions(seed=seed, slips=0.02), hang=hang)
         baudrate = 921_600 if sample_rate_hz < RATES_HZ[-1] else 1_843_200
         options = Stim300Options(baudrate=baudrate, rate_code=RATES_HZ.index(sample_rate_hz), burst_s=burst_s)
-        self.imus = {name: SimulatedStim300(sensor, clock, options) for name, sensor in sensors.items()}
+        self.imus = {name: SimulatedStim300(sensor, clock, options) for name, sensor in self.units.items()}
         self.imu = next(iter(self.imus.values()))
         self.table: Any = operator if by_hand else chain_of(self.axis_plants, clock, axes.values())
         hangs = hang is not None and not by_hand
@@ -52,7 +42,7 @@ class OnPorts(lab.SimulatedDevices):
         settings = {"sample_rate": f"{sample_rate_hz:g} Hz", "baudrate": baudrate}
         units = [
             {"name": name, "driver": "stim300", "port": port, "options": settings}
-            for name, port in zip(sensors, others, strict=False)
+            for name, port in zip(self.units, others, strict=False)
         ]
         tables: dict[str, Any] = {
             "format": "gradcal-rig/1",
@@ -61,7 +51,7 @@ class OnPorts(lab.SimulatedDevices):
             "axis": [axis_table(*axis, at_table, i, by_hand) for i, axis in enumerate(axes.items(), start=1)],
             "imu": units,
         }
-        self.rig = rig_of(tables | ({"operator": {"port": others[-1]}} if len(others) > len(sensors) else {}))
+        self.rig = rig_of(tables | ({"operator": {"port": others[-1]}} if len(others) > len(units) else {}))
 
     def __enter__(self) -> Self:
         for port in self.ports:
@@ -73,15 +63,7 @@ class OnPorts(lab.SimulatedDevices):
             port.close()
 
 
-class SimulatedLab(OnPorts, lab.SimulatedLab):
-    """For a single axis's spec."""
-
-
-class SimulatedUnitLab(OnPorts, unit_lab.SimulatedUnitLab):
-    """For a whole unit's spec."""
-
-
-def chain_of(plants: list[AxisPlant], clock: Clock, axes: Iterable[Table | TableAxis]) -> SimulatedZaber:
+def chain_of(plants: list[AxisPlant], clock: Clock, axes: Iterable[TableAxis]) -> SimulatedZaber:
     chain = SimulatedZaber(plants, clock)
     for stage, says in zip(chain.stages, axes, strict=True):
         if not np.isinf(travel := float(says.travel)):
@@ -90,7 +72,7 @@ def chain_of(plants: list[AxisPlant], clock: Clock, axes: Iterable[Table | Table
     return chain
 
 
-def axis_table(name: str, says: Table | TableAxis, port: str, number: int, by_hand: bool) -> dict[str, Any]:
+def axis_table(name: str, says: TableAxis, port: str, number: int, by_hand: bool) -> dict[str, Any]:
     """The rig file's table of an axis: a stage on a chain, or turned by hand."""
     limits = {"max_rate": str(says.max_rate), "max_acceleration": str(says.max_acceleration)}
     if by_hand and not np.isinf(float(says.travel)):

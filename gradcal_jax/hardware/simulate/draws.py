@@ -1,10 +1,4 @@
-"""A simulated laboratory for the recipe of a whole unit: chamber, a table of nested axes, one or several units.
-
-The seed draws the true parameters from the spec's priors: each unit's own coefficients, and the common ones, attitudes
-of base and axes, harmonics of the encoders, the mountings; for a flat prior typical values. The accelerometers are a
-few centimetres off the axes and sense it. With the frame "table axes" the unit's mounting has no error, by definition
-of the frame. A simulated operator turns the axes that the plan turns by hand, and hangs the units anew where there are
-several mountings.
+"""The hidden parameters of simulated devices, drawn from a spec's priors; for a flat prior of typical size.
 
 Hysteresis is drawn with the size that the spec gives it and by another law than the estimator's (`loops`), which the
 seed draws, too.
@@ -12,22 +6,24 @@ seed draws, too.
 
 import itertools
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
-from ...files.sensor import AccelerometerTriad, GyroTriad
-from ...files.tracks import read_at_rest, tracks_of
+from ...files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
+from ...files.sensor import AccelerometerTriad, GyroTriad, TemperatureError
 from ...files.unit_spec import UnitSpec
-from ..clock import Clock
+from ...units import to_unit
 from ..pose import turn_by
-from .lab import BEYOND_DEG, SimulatedDevices, basis_truth, processes_of
 from .loops import LAWS, Law, LoopTruth
-from .plants import AxisPlant, AxisTruth
-from .sensor import TruthBasis, Vectors
-from .unit import ErrorTerm, Kind, Matrix, ScaleFactors, SimulatedUnit, TableTruth, TriadTruth, UnitTruth
+from .plants import AxisTruth
+from .sensor import Process, TruthBasis, Vectors
+from .unit import ErrorTerm, Kind, Matrix, ScaleFactors, TableTruth, TriadTruth, UnitTruth
 
+# A plan may use all of its allowed travel: the cable's hard end is this far beyond.
+_BEYOND_DEG: Final = 2.0
 _XYZ: Final = "xyz"
 # Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
 _LEVER_M: Final = 0.03
@@ -55,6 +51,33 @@ _ERRORS: Final[dict[Kind, tuple[tuple[str, float, str, list[list[str]]], ...]]] 
         ("cross_coupling", 1e-4 / 9.8, "products", [["k_xy", "k_xz", "k_yz"]] * 3),
     ),
 }
+
+
+def processes_of(
+    drift: Sequence[Any], instability: Sequence[Any], error: TemperatureError | None
+) -> tuple[Process, ...]:
+    """The processes of a spec's drifts, scale-factor errors, and error of the measured temperature."""
+    biases = (Process(float(d.standard_deviation), float(d.correlation_time), 1.0) for d in drift)
+    scales = (Process(float(d.standard_deviation), float(d.correlation_time), 0.0, 1.0) for d in instability)
+    if error is None:
+        return (*biases, *scales)
+    lasts = np.inf if error.correlation_time is None else float(error.correlation_time)
+    gains = (float(error.bias_slope or 0.0), float(error.scale_factor_slope or 0.0))
+    return (*biases, *scales, Process(float(error.standard_deviation), lasts, *gains))
+
+
+def basis_truth(section: Any, unit: str = "") -> TruthBasis:
+    """A spec's basis of temperatures (°C), or of rates in a unit."""
+
+    def numbers(*values: Any) -> tuple[float, ...]:
+        return tuple(to_unit(float(value), unit) if unit else float(value) for value in values)
+
+    if isinstance(section, (TemperaturePolynomial, RatePolynomial)):
+        centre, scale = numbers(section.centre, section.scale)
+        return TruthBasis("polynomial", section.degree, centre, scale)
+    if isinstance(section, (TemperatureSpline, RateSpline)):
+        return TruthBasis("b-spline", section.degree, knots=numbers(*section.knots))
+    return TruthBasis("bins", knots=numbers(*section.edges))
 
 
 def ordinal(basis: TruthBasis, number: int) -> str:
@@ -160,7 +183,7 @@ def _three(values: Vectors) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
 
 
-def draw_unit_truth(spec: UnitSpec, seed: int, number: int, law: Law | None = None) -> UnitTruth:
+def draw_truth(spec: UnitSpec, seed: int, number: int, law: Law | None = None) -> UnitTruth:
     """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI. `law`: of
     loops over the temperature; None: drawn."""
     draws = _Draws(np.random.default_rng([seed, number, 20261]))
@@ -203,7 +226,7 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
             cosine = draw(size, f"angle_{axis.name}_cos{order}")
             sine = draw(size, f"angle_{axis.name}_sin{order}")
             waves.append((order, -float(np.degrees(cosine)), -float(np.degrees(sine))))
-        limit = None if np.isinf(axis.travel) else float(np.degrees(axis.travel)) + BEYOND_DEG
+        limit = None if np.isinf(axis.travel) else float(np.degrees(axis.travel)) + _BEYOND_DEG
         encoders.append(
             AxisTruth(
                 lowest_deg=None if limit is None else -limit,
@@ -232,59 +255,3 @@ def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], 
         mountings=tuple(mountings),
     )
     return truth, encoders, named
-
-
-class SimulatedUnitLab(SimulatedDevices):
-    """The laboratory for one recipe's spec, with `units` units on the table.
-
-    `mounting`: the first mounting, from 0. `burst_s` is the time between bursts of a unit's bytes to the computer.
-    """
-
-    def __init__(
-        self,
-        spec: UnitSpec,
-        clock: Clock,
-        *,
-        seed: int = 0,
-        units: int = 1,
-        mounting: int = 0,
-        sample_rate_hz: float = 125.0,
-        burst_s: float = 1.0,
-        room_c: float = 23.0,
-    ) -> None:
-        super().__init__(spec.rig.chamber, spec.sensor.thermal_lag, room_c, clock)
-        now, table = clock.now(), spec.rig.table
-        truth, encoders, self._installation = draw_table(spec, seed)
-        self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
-        self.units: dict[str, SimulatedUnit] = {
-            f"unit{number}": SimulatedUnit(
-                draw_unit_truth(spec, seed, number),
-                truth,
-                self.chamber_plant,
-                self.axis_plants,
-                sample_rate_hz=sample_rate_hz,
-                seed=64 * seed + number,
-                mounting=mounting,
-                start_s=now,
-            )
-            for number in range(1, units + 1)
-        }
-        self._connect(
-            {axis.name: axis for axis in table.axis},
-            self.units,
-            by_hand=table.drive == "hand",
-            typed=not read_at_rest(tracks_of(spec)[1]),
-            hang=self._hang if len(table.mounting) > 1 else None,
-            seed=seed,
-            sample_rate_hz=sample_rate_hz,
-            burst_s=burst_s,
-        )
-
-    def truths(self) -> dict[str, Any]:
-        """The true parameters by their names in the calibrations, SI, for a file."""
-        units = {name: unit.truth.names for name, unit in self.units.items()}
-        return {"installation": self._installation, "units": units}
-
-    def _hang(self, number: int) -> None:
-        for unit in self.units.values():
-            unit.mounting = number - 1

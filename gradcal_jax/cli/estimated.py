@@ -1,48 +1,28 @@
-"""Results of `gradcal estimate` for whole units as text: on a table, or turned by hand (`--gravity`)."""
+"""Results of `gradcal estimate` as text: of a log by a spec, or of a unit turned by hand (`--gravity`)."""
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import as_json
-from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
-from gradcal_jax.files.calibration import write_calibration
 from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.requirement_table import requirement_table
 from gradcal_jax.pages.plain_text import columns as table
-from gradcal_jax.units import G
+from gradcal_jax.units import PPM, G
 
 if TYPE_CHECKING:
+    from gradcal_jax.api.estimate import SensorEstimate
     from gradcal_jax.api.hand_estimate import HandReport
-    from gradcal_jax.api.unit_estimate import UnitReport
+    from gradcal_jax.api.structure_tests import MeasuredDiscrepancy
+    from gradcal_jax.estimation import Group
     from gradcal_jax.files.contracts import RequirementRow
 
-Report = TypeVar("Report", "UnitReport", "HandReport")
+# More coefficients than these are read in the file.
+_MOST_COEFFICIENTS = 30
 
 
-def say_units(
-    reports: "Sequence[Report]",
-    descriptions: Sequence[str],
-    text: "Callable[[Report], str]",
-    rows: "Callable[[Report], dict[str, Any]]",
-    files: Mapping[str, Path],
-    *,
-    json: bool,
-) -> int:
-    """Print and write estimates of whole units, after `descriptions` of their logs; returns the exit status."""
-    print(as_json({"units": list(map(rows, reports))}) if json else "\n".join([*descriptions, *map(text, reports)]))
-    for report in reports:
-        if (path := files.get(report.unit)) is not None:
-            write_calibration(report.calibration, path)
-            if not json:
-                print(f"wrote {path}")
-    return DONE if all(report.as_wished for report in reports) else NOT_AS_WISHED
-
-
-def _head(report: "UnitReport | HandReport", counted: str) -> list[str]:
+def _head(report: "SensorEstimate | HandReport", counted: str) -> list[str]:
     calibration = report.calibration
     low, high = calibration.valid_temperature
     fastest = np.degrees(float(calibration.valid_rate[1]))
@@ -54,7 +34,7 @@ def _head(report: "UnitReport | HandReport", counted: str) -> list[str]:
     ]
 
 
-def _tests(report: "UnitReport | HandReport") -> str:
+def _tests(report: "SensorEstimate | HandReport") -> str:
     rows = [("test", "statistic", "degrees", "chance")]
     for test in report.calibration.fit:
         name = test.name.replace("_", " ")
@@ -69,12 +49,27 @@ def requirement_lines(rows: "Sequence[RequirementRow]") -> list[str]:
     return ["", table(shown, indent=""), *(f"{n}: {row.rule}" for n, row in zip(names, rows, strict=True) if row.rule)]
 
 
-def text_of_estimate(report: "UnitReport") -> str:
+def text_of_estimate(report: "SensorEstimate") -> str:
     from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+    from gradcal_jax.model import SCALE_FACTOR
+    from gradcal_jax.pages.coefficients import estimated_coefficients
 
     calibration, model = report.calibration, report.built.model
-    lines = _head(report, f"{np.count_nonzero(report.solution.used)} rows of {len(model.channels)} channels")
+    readings, channels = len(report.solution.weights), len(model.channels)
+    counted = f"{readings} readings" + (f" of {channels} channels" if channels > 1 else "")
+    lines = _head(report, counted)
+    lines.append("rows: " + ", ".join(f"{count} {reason}" for reason, count in report.counts.items()))
     lines += requirement_lines(report.requirements)
+    if len(calibration.values()) <= _MOST_COEFFICIENTS:
+        rows, right = estimated_coefficients(calibration)
+        lines += ["", table(rows, right=right)]
+    if report.smoothness is not None:
+        stds = (
+            (f"{channel} {name}".replace("_", " "), std, *UNITS_OF_TERMS["1" if name == SCALE_FACTOR else "rad/s"])
+            for (channel, name), std in report.smoothness.stds.items()
+        )
+        words = ", ".join(f"{name} {std * factor:.3g} {unit}" for name, std, unit, factor in stds)
+        lines.append(f"smoothness (1σ of neighbours' differences): {words}")
     spread = _sizes(report)
     lines += ["", "the terms, at most over the temperatures:", table(spread, right=(1, 2))]
     if calibration.path:
@@ -95,14 +90,40 @@ def text_of_estimate(report: "UnitReport") -> str:
             numbers = (f"{v * factor:.4g}" for v in (error.value, error.standard_deviation, error.prior))
             of_table.append((error.name.replace("_", " "), *numbers, unit))
         lines += [table(of_table, right=(1, 2, 3))]
-    lines += [_tests(report)]
+    tests = report.consistency
+    lines += [
+        _tests(report),
+        f"  residuals are {tests.noise_scale:.3f} times what the spec says; {tests.beyond_three:.2%} beyond 3σ, the "
+        f"largest {tests.largest:.1f}σ",
+    ]
+    lines += [_neighbours(name, groups) for name, groups in report.neighbours.items()]
     if report.gravity is not None:
         before, after = (1e6 * v / G for v in report.gravity)
         lines.append(f"|f| - g over the rests: {before:.4g} µg rms as measured, {after:.4g} µg corrected")
     return "\n".join([*lines, *(f"note: {message}" for message in report.messages)])
 
 
-def _sizes(report: "UnitReport") -> list[tuple[str, ...]]:
+def _neighbours(channel: str, groups: "Sequence[Group]") -> str:
+    shown = [(channel.replace("_", " "), "mean rate", "moves", "without a map", "1σ", "the map", "unit")]
+    for g in groups:
+        where = (f"{g.temperature_c:.1f} °C", f"{np.degrees(g.rate_rad_per_s):.4g} deg/s", str(g.moves))
+        error = "" if g.standard_error is None else f"{g.standard_error * PPM:.3g}"
+        shown.append((*where, f"{g.scale_factor * PPM:.5g}", error, f"{g.of_map * PPM:.5g}", "ppm"))
+    return table(shown, right=(1, 2, 3, 4, 5))
+
+
+def discrepancy_lines(row: "MeasuredDiscrepancy") -> list[str]:
+    """The size of a measured discrepancy, and its table for a spec."""
+    several = f", {row.units} units together" if row.units > 1 else ""
+    high = "∞" if row.high is None else f"{row.high:.3g}"
+    heading = (
+        f"discrepancy of the {row.quantity.replace('_', ' ')}, axis {row.axis}{several}: {row.standard_deviation:.3g} "
+        f"{row.unit} (95 % interval {row.low:.3g} … {high})"
+    )
+    return ["", heading, *([f"  {line}" for line in row.block.splitlines()] if row.low > 0.0 else [])]
+
+
+def _sizes(report: "SensorEstimate") -> list[tuple[str, ...]]:
     """The largest value of every channel's terms over temperature (and rate)."""
     from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 

@@ -1,0 +1,181 @@
+"""The fit of a model to the rows of a log: the executed motion, the readings of it, and the estimate.
+
+The motion is read from the log; the rates within a move are first the gyros' own, then corrected by the first estimate.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from gradcal_jax import estimation, trajectory
+from gradcal_jax.api.build import move_of
+from gradcal_jax.api.contradictions import refuse_implausible
+from gradcal_jax.api.estimated_calibration import calibrated_channels
+from gradcal_jax.api.fitted_lag import Lag, fitted_lag
+from gradcal_jax.api.recorded_rows import read_by_events
+from gradcal_jax.api.unit_build import AssembledUnit, course_before
+from gradcal_jax.api.unit_sentences import prior_deviations
+from gradcal_jax.estimation import (
+    ExecutedUnit,
+    PlannedMove,
+    Plateaus,
+    Smoothness,
+    TablePoints,
+    UnitEstimate,
+    UnitReadings,
+    UnitRows,
+)
+from gradcal_jax.files.calibration.correction import correct_triads
+from gradcal_jax.files.log import LogError
+from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.schedule import StandardSchedule
+
+# Residuals of this many times the noise come from a wrong table, order of axes, or sign.
+_ABSURD = 100.0
+# Temperatures (°C) and rates (rad/s) of a calibration that is used at those of its own data alone.
+_EVERYWHERE = (-273.0, 1000.0), (-1e4, 1e4)
+# Parts of a planned move's time at which its angle is tabulated.
+_PROFILE = 512
+
+
+class Fit(NamedTuple):
+    """The executed motion, the readings of it, and the estimate. `rates` `(n, 3)`: the gyros', corrected, rad/s."""
+
+    executed: ExecutedUnit
+    readings: UnitReadings
+    solution: UnitEstimate
+    rates: np.ndarray
+
+
+def _refuse_the_implausible(built: AssembledUnit, name: str, solution: UnitEstimate) -> None:
+    """Raise `LogError` for the first channel with coefficients that no device has."""
+    model, priors = built.model, prior_deviations(built)
+    values, begin = model.to_reported @ solution.parameters, 0
+    for c in model.channels:
+        own = slice(begin, begin + c.model.size)
+        begin = own.stop
+        refuse_implausible(f"{name}, {c.name.replace('_', ' ')}", c.model.names(), values[own], priors[own])
+
+
+def lag_of_maps(built: AssembledUnit, name: str, rows: UnitRows, temperature_of: Callable[[float], np.ndarray]) -> Lag:
+    """The lag of the maps of all channels, at the motion that is found without one."""
+    _, readings, solution, _ = fitted_twice(built, name, rows, temperature_of(0.0))
+
+    def chi_squared(lag: float) -> float:
+        of = readings._replace(temperature_c=temperature_of(lag))
+        return float(estimation.estimate_unit(of, solution.parameters).estimate.chi_squared[0])
+
+    return fitted_lag(chi_squared)
+
+
+def fitted_twice(
+    built: AssembledUnit,
+    name: str,
+    rows: UnitRows,
+    temperature: np.ndarray,
+    threshold: float | None = None,
+    points: TablePoints | None = None,
+) -> Fit:
+    """The fit with a `temperature` (degC) for each row. `points`: the rows are those of a table of points.
+
+    A rate-dependent scale factor of a per cent would be estimated at wrong rates if they were not corrected.
+    """
+    first = _read(built, name, rows, rows, temperature, threshold, points).solution
+    held = tuple(calibrated_channels(built, built.model.to_reported @ first.parameters, _EVERYWHERE))
+    rates, felt = correct_triads(held, rows.rates, rows.force, temperature)
+    seen = rows._replace(rates=rates)
+    return _read(built, name, rows, seen, temperature, threshold, points, felt, first.parameters)
+
+
+def with_chosen_smoothness(
+    built: AssembledUnit, fit: Fit, threshold: float | None
+) -> tuple[AssembledUnit, Fit, Smoothness]:
+    """The fit with those smoothness priors at which its data are most probable. Errors: `ValueError` without any."""
+    chosen = estimation.choose_smoothness(fit.solution.white, built.model)
+    model = estimation.with_smoothness(built.model, list(chosen.stds.values()))
+    readings = fit.readings._replace(model=model)
+    solution = estimation.estimate_unit(readings, fit.solution.parameters, threshold=threshold)
+    return built._replace(model=model), fit._replace(readings=readings, solution=solution), chosen
+
+
+def _read(
+    built: AssembledUnit,
+    name: str,
+    rows: UnitRows,
+    seen: UnitRows,
+    temperature: np.ndarray,
+    threshold: float | None,
+    points: TablePoints | None,
+    felt: np.ndarray | None = None,
+    about: np.ndarray | None = None,
+) -> Fit:
+    """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
+    estimate, linearised about `about`."""
+    try:
+        done = _executed(built, seen, points)
+        done = done._replace(motion=replace(done.motion, history=course_before(built.spec)))
+    except ValueError as error:
+        raise LogError(f"{name}: {error}") from None
+    readings = estimation.readings_of(built.model, done, rows, temperature, 0 if built.rough else built.points, felt)
+    own = None if points is None else points.sigma
+    if own is not None:
+        readings = readings._replace(sigma=own * done.motion.line.duration)
+    plan = built.spec.plan
+    if isinstance(plan, StandardPlan) and plan.estimator == "least squares" and own is None:
+        solution = estimation.estimate_unweighted(readings)
+    else:
+        solution = estimation.estimate_unit(readings, about, threshold=threshold)
+    _refuse_the_implausible(built, name, solution)
+    scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
+    if scale > _ABSURD:
+        raise LogError(
+            f"{name}: the unit's readings differ from the table's by {scale:.3g} times what noise explains: are the "
+            "mounting, the unit's axes and signs and the table's angles those of the spec?"
+        )
+    return Fit(done, readings, solution, seen.rates)
+
+
+def _executed(built: AssembledUnit, seen: UnitRows, points: TablePoints | None) -> ExecutedUnit:
+    """The executed motion by the rates of `seen`. Raises `ValueError`."""
+    encoder, geometry = built.model.encoder, built.motion.geometry
+    if points is not None:
+        return estimation.motion_at_points(points.done, seen, geometry)
+    if isinstance(built.spec.plan, StandardPlan):
+        return estimation.motion_at_points(points_of(built, seen).done, seen, geometry)
+    if read_by_events(built.spec):
+        return estimation.motion_by_readings(seen, geometry)
+    spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
+    return estimation.executed_unit(seen, geometry, planned=planned_moves(built), **spacing)
+
+
+def points_of(built: AssembledUnit, rows: UnitRows) -> Plateaus:
+    """The points of the standard method in a log's rows. Raises `ValueError` where there are none."""
+    plan = built.spec.schedule
+    assert isinstance(plan, StandardSchedule)
+    assert rows.table_rate is not None
+    planned = np.array(plan.temperatures), np.array(plan.rates)
+    reference = rows.temperature_c, rows.table_rate, rows.usable
+    return estimation.plateaus(rows.time_s, *reference, *planned, plan.integration, points=plan.shared)
+
+
+def planned_moves(built: AssembledUnit) -> list[list[PlannedMove]]:
+    """The moves of a plan's cycle between its rests."""
+    groups: list[list[PlannedMove]] = [[]]
+    places = np.linspace(0.0, 1.0, _PROFILE + 1)
+    for step in built.spec.gradient_schedule.steps:
+        for _ in range(step.move.repeat):
+            if step.axis < 0:
+                groups.append([])
+                continue
+            turn = move_of(replace(step.move, axis="x"), None, np.inf)
+            line = trajectory.gradient_plan(trajectory.programme(0.0, [(turn.duration, 0.0)]), (turn,)).trajectory()
+            begun = np.cumsum(line.turned()) - line.turned()
+            piece = np.clip(np.searchsorted(line.start, places * turn.duration, side="right") - 1, 0, len(begun) - 1)
+            within = (places * turn.duration - line.start[piece]) / line.duration[piece]
+            angle = begun[piece] + line.angle(within[:, None], piece)[:, 0]
+            groups[-1].append(PlannedMove(step.axis, turn.angle, turn.duration, angle / angle[-1]))
+    # The cycle begins anew where it ends.
+    groups[0] = [*groups.pop(), *groups[0]] if len(groups) > 1 else groups[0]
+    return [group for group in groups if group]

@@ -31,9 +31,9 @@ def objectives():
 def specs():
     """The headline without and with a discrepancy."""
     from gradcal_jax.files import changed, read_spec
-
+    
     spec = read_spec(SPEC)
-    return [spec, changed(spec, {"sensor.scale_factor.discrepancy": HIDDEN})]
+    return [spec, changed(spec, {"sensor.gyro.scale_factor.discrepancy": HIDDEN})]
 
 
 def descent(objective, start: np.ndarray) -> tuple[float, int]:

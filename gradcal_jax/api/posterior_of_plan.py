@@ -136,9 +136,7 @@ def _few_places(of: Map, temperatures: np.ndarray, rates: np.ndarray):
     return (few_t, few_w), (by_t, by_w)
 
 
-def statistic_of(
-    requirement: UnitRequirement, values: np.ndarray, name: Statistic | None = None
-) -> float:
+def statistic_of(requirement: UnitRequirement, values: np.ndarray, name: Statistic | None = None) -> float:
     """The requirement's statistic of its residuals, or the one of that `name`."""
     name = name or requirement.statistic
     return statistic(name, values * mission_weights(requirement, name))

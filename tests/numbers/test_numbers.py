@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 import recorded
 
+from gradcal_jax.files import SpecError
+from gradcal_jax.files.axis_as_imu import turned_axes
+
 KEPT = {kind: recorded.read(kind) for kind in ("predictions", "elasticities", "units", "calibrations", "estimates")}
 
 # One of each method, basis and reference, quick ones; and two whose bias hardly anything is known of: where sums let
@@ -59,6 +62,10 @@ def test_predictions_are_as_recorded(kept):
 
 @pytest.mark.parametrize("kept", _cases("elasticities", DERIVED))
 def test_elasticities_are_as_recorded(kept):
+    if len(turned_axes(kept["tables"])) > 1:
+        with pytest.raises(SpecError, match="as if each had a table of its own"):
+            recorded.elasticities(kept["tables"])
+        return
     rows = recorded.elasticities(kept["tables"])
     assert {k: set(v) for k, v in rows.items()} == {k: set(v) for k, v in kept["rows"].items()}
     for requirement, figures in kept["rows"].items():

@@ -11,8 +11,7 @@ import numpy as np
 import tomlkit
 
 from gradcal_jax.api import predict
-from gradcal_jax.api.estimate import estimate_sensors
-from gradcal_jax.api.log_flow import estimate as estimate_axes
+from gradcal_jax.api.log_flow import estimate as estimate_log
 from gradcal_jax.api.sensitivity import sensitivity
 from gradcal_jax.files import Spec, spec_of, tables_of
 from gradcal_jax.files.calibration import parse_calibration
@@ -109,10 +108,7 @@ def exported(of: Any, target: str) -> Tables:
 def estimate(name: str, tables: Tables) -> Tables:
     """Coefficients, their standard deviations and the fit's χ² of a log beside this file, in the calibration's SI."""
     spec, logs = any_spec(tables), [unpacked(path) for path in sorted((HERE / "logs").glob(f"{name}, *.nc.gz"))]
-    if isinstance(spec, Spec):
-        found = [tables_of(c) for c in estimate_axes(spec, logs[0]).calibrations]
-    else:
-        found = [tables_of(report.calibration) for report in estimate_sensors(spec, logs)]
+    found = map(tables_of, estimate_log(spec, logs).calibrations)
     return {document["serial_number"]: result(document) for document in found}
 
 

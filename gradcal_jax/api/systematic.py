@@ -258,13 +258,6 @@ class CountedPosteriors(NamedTuple):
         return self.any_run if run == "any run" else self.whole
 
 
-def budget_of_plan(built: Assembled, known: Posterior, channel: Axis, complete: Assembled) -> CountedPosteriors:
-    """The posteriors of one axis of a plan; `complete`: the spec with all that it omits at typical figures."""
-    fit = known if complete is built else posterior_of_plan(complete, channel)
-    turn_on = another_run(systematic_figures(complete.spec), terms_of_axis(complete.model), complete.model.size)
-    return _planned(known, columns_of_plan(built, channel), complete, fit, columns_of_plan(complete, channel), turn_on)
-
-
 def budget_of_unit(built: AssembledUnit, known: Posterior, complete: AssembledUnit) -> CountedPosteriors:
     """The posteriors of a unit's plan."""
     fit = known if complete is built else posterior_of_unit(complete)

@@ -55,9 +55,10 @@ def new(
     write_whole(output, text)
     if preset not in examples:
         from gradcal_jax.cli.predict import omitted_lines
+        from gradcal_jax.files.axis_as_imu import general
         from gradcal_jax.files.recipe import any_spec_in
 
-        if omitted := omitted_lines(any_spec_in(Path(output))):
+        if omitted := omitted_lines(general(any_spec_in(Path(output)))):
             print("\n".join(omitted))
     following = {
         _COLUMN_MAP: f"gradcal allan LOG --columns {output}",

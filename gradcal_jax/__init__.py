@@ -35,7 +35,7 @@ _HOME_OF_NAME: dict[str, str] = {
     "compare": "api.flow",
     "timeline": "api",
     "monte_carlo": "api",
-    "unobservable": "api",
+    "unobservable": "api.unit_sentences",
     # design
     "optimise": "api.flow",
     "limit": "api.flow",

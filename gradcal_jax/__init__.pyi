@@ -6,7 +6,6 @@ from gradcal_jax.api import monte_carlo as monte_carlo
 from gradcal_jax.api import predict as predict
 from gradcal_jax.api import recipe as recipe
 from gradcal_jax.api import timeline as timeline
-from gradcal_jax.api import unobservable as unobservable
 from gradcal_jax.api.differentiable import differentiable as differentiable
 from gradcal_jax.api.flow import check as check
 from gradcal_jax.api.flow import compare as compare
@@ -19,6 +18,7 @@ from gradcal_jax.api.log_flow import estimate as estimate
 from gradcal_jax.api.log_flow import instability as instability
 from gradcal_jax.api.replan import replan as replan
 from gradcal_jax.api.sensitivity import sensitivity as sensitivity
+from gradcal_jax.api.unit_sentences import unobservable as unobservable
 from gradcal_jax.api.validation import validate as validate
 from gradcal_jax.decoding.run_log import log as log
 from gradcal_jax.files import Spec as Spec

@@ -6,10 +6,11 @@ from functools import lru_cache
 import numpy as np
 
 from gradcal_jax.files.log import Log
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.hardware.simulate.draws import draw_table
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.unit import SimulatedUnit, UnitTruth
-from gradcal_jax.hardware.simulate.draws import draw_table
 
 COLD, WARM, LASTING_S = -20.0, 60.0, 4800.0
 SIZE, WIDTHS = 10.0, (3.0, 10.0, 30.0)
@@ -52,7 +53,7 @@ def spec_of(*, back: bool, size: float = SIZE, plays: bool = True) -> UnitSpec:
             "reading_noise": "0.1 arcsec", "standstill_offset": "0 arcsec", "read_every": "30 s", "harmonics": [],
         },
     }  # fmt: skip
-    return unit_spec_of({
+    return spec_of({
         "format": "gradcal-spec/1",
         "sensor": {
             "grade": "tactical", "clock": "sensor", "temperature_offset": "0 K", "temperature_lag": "0 s",

@@ -17,7 +17,7 @@ from simulated_log import simulate_log
 
 import gradcal_jax as gj
 from gradcal_jax import display, identify
-from gradcal_jax.api import calibration, frontier, instability, limit, optimise
+from gradcal_jax.api import frontier, instability, limit, optimise
 from gradcal_jax.files.calibration.upgrade import upgraded
 from gradcal_jax.files.requirement_table import requirement_table
 
@@ -41,7 +41,7 @@ def fits(value):
 def hint_of(function):
     """What it returns; some name the classes of their results for type checkers alone."""
     names = {"xarray": xarray, "np": np}
-    for home in (calibration, frontier, limit, optimise, instability, identify):
+    for home in (estimate, frontier, limit, optimise, instability, identify):
         names |= {name: value for name, value in vars(home).items() if inspect.isclass(value)}
     return typing.get_type_hints(function, localns=names)["return"]
 
@@ -88,7 +88,7 @@ def test_all_results_of_functions_are_among_the_classes():
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_specs_predictions_recipes_and_timelines_show_what_they_are(preset):
-    read = gj.parse_unit_spec if preset in gj.presets.unit_names() else gj.parse_spec
+    read = gj.parse_spec if preset in gj.presets.names() else gj.parse_spec
     spec = read(gj.presets.text(preset))
     prediction = gj.predict(spec)
     assert spec.title[:60] in fits(spec)
@@ -117,8 +117,8 @@ def test_what_an_estimate_shows_is_what_its_command_prints():
     for row in rows:
         assert row.name in shown
         assert f">{display.amount(row.judged, row.unit)}</td>" in html
-    assert html.count(">b00</td>") == 1
-    assert "whiteness of the residuals" in html
+    assert html.count(">gyro_x.b00</td>") == 1
+    assert "gyro_x: whiteness" in html
     calibration = report.calibrations[0]
     assert calibration.serial_number in fits(calibration)
     assert f">{display.amount(calibration.result[0].value, 'ppm')}</td>" in calibration._repr_html_()

@@ -187,11 +187,11 @@ def estimate_ours(log, times: np.ndarray) -> np.ndarray:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from gradcal_jax.api.calibration import estimate_calibration
+    from gradcal_jax.api.estimate import estimate_log
     from gradcal_jax.files import parse_spec
 
-    (channel,) = estimate_calibration(parse_spec(SPEC), log).channels
-    return 1.0 + _scale_factors(channel.estimate.parameters[0], channel.model)
+    (one,) = estimate_log(parse_spec(SPEC), [log]).sensors
+    return 1.0 + _scale_factors(one.solution.parameters, one.built.model.channels[0].model)
 
 
 def _scale_factors(parameters: np.ndarray, model) -> np.ndarray:

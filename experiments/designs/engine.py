@@ -20,9 +20,9 @@ from gradcal_jax.cli.precision import use_float64
 use_float64()
 
 import numpy as np  # noqa: E402
+from gradcal_jax.api.unit_optimise import EVALUATIONS, CyclePlan, UnitOptimum, optimise_unit  # noqa: E402
 
 import gradcal_jax as gj  # noqa: E402
-from gradcal_jax.api.unit_optimise import EVALUATIONS, CyclePlan, UnitOptimum, optimise_unit  # noqa: E402
 from gradcal_jax.design.cycle_moves import Neighbourhood  # noqa: E402
 from gradcal_jax.files import write_toml  # noqa: E402
 
@@ -33,7 +33,7 @@ RANDOM_TURNS = 30
 
 def random_start(seed: int) -> gj.UnitSpec:
     """The plan by hand with a cycle that is nothing but chance."""
-    plan = CyclePlan(gj.read_unit_spec(IMU / "hand2.toml"))
+    plan = CyclePlan(gj.read_spec(IMU / "hand2.toml"))
     turns = Neighbourhood(plan.limits, plan.slots).random(RANDOM_TURNS, np.random.default_rng(seed))
     return plan.spec_of(plan.start._replace(turns=turns))
 
@@ -42,12 +42,12 @@ def cases() -> dict[str, tuple[gj.UnitSpec, Path, int]]:
     """Start, file that the gain counts from, and seed of each case."""
     by_hand, rows = IMU / "hand2.toml", {}
     for seed in range(3):
-        rows[f"by hand, seed {seed}"] = gj.read_unit_spec(by_hand), by_hand, seed
+        rows[f"by hand, seed {seed}"] = gj.read_spec(by_hand), by_hand, seed
     for seed in range(3):
         rows[f"random cycle {seed}"] = random_start(seed), by_hand, seed
-    rows["six faces (hand.toml)"] = gj.read_unit_spec(IMU / "hand.toml"), by_hand, 0
+    rows["six faces (hand.toml)"] = gj.read_spec(IMU / "hand.toml"), by_hand, 0
     for name in ("skew", "poses48"):
-        rows[name] = gj.read_unit_spec(IMU / f"{name}.toml"), IMU / f"{name}.toml", 0
+        rows[name] = gj.read_spec(IMU / f"{name}.toml"), IMU / f"{name}.toml", 0
     return rows
 
 
@@ -57,7 +57,7 @@ def searched(start: gj.UnitSpec, reference: Path, seed: int) -> tuple[dict[str, 
     *_, best = optimise_unit(start, seed=seed)
     assert isinstance(best, UnitOptimum)
     took, wall = time.process_time() - began, time.monotonic() - wall
-    before = [row.decisive or math.nan for row in gj.predict(gj.read_unit_spec(reference)).requirements]
+    before = [row.decisive or math.nan for row in gj.predict(gj.read_spec(reference)).requirements]
     now = [row[3] or math.nan for row in best.rows]
     better = [
         math.exp(np.mean(np.log(before) - np.log([x or math.nan for x in of])))

@@ -10,13 +10,15 @@ from typing import Any
 
 import jax
 import numpy as np
+from gradcal_jax.plots.unit_calibration import draw_loop
 
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.files.log import Log
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.plots import save
+from gradcal_jax.plots.calibration import draw_loop
 from gradcal_jax.plots.style import new_panels
-from gradcal_jax.plots.unit_calibration import draw_loop
 
 HERE = Path(__file__).parent
 WIDTHS = (3, 10, 30)
@@ -51,7 +53,7 @@ def spec(*, plays: bool) -> UnitSpec:
         gyro["hysteresis"] = [{"width": f"{w} K", "prior": "60 deg/h/K"} for w in WIDTHS]
     axis = {"name": "turn", "direction": [0, 0, 1], "max_rate": "100 deg/s", "max_acceleration": "100 deg/s^2"}
     angle = {"reading_noise": "1 arcsec", "standstill_offset": "0 arcsec", "read_every": "30 s"}
-    return unit_spec_of({
+    return spec_of({
         "format": "gradcal-spec/1",
         "sensor": {"gyro": gyro},
         "rig": {

@@ -356,9 +356,8 @@ def report_of(
         row = judged_by_data(requirement_row(built, budget, requirement), sentence, contradicted)
         requirements.append(row)
     requirements = tuple(requirements)
-    solution_of_file = solution._replace(estimate=solution.estimate._replace(known=(known,)))
     calibration = calibration_of(
-        built, logs, name, solution_of_file, tests, channels, requirements, covered, lag, options, sources
+        built, logs, name, solution, tests, channels, requirements, covered, lag, options, sources
     )
     if contradicted:
         calibration = calibration.model_copy(update={"contradicted": contradicted})

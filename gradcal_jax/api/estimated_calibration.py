@@ -35,7 +35,9 @@ def tests_by_name(tests: Consistency, channels: dict[str, tuple[Test, Test]]) ->
     """All tests of a fit, by the names that they have in the calibration file."""
     named = {"chi-squared of the fit": tests.fit}
     for channel, (size, white) in channels.items():
-        named |= {f"{channel}: chi-squared": size, f"{channel}: whiteness": white}
+        # That of a single channel is the whole fit's.
+        named |= {f"{channel}: chi-squared": size} if len(channels) > 1 else {}
+        named[f"{channel}: whiteness"] = white
     return named | {split.name: split.agreement for split in tests.splits}
 
 

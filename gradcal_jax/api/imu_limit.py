@@ -85,7 +85,8 @@ def _window(built: AssembledUnit) -> _Window:
     chamber, _ = chamber_programme(schedule)
     spans = [(s.start, s.start + s.duration) for s in schedule.stretches]
     windows = windows_between_knots(spans, chamber.times())
-    return _Window(built, sum(end - begin for begin, end in spans), spans, windows, sensor_course(chamber, spec.sensor.lag))
+    course = sensor_course(chamber, spec.sensor.lag)
+    return _Window(built, sum(end - begin for begin, end in spans), spans, windows, course)
 
 
 # What a proof yields, in SI: certified, and the optimum of the relaxed problem; and what it leaves out.

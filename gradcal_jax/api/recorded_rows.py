@@ -78,7 +78,10 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
         # Its reference is the held rate: nothing is read where the table stands.
         standing = np.zeros(len(time), bool)
     elif gyros.any():
-        standstill = estimation.find_standstills(np.nan_to_num(rates[:, gyros]), log.sample_interval_s, valid=usable)
+        # Also by gyros that are not calibrated: a turn about another axis is no rest.
+        standstill = estimation.find_standstills(
+            np.nan_to_num(log.rate_rad_per_s[number]), log.sample_interval_s, valid=usable
+        )
         standing = standstill >= 0
         messages.append(
             f"the log marks no standstills: {int(standstill.max()) + 1} were found where the rates are quiet"

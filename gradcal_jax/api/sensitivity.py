@@ -173,9 +173,7 @@ def _timed(time: float, rate: float, plan: Schedule) -> Schedule:
 def _turned(rate: float, time: float, plan: Schedule) -> Schedule:
     """The plan with the rates and the times of its turns multiplied by factors."""
     longer = np.where(plan.peak_rate != 0.0, time, 1.0)
-    return replace(
-        plan, duration=plan.duration * longer, ramp=plan.ramp * longer, peak_rate=plan.peak_rate * rate
-    )
+    return replace(plan, duration=plan.duration * longer, ramp=plan.ramp * longer, peak_rate=plan.peak_rate * rate)
 
 
 def _integrated(time: float, plan: Schedule) -> Schedule:

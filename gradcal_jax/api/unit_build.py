@@ -18,6 +18,7 @@ from gradcal_jax.api.build import (
 )
 from gradcal_jax.files import sensor as sensor_file
 from gradcal_jax.files.bench import UnitRig
+from gradcal_jax.files.memory import too_large
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
@@ -91,7 +92,9 @@ def assemble_unit(
     spec: UnitSpec, until_s: float = np.inf, change: Callable[[Schedule], Schedule] | None = None
 ) -> AssembledUnit:
     """Model and motion of an IMU's spec, whose plan is broken off at `until_s` of its clock. `change`: what the times
-    and rates of the plan become."""
+    and rates of the plan become. Errors: `MemoryError` for a plan with more readings than this machine can hold."""
+    if too := too_large(spec):
+        raise MemoryError(too)
     model_, sources = _model_and_sources(spec)
     terms = (t for c in model_.channels for t in c.model.terms)
     bases = [t.temperature for t in terms if isinstance(t, Map | SignalMap | Discrepancy)]

@@ -111,7 +111,8 @@ def together(requirement: UnitRequirement, each: np.ndarray) -> np.ndarray:
 
 class QuantityElement(NamedTuple):
     """A linear function of an IMU's parameters in `where` on `g` points, with a model's discrepancy apart; or a map of
-    a channel, by its model, the map's name and the temperatures and rates of a grid. `path` `(s, k)`: what is added to the rows in each state of the service, of which the worst counts at every point."""
+    a channel, by its model, the map's name and the temperatures and rates of a grid. `path` `(s, k)`: what is added to
+    the rows in each state of the service, of which the worst counts at every point."""
 
     label: str
     where: slice

@@ -17,6 +17,8 @@ from gradcal_jax.files.absent import absent_terms
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement
 from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.spec import expect_spec
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, posterior, square_root, unobservable_combinations
 from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, Hysteresis, Map, PathTerm
 from gradcal_jax.trajectory import Trajectory, frames
@@ -70,33 +72,50 @@ def _prior(built: AssembledUnit) -> Posterior:
     return posterior(square_root(built.model.prior_rows()))
 
 
+def unobservable(spec: UnitSpec) -> list[str]:
+    """One sentence for each combination of parameters (named as in the paper, SI) that the plan cannot observe; for
+    several channels none, if there are many. Errors: as `predict`."""
+    built = assemble_unit(expect_spec(spec))
+    return _of_combinations(built, _combinations(built, posterior_of_unit(built)), _axes_of(built))
+
+
+def _combinations(built: AssembledUnit, known: Posterior) -> list[str]:
+    few = len(built.model.channels) == 1 or known.hidden.shape[1] <= _FEW_COMBINATIONS
+    return unobservable_combinations(known, built.model) if few else []
+
+
+def _of_combinations(built: AssembledUnit, combinations: list[str], axes: np.ndarray) -> list[str]:
+    if not combinations:
+        return []
+    blind = {name for name in built.model.names() if any(name in combination for combination in combinations)}
+    cures = "; ".join(_cures(built, axes, blind)) or "change the plan"
+    if len(built.model.channels) == 1:
+        alone = f"{built.model.channels[0].name}."
+        combinations = [combination.replace(alone, "") for combination in combinations]
+    return [f"the plan cannot observe {combination}: {cures}; or give it a prior" for combination in combinations]
+
+
+def _axes_of(built: AssembledUnit) -> np.ndarray:
+    """The table's axes in the body as each piece begins, `(P, L, 3)`."""
+    motion, example = built.motion, built.motion.example
+    return frames(motion.geometry, motion.angles()[0][example], motion.mounting[example]).axes[motion.kind]
+
+
 def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
     """A sentence for each thing that the plan cannot observe, remedies first; and for requirements beyond the plan's
-    temperatures."""
-    every, combinations = unobserved_parameters(built, known), list[str]()
-    if known.hidden.shape[1] <= _FEW_COMBINATIONS:
-        combinations = unobservable_combinations(known, built.model)
-        every = [name for name in every if not any(name in combination for combination in combinations)]
+    temperatures and rates."""
+    axes, combinations = _axes_of(built), _combinations(built, known)
+    every = [name for name in unobserved_parameters(built, known) if not any(name in c for c in combinations)]
     of_path = one_way_sentences(built, known)
     # A hysteresis that is not observed has its own sentence.
     names = [name for name in every if not of_path or HYSTERESIS.partition("{")[0] not in name]
-    motion, example = built.motion, built.motion.example
-    axes = frames(motion.geometry, motion.angles()[0][example], motion.mounting[example]).axes[motion.kind]
-    sentences = [] if combinations else _cures(built, axes, set(names))
+    sentences = _of_combinations(built, combinations, axes) + _cures(built, axes, set(names))
     if any(".m_" in name for name in names) or _orthogonality_is_hidden(built, known):
         sentences += _reversals(built, axes)
     groups: dict[str, list[str]] = {}
     for name in names:
         channel, _, symbol = name.partition(".")
         groups.setdefault(channel, []).append(symbol)
-    if combinations:
-        blind = {name for name in built.model.names() if any(name in combination for combination in combinations)}
-        cures = "; ".join(_cures(built, axes, blind)) or "change the plan"
-        alone = f"{built.model.channels[0].name}." if len(built.model.channels) == 1 else "\n"
-        sentences += [
-            f"the plan cannot observe {combination.replace(alone, '')}: {cures}; or give it a prior"
-            for combination in combinations
-        ]
     sentences += [f"the plan says nothing of {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
     sentences += of_path or _one_way_of_class(built)
     sentences += _limited_by_priors(built, known) + _as_before(built, known)
@@ -314,7 +333,8 @@ def _cures(built: AssembledUnit, axes: np.ndarray, names: set[str]) -> list[str]
                     sentences.append(f"accelerometer {axis} never points {where}: add a pose")
         turned = np.any(np.abs(axes[moves, motion.axis[moves], c.axis]) > _SEEN)
         if c.kind == "gyro" and any(re.search(r"\.b[\d_]", name) for name in blind) and not turned:
-            sentences.append(f"no turn is about gyro {axis}: add one while a table axis lies along it")
+            where = f"no turn is about gyro {axis}: add one while a table axis lies along it"
+            sentences.append("the axis never turns: add turns" if built.spec.is_one_axis else where)
         elif c.kind == "gyro" and blind:
             sentences += _too_few(built, axes, c)
     if any(".g_" in name for name in names) and len(up):

@@ -119,7 +119,8 @@ def acceptances(calibration: Calibration, validations: list[AxisValidation]) -> 
     rows: list[Acceptance] = []
     by_axis = {one.axis: one for one in validations}
     for result in calibration.result:
-        axis = "gyros" if result.quantity == "gyro_scale_factor" else result.axis
+        together = "gyros" if result.quantity == "gyro_scale_factor" else result.axis
+        axis = result.axis if result.axis in by_axis else together
         if result.target is None or axis not in by_axis:
             continue
         cells = [c for c in by_axis[axis].cells if c.unit == result.unit and c.how_many > 1]

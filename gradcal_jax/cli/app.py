@@ -32,6 +32,7 @@ from gradcal_jax.cli.sensitivity import sensitivity
 from gradcal_jax.cli.start import start
 from gradcal_jax.cli.status import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG_INPUT
 from gradcal_jax.cli.timeline import timeline
+from gradcal_jax.cli.upgrade import upgrade
 from gradcal_jax.cli.watch import watch
 
 _HELP: Final = """Calibration plans for gyros, with their residual errors predicted beforehand.
@@ -40,7 +41,7 @@ A spec file describes sensor, rig and plan. Begin with `gradcal start`, or `grad
 """
 
 GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
-    ("Begin", (demo, start, new, check)),
+    ("Begin", (demo, start, new, check, upgrade)),
     ("Know beforehand", (predict, compare, timeline, sensitivity)),
     ("Find a plan", (optimise, limit, frontier, recipe, show)),
     ("Execute it", (rig_app, run_command, watch, replan, log_app)),

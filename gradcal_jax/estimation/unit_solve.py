@@ -317,11 +317,13 @@ def estimate_unit(
     """Parameters of a unit and its installation from its rows, with minimal norm in unobservable directions.
 
     `about`: approximate parameters in the engine's coordinates, the point of linearisation. `threshold`: rows with
-    larger residuals, in standard deviations, get a lower weight; see `robust`. Errors: `ValueError` where a used row is
-    not finite.
+    larger residuals, in standard deviations, get a lower weight; see `robust`. Errors: `ValueError` where no row
+    is used, or one is not finite.
     """
     steps, columns = readings.linear(about)
     used = np.asarray(segments_of(readings.done.motion, readings.model).used)
+    if not used.any():
+        raise ValueError("no reading is left between two rows that may be used")
     if not np.isfinite(readings.observed[used]).all():
         raise ValueError("a reading that is used is not finite")
     estimate = _solved(readings, steps, columns, used, about)

@@ -21,7 +21,8 @@
     change = { gradient = "1 K/min" }
     design = { starts = 16 }                  # beyond [design], for this plan
 
-A plan is the start of a search: its duration, temperatures and kind of motion.
+A plan is the start of a search: its duration, temperatures and kind of motion. The bases are all specs of one axis, or
+all of an IMU.
 """
 
 import itertools
@@ -34,14 +35,14 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field
 
 from gradcal_jax.display import summary
-from gradcal_jax.files.changes import patched, tables_of
+from gradcal_jax.files.changes import patched, spec_of, tables_of
 from gradcal_jax.files.document import TitledFile, parsed, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.spec import Spec, spec_of
 from gradcal_jax.files.sweep import named_spec
+from gradcal_jax.files.unit_spec import UnitSpec
 
 FORMAT: Final = "gradcal-catalogue/1"
 MOST_CASES: Final = 10_000
@@ -114,7 +115,7 @@ class CatalogueCase:
     """One combination. `spec` is its spec, or None with the `failure` that says why it has none."""
 
     names: tuple[str, str, str, str]
-    spec: Spec | None
+    spec: UnitSpec | None
     failure: str = ""
 
     @property
@@ -160,9 +161,9 @@ def parse_catalogue(text: str, source: str = "", folder: str | Path = ".") -> Ca
 
 
 def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[CatalogueCase]:
-    bases: dict[str, Spec] = {}
+    bases: dict[str, UnitSpec] = {}
 
-    def base_of(name: str) -> Spec:
+    def base_of(name: str) -> UnitSpec:
         if name not in bases:
             bases[name] = named_spec(name, folder, source)
         return bases[name]

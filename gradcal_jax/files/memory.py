@@ -2,11 +2,10 @@
 
 import contextlib
 import os
-from typing import Any, Final
+from typing import Final
 
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.section import Section
-from gradcal_jax.files.unit_plan import UnitSchedule, row_count
+from gradcal_jax.files.unit_plan import row_count
 from gradcal_jax.files.unit_spec import UnitSpec
 
 # For the whitened rows and their computation, by reading and column; measured: 2.6 kB a reading with 39 columns.
@@ -15,24 +14,14 @@ _BYTES: Final = 68.0
 
 def needed_bytes(spec: UnitSpec) -> float:
     """Memory that a prediction of the spec takes beside the program's own, to a factor of two."""
-    rows, table = len(spec.schedule.points) if isinstance(spec.schedule, StandardSchedule) else 0, spec.rig.table
-    if isinstance(spec.schedule, UnitSchedule):
-        rows = row_count(spec.schedule, table)
-    columns, channels = 2 * sum(len(axis.angle.harmonics) for axis in table.axis), 0
-    for triad in (spec.sensor.gyro, spec.sensor.accelerometer):
+    schedule, gyro, forces = spec.schedule, spec.sensor.gyro, spec.sensor.accelerometer
+    readings = len(schedule.points) if isinstance(schedule, StandardSchedule) else row_count(schedule, spec.rig.table)
+    columns = 4 + 2 * sum(len(axis.angle.harmonics) for axis in spec.rig.table.axis)
+    for triad in (gyro, forces):
         if triad is not None:
-            parts = [part for _, part in triad if isinstance(part, Section)]
-            columns += len(triad.axes) * (
-                4 + sum(map(_size, parts)) + len(triad.drift) + len(triad.scale_factor_instability)
-            )
-            channels += len(triad.axes)
-    return _BYTES * rows * columns * channels
-
-
-def _size(section: Section) -> int:
-    """Number of coefficients of an error term."""
-    of: Any = getattr(section, "temperature", None)
-    return int(getattr(section, "size", 1 if of is None else of.size))
+            maps = (getattr(part, "size", 1) for part in (triad.bias, triad.scale_factor) if part is not None)
+            columns += len(triad.axes) * (sum(maps) + len(triad.drift) + len(triad.scale_factor_instability))
+    return _BYTES * readings * columns * sum(len(t.axes) for t in (gyro, forces) if t is not None)
 
 
 def available_bytes() -> float:

@@ -5,6 +5,7 @@ changed by hand, and is refused. Nothing here imports JAX: `gradcal_jax.api.reci
 has all that a runner needs of it.
 """
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
@@ -13,6 +14,7 @@ from typing import Any, Final, Literal, cast
 
 from pydantic import Field, ValidationError
 
+from gradcal_jax import units
 from gradcal_jax.files.axis_as_imu import is_of_axis
 from gradcal_jax.files.changes import differences, tables_of
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
@@ -26,7 +28,6 @@ from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.units import times_text
 
 FORMAT: Final = "gradcal-recipe/1"
 
@@ -118,7 +119,7 @@ class Recipe(TitledFile):
         return [
             f"Recipe: {self.title}" if self.title else "Recipe",
             self.status,
-            times_text(self.prediction.duration_s, self.prediction.soak_s, self.prediction.motion_s),
+            units.times_text(self.prediction.duration_s, self.prediction.soak_s, self.prediction.motion_s),
             f"segments of the chamber: {len(self.chamber.programme)}; cycles of the table: "
             f"{sum(block.repeat for block in self.motion)}",
             narrow_table(rows),
@@ -189,11 +190,22 @@ def _of_imu(document: Mapping[str, Any], source: str) -> dict[str, Any]:
     written = [dict(block) for block in document.get("motion", ())]
     for block, old in zip(blocks, written, strict=False):
         old |= {key: block[key] for key in ("start", "read_every_after") if key in block}
-        moves = zip(block["moves"], old.get("moves", ()), strict=False)
-        old["moves"] = [{**was, **{key: now[key] for key in ("axis", "angle") if key in now}} for now, was in moves]
+        own = block["moves"] + [{}] * len(old.get("moves", ()))
+        old["moves"] = [
+            was | _rounded_angle(now, was, steps) for now, was in zip(own, old.get("moves", ()), strict=False)
+        ]
     rows = dict(document.get("prediction", {}))
     rows["parameters"] = [{**row, "name": f"gyro_{name}.{row['name']}"} for row in rows.get("parameters", ())]
     return {**document, "spec": tables_of(spec), "motion": written, "prediction": rows}
+
+
+def _rounded_angle(now: Mapping[str, Any], was: Mapping[str, Any], steps: ControllerSteps) -> dict[str, Any]:
+    """The angle of a move, where it is less than a step of the controller from the one of the file."""
+    with contextlib.suppress(KeyError, TypeError, ValueError):
+        difference = units.parse(now["angle"], "angle") - units.parse(was["angle"], "angle")
+        if abs(difference) <= 1.001 * float(steps.angle):
+            return {"angle": now["angle"]}
+    return {}
 
 
 def is_recipe(document: Mapping[str, Any]) -> bool:

@@ -288,11 +288,7 @@ def read_sweep(path: str | Path) -> Sweep:
 def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     """A sweep from the text of a TOML file; `folder` is where a relative `base` begins. Raises `SpecError`."""
     file = parsed(SweepFile, text, FORMAT, source)
-    tables, place = _named(file.base, Path(folder), source)
-    with missions_from(Path(place).parent):
-        base = spec_or_recipes_of(tables, place)
-    if isinstance(base, UnitSpec) and file.do == "optimise":
-        raise SpecError([Problem(("do",), 'a whole unit is predicted in sweeps; expected "predict"', file.do)], source)
+    base = named_spec(file.base, Path(folder), source)
     try:
         if file.change:
             base = changed(base, file.change)

@@ -20,7 +20,12 @@ from gradcal_jax.files.moves import CosineRamps, Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse, OtherAxes, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Temperature, Text, Time
-from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
+from gradcal_jax.files.schedule import (
+    CourseTimes,
+    Stretch,
+    TemperatureSegment,
+    programme_of,
+)
 from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
 from gradcal_jax.formulas import reading_count
 

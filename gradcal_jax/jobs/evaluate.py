@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.files import Spec, changed, spec_of, to_toml
+from gradcal_jax.files import changed, spec_of, to_toml
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.jobs.results import PointResult, Residual, one_line
 
@@ -53,7 +53,7 @@ def _predicted(index: int, spec: UnitSpec) -> PointResult:
     return PointResult(index, "", spec.schedule.duration, spec.schedule.soak, spec.schedule.motion, residuals)
 
 
-def _optimised(index: int, spec: Spec) -> PointResult:
+def _optimised(index: int, spec: UnitSpec) -> PointResult:
     from gradcal_jax.api.flow import optimise
 
     best = optimise(spec)
@@ -88,7 +88,7 @@ def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def least_possible(spec: Spec) -> float | None:
+def least_possible(spec: UnitSpec) -> float | None:
     """The proven lower limit for any plan on this rig in this time, in the objective's unit; None without a proof."""
     from gradcal_jax.api.limit import limits
 

@@ -8,7 +8,7 @@ import pytest
 import gradcal_jax as gj
 from gradcal_jax.api.limit import limits
 from gradcal_jax.files import presets
-from gradcal_jax.files.unit_spec import read_unit_spec, unit_spec_of
+from gradcal_jax.files.spec import read_spec, spec_of
 from gradcal_jax.units import PPM, G
 
 SPECS = ["hand2", *(pytest.param(name, marks=pytest.mark.evidence) for name in ("hand", "optimised"))]
@@ -16,7 +16,7 @@ SPECS = ["hand2", *(pytest.param(name, marks=pytest.mark.evidence) for name in (
 
 @pytest.fixture(scope="module", params=SPECS)
 def rows(request, pytestconfig):
-    found = gj.limit(read_unit_spec(pytestconfig.rootpath / f"experiments/imu/{request.param}.toml"))
+    found = gj.limit(read_spec(pytestconfig.rootpath / f"experiments/imu/{request.param}.toml"))
     return {row.name: row for row in found}
 
 
@@ -39,7 +39,7 @@ def test_the_limits_of_the_known_plans(rows):
 
 def unit(accelerometer, plan=None):
     """Three accelerometers of a preset, white noise alone, nothing uncertain of the table."""
-    document = copy.deepcopy(gj.parse_unit_spec(presets.text("accelerometer-six-positions-toured")).model_dump(
+    document = copy.deepcopy(gj.parse_spec(presets.text("accelerometer-six-positions-toured")).model_dump(
         mode="json", exclude_unset=True
     ))  # fmt: skip
     document["sensor"] = {"accelerometer": {"velocity_random_walk": "0.05 m/s/sqrt(h)", **accelerometer}}
@@ -55,7 +55,7 @@ def unit(accelerometer, plan=None):
     over = {"temperature": document["requirement"][0]["temperature"]}
     document["requirement"] = [{"name": key, "quantity": names[key], **over} for key in accelerometer if key in names]
     document["plan"] |= plan or {}
-    return unit_spec_of(document)
+    return spec_of(document)
 
 
 def test_a_tumble_in_white_noise_reaches_its_limit_but_for_its_moves():
@@ -77,7 +77,7 @@ def test_an_axis_alone_may_have_all_of_gravity():
     worst = {row.name: row.certified for row in limits(spec)}
     for requirement in document["requirement"]:
         requirement["axis"] = "x"
-    alone = {row.name: row.certified for row in limits(unit_spec_of(document))}
+    alone = {row.name: row.certified for row in limits(spec_of(document))}
     ratio = {name: worst[name] / alone[name] for name in worst}
     wanted = {"bias": 1.0, "scale_factor": np.sqrt(3.0), "misalignment": np.sqrt(1.5), "second_order": np.sqrt(3.0)}
     assert ratio == pytest.approx(wanted, rel=1e-9)
@@ -90,13 +90,13 @@ def test_a_prior_counts_as_information():
     free = {row.name: row.certified for row in limits(spec)}
     document["sensor"]["accelerometer"]["bias"] = {"prior": f"{free['bias']!r} ug"}
     document["sensor"]["accelerometer"]["scale_factor"] = {"prior": f"{free['scale_factor']!r} ppm"}
-    with_prior = {row.name: row.certified for row in limits(unit_spec_of(document))}
+    with_prior = {row.name: row.certified for row in limits(spec_of(document))}
     for name, value in free.items():
         assert with_prior[name] == pytest.approx(value / np.sqrt(2.0), rel=1e-6)
 
 
 def test_what_has_no_proof_is_refused_with_what_has_one(pytestconfig):
-    document = read_unit_spec(pytestconfig.rootpath / "experiments/imu/hand.toml").model_dump(
+    document = read_spec(pytestconfig.rootpath / "experiments/imu/hand.toml").model_dump(
         mode="json", exclude_unset=True
     )
     document["requirement"] = [
@@ -104,7 +104,7 @@ def test_what_has_no_proof_is_refused_with_what_has_one(pytestconfig):
         {"name": "m", "quantity": "gyro_misalignment", "relative_to": "internal", "temperature": ["0 degC", "1 degC"]},
     ]
     with pytest.raises(ValueError, match="proven for biases, scale factors"):
-        limits(unit_spec_of(document))
+        limits(spec_of(document))
 
 
 def test_a_continuous_look_at_a_bias_is_the_spectrums_floor_for_long_times():
@@ -192,7 +192,7 @@ def test_one_gyro_axis_has_one_limit_in_both_kinds_of_spec(clock, gyro):
     axis = AXIS.format(clock=clock, gyro=gyro, maps=MAPS.replace("{of}", ""))
     unit = UNIT.format(clock=clock, gyro=gyro, maps=MAPS.replace("{of}", ".gyro"))
     one = gj.limit(gj.parse_spec(axis + BOTH.format(of="", every=', read_every = "1 s"')))
-    two = gj.limit(gj.parse_unit_spec(unit + BOTH.format(of="gyro_", every="")))
+    two = gj.limit(gj.parse_spec(unit + BOTH.format(of="gyro_", every="")))
     assert [row.name for row in one] == [row.name for row in two] == ["full range", "bias"]
     for a, b in zip(one, two, strict=True):
         assert a.certified == pytest.approx(b.certified, rel=1e-9)

@@ -13,7 +13,6 @@ from random_specs import FAMILIES, random_spec
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.files import spec_of
-from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.problems import SpecError
 
 MOVING = [family for family in FAMILIES if "static" not in family and "standard" not in family]
@@ -49,7 +48,7 @@ def other_plan(document: dict, rng: np.random.Generator) -> dict:
 def values_of(document: dict) -> dict[tuple[str, str], float | None] | None:
     """What a plan leaves of every requirement; None where it is no valid plan."""
     try:
-        spec = general(spec_of(document))
+        spec = spec_of(document)
     except SpecError:
         return None
     return {(row.name, row.axis): getattr(row, row.statistic.replace(" ", "_")) for row in predict(spec).requirements}

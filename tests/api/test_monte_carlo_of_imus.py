@@ -8,14 +8,15 @@ import pytest
 from gradcal_jax.api import monte_carlo
 from gradcal_jax.files import presets
 from gradcal_jax.files.axis_as_imu import axis_as_imu
-from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec, unit_spec_of
+from gradcal_jax.files.spec import parse_spec, spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, wishart_test
 
 
 def spec_of(name: str) -> UnitSpec:
-    if name in presets.unit_names():
-        return parse_unit_spec(presets.text(name))
-    return unit_spec_of(axis_as_imu(tomllib.loads(presets.text(name))))
+    if name in presets.names():
+        return parse_spec(presets.text(name))
+    return spec_of(axis_as_imu(tomllib.loads(presets.text(name))))
 
 
 @pytest.mark.parametrize("name", ["ferraris", "paper-static-standard", "two-axis-table"])

@@ -23,7 +23,6 @@ from gradcal_jax.api.turn_search import _within_limits, exact, targets_met
 from gradcal_jax.design import ProgrammeCoordinates, polish, search
 from gradcal_jax.design.search import _program
 from gradcal_jax.files import SpecError, changed, tables_of
-from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.rounding import rounded
 from gradcal_jax.files.unit_spec import UnitSpec
 
@@ -32,7 +31,7 @@ DEG = math.pi / 180.0
 
 @pytest.fixture(scope="module")
 def spec() -> UnitSpec:
-    return general(files.parse_spec(SPEC))
+    return files.parse_spec(SPEC)
 
 
 @pytest.fixture(scope="module")
@@ -207,7 +206,7 @@ def test_an_optimum_that_rounds_to_nothing_observed_is_a_sentence(spec):
 
 
 def paper(name: str) -> UnitSpec:
-    return general(files.read_spec(f"experiments/paper/{name}.toml"))
+    return files.read_spec(f"experiments/paper/{name}.toml")
 
 
 def a_point(structure) -> np.ndarray:

@@ -12,8 +12,8 @@ from gradcal_jax.api.search_results import Optimised
 from gradcal_jax.api.structures import structures
 from gradcal_jax.api.turn_search import belief_of
 from gradcal_jax.files import SpecError, changed, parse_spec, to_toml
-from gradcal_jax.files.axis_as_imu import general
-from gradcal_jax.files.unit_spec import UnitSpec, parse_unit_spec
+from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.units import format_quantity, unit_of
 
 UNCERTAIN = {
@@ -24,7 +24,7 @@ UNCERTAIN = {
 
 @pytest.fixture(scope="module")
 def spec() -> UnitSpec:
-    return general(parse_spec(SPEC))
+    return parse_spec(SPEC)
 
 
 def value(spec: UnitSpec) -> float:
@@ -33,7 +33,7 @@ def value(spec: UnitSpec) -> float:
 
 def test_uncertain_figures_make_a_range_that_holds_every_draw(spec):
     loose = changed(spec, UNCERTAIN)
-    assert parse_unit_spec(to_toml(loose)) == loose
+    assert parse_spec(to_toml(loose)) == loose
     low, high = predict(loose, limits=True).requirements[0].uncertain
     assert low < value(spec) < high
     rng = np.random.default_rng(0)

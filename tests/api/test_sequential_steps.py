@@ -12,7 +12,7 @@ from gradcal_jax.files import changed, parse_spec
 from gradcal_jax.information import unit_system, whiten
 
 UNIT = gj.changed(
-    gj.parse_unit_spec(gj.presets.text("gradient-three-axes")),
+    gj.parse_spec(gj.presets.text("gradient-three-axes")),
     {"rig.chamber.max_heating": "3 K/min", "plan.gradient": "3 K/min"},
 )
 

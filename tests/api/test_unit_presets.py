@@ -11,7 +11,7 @@ from gradcal_jax.cli import main
 from gradcal_jax.files import presets, to_toml
 from gradcal_jax.files.contracts import CheckRow
 from gradcal_jax.files.schemas import schema
-from gradcal_jax.files.unit_spec import parse_unit_spec
+from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.information.conformity import global_risks
 
 # What each leaves, roughly: gyro scale factor ppm, bias deg/h, misalignment urad; accelerometer bias ug, scale factor
@@ -39,14 +39,14 @@ BLIND = "gradient-three-axes"
 
 
 def test_the_presets_of_units_are_these_and_none_has_the_name_of_another():
-    assert set(presets.unit_names()) == set(LEFT)
-    assert not set(presets.unit_names()) & set(presets.names())
+    assert set(presets.names()) == set(LEFT)
+    assert not set(presets.names()) & set(presets.names())
 
 
-@pytest.mark.parametrize("name", presets.unit_names())
+@pytest.mark.parametrize("name", presets.names())
 def test_a_preset_is_commented_and_written_back_it_is_the_same(name, tmp_path):
     text = presets.text(name)
-    document, spec = tomllib.loads(text), gj.parse_unit_spec(text, name)
+    document, spec = tomllib.loads(text), gj.parse_spec(text, name)
     assert text.startswith("# ")
     assert text.count("#") >= 5
     assert presets.title(name) == spec.title
@@ -54,13 +54,13 @@ def test_a_preset_is_commented_and_written_back_it_is_the_same(name, tmp_path):
     assert gj.tables_of(spec) == document
     gj.write_toml(spec, tmp_path / "copy.toml", header="written back")
     assert tomllib.loads((tmp_path / "copy.toml").read_text(encoding="utf-8")) == document
-    assert gj.read_unit_spec(tmp_path / "copy.toml") == spec
+    assert gj.read_spec(tmp_path / "copy.toml") == spec
     jsonschema.Draft202012Validator(schema("unit-spec")).validate(document)
 
 
-@pytest.mark.parametrize("name", presets.unit_names())
+@pytest.mark.parametrize("name", presets.names())
 def test_a_preset_leaves_what_its_kind_of_plan_leaves_and_meets_its_targets_or_says_why(name):
-    found = gj.predict(gj.parse_unit_spec(presets.text(name)))
+    found = gj.predict(gj.parse_spec(presets.text(name)))
     rows = {row.quantity: row for row in reversed(found.requirements)}
     for quantity, expected in zip(QUANTITIES, LEFT[name], strict=True):
         if expected is not None:
@@ -81,7 +81,7 @@ def test_a_preset_leaves_what_its_kind_of_plan_leaves_and_meets_its_targets_or_s
 
 
 def test_what_no_plan_at_one_temperature_tells_is_said_once_for_all_requirements():
-    spec = gj.parse_unit_spec(presets.text("accelerometer-six-positions"))
+    spec = gj.parse_spec(presets.text("accelerometer-six-positions"))
     (note,) = gj.check(spec)
     assert note.startswith("requirements 'accelerometer bias', 'accelerometer scale factor', ")
     assert "20 … 20 °C only" in note
@@ -92,7 +92,7 @@ def test_what_no_plan_at_one_temperature_tells_is_said_once_for_all_requirements
 
 
 def test_keys_of_a_unit_are_changed_as_those_of_an_axis_and_moves_are_written_as_they_were():
-    spec = gj.parse_unit_spec(presets.text("two-axis-table"))
+    spec = gj.parse_spec(presets.text("two-axis-table"))
     moves = {
         "plan.cycle.moves[1].turn": "720 deg",
         "plan.cycle.moves[3].turn": "-720 deg",
@@ -105,7 +105,7 @@ def test_keys_of_a_unit_are_changed_as_those_of_an_axis_and_moves_are_written_as
     with pytest.raises(gj.SpecError, match="an angle as text with a unit"):
         gj.changed(spec, {"rig.table.axis[0].angle.reading_noise": 1e-5})
     assert other.schedule.period < spec.schedule.period
-    assert gj.parse_unit_spec(to_toml(other)) == other
+    assert gj.parse_spec(to_toml(other)) == other
     with pytest.raises(gj.SpecError, match="max_rates"):
         gj.changed(spec, {"rig.table.axis[0].max_rates": "1 deg/s"})
 
@@ -114,7 +114,7 @@ def test_new_writes_a_preset_of_a_unit_that_check_accepts(tmp_path, capsys):
     goal = str(tmp_path / "mine.toml")
     assert main(["new", "--list"]) == 0
     listed = [line.split(" ")[0] for line in capsys.readouterr().out.splitlines()]
-    assert [name for name in listed if name in LEFT] == list(presets.unit_names())
+    assert [name for name in listed if name in LEFT] == list(presets.names())
     assert main(["new", "ferraris", "-o", goal]) == 0
     assert main(["check", goal]) == 0
     assert "the spec is sound" in capsys.readouterr().out
@@ -126,13 +126,13 @@ def test_a_move_whose_angle_follows_from_rate_and_duration_is_written_with_its_s
     document = tomllib.loads(presets.text("one-axis-table"))
     moves = document["plan"]["cycle"]["moves"]
     moves += [{"shape": "cosine ramps", "peak_rate": rate, "duration": "3 s"} for rate in ("100 deg/s", "-100 deg/s")]
-    spec = gj.parse_unit_spec(to_toml(gj.parse_unit_spec(tomlkit.dumps(document))))
+    spec = gj.parse_spec(to_toml(gj.parse_spec(tomlkit.dumps(document))))
     assert gj.tables_of(spec)["plan"]["cycle"]["moves"][-2:] == moves[-2:]
 
 
 def test_a_second_run_that_checks_an_imu_has_its_risks():
     """As of an axis: both runs are as uncertain, and independent."""
-    spec = parse_unit_spec(presets.text("two-axis-table"))
+    spec = parse_spec(presets.text("two-axis-table"))
     plain, told = gj.predict(spec), gj.predict(spec, outlook=True)
     for before, row in zip(plain.requirements, told.requirements, strict=True):
         assert (row.check is None) == (row.target is None)

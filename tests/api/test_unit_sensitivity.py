@@ -10,7 +10,7 @@ from gradcal_jax.api.sensitivity import RATES, UNIT_TIME, sensitive_figures
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets
 
-SIX = gj.parse_unit_spec(presets.text("accelerometer-six-positions"))
+SIX = gj.parse_spec(presets.text("accelerometer-six-positions"))
 BARE = {
     "sensor.accelerometer.drift": None, "sensor.accelerometer.second_order": None, "rig.table.tilt": None,
     "rig.table.azimuth": None, "rig.table.axis[0].orthogonality": None, "rig.table.axis[0].angle": None,
@@ -25,11 +25,11 @@ def by_figure(found, requirement):
 
 # Ferraris' gyros alone.
 TURNS = gj.changed(
-    gj.parse_unit_spec(presets.text("ferraris")),
+    gj.parse_spec(presets.text("ferraris")),
     {
         "sensor.accelerometer": None,
         "rig.site.gravity_accuracy": None,
-        "requirement": gj.tables_of(gj.parse_unit_spec(presets.text("ferraris")))["requirement"][:3],
+        "requirement": gj.tables_of(gj.parse_spec(presets.text("ferraris")))["requirement"][:3],
     },
 )
 
@@ -68,7 +68,7 @@ def test_a_figure_s_row_is_what_the_prediction_says_of_it():
 
 
 def test_figures_are_those_that_the_spec_has_and_keys_of_one_kind_go_together():
-    spec = gj.parse_unit_spec(presets.text("heat-and-cool"))
+    spec = gj.parse_spec(presets.text("heat-and-cool"))
     # The computer's clock, which counts without a key, is no figure of the file.
     assert "sample clock error" not in sensitive_figures(spec)
     figures = sensitive_figures(gj.changed(spec, {"sensor.clock": "sensor"}))
@@ -81,7 +81,7 @@ def test_figures_are_those_that_the_spec_has_and_keys_of_one_kind_go_together():
     assert figures[UNIT_TIME]["rig.table.axis[0].max_acceleration"] == -2
     assert figures[RATES]["rig.table.axis[0].max_acceleration"] == 2
     assert not [key for key in figures[RATES] if "programme" in key or "chamber" in key or key.endswith("rest")]
-    by_hand = sensitive_figures(gj.parse_unit_spec(presets.text("gimbal-by-hand")))
+    by_hand = sensitive_figures(gj.parse_spec(presets.text("gimbal-by-hand")))
     assert by_hand[RATES]["plan.cycle.moves[1].duration"] == -1
 
 

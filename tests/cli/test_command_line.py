@@ -94,7 +94,7 @@ def test_new_prints_and_lists(capsys):
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(" ")[0] for line in lines if not line.startswith(" ")] == [
         *presets.names(),
-        *presets.unit_names(),
+        *presets.names(),
         "column-map",
         "point-map",
     ]
@@ -193,7 +193,7 @@ def test_an_interrupt_ends_with_130(monkeypatch, capsys):
     def interrupted(path):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gradcal_jax.files.recipe.any_spec_in", interrupted)
+    monkeypatch.setattr("gradcal_jax.files.recipe.spec_in", interrupted)
     assert main(["check", "my.toml"]) == 130
     assert capsys.readouterr().err == "gradcal: interrupted\n"
 

@@ -42,11 +42,12 @@ ARGUMENTS = {
     "start": "--preset FILE -o OUT",
     "sweep": "FILE -o OUT",
     "timeline": "FILE",
+    "upgrade": "FILE -o OUT",
     "validate": "FILE FILE",
     "watch": "FILE",
 }
 # These print words alone.
-WITHOUT_NUMBERS = {"glossary", "new", "rig", "schema", "start"}
+WITHOUT_NUMBERS = {"glossary", "new", "rig", "schema", "start", "upgrade"}
 
 
 def test_every_command_is_tried():

@@ -11,7 +11,7 @@ from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.log_file import read_log, write_log
 from gradcal_jax.files.rig import TEMPLATE
-from gradcal_jax.files.unit_spec import read_unit_spec
+from gradcal_jax.files.spec import read_spec
 from gradcal_jax.files.writing import write_toml
 
 LABORATORY = """
@@ -102,7 +102,7 @@ def test_all_numbers_as_json(folder, capsys):
 @pytest.mark.parametrize(
     ("extra", "said"),
     [
-        (["--axis", "x"], "--axis: for one gyro axis alone"),
+        (["--axis", "x"], "one gyro along the only axis of a table"),
         (["--unit", "nobody"], "no unit 'nobody'"),
     ],
 )
@@ -120,7 +120,7 @@ def test_a_second_log_is_for_a_second_mounting(folder, capsys):
 def test_another_log_validates_gyros_and_accelerometers_together(folder, capsys):
     assert main(["validate", str(folder / "unit.toml"), str(folder / "log.nc")]) == 2
     assert "was estimated from this log" in capsys.readouterr().err
-    spec, rng = read_unit_spec(folder / "spec.toml"), np.random.default_rng(4)
+    spec, rng = read_spec(folder / "spec.toml"), np.random.default_rng(4)
     again = record(spec, draw_truth(spec, rng), np.random.default_rng(5))[0]
     write_log(again, folder / "again.nc")
     command = ["validate", str(folder / "unit.toml"), str(folder / "again.nc"), "--gravity", "9.80665 m/s^2"]

@@ -1,10 +1,32 @@
 """What errors of an estimate must be where the model is true, and readings on a plan's own trajectory."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy import special
 
-from gradcal_jax.estimation import Observations
-from gradcal_jax.information import at_readings, noise_steps
+from gradcal_jax.estimation import Whitened
+from gradcal_jax.information import NoiseSteps, at_readings, noise_steps, whiten
+from gradcal_jax.model import SensorModel
+
+
+class Observations(NamedTuple):
+    """Readings `(N, U)` of `U` units on one trajectory, rad, with their noise steps and regressors `(N, p)`, or
+    `(U, N, p)` of each unit's own."""
+
+    steps: NoiseSteps
+    columns: np.ndarray
+    readings: np.ndarray
+
+
+def whitened(observations: Observations, model: SensorModel) -> Whitened:
+    """The rows of all units together, of the steps that have a reading."""
+    steps, columns = observations.steps, observations.columns
+    every = columns if columns.ndim == 3 else columns[None]
+    rows = whiten(steps, np.concatenate([*every, observations.readings], axis=1))[steps.used]
+    count = len(every) * every.shape[2]
+    own = np.moveaxis(rows[:, :count].reshape(len(rows), len(every), -1), 1, 0)
+    return Whitened(own, rows[:, count:].T, model.prior_rows())
 
 
 def nees_band(runs, parameters, confidence=0.99):
@@ -31,12 +53,4 @@ def normalised_errors(found, truth):
 
 def on_trajectory(line, model, readings):
     """Readings `(N, U)` taken on a plan's own trajectory: the regressors and steps are those of its prediction."""
-    turned = line.turned()
-    return Observations(
-        noise_steps(line, model),
-        at_readings(line, model),
-        readings,
-        line.start + line.duration,
-        line.temperature(np.full((line.piece_count, 1), 0.5))[:, 0],
-        np.divide(turned, line.duration, out=np.zeros_like(turned), where=line.duration > 0),
-    )
+    return Observations(noise_steps(line, model), at_readings(line, model), readings)

@@ -1,6 +1,9 @@
 """Short specs for logs: a gyro that turns and rests while the temperature ramps, small enough to be simulated often."""
 
-from gradcal_jax.files import parse_spec
+from gradcal_jax.api.estimate import SensorEstimate, estimate_log
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.files import Spec, parse_spec
+from gradcal_jax.files.log import Log
 
 GRADIENT = """
 format = "gradcal-spec/1"
@@ -71,3 +74,10 @@ def spec_of(text: str = GRADIENT, **changes: str):
         assert old in text
         text = text.replace(old, new)
     return parse_spec(text)
+
+
+def estimated(
+    spec: Spec, log: Log, *, axis: str | None = None, units: tuple[str, ...] = (), options: Options | None = None
+) -> tuple[SensorEstimate, ...]:
+    """The estimate of every unit of a log."""
+    return estimate_log(spec, [log], axis=axis, units=units, options=options).sensors

@@ -6,10 +6,10 @@ from estimate_scenes import draw_truth, record, scene
 from logs_zoo import STANDARD, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api.calibration import estimate_calibration, estimate_rows
+from gradcal_jax.api.estimate import estimate_log, estimate_sensors
+from gradcal_jax.api.estimate_rows import estimate_rows
 from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.files.log import Log, part_of
 from gradcal_jax.pages.report_data import report_data_of
 from gradcal_jax.pages.sources import Sources
@@ -24,7 +24,7 @@ def test_an_axis_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predic
     log = simulate_log(spec, sample_rate_hz=20.0, seed=5, readings=True).log
     planned = sum(stretch.duration for stretch in spec.schedule.stretches)
     part = cut(log, 0.6)
-    report = estimate_calibration(spec, part)
+    report = estimate_log(spec, [part])
     (calibration,), (said,) = report.calibrations, report.messages.values()
     assert calibration.lacks is not None
     assert f"of the plan's {planned:.4g} s (60%): the executed part alone predicts" in calibration.lacks
@@ -38,7 +38,7 @@ def test_an_axis_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predic
     for before, after in zip(predicted, verdicts, strict=True):
         assert after.decisive == pytest.approx(before.decisive, rel=0.05)
         assert f"{before.decisive:.4g} {before.unit} of {before.name}" in calibration.lacks
-    assert estimate_calibration(spec, log).calibrations[0].lacks is None
+    assert estimate_log(spec, [log]).calibrations[0].lacks is None
 
 
 def test_a_unit_s_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predicts():

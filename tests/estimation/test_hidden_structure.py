@@ -6,8 +6,10 @@ from logs_zoo import spec_of
 from simulated_log import simulate_log
 
 from gradcal_jax.api import assemble, predict
-from gradcal_jax.api.calibration import estimate_calibration, estimate_rows
-from gradcal_jax.files import changed, parse_spec, to_toml
+from gradcal_jax.api.estimate import estimate_log
+from gradcal_jax.api.estimate_rows import estimate_rows
+from gradcal_jax.files import changed, to_toml
+from gradcal_jax.files.spec import parse_spec
 
 PPM = 1e-6
 UNITS = 6
@@ -42,8 +44,8 @@ def logs_of(spec, hidden_ppm: float):
 def test_structure_is_noticed_measured_and_written_for_the_spec(spec):
     (row,) = [r for r in predict(spec, notices=True).notices if r.quantity == "scale_factor"]
     size = 4.0 * row.sure_from
-    report = estimate_calibration(spec, logs_of(spec, size))
-    tests = [t for c in report.channels for t in c.structure if t.quantity == "scale_factor"]
+    report = estimate_log(spec, [logs_of(spec, size)])
+    tests = [t for one in report.sensors for _, t in one.structure if t.quantity == "scale_factor"]
     assert len(tests) == UNITS
     assert all(t.noticed and t.asked is not None for t in tests)
     assert not report.as_wished
@@ -54,24 +56,25 @@ def test_structure_is_noticed_measured_and_written_for_the_spec(spec):
     assert 0.5 * size < result.standard_deviation < 2.0 * size
     # The block goes into the spec as it is.
     section, line = result.block.splitlines()
-    text = to_toml(spec)
+    imu = spec
+    text = to_toml(imu)
     assert section in text
     again = parse_spec(text.replace(section, f"{section}\n{line}", 1))
-    assert float(again.sensor.scale_factor.discrepancy.standard_deviation) / PPM == pytest.approx(
+    assert float(again.sensor.gyro.scale_factor.discrepancy.standard_deviation) / PPM == pytest.approx(
         result.standard_deviation, rel=0.01
     )
     rows = estimate_rows(report)
     assert rows["discrepancies"][0]["unit"] in ("ppm", "deg/h")
-    assert rows["units"][0]["channels"][0]["structure"][-1]["noticed"] is True
+    assert rows["units"][0]["structure"][-1]["noticed"] is True
     # A spec that has the discrepancy is tested against its own structure alone: the prior does not hide it.
-    known = estimate_calibration(again, logs_of(spec, size))
-    for one, other in zip(report.channels, known.channels, strict=True):
-        assert other.structure[-1].test.statistic == pytest.approx(one.structure[-1].test.statistic, rel=0.02)
+    known = estimate_log(again, [logs_of(spec, size)])
+    for one, other in zip(report.sensors, known.sensors, strict=True):
+        assert other.structure[-1][1].test.statistic == pytest.approx(one.structure[-1][1].test.statistic, rel=0.02)
 
 
 def test_where_nothing_is_hidden_nothing_is_noticed(spec):
-    report = estimate_calibration(spec, logs_of(spec, 0.0))
-    tests = [t for c in report.channels for t in c.structure if t.quantity == "scale_factor"]
+    report = estimate_log(spec, [logs_of(spec, 0.0)])
+    tests = [t for one in report.sensors for _, t in one.structure if t.quantity == "scale_factor"]
     assert not any(t.noticed for t in tests)
     (result,) = [r for r in report.discrepancies if r.quantity == "scale_factor"]
     assert result.low == 0.0

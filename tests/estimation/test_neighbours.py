@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from logs_zoo import spec_of
+from logs_zoo import estimated, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.estimation import closest_neighbours, moves_between_rests
 
@@ -38,17 +37,17 @@ def test_the_drift_of_the_rests_beside_a_move_is_taken_off_it():
 def test_groups_agree_with_the_map_within_what_they_scatter():
     spec = spec_of()
     made = simulate_log(spec, sample_rate_hz=20.0, seed=31)
-    (channel,) = estimate_channels(spec, made.log, options=Options(neighbours_k=14.0))
-    groups = [g for g in channel.neighbours if g.moves > 3]
+    (channel,) = estimated(spec, made.log, options=Options(neighbours_k=14.0))
+    groups = [g for g in channel.neighbours["gyro_x"] if g.moves > 3]
     assert len(groups) >= 4
     assert len({round(np.degrees(g.rate_rad_per_s)) for g in groups}) >= 2
     off = np.array([(g.scale_factor - g.of_map) / g.standard_error for g in groups])
     assert np.sqrt(np.mean(off**2)) < 2.0
     assert max(g.standard_error for g in groups) < 100e-6
     assert np.ptp([g.of_map for g in groups]) > 300e-6  # the map is not flat, and they follow it
-    (silent,) = estimate_channels(spec, made.log)
-    assert silent.neighbours == ()
-    (alone,) = estimate_channels(
+    (silent,) = estimated(spec, made.log)
+    assert not silent.neighbours
+    (alone,) = estimated(
         spec, replace(made.log, table_axes=(), table_angle_rad=None), options=Options(neighbours_k=14.0)
     )
     assert any("no neighbours" in message for message in alone.messages)

@@ -59,13 +59,15 @@ def test_sound_data_are_met_and_say_nothing(sound, tmp_path, capsys):
     assert "contradicted" not in made
 
 
-@pytest.mark.parametrize(("fault", "test"), [(noisier, "χ² of the fit"), (drifting, "first half against second")])
+@pytest.mark.parametrize(
+    ("fault", "test"), [(noisier, "chi-squared of the fit"), (drifting, "first against second half")]
+)
 def test_data_that_contradict_the_model_are_not_valid_anywhere(sound, fault, test, tmp_path, capsys):
     status, said, text, made = estimated(fault(sound), tmp_path, capsys)
     assert status == 1
     assert {row["verdict"] for unit in said["units"] for row in unit["requirements"]} == {"not valid"}
     assert re.search(rf"not valid: [^\n]*{test}", text)
-    assert f"gyro_x: {test}" in made["contradicted"]
+    assert test in made["contradicted"]
     assert {row["verdict"] for row in made["result"]} == {"not valid"}
     path = str(tmp_path / "calibration.toml")
     assert main(["report", path, "--certificate", "-o", str(tmp_path / "c.html"), "--json"]) in (0, 1)

@@ -7,7 +7,7 @@ import pytest
 import xarray
 from logs_zoo import GRADIENT, STANDARD
 
-from gradcal_jax.api.calibration import estimate_points
+from gradcal_jax.api.estimate_points import estimate_points
 from gradcal_jax.cli import main
 from gradcal_jax.files import SpecError, parse_spec
 from gradcal_jax.files.log import LogError
@@ -59,7 +59,7 @@ def test_points_with_their_sigma_are_weighted_least_squares(tmp_path):
     x = design(warm, rate)
     covariance = np.linalg.inv(x.T @ (x / variance[:, None]))
     expected = covariance @ (x.T @ ((output - rate) / variance))
-    (calibration,) = report.calibrations
+    calibration = report.calibration
     result = np.array([*calibration.values().values()])
     result[:2] = np.degrees(result[:2])
     np.testing.assert_allclose(result, expected, rtol=1e-7, atol=1e-12)
@@ -67,9 +67,9 @@ def test_points_with_their_sigma_are_weighted_least_squares(tmp_path):
     stds[:2] = np.degrees(stds[:2])
     np.testing.assert_allclose(stds, np.sqrt(np.diag(covariance)), rtol=1e-7)
     assert np.all(np.abs(result - truth) < 4 * stds)
-    assert report.channels[0].consistency.fit.passed
+    assert report.consistency.fit.passed
     assert calibration.valid_rate[1] == pytest.approx(np.radians(300.0))
-    assert report.channels[0].counts == {"used": 60}
+    assert report.counts == {"used": 60}
 
 
 def test_the_command_takes_csv_and_netcdf_alike(tmp_path, capsys):
@@ -84,7 +84,7 @@ def test_the_command_takes_csv_and_netcdf_alike(tmp_path, capsys):
     for path in (csv, tmp_path / "points.nc"):
         asked = ["estimate", str(path), "--points", str(columns), "--spec", str(tmp_path / "spec.toml")]
         assert main([*asked, "--json", "-o", str(tmp_path / f"{path.suffix[1:]}.toml")]) in (0, 1)
-        (channel,) = json.loads(capsys.readouterr().out)["units"][0]["channels"]
+        (channel,) = json.loads(capsys.readouterr().out)["units"]
         result.append([p["value"] for p in channel["parameters"]])
     np.testing.assert_allclose(result[0], result[1], rtol=1e-9)
     assert 'serial_number = "SN-7"' in (tmp_path / "csv.toml").read_text(encoding="utf-8")
@@ -101,11 +101,11 @@ def test_without_sigma_the_specs_noise_counts(tmp_path):
     warm, rate, output, sigma, _ = table()
     csv, _ = written(tmp_path, warm, rate, output, sigma)
     points = read_points(csv, parse_point_map("\n".join(MAP.splitlines()[:-1])))
-    (channel,) = estimate_points(SPEC, points).channels
+    channel = estimate_points(SPEC, points)
     assert any("each has independent noise by the spec" in m for m in channel.messages)
     drift = 2 * 5.0**2 * (60 / 60 - 1 + np.exp(-1.0))  # of 5 deg/h with 60 s, averaged over 60 s
     at_rest = np.sqrt(0.5**2 * 3600 / 60 + drift) / 3600
-    std = np.sqrt(np.diag(channel.estimate.known[0].covariance(channel.model.to_reported)))[0]
+    std = np.sqrt(np.diag(channel.solution.known.covariance(channel.built.model.to_reported)))[0]
     x = design(warm, rate)
     variance = at_rest**2 + (50e-6 * rate) ** 2
     expected = np.sqrt(np.linalg.inv(x.T @ (x / variance[:, None]))[0, 0])

@@ -10,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from logs_zoo import GRADIENT
+from logs_zoo import GRADIENT, estimated
 from scipy.ndimage import uniform_filter1d
 
-from gradcal_jax.api.calibration import estimate_calibration
-from gradcal_jax.api.estimate import estimate_channels
+from gradcal_jax.api.estimate import estimate_log
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.estimation import find_standstills
 from gradcal_jax.files import parse_spec
@@ -54,9 +53,9 @@ RUNS = ("rate_nofilt1", "rate_nofilt2", "rate_filt1", "rate_filt2")
 
 def scale_factor(channel):
     """What the sensor says of one degree, and its standard deviation: (1 + b00) times the truth."""
-    at = channel.model.names().index("b00")
-    row = channel.model.to_reported[at : at + 1]
-    return 1.0 + float((row @ channel.estimate.parameters[0])[0]), float(channel.estimate.known[0].deviations(row)[0])
+    at = channel.built.model.names().index(f"{channel.built.model.channels[0].name}.b00")
+    row = channel.built.model.to_reported[at : at + 1]
+    return 1.0 + float((row @ channel.solution.parameters)[0]), float(channel.solution.known.deviations(row)[0])
 
 
 def steps(run, axis):
@@ -111,8 +110,8 @@ def test_steps_of_the_jig_give_the_scale_factor(run, axis, told, scale):
     microstep and its vibration leave about one part in a thousand, not in ten thousand."""
     log, done = steps(run, axis)
     assert done == told
-    report = estimate_calibration(STEPS, log, axes=["xyz"[axis]], options=AT)
-    (channel,) = report.channels
+    report = estimate_log(STEPS, [log], axis="xyz"[axis], options=AT)
+    (channel,) = report.sensors
     value, std = scale_factor(channel)
     assert 5e-4 < std < 1.5e-3
     assert value == pytest.approx(scale, abs=2.0 * std)
@@ -134,17 +133,17 @@ def test_rate_runs_agree_with_one_another_and_hardly_with_the_steps():
     of the steps. What is left is the drive: a rate is told to it as a count of clock ticks between microsteps, which
     nobody measured.
     """
-    result = [estimate_channels(RATES, rates(run), axes=["y"], options=AT)[0] for run in RUNS]
+    result = [estimated(RATES, rates(run), axis="y", options=AT)[0] for run in RUNS]
     values, deviations = np.array([scale_factor(channel) for channel in result]).T
     assert np.all((values > 1.0033) & (values < 1.0041))
     assert np.all(deviations < 5e-4)
     assert np.all(np.abs(values - values.mean()) < 2.0 * deviations)
     for channel in result:
-        assert len(channel.weights) >= 7
+        assert len(channel.solution.weights) >= 7
         assert channel.consistency.noise_scale < 2.0
     of_steps = np.array(
         [
-            scale_factor(estimate_channels(STEPS, steps(*run)[0], axes=["xyz"[run[1]]], options=AT)[0])
+            scale_factor(estimated(STEPS, steps(*run)[0], axis="xyz"[run[1]], options=AT)[0])
             for run in (("steps_pitch", 1), ("steps_yaw", 2))
         ]
     )
@@ -164,17 +163,19 @@ def test_xsens_stands_still_between_hand_motions():
     assert number.max() + 1 == 38  # as many as motions are told of; the record ends in the last one
     first = np.flatnonzero(number == 0)
     assert (first[-1] - first[0]) * log.sample_interval_s > 40.0  # the first 50 s are at rest
-    report = estimate_calibration(STEPS, log, options=Options(read_every=0.5, temperature_c=22.0))
-    for channel in report.channels:
-        names = channel.model.names()
-        std = channel.estimate.known[0].deviations(channel.model.to_reported)
-        assert np.isfinite(std[names.index("a0")])
-        assert not np.isfinite(std[names.index("b00")])  # without a reference no scale factor is seen
-        at_rest = log.rate_rad_per_s[0, first, log.axis_index(channel.axis)].mean()
-        bias = channel.estimate.parameters[0][names.index("a0")]
+    options = Options(read_every=0.5, temperature_c=22.0)
+    reports = [estimate_log(STEPS, [log], axis=axis, options=options) for axis in log.axes]
+    for axis, report in zip(log.axes, reports, strict=True):
+        (channel,) = report.sensors
+        names = channel.built.model.names()
+        std = channel.solution.known.deviations(channel.built.model.to_reported)
+        assert np.isfinite(std[names.index(f"gyro_{axis}.a0")])
+        assert not np.isfinite(std[names.index(f"gyro_{axis}.b00")])  # without a reference no scale factor is seen
+        at_rest = log.rate_rad_per_s[0, first, log.axis_index(axis)].mean()
+        bias = channel.solution.parameters[names.index(f"gyro_{axis}.a0")]
         assert bias == pytest.approx(at_rest, abs=np.radians(0.1))
         assert sum(channel.counts.values()) == log.rows_read
-    assert not report.as_wished
+        assert not report.as_wished
 
 
 @pytest.mark.parametrize("number", range(5))
@@ -187,9 +188,9 @@ def test_mpu9150_stands_still_between_hand_rotations(number):
     assert result.max() + 1 == 22  # of 28 or 29 rotations told of, some follow one another without a rest
     if number:
         return
-    channels = estimate_channels(STEPS, log, axes=["x"], options=AT)
-    names = channels[0].model.names()
+    channels = estimated(STEPS, log, axis="x", options=AT)
+    names = channels[0].built.model.names()
     still = result >= 0
     mean = np.mean([log.rate_rad_per_s[0, result == k, 0].mean() for k in range(result.max() + 1)])
-    assert channels[0].estimate.parameters[0][names.index("a0")] == pytest.approx(mean, abs=np.radians(0.05))
+    assert channels[0].solution.parameters[names.index("gyro_x.a0")] == pytest.approx(mean, abs=np.radians(0.05))
     assert channels[0].counts["used"] <= np.count_nonzero(still)

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from logs_zoo import estimated
 from report_samples import calibration, recipe
 from scipy.stats import chi2
 from simulated_log import simulate_log
 
 import gradcal_jax as gj
-from gradcal_jax.api.estimate import estimate_channels
 from gradcal_jax.estimation import find_standstills
 from gradcal_jax.files import Quantity
 from gradcal_jax.files.log import LogError
@@ -35,8 +35,8 @@ def spec() -> gj.Spec:
 @pytest.mark.parametrize("rate_hz", [1.0, 2.0, 5.0, 10.0])
 def test_an_axis_is_estimated_within_its_covariance(spec, rate_hz, marked):
     log, truth = simulate_log(spec, sample_rate_hz=rate_hz, seed=3)
-    (channel,) = estimate_channels(spec, log if marked else replace(log, standstill=None), axes=("x",))
-    estimate = channel.estimate
+    (channel,) = estimated(spec, log if marked else replace(log, standstill=None), axis="x")
+    estimate = channel.solution.estimate
     root = estimate.known[0].spread
     white = np.linalg.solve(root, estimate.parameters[0] - truth["x"][0])
     assert chi2.sf(white @ white, len(white)) > 1e-3
@@ -85,4 +85,4 @@ def test_an_axis_without_a_usable_row_of_rest_makes_no_empty_mean(spec):
     log, _ = simulate_log(spec, sample_rate_hz=2.0, seed=3)
     status = np.where(log.standstill >= 0, 1, 0).astype(np.uint16)[None]
     with pytest.raises((LogError, ValueError)):
-        estimate_channels(spec, replace(log, status=status), axes=("x",))
+        estimated(spec, replace(log, status=status), axis="x")

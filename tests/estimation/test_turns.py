@@ -5,10 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from logs_zoo import GRADIENT
+from logs_zoo import GRADIENT, estimated
 
-from gradcal_jax.api.estimate import estimate_channels
-from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.turns import with_turns
 from gradcal_jax.cli import main
 from gradcal_jax.files import parse_spec
@@ -39,15 +37,15 @@ def test_turns_are_found_and_give_the_scale_factor():
     np.testing.assert_allclose([t.sensed_rad for t in result], SCALE * SAID, rtol=2e-3)
     assert log.table_axes == ("x",)
     assert np.isnan(log.table_angle_rad[:, 0]).sum() >= 4 * 200
-    (channel,) = estimate_channels(parse_spec(SPEC), log, axes=("x",))
-    names, known = channel.model.names(), channel.estimate.known[0]
-    b00 = channel.model.to_reported @ channel.estimate.parameters[0]
-    std = known.deviations(channel.model.to_reported)
-    k = names.index("b00")
+    (channel,) = estimated(parse_spec(SPEC), log, axis="x")
+    names, known = channel.built.model.names(), channel.solution.known
+    b00 = channel.built.model.to_reported @ channel.solution.parameters
+    std = known.deviations(channel.built.model.to_reported)
+    k = names.index("gyro_x.b00")
     assert abs(b00[k] - 0.004) < 4 * std[k]
     assert std[k] < 5e-4
     rate = log.rate_rad_per_s[0, :, 0]
-    assert channel.valid_rate_rad_per_s == pytest.approx((rate.min(), rate.max()), abs=0.1)
+    assert channel.calibration.valid_rate == pytest.approx((rate.min(), rate.max()), abs=0.1)
 
 
 def test_what_was_recorded_but_not_integrated_is_not_covered():
@@ -56,9 +54,9 @@ def test_what_was_recorded_but_not_integrated_is_not_covered():
     fastest = result[2]
     status = np.zeros((1, len(log.time_s)), np.uint16)
     status[0, np.searchsorted(log.time_s, fastest.begin_s + 1.0)] = 4
-    (channel,) = estimate_channels(parse_spec(SPEC), replace(log, status=status), axes=("x",))
+    (channel,) = estimated(parse_spec(SPEC), replace(log, status=status), axis="x")
     rate = log.rate_rad_per_s[0, :, 0]
-    assert channel.valid_rate_rad_per_s == pytest.approx((0.0, rate.max()), abs=0.1)
+    assert channel.calibration.valid_rate == pytest.approx((0.0, rate.max()), abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +98,5 @@ def test_a_scale_factor_that_no_gyro_has_is_refused():
         log.time_s, log.rate_rad_per_s, log.units, log.axes, log.temperature_c, ("x",), 0.6 * log.table_angle_rad,
         standstill=log.standstill,
     )  # fmt: skip
-    from gradcal_jax.api.calibration import estimate_calibration
-
-    with pytest.raises(LogError, match=r"axis x of hand: a scale-factor error of 6\.7\d*e\+05 ppm is not a gyro's"):
-        estimate_calibration(parse_spec(SPEC), wrong, axes=("x",), options=Options())
+    with pytest.raises(LogError, match=r"hand, gyro x: it shows 1\.67 times what is along its axis: is the column of"):
+        estimated(parse_spec(SPEC), wrong, axis="x")

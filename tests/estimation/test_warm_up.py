@@ -160,8 +160,8 @@ def test_a_table_with_a_column_map_is_a_warm_up_too(tmp_path, capsys):
         'temperature = { column = "c", unit = "degC" }\nrate.x = { column = "w", index = 0, unit = "rad/s" }'
     )
     assert main(["estimate", str(tmp_path / "a.npz"), "--columns", str(tmp_path / "a.toml"), "--json"]) in (0, 1)
-    (channel,) = json.loads(capsys.readouterr().out)["units"][0]["channels"]
-    assert [p["name"] for p in channel["parameters"]] == ["a0", "a1", "a2", "a3"]
+    (channel,) = json.loads(capsys.readouterr().out)["units"]
+    assert [p["name"] for p in channel["parameters"]] == ["gyro_x.a0", "gyro_x.a1", "gyro_x.a2", "gyro_x.a3"]
 
 
 KINDS = {

@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from gradcal_jax.cli import main
 from gradcal_jax.files import spec_of
-from gradcal_jax.files.unit_spec import unit_spec_of
+from gradcal_jax.files.spec import spec_of
 
 # Of the simulated chamber's air behind its set point; and the ends of the pieces in which it approaches, in lags.
 AIR_LAG_S = 40.0
@@ -89,7 +89,7 @@ def _lagging(spec: dict[str, Any], air_lag_s: float) -> dict[str, Any]:
     At the end of a short or steep ramp that is some per cent of its temperatures; and two lags in series bend the
     beginning of a ramp otherwise than one does, which is all that tells dB/dT from a bias.
     """
-    schedule = (spec_of if "quantity" in spec["sensor"] else unit_spec_of)(spec).schedule
+    schedule = (spec_of if "quantity" in spec["sensor"] else spec_of)(spec).schedule
     segments = getattr(schedule, "segments", ())
     if not segments:  # the standard method waits until it is stable
         return spec
@@ -134,8 +134,6 @@ def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> C
     apart = error / scale
     nees = float(apart @ np.linalg.solve(matrix / np.outer(scale, scale), apart))
     fit = (float(made["fit"][0]["statistic"]), int(made["fit"][0]["degrees"]))
-    if not of_unit:  # of a unit the results are widened, and the covariance in the file is not
-        scale = scale / widened(fit)
     before = {row["name"] if of_unit else f"{_gyro(made)}.{row['name']}": row["std"] for row in predicted["parameters"]}
     sigmas = {name: s / before[name] for name, s in zip(names, scale, strict=True) if before.get(name)}
     asked = {row["name"]: row for row in predicted["requirements"]}

@@ -17,7 +17,7 @@ from gradcal_jax.files.axis_as_imu import axis_as_imu
 
 ROOT = Path(__file__).parents[2]
 REPORT = ROOT / "experiments" / "evidence" / "presets.md"
-PRESETS = (*presets.names(), *presets.unit_names())
+PRESETS = (*presets.names(), *presets.names())
 EXPERIMENTS = tuple(
     str(path.relative_to(ROOT))
     for path in sorted((ROOT / "experiments").rglob("*.toml"))

@@ -16,9 +16,9 @@ from gradcal_jax.api import predict
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.files.changes import changed
+from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.loops import LAWS, Law
 from gradcal_jax.hardware.simulate.unit import UnitTruth
-from gradcal_jax.hardware.simulate.draws import draw_truth
 
 pytestmark = pytest.mark.evidence
 

@@ -68,10 +68,10 @@ def test_an_error_names_the_line_of_its_key_and_of_the_table_that_lacks_one():
     lines = text.splitlines()
     said = {problem.dotted: problem.line for problem in caught.value.problems}
     assert '"20 pm"' in lines[said["sensor.sample_clock_error"] - 1]
-    assert "max_rat " in lines[said["rig.table.max_rat"] - 1]
-    assert f"(line {said['rig.table.max_rat']})" in str(caught.value)
-    missing = [p for p in caught.value.problems if p.dotted == "rig.table.max_rate"]
-    assert all(re.match(r"\[rig\.table\]", lines[p.line - 1]) for p in missing)
+    assert "max_rat " in lines[said["rig.table.axis[0].max_rat"] - 1]
+    assert f"(line {said['rig.table.axis[0].max_rat']})" in str(caught.value)
+    missing = [p for p in caught.value.problems if p.dotted == "rig.table.axis[0].max_rate"]
+    assert all(re.match(r"\[\[rig\.table\.axis\]\]", lines[p.line - 1]) for p in missing)
 
 
 def test_a_moves_line_in_a_list_is_its_own():

@@ -4,6 +4,7 @@ import json
 import math
 import tomllib
 from decimal import Decimal
+from pathlib import Path
 
 import jsonschema
 import pytest
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from gradcal_jax import files
 from gradcal_jax.files import Quantity, SpecError, presets
 from gradcal_jax.files.quantity import Quantity as Q
-from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin, parse_recipe, recipe_of
+from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin, parse_recipe, read_recipe, recipe_of
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 
@@ -26,6 +27,10 @@ COARSE = ControllerSteps(
     rate=Q.read("1 deg/s", "angular rate"),
     angle=Q.read("0.1 deg", "angle"),
 )
+
+
+COMMITTED = sorted((Path(__file__).parents[2] / "experiments" / "recipes").glob("*/*.toml"))
+OF_AXIS = Path(__file__).parents[2] / "experiments" / "recipes" / "headline" / "whole-turns.toml"
 
 
 def made_of(spec, **keys):
@@ -237,3 +242,37 @@ def test_the_steps_come_from_the_rig_where_it_names_them():
     assert default == ControllerSteps(acceleration=default.acceleration)
     made = rounded(spec).spec.plan.cycle.moves[1].move
     assert made.peak_rate == Quantity.read("299.5 deg/s", "angular rate")
+
+
+@pytest.mark.parametrize("path", COMMITTED, ids=lambda path: path.stem)
+def test_every_recipe_of_the_experiments_is_read(path):
+    recipe = read_recipe(path)
+    assert recipe.spec.sensor.gyro.axes == ("x",)
+    assert parse_recipe(files.to_toml(recipe)) == recipe
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        (lambda t: t["motion"][0]["moves"][1].update(rate="301 deg/s"), "motion[0].moves[1].rate"),
+        (lambda t: t["motion"][0]["moves"][1].update(angle="7560.002 deg"), "motion[0].moves[1].angle"),
+        (lambda t: t["motion"][0]["moves"][1].update(axis="y"), "motion[0].moves[1].axis"),
+        (lambda t: t["motion"][0]["moves"].pop(), "motion[0].moves"),
+        (lambda t: t["motion"][0]["moves"].append(t["motion"][0]["moves"][0]), "motion[0].moves"),
+        (lambda t: t["chamber"]["programme"][1].update(duration="1 h"), "chamber.programme[1].duration"),
+    ],
+)
+def test_a_recipe_of_one_axis_that_was_changed_by_hand_is_refused_with_the_key(change, key):
+    tables = tomllib.loads(OF_AXIS.read_text(encoding="utf-8"))
+    assert "gyro" not in tables["spec"]["sensor"]
+    change(tables)
+    with pytest.raises(SpecError, match="make the recipe anew") as caught:
+        recipe_of(tables, "recipe.toml")
+    assert key in {problem.dotted for problem in caught.value.problems}
+
+
+def test_a_recipe_of_one_axis_may_round_its_angles_otherwise():
+    tables = tomllib.loads(OF_AXIS.read_text(encoding="utf-8"))
+    whole = recipe_of(tables)
+    tables["motion"][0]["moves"][1]["angle"] = "7560.001 deg"
+    assert recipe_of(tables) == whole

@@ -11,8 +11,8 @@ from hardware_evidence import record
 from scipy.stats import chi2
 from unit_bench import MOVES, made, short
 
-from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.estimate import estimate_sensors
+from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import changed, presets

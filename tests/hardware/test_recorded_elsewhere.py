@@ -12,7 +12,7 @@ from simulated_devices.line_clock import LineClock
 from simulated_devices.port_lab import SimulatedLab
 from test_end_to_end import SMALL, distance
 
-from gradcal_jax.api.calibration import estimate_calibration
+from gradcal_jax.api.estimate import estimate_log
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
@@ -170,8 +170,8 @@ def recorded_run(folder: Path, made: Recipe, seed: int) -> tuple[Log, dict[str, 
 def squares(made: Recipe, log: Log, truth: dict[str, Any], clock: Literal["sensor", "host"]) -> tuple[float, ...]:
     """χ² of the data and of the parameters' errors, and the degrees of freedom of both: data, theirs, errors, theirs"""
     assert isinstance(made.spec, Spec)
-    (calibration,) = estimate_calibration(made.spec, log, options=Options(clock=clock)).calibrations
-    fit = next(test for test in calibration.fit if test.name.endswith(": χ² of the fit"))
+    (calibration,) = estimate_log(made.spec, [log], options=Options(clock=clock)).calibrations
+    fit = next(test for test in calibration.fit if test.name == "chi-squared of the fit")
     return fit.statistic, fit.degrees, *distance(calibration, truth)
 
 

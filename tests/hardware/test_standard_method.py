@@ -7,11 +7,11 @@ variance that prediction and estimate take them to have. Fifty seeds of the pape
 from dataclasses import replace
 
 import numpy as np
+from expected_errors import Observations, whitened
 from scipy.stats import chi2
 
 from gradcal_jax import estimation
 from gradcal_jax.api.build import assemble
-from gradcal_jax.estimation import Observations
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.hardware.simulate.lab import draw_truth
@@ -68,8 +68,7 @@ def test_fifty_seeds_scatter_as_the_model_says():
             read=every, at_rest=~every, moving=every, gap=~every, rates=True, points="independent",
         )  # fmt: skip
         columns, readings = np.asarray(model.columns(gauss_nodes(line, model))), np.radians(said - turned)[:, None]
-        observed = Observations(noise_steps(line, model), columns, readings, start + lasts, warmth, rate)
-        found = estimation.solve(estimation.whitened(observed, model))
+        found = estimation.solve(whitened(Observations(noise_steps(line, model), columns, readings), model))
         residuals += float(found.residuals[0] @ found.residuals[0])
         error = model.to_reported @ found.parameters[0] - np.array([truth[name] for name in model.names()])
         errors += float(np.sum(np.linalg.solve(model.to_reported @ found.known[0].spread, error) ** 2))

@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 from hardware_bench import unpredicted
 
-from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.estimate import fitted_twice, unit_rows
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.fit_of_log import fitted_twice
+from gradcal_jax.api.recorded_rows import unit_rows
+from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.files import changed
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import Recipe
@@ -92,7 +94,7 @@ def estimated(log: Log, spec: UnitSpec, truth: dict[str, float]) -> tuple[float,
     rows, _ = unit_rows(built, [log], log.units[0], Options())
     assert log.temperature_c is not None
     # As it was read: what smooths a thermometer's steps in a ramp of an hour is too slow for one of a minute.
-    done, readings, found = fitted_twice(built, log.units[0], rows, log.temperature_c[0])
+    done, readings, found, _ = fitted_twice(built, log.units[0], rows, log.temperature_c[0])
     steps, _ = unit_system(done.motion, model, readings.nominal())
     used = np.asarray(steps.used)
     apart = np.where(segments_of(done.motion, model).used, readings.observed - readings.expected(found.parameters), 0.0)

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.files import presets
-from gradcal_jax.files.sweep import named_spec, parse_sweep
+from gradcal_jax.files.sweep import parse_sweep
 from gradcal_jax.jobs.dataset import dataset_of
-from gradcal_jax.jobs.evaluate import predict_points
+from gradcal_jax.jobs.evaluate import optimise_points, predict_points
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.sweep import identity_of
 
@@ -36,9 +35,13 @@ def test_a_sweep_predicts_the_points_of_a_unit_and_says_which_cannot_be():
     assert "accelerometer_bias_mean_of_max" not in data
 
 
-def test_plans_of_units_are_not_optimised_in_sweeps_or_catalogues_and_that_is_said(tmp_path):
-    with pytest.raises(gj.SpecError, match="a whole unit is predicted in sweeps"):
-        parse_sweep(FILE.replace("[[axis]]", 'do = "optimise"\n[[axis]]'))
-    with pytest.raises(gj.SpecError, match="of a whole unit"):
-        named_spec("ferraris", tmp_path)
-    assert presets.title("ferraris")
+def test_plans_of_imus_are_optimised_in_sweeps(monkeypatch):
+    monkeypatch.setattr("gradcal_jax.api.optimise.EVALUATIONS", 60)
+    job = parse_sweep(FILE.replace("[[axis]]", 'do = "optimise"\n[[axis]]'))
+    first, wrong = optimise_points(gj.tables_of(job.base), [(i, Points(job).changes(i)) for i in (0, 2)])
+    assert "rig.table.tilt" in wrong.failure
+    found = gj.parse_spec(first.spec)
+    rows = gj.predict(found).requirements
+    assert [r.values[2] for r in first.residuals] == pytest.approx([r.mean for r in rows], rel=1e-12)
+    assert found.plan != job.base.plan
+    assert first.before is not None

@@ -134,7 +134,7 @@ def drawn(kind: str) -> dict[str, dict]:
     if (HERE / f"{kind}.json").exists():
         return {name: of["tables"] for name, of in recorded.read(kind).items()}
     if kind == "units":
-        return {name: tomllib.loads(presets.text(name)) for name in presets.unit_names()}
+        return {name: tomllib.loads(presets.text(name)) for name in presets.names()}
     if kind == "calibrations":
         return draw.calibrations()
     if kind == "estimates":

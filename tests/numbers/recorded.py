@@ -11,16 +11,17 @@ import numpy as np
 import tomlkit
 
 from gradcal_jax.api import predict
+from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.api.log_flow import estimate as estimate_axes
 from gradcal_jax.api.sensitivity import sensitivity
-from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.files import Spec, spec_of, tables_of
 from gradcal_jax.files.calibration import parse_calibration
 from gradcal_jax.files.calibration.correction import apply
 from gradcal_jax.files.calibration.exports import export
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.log_file import read_log
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 
 HERE = Path(__file__).resolve().parent
 Tables = dict[str, Any]
@@ -33,9 +34,9 @@ def read(kind: str) -> dict[str, Any]:
     return json.loads((HERE / f"{kind}.json").read_text(encoding="utf-8"))
 
 
-def any_spec(tables: Tables) -> Spec | UnitSpec:
+def any_spec(tables: Tables) -> UnitSpec:
     """A spec of an axis, or of a unit."""
-    return spec_of(tables) if "quantity" in tables["sensor"] else unit_spec_of(tables)
+    return spec_of(tables) if "quantity" in tables["sensor"] else spec_of(tables)
 
 
 def prediction(tables: Tables) -> Tables:

@@ -15,8 +15,8 @@ from gradcal_jax.api.timeline import unit_timeline
 from gradcal_jax.files import SpecError, spec_of
 from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
 from gradcal_jax.files.rounding import rounded, steps_of
+from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.tracks import tracks_of
-from gradcal_jax.files.unit_spec import unit_spec_of
 from gradcal_jax.formulas import reading_times
 
 KEPT = recorded.read("predictions")
@@ -57,7 +57,7 @@ def _same(found: float | None, expected: float | None, tolerance: float) -> None
 def test_an_axis_predicts_the_same_as_an_imu(name):
     tables, kept, tolerance = KEPT[name]["tables"], KEPT[name], 1e-9 if name in ROUNDED else 1e-12
     for axis in turned_axes(tables):
-        answer = predict(unit_spec_of(axis_as_imu(tables, axis)))
+        answer = predict(spec_of(axis_as_imu(tables, axis)))
         for row, found in recorded.rows(answer).items():
             for statistic, value in kept["requirements"][row].items():
                 _same(found[statistic], value, tolerance)
@@ -72,7 +72,7 @@ def test_an_axis_predicts_the_same_as_an_imu(name):
 def test_an_axis_is_judged_the_same_as_an_imu(name):
     """With all that the spec omits, at its class's typical figures, and in another run."""
     tables = KEPT[name]["tables"]
-    axis, imu = predict(spec_of(tables)), predict(unit_spec_of(axis_as_imu(tables)))
+    axis, imu = predict(spec_of(tables)), predict(spec_of(axis_as_imu(tables)))
     assert sorted(t.typical for t in axis.omitted) == sorted(t.typical for t in imu.omitted)
     for one, other in zip(axis.requirements, imu.requirements, strict=True):
         assert one.verdict == other.verdict
@@ -84,7 +84,7 @@ def test_an_axis_is_judged_the_same_as_an_imu(name):
 def test_an_axis_notices_the_same_as_an_imu(name):
     """The power of the tests for more structure of the maps."""
     tables = KEPT[name]["tables"]
-    axis, imu = (predict(s, notices=True).notices for s in (spec_of(tables), unit_spec_of(axis_as_imu(tables))))
+    axis, imu = (predict(s, notices=True).notices for s in (spec_of(tables), spec_of(axis_as_imu(tables))))
     assert len(axis) > 0
     for one, other in zip(axis, imu, strict=True):
         assert one.model_copy(update={"sure_from": None, "power": None}) == other.model_copy(
@@ -101,7 +101,7 @@ def test_an_axis_has_the_same_recipe_as_an_imu(name):
     if len(turned_axes(tables)) > 1:
         pytest.skip("no table turns several axes of a sensor alone")
     told = []
-    for spec in (spec_of(tables), unit_spec_of(axis_as_imu(tables))):
+    for spec in (spec_of(tables), spec_of(axis_as_imu(tables))):
         made = rounded(spec)
         step = steps_of(made.spec).acceleration
         chamber, blocks = tracks_of(made.spec, None if step is None else float(step))
@@ -120,7 +120,7 @@ def test_an_axis_has_the_same_recipe_as_an_imu(name):
 
 def test_a_timeline_of_an_imu_is_one_of_a_plain_cycle():
     with pytest.raises(ValueError, match="needs a plan with a cycle"):
-        unit_timeline(unit_spec_of(axis_as_imu(KEPT["tactical 3"]["tables"])))
+        unit_timeline(spec_of(axis_as_imu(KEPT["tactical 3"]["tables"])))
 
 
 def test_several_axes_that_turn_alone_are_no_table():
@@ -133,7 +133,7 @@ def test_the_tables_of_an_axis_stay_and_become_those_of_an_imu():
     axis["sensor"]["uncertain"] = {"turn_on_bias": "factor 2", "sample_clock_error": "factor 3"}
     axis["rig"]["earth_rate"] = "7.5 deg/h"
     before = copy.deepcopy(axis)
-    imu = unit_spec_of(axis_as_imu(axis))
+    imu = spec_of(axis_as_imu(axis))
     assert axis == before
     assert set(imu.sensor.uncertain_figures()) == {"sensor.gyro.turn_on_bias", "sensor.sample_clock_error"}
     # The axis points up where the Earth turns about it at that rate.

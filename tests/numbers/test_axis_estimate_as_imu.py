@@ -12,18 +12,19 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "estimation"))
 
+from gradcal_jax.api.calibration import estimate_calibration
 from logs_zoo import GRADIENT, STANDARD, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api.calibration import estimate_calibration
+from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.structure_tests import discrepancies
-from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.files import Spec, changed
 from gradcal_jax.files.axis_as_imu import axis_as_imu
 from gradcal_jax.files.changes import tables_of
 from gradcal_jax.files.log import LogError
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 
 UNWEIGHTED = STANDARD.replace('"standard"', '"standard"\nestimator = "least squares"')
 STATIC = GRADIENT[: GRADIENT.index("[plan.cycle]")] + 'read_every = "2 s"\n'
@@ -37,7 +38,7 @@ CASES = {
 
 
 def as_imu(spec: Spec) -> UnitSpec:
-    return unit_spec_of(axis_as_imu(tables_of(spec)))
+    return spec_of(axis_as_imu(tables_of(spec)))
 
 
 def text_of(name: str) -> str:
@@ -124,7 +125,7 @@ def test_the_earths_rate_and_the_tables_axis_may_be_given_with_the_log() -> None
     sideways["rig"]["table"]["axis"][0]["direction"] = [1.0, 0.0, 0.0]
     sideways["rig"]["table"]["mounting"] = [{"x": "+x", "y": "+y", "z": "+z"}]
     with pytest.raises(ValueError, match="only axis that points up"):
-        estimate_sensors(unit_spec_of(sideways), [log], options=Options(earth_rate=along))
+        estimate_sensors(spec_of(sideways), [log], options=Options(earth_rate=along))
 
 
 def test_points_that_a_log_lacks_are_named() -> None:

@@ -12,7 +12,7 @@ from gradcal_jax.files import presets
 
 # The paper's method at a coarser ramp: a third of the cycles.
 SPEC = gj.changed(
-    gj.parse_unit_spec(presets.text("gradient-three-axes")),
+    gj.parse_spec(presets.text("gradient-three-axes")),
     {"rig.chamber.max_heating": "3 K/min", "plan.gradient": "3 K/min"},
 )
 

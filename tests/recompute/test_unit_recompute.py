@@ -17,7 +17,7 @@ SKEW = {"rig.table.mounting": [{"rotation": ["20 deg", "-35 deg", "50 deg"]}]}
 
 
 def spec_of(name, changes=None):
-    spec = gj.parse_unit_spec(presets.text(name), name)
+    spec = gj.parse_spec(presets.text(name), name)
     return gj.changed(spec, changes) if changes else spec
 
 

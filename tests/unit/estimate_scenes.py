@@ -10,7 +10,8 @@ from helpers_unit import shipped
 from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.files import presets
 from gradcal_jax.files.log import Log
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.formulas import runs
 
 PLANS = ("two axes", "one axis, three mountings", "three axes", "by hand")
@@ -52,7 +53,7 @@ def scene(plan: str, installation_mrad: float, minutes: float = 8.0) -> UnitSpec
         triad = document["sensor"].get(part, {})
         triad.pop("scale_factor_instability", None)
     document["sensor"].pop("thermal_lag", None)
-    return unit_spec_of(document)
+    return spec_of(document)
 
 
 def _list(value: Any) -> list[dict[str, Any]]:

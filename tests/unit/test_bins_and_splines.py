@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.files.unit_spec import parse_unit_spec
+from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.formulas import b_spline
 
 DEG_PER_H = np.radians(1.0) / 3600.0
@@ -47,7 +47,7 @@ RESTS = '{ rest = "5 min" }, { turn = "180 deg", axis = "a" }, { rest = "5 min" 
 
 def sigmas(text: str) -> dict[str, float]:
     """Standard deviations of the reported parameters, SI."""
-    built = assemble_unit(parse_unit_spec(text))
+    built = assemble_unit(parse_spec(text))
     spread = built.model.to_reported @ posterior_of_unit(built).spread
     return dict(zip(built.model.names(), np.sqrt(np.sum(spread**2, axis=1)), strict=True))
 
@@ -60,7 +60,7 @@ def by_hand(rows: list[np.ndarray], durations: list[float], prior: float) -> np.
 
 def segments(text: str) -> list[tuple[float, float]]:
     """Begin and duration (s) of every rest and move of the plan, with what the cycles leave of the ramp."""
-    schedule = parse_unit_spec(text).schedule
+    schedule = parse_spec(text).schedule
     (stretch,) = schedule.stretches
     lasting = [step.move.duration for _ in range(stretch.cycles) for step in schedule.steps]
     lasting += [stretch.leftover] if stretch.leftover > 1e-6 else []
@@ -97,7 +97,7 @@ def test_rate_bins_weigh_the_angle_that_is_turned_in_each():
     maps = f'{NO_BIAS}\nscale_factor = {{ {CONSTANT}, {rate}, prior = "10000 ppm" }}'
     text = SPEC.format(axes='"z"', maps=maps, latitude=0, direction="0.0, 0.0, 1.0", moves=TURNING)
     rows, durations = [], []
-    cycles = parse_unit_spec(text).schedule.stretches[0].cycles
+    cycles = parse_spec(text).schedule.stretches[0].cycles
     for angle, peak, lasting in TURNS * cycles:
         ramp = lasting - abs(angle) / peak
         turned = np.zeros(5)
@@ -126,7 +126,7 @@ def test_splines_in_temperature_and_rate_are_as_a_fine_sum():
     earth = EARTH * np.array([0.0, np.cos(np.radians(30.0)), np.sin(np.radians(30.0))])
     along, across = direction * (direction @ earth), np.cross(direction, earth)
     rows, durations, at, stands = [], [], 0.0, 0.0
-    schedule = parse_unit_spec(text).schedule
+    schedule = parse_spec(text).schedule
     plan = [m for turn in TURNS for m in ((0.0, 1.0, 5.0), turn)] * schedule.stretches[0].cycles
     left = schedule.stretches[0].leftover
     for angle, peak, lasting in [*plan, *([(0.0, 1.0, left)] if left > 1e-6 else [])]:

@@ -11,7 +11,8 @@ from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.cli.predict import omitted_lines
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.requirement import GyroBiasRequirement
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 
 HOUR = np.pi / 180.0 / 3600.0
 NONE: dict[str, Any] = {
@@ -32,7 +33,7 @@ def required(programme, gyro: dict[str, Any], **requirement: Any) -> UnitSpec:
         "name": "turn", "direction": [0, 0, 1], "max_rate": "100 deg/s", "max_acceleration": "100 deg/s^2",
         "angle": {"reading_noise": "1 arcsec", "standstill_offset": "0 arcsec", "read_every": "5 s", "harmonics": []},
     }  # fmt: skip
-    return unit_spec_of({
+    return spec_of({
         "format": "gradcal-spec/1",
         "sensor": {
             "grade": "tactical", "clock": "sensor", "sample_clock_error": "0 ppm", "temperature_offset": "0 K",

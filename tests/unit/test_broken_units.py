@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax.files import SpecError
-from gradcal_jax.files.unit_spec import UnitSpec, read_unit_spec, unit_spec_of
+from gradcal_jax.files.spec import read_spec, spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 
 GOOD = shipped("hand")
 GOOD["plan"]["temperature"] = ["20 degC", "30 degC"]
@@ -139,7 +140,6 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     ("plan.cycle.start", {"roll": "90 deg"}, "plan.cycle.start.roll", "no axis of this name"),
     ("plan.gradient", "9 K/min", "plan.gradient", "rig.chamber.max_heating"),
 ]  # fmt: skip
-# ruff: noqa: E501
 
 
 def place(document, dotted: str, value) -> None:
@@ -153,7 +153,7 @@ def place(document, dotted: str, value) -> None:
 
 
 def test_the_unbroken_spec_is_sound_and_the_corpus_is_there():
-    assert isinstance(unit_spec_of(GOOD), UnitSpec)
+    assert isinstance(spec_of(GOOD), UnitSpec)
     assert len(BROKEN) >= 60
 
 
@@ -162,7 +162,7 @@ def test_every_fault_is_named_by_its_key_and_said_in_words(where, value, key, wo
     document = copy.deepcopy(GOOD)
     place(document, where, value)
     with pytest.raises(SpecError) as caught:
-        unit_spec_of(document)
+        spec_of(document)
     named = [problem for problem in caught.value.problems if problem.dotted == key]
     assert named, [str(problem) for problem in caught.value.problems]
     assert any(words in str(problem) for problem in named), [str(problem) for problem in named]
@@ -187,7 +187,7 @@ def test_faults_of_several_keys_together(edits, words):
     for requirement in document["requirement"]:
         requirement["temperature"] = ["20 degC", "30 degC"]
     with pytest.raises(SpecError) as caught:
-        unit_spec_of(document)
+        spec_of(document)
     assert words in str(caught.value)
 
 
@@ -206,10 +206,10 @@ def test_a_sensor_that_is_not_there_is_no_perfect_one(requirement, kind, axes, w
     """A quantity that several sensors make needs them all: one that is absent would count as known exactly."""
     document = copy.deepcopy(GOOD)
     document["requirement"] = [requirement | {"name": "r", "temperature": ["20 degC", "30 degC"]}]
-    assert unit_spec_of(document).requirement
+    assert spec_of(document).requirement
     document["sensor"][kind]["axes"] = axes
     with pytest.raises(SpecError) as caught:
-        unit_spec_of(document)
+        spec_of(document)
     (problem,) = caught.value.problems
     assert problem.dotted == "requirement[0].quantity"
     assert f"needs {words}, which the unit has not" in problem.message
@@ -281,7 +281,7 @@ def test_slips_give_a_spec_or_a_spec_error_and_nothing_else(slips, other):
             except (KeyError, IndexError, TypeError):
                 continue
     try:
-        spec = unit_spec_of(document)
+        spec = spec_of(document)
     except SpecError as error:
         said = [str(problem) for problem in error.problems]
     else:
@@ -296,7 +296,7 @@ def test_what_would_be_without_effect_is_refused():
         document = copy.deepcopy(GOOD)
         document["plan"]["cycle"]["moves"].append({"rest": "5 s"} | keys)
         with pytest.raises(SpecError, match="leave it out"):
-            unit_spec_of(document)
+            spec_of(document)
 
 
 def test_a_cycle_of_several_stretches_returns():
@@ -305,9 +305,9 @@ def test_a_cycle_of_several_stretches_returns():
     plan["programme"] += [{"soak": "1 min"}, {"soak": "10 min", "used": True}]
     document["plan"] = plan | {"cycle": {"moves": [{"rest": "5 s"}, {"turn": "90 deg", "axis": "spin"}]}}
     with pytest.raises(SpecError, match="begins anew in every stretch"):
-        unit_spec_of(document)
+        spec_of(document)
     document["plan"]["cycle"]["moves"].append({"turn": "-90 deg", "axis": "spin"})
-    assert len(unit_spec_of(document).schedule.stretches) == 2
+    assert len(spec_of(document).schedule.stretches) == 2
 
 
 def test_the_line_of_a_fault_is_said(tmp_path):
@@ -315,4 +315,4 @@ def test_the_line_of_a_fault_is_said(tmp_path):
     shipped_text = Path("experiments/imu/hand.toml").read_text(encoding="utf-8")
     path.write_text(shipped_text.replace("max_rate ", "max_rte "), encoding="utf-8")
     with pytest.raises(SpecError, match=r"max_rte.*\(line \d+\)"):
-        read_unit_spec(path)
+        read_spec(path)

@@ -11,7 +11,7 @@ import pytest
 
 from gradcal_jax.api import predict
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.files.unit_spec import unit_spec_of
+from gradcal_jax.files.spec import spec_of
 from gradcal_jax.formulas import EARTH_RATE
 
 DEG = np.pi / 180.0
@@ -24,7 +24,7 @@ ANGLE = {"reading_noise": "0.02 deg", "standstill_offset": "0.03 deg", "timing_e
 
 def spec_of_table(sensor: dict[str, Any], plan: dict[str, Any], latitude: str = "0 deg", **table: Any):
     axis = {"name": "turn", "direction": [0.0, 0.0, 1.0], "max_rate": "400 deg/s", "max_acceleration": "400 deg/s^2"}
-    return unit_spec_of({
+    return spec_of({
         "format": "gradcal-spec/1",
         "sensor": sensor,
         "rig": {

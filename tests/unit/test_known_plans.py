@@ -12,7 +12,7 @@ from helpers_unit import ARCSEC, DEG_PER_H, G, shipped
 
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.files.unit_spec import unit_spec_of
+from gradcal_jax.files.spec import spec_of
 
 KNOWN = json.loads((Path(__file__).parent / "known_units.json").read_text(encoding="utf-8"))
 UNIT = {
@@ -65,7 +65,7 @@ def family(theirs: str) -> str:
 
 @cache
 def found(plan: str) -> dict[str, float]:
-    built = assemble_unit(unit_spec_of(shipped(plan)))
+    built = assemble_unit(spec_of(shipped(plan)))
     values = posterior_of_unit(built).deviations(built.model.to_reported)
     return dict(zip(built.model.names(), values, strict=True))
 
@@ -82,7 +82,7 @@ def test_every_parameter_of_the_known_plans(plan):
 
 @pytest.mark.parametrize("plan", PLANS)
 def test_the_summary_statistics_are_eight_requirements(plan):
-    prediction = predict(unit_spec_of(shipped(plan)))
+    prediction = predict(spec_of(shipped(plan)))
     rows = {row.name: row for row in prediction.requirements}
     assert len(rows) == len(KNOWN[plan]["summary"]) == 8
     for name, value in KNOWN[plan]["summary"].items():
@@ -102,14 +102,14 @@ def test_navigation_and_instability_of_the_scale_factor(plan, metres, ppm):
     document = copy.deepcopy(shipped(plan))
     position = {"name": "rest", "quantity": "position", "after": "60 s", "temperature": ["-30 degC", "70 degC"]}
     document["requirement"] = [{**position, "axis": "x"}]
-    (row,) = predict(unit_spec_of(document)).requirements
+    (row,) = predict(spec_of(document)).requirements
     digits = len(metres.split(".")[1])
     assert f"{row.mean:.{digits}f}" == metres
     document = copy.deepcopy(shipped(plan))
     document["requirement"] = [r for r in document["requirement"] if r["quantity"] == "gyro_scale_factor"]
     drift = {"standard_deviation": "20 ppm", "correlation_time": "20 min"}
     document["sensor"]["gyro"]["scale_factor_instability"] = [drift]
-    (row,) = predict(unit_spec_of(document)).requirements
+    (row,) = predict(spec_of(document)).requirements
     assert f"{row.mean_of_max:.0f}" == ppm
 
 
@@ -122,7 +122,7 @@ def test_a_cheap_encoder_costs_misalignment_and_not_scale_factor():
         for axis in document["rig"]["table"]["axis"]:
             harmonics = [{"order": k, "amplitude": size} for k in (1, 2)]
             axis["angle"] |= {"reading_noise": size, "standstill_offset": size, "harmonics": harmonics}
-        rows[size] = {row.name: row.decisive for row in predict(unit_spec_of(document)).requirements}
+        rows[size] = {row.name: row.decisive for row in predict(spec_of(document)).requirements}
     good, cheap = rows.values()
     assert cheap["gyro scale factor"] < 1.25 * good["gyro scale factor"]
     assert cheap["gyro misalignment"] == pytest.approx(41.0, rel=0.05)
@@ -136,7 +136,7 @@ def test_the_installation_keeps_no_parameter_of_the_unit_for_itself():
     del table["tilt"], table["azimuth"], table["axis"][0]["orthogonality"]
     for axis in table["axis"]:
         del axis["angle"]["harmonics"]
-    built = assemble_unit(unit_spec_of(document))
+    built = assemble_unit(spec_of(document))
     assert built.model.size == built.model.calibrated == 120
     exact = posterior_of_unit(built).deviations(built.model.to_reported)
     ratio = exact / np.array([found("hand")[name] for name in built.model.names()])

@@ -5,16 +5,17 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from gradcal_jax.cli.unit_estimate import text_of_estimate
 from loop_scene import WIDTHS, recorded, spec_of
 from matplotlib.figure import Figure
 
-from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors, sensor_rows
-from gradcal_jax.cli.unit_estimate import text_of_estimate
+from gradcal_jax.api.estimate import EstimateReport, SensorEstimate, estimate_sensors
+from gradcal_jax.api.estimate_rows import estimate_rows
 from gradcal_jax.files.calibration import read_calibration, write_calibration
 from gradcal_jax.files.calibration.exports import export
-from gradcal_jax.hardware.simulate.unit import UnitTruth
 from gradcal_jax.hardware.simulate.draws import draw_truth
-from gradcal_jax.plots.unit_calibration import draw_loop, draw_unit_estimate, legs_of
+from gradcal_jax.hardware.simulate.unit import UnitTruth
+from gradcal_jax.plots.calibration import draw_estimate, draw_loop, legs_of
 
 HOUR = np.pi / 180.0 / 3600.0
 
@@ -44,7 +45,7 @@ def test_a_loop_that_the_spec_lacks_is_named_and_a_play_is_offered():
     assert "the errors depend on the path of temperature; half of heating less cooling: gyro" in said
     assert f"a play of {offer.width_k:g} K" in said
     assert "[sensor.gyro] hysteresis = [{ width = " in said
-    rows = sensor_rows(report)["path"]
+    rows = estimate_rows(EstimateReport((report,)))["units"][0]["path"]
     assert len(rows["half_differences"]) == 3
     assert rows["play"]["width_k"] == offer.width_k
 
@@ -79,7 +80,9 @@ def test_an_exact_play_is_recovered():
         state = max(t - 10.0, min(t + 10.0, state))
         behind[k] = state - t
     given = np.array([0.8, -0.3, 0.0]) * HOUR
-    (report,) = estimate_sensors(spec, [replace(log, rate_rad_per_s=log.rate_rad_per_s + behind[None, :, None] * given)])
+    (report,) = estimate_sensors(
+        spec, [replace(log, rate_rad_per_s=log.rate_rad_per_s + behind[None, :, None] * given)]
+    )
     assert report.calibration.contradicted == ()
     found = {(one.channel, float(one.width)): one for one in report.calibration.path if one.width is not None}
     for axis, value in zip("xyz", given, strict=True):
@@ -110,7 +113,7 @@ def test_the_loop_is_drawn_leg_by_leg():
     assert [text.get_text() for text in legend.get_texts()] == ["heating", "cooling"]
     apart = (curve.measured - curve.model) / HOUR
     assert np.std(apart) < 0.5 * np.std((curve.measured - curve.map) / HOUR)
-    assert isinstance(draw_unit_estimate(report), Figure)
+    assert isinstance(draw_estimate(EstimateReport((report,))), Figure)
 
 
 def test_legs_end_at_turning_points():

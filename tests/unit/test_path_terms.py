@@ -15,7 +15,8 @@ from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_o
 from gradcal_jax.estimation.unit_executed import turning_points
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.schemas import schema
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.model import play_states
 from gradcal_jax.trajectory import TableMotion, body_nodes
 
@@ -56,7 +57,7 @@ def spec_with(sensor: dict[str, Any], plan: dict[str, Any] | None = None, standi
     angle = {"reading_noise": "5 arcsec", "standstill_offset": "5 arcsec", "read_every": "5 s"}
     course = {"method": "gradient", "programme": COURSE, "cycle": {"moves": MOVES}}
     mounting = {"x": "+z", "y": "+y", "z": "-x"}
-    return unit_spec_of({
+    return spec_of({
         "format": "gradcal-spec/1",
         "sensor": {"clock": "sensor", **sensor},
         "rig": {
@@ -252,7 +253,7 @@ def test_a_plan_that_goes_on_keeps_the_state_of_the_play():
     first, second = ({"method": "gradient", "programme": p, "cycle": cycle} for p in halves)
     tables = spec_with({"gyro": own}, second, "read").model_dump(mode="json", exclude_unset=True)
     tables["done"] = [{"plan": first, "start": "1 min", "end": "31 min"}]
-    built = assemble_unit(unit_spec_of(tables))
+    built = assemble_unit(spec_of(tables))
     line, names = built.motion.line, built.model.names()
     columns = built.model.own_columns(built.body_nodes())[0] / line.duration[:, None]
     used = ~line.gap
@@ -263,7 +264,7 @@ def test_a_plan_that_goes_on_keeps_the_state_of_the_play():
     assert columns[used, names.index("gyro_z.hysteresis_6K_start")] == pytest.approx(0.0, abs=1e-12)
     tables["sensor"]["gyro"]["turn_on_transient"] = [{"time_constant": "5 min", "prior": "3 deg/h"}]
     with pytest.raises(SpecError, match="since power-on is not known"):
-        unit_spec_of(tables)
+        spec_of(tables)
 
 
 def test_a_timeline_lists_the_terms_of_the_path():

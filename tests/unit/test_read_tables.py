@@ -7,9 +7,10 @@ import pytest
 from estimate_scenes import draw_truth, record, scene
 from scipy.stats import chi2
 
-from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 
 ANGLE = {"reading_noise": "20 arcsec", "standstill_offset": "10 arcsec", "read_every": "1 s"}
 
@@ -19,7 +20,7 @@ def read_scene(plan: str) -> UnitSpec:
     document["rig"]["table"]["standing"] = "read"
     for axis in document["rig"]["table"]["axis"]:
         axis["angle"] = axis.get("angle", {}) | ANGLE
-    return unit_spec_of(document)
+    return spec_of(document)
 
 
 def estimated(spec: UnitSpec, seed: int) -> tuple[SensorEstimate, float]:

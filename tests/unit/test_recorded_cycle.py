@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 
 from gradcal_jax import estimation
+from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors, unit_rows
+from gradcal_jax.api.recorded_rows import unit_rows
 from gradcal_jax.files.log import Log
-from gradcal_jax.files.unit_spec import UnitSpec, unit_spec_of
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import Hysteresis
 
@@ -67,7 +69,7 @@ def spec_with(*, plays: bool, branch: str = "both") -> UnitSpec:
             "reading_noise": "1 arcsec", "standstill_offset": "0 arcsec", "read_every": f"{EVERY_S} s", "harmonics": []
         },
     }  # fmt: skip
-    return unit_spec_of({
+    return spec_of({
         "format": "gradcal-spec/1",
         "sensor": {"temperature_offset": "0 K", "temperature_lag": "0 s", "gyro": gyro},
         "rig": {

@@ -5,11 +5,11 @@ import pytest
 
 from gradcal_jax.files import presets
 from gradcal_jax.files.changes import changed
-from gradcal_jax.files.unit_spec import parse_unit_spec
+from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.loops import LoopTruth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.unit import SimulatedUnit
-from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 
 HOUR = np.pi / 180.0 / 3600.0
 PERIOD_S = 2.0
@@ -56,7 +56,7 @@ class Ramp(ChamberPlant):
 
 def test_a_unit_has_the_loops_and_transients_that_its_spec_names():
     gradient = {"sensor.gyro.bias_temperature_gradient": "5 deg/h/(K/min)"}
-    plain = changed(parse_unit_spec(presets.text("two-axis-table")), gradient)
+    plain = changed(parse_spec(presets.text("two-axis-table")), gradient)
     spec = changed(
         plain,
         {

@@ -7,12 +7,12 @@ import pytest
 import unit_twin as twin
 
 from gradcal_jax.files import presets
-from gradcal_jax.files.unit_spec import parse_unit_spec
+from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.unit import ErrorTerm, SimulatedUnit
-from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 
-SPEC = parse_unit_spec(presets.text("two-axis-table"))
+SPEC = parse_spec(presets.text("two-axis-table"))
 RATE_HZ = 500.0
 LEGS = [
     twin.Leg(-1, 0.5),

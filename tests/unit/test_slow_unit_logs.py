@@ -8,8 +8,9 @@ import pytest
 from estimate_scenes import draw_truth, record, scene
 from scipy.stats import chi2
 
+from gradcal_jax.api.estimate import estimate_sensors
+from gradcal_jax.api.fit_of_log import planned_moves
 from gradcal_jax.api.unit_build import assemble_unit
-from gradcal_jax.api.estimate import estimate_sensors, planned_moves
 from gradcal_jax.files.log import Log
 
 RECORDED_HZ = 100

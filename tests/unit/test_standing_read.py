@@ -8,7 +8,6 @@ from helpers_unit import shipped
 import gradcal_jax as gj
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.unit_spec import unit_spec_of
 
 _GYRO = {
     "angle_random_walk": "0.1 deg/sqrt(h)",
@@ -60,7 +59,7 @@ def sigmas(prediction) -> dict[str, float]:
 
 def test_one_axis_that_is_read_while_it_stands_is_the_scalar_plan():
     wanted = sigmas(gj.predict(spec_of(scalar())))
-    found = sigmas(predict(unit_spec_of(unit("read"))))
+    found = sigmas(predict(spec_of(unit("read"))))
     assert set(found) == set(wanted)
     for name, std in wanted.items():
         assert found[name] == pytest.approx(std, rel=1e-9), name
@@ -68,18 +67,18 @@ def test_one_axis_that_is_read_while_it_stands_is_the_scalar_plan():
 
 def test_a_table_that_holds_knows_the_bias_better():
     """A rest of a held table has no encoder in it: 0.05 deg in 10 s would be 18 deg/h."""
-    read, held = (sigmas(predict(unit_spec_of(unit(standing)))) for standing in ("read", "held"))
+    read, held = (sigmas(predict(spec_of(unit(standing)))) for standing in ("read", "held"))
     assert held["a0"] < 0.9 * read["a0"]
     assert all(held[name] <= read[name] * (1.0 + 1e-9) for name in read)
 
 
 def test_the_timeline_says_which_and_lists_every_reading():
-    timeline = gj.timeline(unit_spec_of(unit("read")))
+    timeline = gj.timeline(spec_of(unit("read")))
     assert timeline.standing == "read"
     moves, rests = ([s for s in timeline.segments if (s.axis is None) == rest] for rest in (False, True))
     assert sorted({round(s.angle, 6) for s in moves}) == [-12.566371, 12.566371]
     assert max(s.duration for s in rests) == pytest.approx(1.0)
-    assert len(gj.timeline(unit_spec_of(unit("held"))).segments) < len(timeline.segments) / 5
+    assert len(gj.timeline(spec_of(unit("held"))).segments) < len(timeline.segments) / 5
 
 
 def test_axes_are_read_together():
@@ -87,4 +86,4 @@ def test_axes_are_read_together():
     document["rig"]["table"]["standing"] = "read"
     document["rig"]["table"]["axis"][1]["angle"]["read_every"] = "2 s"
     with pytest.raises(gj.SpecError, match="read together"):
-        unit_spec_of(document)
+        spec_of(document)

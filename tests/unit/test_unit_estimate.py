@@ -8,9 +8,9 @@ import pytest
 from estimate_scenes import PLANS, draw_truth, record, scene
 from scipy import stats
 
+from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.estimation.unit_executed import UnitRows, across_stops, executed_unit
 from gradcal_jax.files.log import Log, LogError
@@ -136,7 +136,9 @@ def test_an_axis_that_was_away_where_a_run_was_resumed_does_no_harm(away_deg):
     angle[move, 1] += np.radians(away_deg) * np.sin(np.linspace(0.0, np.pi, len(move)))
     rate[0, move] += 0.3 * away_deg / 130.0
     starts = np.array([0, move[len(move) // 2]])
-    (report,) = estimate_sensors(spec, [replace(log, table_angle_rad=angle, rate_rad_per_s=rate, stretch_starts=starts)])
+    (report,) = estimate_sensors(
+        spec, [replace(log, table_angle_rad=angle, rate_rad_per_s=rate, stretch_starts=starts)]
+    )
     _require_consistent(report, truth)
 
 

@@ -26,7 +26,7 @@ from helpers_unit import (
 
 from gradcal_jax import model
 from gradcal_jax.api.prediction import predict
-from gradcal_jax.files.unit_spec import unit_spec_of
+from gradcal_jax.files.spec import spec_of
 
 _AXES = "xyz"
 # Poses of all kinds, turns of both axes at many, reversals.
@@ -151,7 +151,7 @@ def sentences(moves, **changes) -> tuple[str, ...]:
         for name in path[:-1]:
             part = part[int(name)] if name.isdigit() else part[name]
         part[path[-1]] = value
-    return predict(unit_spec_of(document)).warnings
+    return predict(spec_of(document)).warnings
 
 
 def go(tilt, spin, seconds="8 s") -> dict:
@@ -220,7 +220,7 @@ def test_a_vertical_axis_alone_is_told_which_axes_it_does_not_turn():
     table_section["axis"] = [table_section["axis"][1]]
     document["plan"]["cycle"] = {"moves": [{"rest": "8 s"}, {"turn": "720 deg"}, {"turn": "-720 deg"}]}
     document["plan"]["temperature"] = ["20 degC", "25 degC"]
-    found = predict(unit_spec_of(document)).warnings
+    found = predict(spec_of(document)).warnings
     for sentence in ("no turn is about gyro x", "no turn is about gyro y", "accelerometer z never points down"):
         assert any(sentence in said for said in found), sentence
     assert not any("no turn is about gyro z" in said for said in found)
@@ -276,7 +276,7 @@ def test_a_requirement_that_is_left_as_it_was_is_said():
     document = copy.deepcopy(shipped("hand"))
     document["plan"]["cycle"] = {"moves": [{"rest": "8 s"}, *turns("spin")]}
     document["plan"]["temperature"] = ["20 degC", "25 degC"]
-    found = predict(unit_spec_of(document)).warnings
+    found = predict(spec_of(document)).warnings
     said = [sentence for sentence in found if "stays as it was by the priors" in sentence]
     assert any("'accelerometer scale factor'" in sentence for sentence in said), found
     assert not any("'gyro bias'" in sentence for sentence in said)

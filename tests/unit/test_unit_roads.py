@@ -14,7 +14,7 @@ from reference_unit import Scene, Simulator
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.files import changed
-from gradcal_jax.files.unit_spec import unit_spec_of
+from gradcal_jax.files.spec import spec_of
 from gradcal_jax.information import square_root, whiten
 from gradcal_jax.information.unit_rows import unit_information, unit_system
 
@@ -159,7 +159,7 @@ def test_a_spec_in_radians_predicts_what_it_does_in_degrees():
     document["plan"]["temperature"] = ["20 degC", "30 degC"]
     other = in_radians(document)
     assert "deg" not in str(other).replace("degC", "").replace("degree", "")
-    degrees, radians = (predict(unit_spec_of(d)) for d in (document, other))
+    degrees, radians = (predict(spec_of(d)) for d in (document, other))
     assert len(degrees.parameters) == 120
     for a, b in zip(degrees.parameters, radians.parameters, strict=True):
         assert b.std == pytest.approx(a.std, rel=1e-9), a.name
@@ -187,7 +187,7 @@ def test_rows_in_another_unit_of_angle_leave_the_posterior_as_it_is(factor):
 )
 def test_a_units_discrepancy_is_the_map_of_a_higher_degree(key, hidden):
     """Columns of the polynomials after the cubic; at rest and on moves alike."""
-    spec = unit_spec_of(shipped("hand2"))
+    spec = spec_of(shipped("hand2"))
     beyond = assemble_unit(changed(spec, {f"sensor.gyro.{key}.discrepancy": hidden}))
     higher = assemble_unit(changed(spec, {f"sensor.gyro.{key}.temperature.degree": 5}))
     columns = [unit_system(b.motion, b.model, b.body_nodes())[1] for b in (beyond, higher)]

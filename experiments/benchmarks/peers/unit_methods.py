@@ -41,12 +41,12 @@ def hand2(asked: dict) -> dict:
     import jax.numpy as jnp
 
     from gradcal_jax.api.unit_build import assemble_unit
-    from gradcal_jax.files.unit_spec import read_unit_spec
+    from gradcal_jax.files.spec import read_spec
     from gradcal_jax.information import SquareRootInformation, unit_system, whitened_factor
     from gradcal_jax.trajectory import body_nodes
 
     jax.config.update("jax_enable_x64", True)
-    built = assemble_unit(read_unit_spec(Path(__file__).resolve().parents[2] / "imu" / "hand2.toml"))
+    built = assemble_unit(read_spec(Path(__file__).resolve().parents[2] / "imu" / "hand2.toml"))
     wanted = jax.tree.map(lambda x: isinstance(x, np.ndarray) and x.dtype == float, (built.motion, built.model))
     # Whether a rate drives a process is structure.
     gains = lambda t: [g for c in t[1].channels for g in (c.model.processes.rate_gain, c.model.processes.bias_gain)]  # noqa: E731

@@ -216,8 +216,9 @@ def _table_errors(sources: Sources) -> dict[str, Any] | None:
     rows: list[tuple[str, ...]] = []
     for error in calibration.table:
         unit, factor = UNITS_OF_TERMS.get(error.unit, (error.unit, 1.0))
-        numbers = (error.value, error.standard_deviation, error.prior, *([hidden[error.name]] if hidden else []))
-        rows.append((error.name.replace("_", " "), *(figures(n * factor) for n in numbers), unit))
+        numbers = (error.value, error.standard_deviation, error.prior, *([hidden.get(error.name)] if hidden else []))
+        shown = ("" if number is None else figures(number * factor) for number in numbers)
+        rows.append((error.name.replace("_", " "), *shown, unit))
     head = ["error of the table", "estimate", "1σ", "known to", *(["hidden truth"] if hidden else []), "unit"]
     return {"head": head, "rows": rows, "numbers": tuple(range(1, len(head) - 1))}
 

@@ -1,6 +1,7 @@
 """The requirements of a page: before, as predicted, as achieved, and the residual maps behind the numbers."""
 
 import re
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from gradcal_jax.files.spec import Spec
 from gradcal_jax.information import Posterior, posterior
 from gradcal_jax.information.posterior import square_root
 from gradcal_jax.pages.sources import Sources
+from gradcal_jax.plots.calibration_maps import panels_of
 
 SUMMED: Final = {"worst": "worst axis", "all": "all axes together"}
 # Relative difference of residuals that shows in the digits of a page.
@@ -79,7 +81,8 @@ def requirements_of(sources: Sources) -> RequirementFacts:
     spec, calibration = sources.spec, sources.calibration
     if spec is None:
         assert calibration is not None
-        return RequirementFacts("", tuple(map(_result_alone, calibration.result)), tuple(_covered(calibration)))
+        alone = tuple(_result_alone(row, len(calibration.channel) > 1) for row in calibration.result)
+        return RequirementFacts("", alone, tuple(_covered(calibration)))
     here = _Plan(spec)
     other = None if sources.before is None else _Plan(sources.before)
     results = {} if calibration is None else {row.name: row for row in calibration.result}
@@ -88,7 +91,9 @@ def requirements_of(sources: Sources) -> RequirementFacts:
     maps: list[MapFact] = []
     differing: list[str] = []
     known_before = False
-    for row, requirement in zip(sources.prediction.requirements, spec.requirement, strict=True):
+    by_name = {requirement.name: requirement for requirement in spec.requirement}
+    for row in sources.prediction.requirements:
+        requirement = by_name[row.name]
         stages = {
             "before": here.prior(requirement) if other is None else other.left(requirement),
             "predicted": here.left(requirement),
@@ -101,7 +106,7 @@ def requirements_of(sources: Sources) -> RequirementFacts:
         more = {"before": before, "limit": sources.limits.get(row.name), "own": row.own, "coverage": row.coverage}
         # A calibration gives no verdict on what it does not state.
         more |= {} if calibration is None else {"verdict": None}
-        rows.append(_fact_of(row, result, **more))
+        rows.append(_fact_of(row, result, several=here.has_several(requirement), **more))
         if isinstance(requirement, MissionHeadingRequirement):
             maps.append(here.curves(requirement))
             continue
@@ -144,6 +149,10 @@ class _Plan:
             achieved = widened(achieved, {TURN_ON: turn_on})
         return _residual(self.counted.built, achieved, requirement)
 
+    def has_several(self, requirement: UnitRequirement) -> bool:
+        """Whether a requirement's quantity has several elements."""
+        return len(quantity_of(self.built, requirement).elements) > 1
+
     def curves(self, requirement: MissionHeadingRequirement) -> MapFact:
         """The error of the heading over every mission, with what several curves differ by."""
         drawn = error_curves(self.built, self.known, requirement)
@@ -170,21 +179,19 @@ def _maps_of(requirement: UnitRequirement, stages: dict[str, UnitResidual]) -> l
     return [MapFact(requirement.name, element, requirement.quantity, tuple(own)) for element, own in maps.items()]
 
 
-def _covered(calibration: Calibration) -> list[MapFact]:
-    """The achieved maps of a calibration without a plan, over all that the data cover."""
-    return [
-        MapFact("all that the data cover", channel.axis, f"{channel.kind}_{term.name}", (("achieved", deviation),))
-        for name in dict.fromkeys((c.kind, t.name) for c in calibration.channel for t in c.term)
-        for channel in calibration.channel
-        for term in channel.term
-        if (channel.kind, term.name) == name
-        for _, deviation in (calibration_map(calibration, channel, term.name, *grid_of(channel, term.name)),)
-    ]
+def _covered(calibration: Calibration) -> Iterator[MapFact]:
+    """The achieved maps of biases and scale factors of a calibration without a plan, over all that the data cover."""
+    for kind, name in panels_of(calibration):
+        for channel in calibration.channel:
+            if channel.kind == kind and channel.term_of(name) is not None:
+                _, deviation = calibration_map(calibration, channel, name, *grid_of(channel, name))
+                yield MapFact("all that the data cover", channel.axis, f"{kind}_{name}", (("achieved", deviation),))
 
 
-def _fact_of(row: RequirementRow, result: Result | None, **more: Any) -> RequirementFact:
-    """A requirement as predicted, and as achieved where there is a result. `more`: further fields."""
-    fields: dict[str, Any] = {"statistic": _statistic(row.statistic, row.axis), "predicted": row.judged}
+def _fact_of(row: RequirementRow, result: Result | None, *, several: bool, **more: Any) -> RequirementFact:
+    """A requirement as predicted, and as achieved where there is a result. `several`: elements are summed up; `more`:
+    further fields."""
+    fields: dict[str, Any] = {"statistic": _statistic(row.statistic, row.axis, several), "predicted": row.judged}
     fields |= {"named": None if row.judged == row.decisive else row.decisive, "verdict": row.verdict, **more}
     if result is not None:
         fields |= {"achieved": result.value, "verdict": result.verdict, "named": result.named}
@@ -192,13 +199,13 @@ def _fact_of(row: RequirementRow, result: Result | None, **more: Any) -> Require
     return RequirementFact(**{name: getattr(row, name) for name in same}, **fields)
 
 
-def _result_alone(row: Result) -> RequirementFact:
+def _result_alone(row: Result, several: bool) -> RequirementFact:
     """A requirement of a calibration without a plan: the achieved residual."""
     known = {"achieved": row.value, "target": row.target, "verdict": row.verdict, "named": row.named}
-    statistic = _statistic(row.statistic.removesuffix(", 1 sigma"), row.axis)
+    statistic = _statistic(row.statistic.removesuffix(", 1 sigma"), row.axis, several)
     return RequirementFact(row.name, row.axis, row.quantity, statistic, row.unit, **known)
 
 
-def _statistic(statistic: str, axis: str) -> str:
+def _statistic(statistic: str, axis: str, several: bool) -> str:
     """A statistic, and how several elements are summed up."""
-    return ", ".join(filter(None, (statistic, SUMMED.get(axis))))
+    return f"{statistic}, {SUMMED[axis]}" if several and axis in SUMMED else statistic

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from gradcal_jax.estimation import CoarseFit, diagnosis
-from gradcal_jax.files.absent import EARTH_AT_SITE, EARTH_IS_UNKNOWN, absent_terms
+from gradcal_jax.files.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
 from gradcal_jax.files.log import LogError
 from gradcal_jax.files.requirement import UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -90,7 +90,7 @@ def omitted_sentences(spec: UnitSpec, temperature: np.ndarray, lag_is_fitted: bo
             + ", ".join(f"{term.key} {term.typical}" for term in absent)
             + "; put in your own, or 0 where there is none"
         )
-    if any(term.key == EARTH_AT_SITE for term in absent):
+    if any(term.key == EARTH for term in absent):
         sentences.append(EARTH_IS_UNKNOWN)
     rise, way = float(np.ptp(temperature)), float(abs(temperature[-1] - temperature[0]))
     if lagging and rise > 5.0 and way > 0.8 * rise:

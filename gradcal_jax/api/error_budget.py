@@ -127,9 +127,11 @@ def _slope_of(quantity: RequiredQuantity, known: Posterior) -> tuple[float, Sens
         for k in np.unique(worst[counts]):
             here = counts & (worst == k)
             rows, alone, beyond = (np.asarray(x)[here] for x in states[k])
-            places = Contrasts(*(_widened(x, element.where, size) for x in (rows, alone)), beyond)
-            more = sensitivity_of(known, places, of_variance[here[counts]])
-            slope = Sensitivity(*(a + b for a, b in zip(slope, more, strict=True)))
+            wide, own = (_widened(x, element.where, size) for x in (rows, alone))
+            more = sensitivity_of(known, Contrasts(wide, own, beyond), of_variance[here[counts]])
+            slope = Sensitivity(
+                slope.of_gram + more.of_gram, slope.of_covariance + more.of_covariance, slope.of_beyond + more.of_beyond
+            )
         beside += float(np.sum(of_variance)) * quantity.beside**2
     return total, slope, beside
 

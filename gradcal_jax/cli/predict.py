@@ -124,7 +124,7 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
 def omitted_lines(spec: "UnitSpec") -> list[str]:
     """Error terms that are absent from the file, with the typical figures that count for them. Empty: none."""
     from gradcal_jax.files.absent import (
-        EARTH_AT_SITE,
+        EARTH,
         EARTH_IS_UNKNOWN,
         absent_terms,
         branch_sentences,
@@ -145,7 +145,7 @@ def omitted_lines(spec: "UnitSpec") -> list[str]:
         "gradcal check --json",
     ]
     return (
-        lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH_AT_SITE for term in absent) * spec.is_one_axis + of_branches
+        lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH for term in absent) * spec.is_one_axis + of_branches
     )
 
 

@@ -25,11 +25,10 @@ _OF_SCALE_FACTOR: Final = frozenset({"sample_clock_error", "scale_factor_instabi
 _OF_RAMPS: Final = frozenset({"thermal_lag", "bias_temperature_gradient", "temperature_lag"})
 # Terms of the rig that a whole unit has in the place of one axis's.
 _OF_UNIT_TABLES: Final = ("tilt", "azimuth")
-EARTH: Final = "rig.earth_rate"
-EARTH_AT_SITE: Final = "rig.site.latitude"
+EARTH: Final = "rig.site.latitude"
 EARTH_IS_UNKNOWN: Final = (
     "the Earth's rate along the axis is not stated, and up to 15.04 deg/h of it counts in the bias: give "
-    "[rig] earth_rate, or estimate with --latitude (an axis that points up) or --earth-rate"
+    "[rig.site] latitude, or estimate with --latitude (an axis that points up) or --earth-rate"
 )
 
 
@@ -51,7 +50,7 @@ class AbsentTerm(NamedTuple):
     @property
     def typical(self) -> str:
         """The value in words: ``10 deg/h, 100 s``."""
-        return "up to 15.04 deg/h" if self.key in (EARTH, EARTH_AT_SITE) else _words(self.value)
+        return "up to 15.04 deg/h" if self.key == EARTH else _words(self.value)
 
 
 # Of normal gravity at sea level: 3.09 um/s^2 a metre of height, and 0.3 mm/s^2 of anomaly.
@@ -62,7 +61,7 @@ _NORMAL_GRAVITY: Final = AbsentTerm(
 
 def absent_terms(spec: UnitSpec) -> list[AbsentTerm]:
     """Every term of the error budget that the file does not name and that affects its plan. Errors: none."""
-    return list(_of_unit(spec) if isinstance(spec, UnitSpec) and not spec.is_one_axis else _of_axis(spec))
+    return list(_of_axis(spec) if spec.is_one_axis else _of_imu(spec))
 
 
 def _of_axis(spec: UnitSpec) -> Iterator[AbsentTerm]:
@@ -75,24 +74,18 @@ def _of_axis(spec: UnitSpec) -> Iterator[AbsentTerm]:
     matters = _matters_of_table(spec, gyro)
     of_table = [t for t in of_table if t.key in matters]
     of_angle = _below("angle.", of_table)
-    if False:
-        yield from _unnamed(sensor, "sensor", own)
-        yield from _unnamed(spec.rig.table, "rig.table", [t for t in of_table if "." not in t.key])
-        yield from _unnamed(spec.rig.table.angle, "rig.table.angle", of_angle)
-        earth, stated = EARTH, spec.rig.earth_rate
-    else:
-        common = set(type(sensor).model_fields)
-        yield from _unnamed(sensor, "sensor", [t for t in own if t.key in common])
-        yield from _unnamed(gyro, "sensor.gyro", [t for t in own if t.key not in common])
-        yield from _of_branches(spec)
-        for term in of_table:
-            if term.key == "mounting_accuracy":
-                yield from _unhung(spec.rig.table, term)
-        yield from _unnamed(spec.rig.table, "rig.table", [t for t in of_table if t.key == "rate_accuracy"])
-        yield from _unnamed(spec.rig.table.axis[0].angle, "rig.table.axis[0].angle", of_angle)
-        earth, stated = EARTH_AT_SITE, spec.rig.site.latitude
-    if stated is None:
-        yield AbsentTerm(earth, "unknown", "the Earth turns 15.04 deg/h, and the direction of the axis is not stated")
+    common = set(type(sensor).model_fields)
+    yield from _unnamed(sensor, "sensor", [t for t in own if t.key in common])
+    yield from _unnamed(gyro, "sensor.gyro", [t for t in own if t.key not in common])
+    yield from _of_branches(spec)
+    for term in of_table:
+        if term.key == "mounting_accuracy":
+            yield from _unhung(spec.rig.table, term)
+    yield from _unnamed(spec.rig.table, "rig.table", [t for t in of_table if t.key == "rate_accuracy"])
+    yield from _unnamed(spec.rig.table.axis[0].angle, "rig.table.axis[0].angle", of_angle)
+    if spec.rig.site.latitude is None:
+        reason = "the Earth turns 15.04 deg/h, and the direction of the axis is not stated"
+        yield AbsentTerm(EARTH, "unknown", reason)
 
 
 def _unhung(table: UnitTable, term: AbsentTerm) -> Iterator[AbsentTerm]:
@@ -103,7 +96,7 @@ def _unhung(table: UnitTable, term: AbsentTerm) -> Iterator[AbsentTerm]:
         yield from _unnamed(table.mounting[0], "rig.table.mounting[0]", [term._replace(key="accuracy")])
 
 
-def _of_unit(spec: UnitSpec) -> Iterator[AbsentTerm]:
+def _of_imu(spec: UnitSpec) -> Iterator[AbsentTerm]:
     sensor, table, site = spec.sensor, spec.rig.table, spec.rig.site
     terms = terms_of("sensor", sensor_grade(sensor).name)
     of_table = terms_of("table", table_grade(spec).name)
@@ -197,12 +190,8 @@ def with_typical(spec: UnitSpec) -> UnitSpec:
 def sensor_grade(sensor: UnitSensor) -> Grade:
     """The class of a gyro: `sensor.grade`, or else by its drift, or else by its angle random walk; of a unit without
     gyros that of its accelerometers."""
-    if isinstance(sensor, UnitSensor):
-        if sensor.gyro is None:
-            return accelerometer_grade(sensor)
-        gyro = sensor.gyro
-    else:
-        gyro = sensor
+    if (gyro := sensor.gyro) is None:
+        return accelerometer_grade(sensor)
     if sensor.grade is not None:
         return Grade(sensor.grade, str(_row("sensor", sensor.grade)["like"]), "sensor.grade")
     walk = float(gyro.angle_random_walk), "angle random walk", "its angle random walk"
@@ -227,14 +216,12 @@ def slopes_of(sensor: UnitSensor, kind: str = "gyro") -> tuple[float, float]:
     """Typical slopes over temperature of a channel's bias (rad/s/K or m/s^2/K) and of its scale factor (1/K): the
     spec's own, where it states them, or those of the class."""
     if kind == "accelerometer":
-        assert isinstance(sensor, UnitSensor)
         row = _row("accelerometer", accelerometer_grade(sensor).name)
         return units.parse(row["bias_slope"], "acceleration"), units.parse(row["scale_factor_slope"], "scale factor")
     typical = next(t.value for t in terms_of("sensor", sensor_grade(sensor).name) if t.key == "temperature_error")
     bias = units.parse(typical["bias_slope"], "bias slope")
     scale = units.parse(typical["scale_factor_slope"], "scale factor slope")
-    gyro = sensor.gyro if isinstance(sensor, UnitSensor) else sensor
-    own = None if gyro is None else gyro.temperature_error
+    own = None if sensor.gyro is None else sensor.gyro.temperature_error
     if own is None:
         return bias, scale
     stated = own.bias_slope, own.scale_factor_slope
@@ -243,7 +230,7 @@ def slopes_of(sensor: UnitSensor, kind: str = "gyro") -> tuple[float, float]:
 
 def table_grade(spec: UnitSpec) -> Grade:
     """The class of a rate table, by its named angle errors; the worst class without any."""
-    angles = [spec.rig.table.angle] if False else [axis.angle for axis in spec.rig.table.axis]
+    angles = [axis.angle for axis in spec.rig.table.axis]
     size = max(max(float(a.reading_noise), float(a.standstill_offset)) for a in angles)
     if size == 0.0:
         return _grade("table", math.inf, "angle", "angle", "the worst: no angle error is named")
@@ -284,11 +271,7 @@ def _matters_of_table(spec: UnitSpec, gyro: GyroTriad) -> set[str]:
     mounting = set[str]() if gyro.scale_factor is None else {"mounting_accuracy"}
     if isinstance(plan, StandardPlan):
         return {"rate_accuracy", *mounting} if any(float(rate) for rate in plan.rates or ()) else set()
-    if isinstance(spec, UnitSpec):
-        moves = [step.move for step in spec.gradient_schedule.steps]
-    else:
-        cycle = spec.gradient_schedule.cycle
-        moves = [] if cycle is None else list(cycle.moves)
+    moves = [step.move for step in spec.gradient_schedule.steps]
     if not moves:
         # A standing axis is read at one angle: only errors that change between readings have an effect.
         return {"angle.reading_noise"}

@@ -62,7 +62,8 @@ def along_axis(spec: UnitSpec, axis: Axis) -> UnitSpec:
     table, turned = tables["rig"]["table"], AXES.index(axis) - AXES.index(own)
     tables["sensor"]["gyro"]["axes"] = [axis]
     hung: Any = table["mounting"]
-    for mounting in hung if isinstance(hung, list) else [hung]:
+    mountings: list[dict[str, Any]] = hung if isinstance(hung, list) else [hung]
+    for mounting in mountings:
         # In the same cyclic order, so that the body's axes stay right-handed.
         mounting |= {AXES[(k + turned) % 3]: mounting[a] for k, a in enumerate(AXES)}
     for turn in table["axis"]:

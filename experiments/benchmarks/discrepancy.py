@@ -31,7 +31,7 @@ def objectives():
 def specs():
     """The headline without and with a discrepancy."""
     from gradcal_jax.files import changed, read_spec
-    
+
     spec = read_spec(SPEC)
     return [spec, changed(spec, {"sensor.gyro.scale_factor.discrepancy": HIDDEN})]
 

@@ -1,7 +1,7 @@
 """The posterior covariance after a spec's plan, and residuals on its requirements' boxes."""
 
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from gradcal_jax.api.verdicts import limit_of as limit_of
 from gradcal_jax.api.verdicts import run_of as run_of
 from gradcal_jax.api.verdicts import target_of as target_of
 from gradcal_jax.design import Criterion, polynomial_grid
-from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
 from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, Requirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
@@ -27,38 +26,15 @@ from gradcal_jax.units import PPM as PPM
 from gradcal_jax.units import G as G
 
 
-def posterior_of_plan(built: Assembled, channel: Axis | None = None) -> Posterior:
+def posterior_of_plan(built: Assembled) -> Posterior:
     """The posterior after the plan, by the estimator that the spec names."""
-    line, model = built.trajectory(channel), built.model
+    line, model = built.trajectory(), built.model
     return unweighted(line, model) if unweighted_estimator(built.spec) else posterior(information(line, model))
-
-
-def posteriors_of_plan(built: Assembled) -> dict[Axis, Posterior]:
-    """The posterior after the plan of every axis."""
-    return {channel: posterior_of_plan(built, channel) for channel in built.channels}
 
 
 def unweighted_estimator(spec: UnitSpec) -> bool:
     """Whether the spec's estimator is ordinary least squares on the points' rates, as in the paper's figure."""
     return isinstance(spec.plan, StandardPlanSection) and spec.plan.estimator == "least squares"
-
-
-class Survey(NamedTuple):
-    """The coldest and warmest temperature (°C) and the fastest rate (rad/s) of a plan, on a grid of each piece."""
-
-    coldest: float
-    warmest: float
-    fastest: float
-
-
-def survey(built: Assembled, channel: Axis | None = None) -> Survey:
-    """The range of temperature and rate that the plan visits on one axis."""
-    line = built.trajectory(channel)
-    grid = np.broadcast_to(np.linspace(0.0, 1.0, 33), (len(line.moving_pieces), 33))
-    used = ~line.gap
-    ends = np.concatenate([end[used] for end in line.ends()])
-    fastest = np.max(np.abs(line.rate(grid, line.moving_pieces)), initial=0.0)
-    return Survey(float(ends.min()), float(ends.max()), float(fastest))
 
 
 def residual_map(

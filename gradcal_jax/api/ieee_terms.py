@@ -11,13 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.api.posterior_of_plan import DEG_PER_S, UNIT_OF
 from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.files.calibration import CalibratedChannel, CalibratedTerm, Calibration
 from gradcal_jax.files.calibration.correction import basis_values
-from gradcal_jax.files.requirement import GyroScaleFactorRequirement, UnitRequirement
-from gradcal_jax.files.sensor import ScaleFactor
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.information import Posterior
+from gradcal_jax.model import UnitModel
+from gradcal_jax.units import DEG_PER_S
 
 Floats = NDArray[np.float64]
 # The temperature for figures of one temperature (°C), where the data cover it.
@@ -103,39 +102,38 @@ def calibration_map(
     return first, second
 
 
-def grid_of(channel: CalibratedChannel, requirement: UnitRequirement | None, name: str) -> tuple[Floats, Floats]:
-    """Temperatures (°C) and rates (deg/s) of a requirement's box, or of all that the data cover for a term."""
-    cold, warm = channel.valid_temperature if requirement is None else requirement.temperature
+def grid_of(channel: CalibratedChannel, name: str) -> tuple[Floats, Floats]:
+    """Temperatures (°C) and rates (deg/s) of all that the data cover for a term."""
+    cold, warm = channel.valid_temperature
     slow, fast = channel.valid_rate
-    counts: tuple[int, ...] = (_TEMPERATURES, _RATES)
-    if requirement is not None:
-        counts = tuple(requirement.grid)
-        if isinstance(requirement, GyroScaleFactorRequirement):
-            slow, fast = requirement.rate
-    temperatures = np.linspace(float(cold), float(warm), counts[0])
+    temperatures = np.linspace(float(cold), float(warm), _TEMPERATURES)
     term = channel.term_of(name)
     if term is None or term.rate is None:
         return temperatures, np.zeros(1)
-    return temperatures, np.linspace(float(slow), float(fast), counts[1]) * DEG_PER_S
+    return temperatures, np.linspace(float(slow), float(fast), _RATES) * DEG_PER_S
 
 
-def prior_map(spec: UnitSpec, requirement: UnitRequirement) -> Box | None:
-    """The prior standard deviation of a gyro's map on a requirement's box, before any calibration; None where the prior
-    is flat, and for other quantities."""
-    gyro = spec.sensor.gyro
-    if gyro is None or requirement.quantity not in ("gyro_bias", "gyro_scale_factor"):
-        return None
-    section = gyro.bias if requirement.quantity == "gyro_bias" else gyro.scale_factor
-    if section is None or section.prior is None:
-        return None
-    unit, factor = UNIT_OF[requirement.quantity]
-    temperatures, rates = np.linspace(*map(float, requirement.temperature), requirement.grid[0]), np.zeros(1)
-    over_temperature, over_rate = np.sum(basis_values(section.temperature, temperatures) ** 2, axis=1), np.ones(1)
-    if isinstance(requirement, GyroScaleFactorRequirement) and isinstance(section, ScaleFactor):
-        rates = np.linspace(*map(float, requirement.rate), requirement.grid[1])
-        over_rate = np.sum(basis_values(section.rate, rates) ** 2, axis=1)
-    values = np.sqrt(np.outer(over_temperature, over_rate)) * float(section.prior) * factor
-    return Box(temperatures, rates * DEG_PER_S, values, unit)
+def calibrated_posterior(model: UnitModel, calibration: Calibration) -> Posterior:
+    """The posterior of a model's parameters by a calibration file: the covariance of its coefficients, and the errors
+    that no residual shows. Coefficients without a variance are hidden; what the file does not carry has no error."""
+    names, carried, known = model.names(), calibration.values(), calibration.covariance
+    place = {name: k for k, name in enumerate(names)}
+    seen = () if known is None else known.names
+    columns = [np.zeros((model.size, 0))]
+    if known is not None and any(name in place for name in seen):
+        own = [k for k, name in enumerate(seen) if name in place]
+        matrix = np.array(known.matrix)[np.ix_(own, own)]
+        size = np.sqrt(np.diag(matrix))
+        values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+        root = np.zeros((model.size, len(own)))
+        root[[place[seen[k]] for k in own]] = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        columns.append(root)
+    for error in calibration.unseen:
+        columns.append(np.array([[error.coefficients.get(name, 0.0)] for name in names]))
+    # Of the engine's own parameters.
+    back = np.linalg.inv(model.to_reported)
+    hidden = back[:, [place[name] for name in carried if name in place and name not in seen]]
+    return Posterior(back @ np.concatenate(columns, axis=1), hidden / np.linalg.norm(hidden, axis=0))
 
 
 _NAMES = {

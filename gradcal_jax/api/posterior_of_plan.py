@@ -1,6 +1,5 @@
 """The posterior covariance after a spec's plan, and residuals on its requirements' boxes."""
 
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -8,14 +7,14 @@ import numpy as np
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.missions import earth_gain, flights_of
 from gradcal_jax.api.verdicts import DEG_PER_H as DEG_PER_H
-from gradcal_jax.api.verdicts import UNIT_OF, mission_weights, verdict_of
+from gradcal_jax.api.verdicts import UNIT_OF, mission_weights
 from gradcal_jax.api.verdicts import decision_rule as decision_rule
 from gradcal_jax.api.verdicts import limit_of as limit_of
 from gradcal_jax.api.verdicts import run_of as run_of
 from gradcal_jax.api.verdicts import target_of as target_of
 from gradcal_jax.design import Criterion, polynomial_grid
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
-from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, Requirement, UnitRequirement
+from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, contrasts, information, posterior, residual, statistic, unweighted
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
@@ -124,8 +123,3 @@ def _map_of(requirement: UnitRequirement) -> Literal["bias", "scale_factor"]:
 
 def _gain(requirement: UnitRequirement) -> float:
     return earth_gain(requirement) if isinstance(requirement, NorthRequirement) else 1.0
-
-
-def verdict(requirement: Requirement, values: np.ndarray) -> Literal["met", "missed", "unobservable"] | None:
-    """The verdict on a residual map (in `UNIT_OF`, 1σ) by a requirement's decision rule; None without a target."""
-    return verdict_of(requirement, partial(statistic_of, requirement, values))

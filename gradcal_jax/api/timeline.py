@@ -1,5 +1,5 @@
-"""The timeline of a spec: segments, readings and the sensor's model, as the contracts gradcal-timeline/2 of one gyro and
-gradcal-unit-timeline/1 of an IMU."""
+"""The timeline of a spec: segments, readings and the sensor's model, as the contracts gradcal-timeline/2 of one gyro
+and gradcal-unit-timeline/1 of an IMU."""
 
 from collections.abc import Iterable
 from typing import Any, Literal, cast

@@ -103,7 +103,7 @@ def compare(
 def prediction_text(prediction: "Prediction", name: str) -> str:
     """A prediction as text: ppm, deg/h, hours."""
     from gradcal_jax.files.requirement_table import requirement_table
-    from gradcal_jax.pages.predicted_coefficients import coefficient_table
+    from gradcal_jax.pages.coefficients import coefficient_table, parameters
 
     times = times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s)
     lines = [strong(prediction.title or name), times, ""]
@@ -113,7 +113,7 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
         lines += [sentence for row in prediction.requirements for sentence in _judged(row, several)]
     else:
         lines.append("the spec has no [[requirement]]; the parameters' standard deviations are:")
-    table, right = coefficient_table(prediction)
+    table, right = coefficient_table(parameters(prediction, None, {}))
     lines += ["", columns(table, indent="", right=right)]
     several = len({row.axis for row in prediction.notices}) > 1
     lines += [(f"axis {row.axis}: " if several else "") + row.sentence for row in prediction.notices]

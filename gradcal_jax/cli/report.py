@@ -28,13 +28,13 @@ def report(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Make one HTML page of a recipe, a run, a calibration or a unit's plan: nothing is fetched, and it prints well.
+    """Make one HTML page of a plan, a run or a calibration: nothing is fetched, and it prints well.
 
     Parameters
     ----------
     sources
-        The folder of a run, a recipe, a calibration, or those of them that belong together. A calibration in the
-        folder of a run is taken with it, calibration.toml before others. Of a whole unit, its spec.
+        The folder of a run, a recipe or a spec, a calibration, or those of them that belong together. A calibration in
+        the folder of a run is taken with it, calibration.toml before others.
     output
         The page (.html).
     before

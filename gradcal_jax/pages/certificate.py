@@ -5,6 +5,8 @@ of each input in the variance of a requirement's residual: contributions √shar
 claims no accreditation; unknown entries are "not stated".
 """
 
+import re
+from collections.abc import Iterator, Sequence
 from datetime import UTC, date, datetime
 from importlib import resources
 from math import sqrt
@@ -23,12 +25,15 @@ from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.information.conformity import specific_risk
 from gradcal_jax.pages.numbers import figures, one_sign
-from gradcal_jax.pages.provenance import assumed_noise
+from gradcal_jax.pages.provenance import figures_of_rig, figures_of_sensor
+from gradcal_jax.pages.requirements import SUMMED
 from gradcal_jax.pages.sources import Sources
 
 NOT_STATED: Final = "not stated"
 _COVERAGE: Final = 2.0
 _TEMPERATURES: Final = 7
+# Of the variance; below it an input is left out of a budget.
+_SMALLEST_SHARE: Final = 5e-4
 
 
 class Input(NamedTuple):
@@ -43,7 +48,7 @@ class Input(NamedTuple):
 
 
 class Budget(NamedTuple):
-    """The uncertainty budget of one requirement and axis: `total` is the standard uncertainty, in `unit`."""
+    """The uncertainty budget of one requirement: `total` is the standard uncertainty, in `unit`."""
 
     requirement: str
     axis: str
@@ -157,11 +162,13 @@ def _performed(stated: str, sources: Sources) -> str:
 
 
 def _method(sources: Sources, calibration: Calibration) -> str:
-    how = "stable temperatures, a reference rate at each"
-    if sources.recipe is not None and sources.recipe.axis_spec.plan.method == "gradient":
-        how = "temperature ramp; the reference is the angle of the table before and after each turn"
-    elif sources.recipe is None:
-        how = "as the log has it"
+    how = "as the log has it"
+    if sources.spec is not None:
+        how = "stable temperatures, a reference rate at each"
+        if sources.spec.plan.method == "gradient":
+            parts = ["temperature ramp; the reference is the angle of the table before and after each turn"]
+            parts += ["gravity at each pose"] if sources.spec.sensor.accelerometer is not None else []
+            how = ", and ".join(parts)
     estimator = calibration.provenance.get("estimator", NOT_STATED)
     return f"{how}. Estimator: {estimator}. Uncertainties by propagation of covariance, linear and Gaussian (GUM)."
 
@@ -208,27 +215,41 @@ def _result(row: Result) -> ResultRow:
     if row.target is not None and row.worst is not None:
         risk = specific_risk(0.0, row.worst, row.target)
     verdict, rule = row.verdict or "no limit stated", row.rule or ""
-    return ResultRow(row.name, row.axis, row.unit, row.value, k, expanded, row.worst, row.target, verdict, rule, risk)
+    return ResultRow(
+        row.name, _elements(row.axis), row.unit, row.value, k, expanded, row.worst, row.target, verdict, rule, risk
+    )
 
 
-def _budgets(sources: Sources):
-    """The budget of each requirement of the recipe, scaled to the uncertainty of the estimate."""
-    if sources.recipe is None or sources.calibration is None:
+def _budgets(sources: Sources) -> Iterator[Budget]:
+    """The budget of each requirement of the plan, scaled to the uncertainty of the estimate."""
+    spec, calibration = sources.spec, sources.calibration
+    if spec is None or calibration is None:
         return
-    spec = sources.recipe.axis_spec
-    known_values = dict(assumed_noise(sources.recipe, None))
-    reached = {(row.name, row.axis): row for row in sources.calibration.result}
+    stated = [*figures_of_sensor(spec.sensor), *figures_of_rig(spec.rig)]
     shares = counted_shares(spec)
-    for (name, channel), row in reached.items():
-        parts = shares.get(name, {})
+    for row in calibration.result:
+        parts = shares.get(row.name, {})
         if not parts or row.value is None or row.verdict == "not valid":
             continue
-        inputs: list[Input] = []
-        for part, share in parts.items():
-            if share >= 5e-4:
-                value = known_values.get(part) or known_values.get(f"{part} error") or "as in the spec"
-                inputs.append(Input(part, value, "normal", "B", share, row.value * sqrt(max(share, 0.0))))
-        yield Budget(name, channel, row.unit, row.value, tuple(inputs))
+        inputs = (
+            Input(part, _value_of(part, stated), "normal", "B", share, row.value * sqrt(max(share, 0.0)))
+            for part, share in parts.items()
+            if share >= _SMALLEST_SHARE
+        )
+        yield Budget(row.name, _elements(row.axis), row.unit, row.value, tuple(inputs))
+
+
+def _value_of(part: str, stated: Sequence[tuple[str, str]]) -> str:
+    """The figures of an input of the budget, those of several axes together."""
+    own = (
+        value for name, value in stated if re.fullmatch(rf"(.*: )?{re.escape(part)}( error|, \d+ a turn| \d+)?", name)
+    )
+    return "; ".join(dict.fromkeys(own)) or "as in the spec"
+
+
+def _elements(axis: str) -> str:
+    """The axis of a result, or how several elements are summed up."""
+    return SUMMED.get(axis, f"axis {axis}")
 
 
 def _corrections(calibration: Calibration, channel: CalibratedChannel) -> list[Correction]:

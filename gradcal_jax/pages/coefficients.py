@@ -1,7 +1,7 @@
 """Coefficients of a calibration, or of a plan alone, beside predicted uncertainties and a simulation's true values."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -10,10 +10,17 @@ from gradcal_jax.api.contract_rows import coefficient_rows
 from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.files.calibration import Calibration, Covariance
 from gradcal_jax.files.contracts import Prediction
-from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.recipe import Predicted
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.model import TEMPERATURE_GRADIENT
+from gradcal_jax.pages.numbers import figures
 
-# The temperature-gradient sensitivity has other names in predictions and in a simulation's truth.
-_GRADIENT: Final = "bias_temperature_gradient"
+# Of more channels a table has a column for each axis.
+_MOST_CHANNELS: Final = 3
+_SYMBOLS: Final = (
+    "a: bias; b with the powers of rate and temperature, or s: scale factor; m: misalignment towards an axis; g: drift "
+    "for a specific force along an axis; k2: second order. Digits at the end count powers of temperature."
+)
 _SUPERSCRIPTS: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -33,25 +40,88 @@ class ParameterFact(NamedTuple):
     off_by_sigma: float | None
 
 
-def predicted_deviations(recipe: Recipe | None, prediction: Prediction | None) -> dict[str, tuple[float | None, str]]:
-    """One sigma of every predicted coefficient, and its SI unit, by its name in a calibration file."""
-    rows = () if recipe is None else recipe.prediction.parameters
-    named = {f"gyro_{r.axis}.{r.name if re.match(r'[ab][0-9_]', r.name) else _GRADIENT}": r for r in rows}
-    named |= {} if prediction is None else {row.name: row for row in prediction.parameters}
-    return {name: (row.std, row.unit) for name, row in named.items()}
-
-
 def parameters(
-    predicted: Mapping[str, tuple[float | None, str]], calibration: Calibration | None, hidden: Mapping[str, float]
+    planned: Predicted | Prediction | None, calibration: Calibration | None, hidden: Mapping[str, float]
 ) -> list[ParameterFact]:
     """Every coefficient of a calibration, or of a plan alone, beside the true values of a simulation."""
+    predicted = {} if planned is None else {row.name: row for row in planned.parameters}
     if calibration is None:
-        return [parameter_fact(name, unit, None, None, std, None) for name, (std, unit) in predicted.items()]
+        return [_fact(name, row.unit, None, None, row.std, None) for name, row in predicted.items()]
     facts: list[ParameterFact] = []
     for row in coefficient_rows(calibration):
-        std, _ = predicted.get(row["name"], (None, ""))
-        facts.append(parameter_fact(row["name"], row["unit"], row["value"], row["std"], std, hidden.get(row["name"])))
+        std = predicted[row["name"]].std if row["name"] in predicted else None
+        facts.append(_fact(row["name"], row["unit"], row["value"], row["std"], std, hidden.get(row["name"])))
     return facts
+
+
+def coefficient_table(facts: Sequence[ParameterFact]) -> tuple[list[tuple[str, ...]], tuple[int, ...]]:
+    """Coefficients after a head, and the numbers of the columns that are flush right: of few channels a row each with
+    all that is known of it, of more a column an axis."""
+    channels = {(row.kind, row.axis) for row in facts}
+    return _each(facts, len(channels) > 1) if len(channels) <= _MOST_CHANNELS else (_by_axis(facts), (1, 2, 3))
+
+
+def symbols(spec: UnitSpec | None, calibration: Calibration | None) -> str:
+    """What the names of coefficients mean, and T′ and ω′."""
+    terms: list[Any] = [] if calibration is None else [term for c in calibration.channel for term in c.term]
+    if spec is not None:
+        triads = [t for t in (spec.sensor.gyro, spec.sensor.accelerometer) if t is not None]
+        terms = [getattr(triad, name) for triad in triads for name in type(triad).model_fields]
+    words = [_SYMBOLS]
+    for symbol, plain, name in (("T′", "T", "temperature"), ("ω′", "ω", "rate")):
+        bases = [of for term in terms if (of := getattr(term, name, None)) is not None]
+        scaled = {f"({plain} − {of.centre}) / {of.scale}" for of in bases if of.basis == "polynomial"}
+        if len(scaled) == 1:
+            words.append(f"{symbol} = {scaled.pop()}.")
+        elif scaled:
+            words.append(f"{symbol} = ({plain} − centre) / scale of each term.")
+    return " ".join(words)
+
+
+def _each(facts: Sequence[ParameterFact], several: bool) -> tuple[list[tuple[str, ...]], tuple[int, ...]]:
+    # Head, the field that must have a value, the shown field, its digits, text for none, suffix.
+    columns = (
+        ("value", "value", "value", 6, "", ""),
+        ("1σ", "value", "std", 4, "not observable", ""),
+        ("1σ predicted", "predicted_std", "predicted_std", 4, "", ""),
+        ("hidden truth", "truth", "truth", 6, "", ""),
+        ("off by", "off_by_sigma", "off_by_sigma", 2, "", " σ"),
+    )
+    kept = [column for column in columns if any(getattr(row, column[1]) is not None for row in facts)]
+    if not any(row.value is not None for row in facts):
+        kept = [("1σ", "predicted_std", "predicted_std", 4, "not observable", "")]
+    rows = [
+        (
+            f"{row.kind} {row.axis}: {row.name}" if several else row.name,
+            row.multiplies,
+            *(
+                none if (value := getattr(row, name)) is None else figures(value, digits) + after
+                for _, _, name, digits, none, after in kept
+            ),
+            row.unit,
+        )
+        for row in facts
+    ]
+    head = ("parameter", "multiplies", *(head for head, *_ in kept), "unit")
+    return [head, *rows], tuple(range(2, 2 + len(kept)))
+
+
+def _by_axis(facts: Sequence[ParameterFact]) -> list[tuple[str, ...]]:
+    table: dict[tuple[str, str, str], dict[str, str]] = {}
+    for row in facts:
+        text = "not observable" if row.predicted_std is None else figures(row.predicted_std)
+        if row.value is not None:
+            text = "not observed" if row.std is None else f"{figures(row.value, 5)} ± {figures(row.std, 2)}"
+            text += "" if row.off_by_sigma is None else f" (off by {figures(row.off_by_sigma, 2)} σ)"
+        table.setdefault((row.kind, row.name, row.unit), {})[row.axis] = text
+    first = "parameter ± 1σ" if any(row.value is not None for row in facts) else "parameter, 1σ"
+    return [
+        (first, "x", "y", "z", "unit"),
+        *(
+            (f"{kind} {symbol}", *(values.get(axis, "") for axis in "xyz"), unit)
+            for (kind, symbol, unit), values in table.items()
+        ),
+    ]
 
 
 def estimated_coefficients(calibration: Calibration) -> tuple[list[tuple[str, ...]], tuple[int, ...]]:
@@ -72,17 +142,13 @@ def hidden_values(truth: Mapping[str, Any] | None, calibration: Calibration | No
     """The true values of a simulated sensor and table, by the names of a calibration file."""
     if truth is None or calibration is None:
         return {}
-    if "units" in truth:
-        return truth.get("installation", {}) | truth["units"].get(calibration.serial_number, {})
-    return {
-        f"gyro_{axis}.{_GRADIENT if name == 'gradient' else name}": value
-        for axis, values in truth.items()
-        if isinstance(values, dict)
-        for name, value in values.items()
-    }
+    devices = truth["units"]
+    # A device has another name in its calibration where somebody has written its serial number there.
+    only = next(iter(devices.values())) if len(devices) == 1 else {}
+    return truth["installation"] | devices.get(calibration.serial_number, only)
 
 
-def parameter_fact(full_name: str, si: str, *numbers: float | None) -> ParameterFact:
+def _fact(full_name: str, si: str, *numbers: float | None) -> ParameterFact:
     """A coefficient for people. `numbers` (SI): value, one sigma, predicted one sigma, truth."""
     channel, _, name = full_name.partition(".")
     kind, _, axis = channel.partition("_")
@@ -95,7 +161,7 @@ def parameter_fact(full_name: str, si: str, *numbers: float | None) -> Parameter
 
 def _multiplies(name: str) -> str:
     """The function that a coefficient multiplies: powers of T′ and ω′; for other bases the number of the function."""
-    if name == _GRADIENT:
+    if name == TEMPERATURE_GRADIENT:
         return "dT/dt"
     if (match := re.fullmatch(r"b(\d)(\d)", name)) or (match := re.fullmatch(r"b(\d+)_(\d+)", name)):
         return "·".join(part for part in (_power("ω′", match[1]), _power("T′", match[2])) if part) or "1"

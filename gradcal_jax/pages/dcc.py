@@ -11,35 +11,39 @@ from pathlib import Path
 from typing import Final
 
 import gradcal_jax
+from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.pages.certificate import NOT_STATED, Certificate, Correction, ResultRow
-from gradcal_jax.units import G
 
 VERSION: Final = "3.2.1"
 _DCC: Final = "https://ptb.de/dcc"
 _SI: Final = "https://ptb.de/si"
 _XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
-_RATE: Final = r"\radian\second\tothe{-1}"
 _ONE: Final = r"\one"
 _CELSIUS: Final = r"\degreecelsius"
-_DEG: Final = math.pi / 180.0
-_DEG_PER_H: Final = _DEG / 3600.0
-_FORCE: Final = r"\metre\second\tothe{-2}"
-# The certificate's units in SI.
-_IN_SI: Final = {
-    "ppm": (1e-6, _ONE),
-    "deg/h": (_DEG_PER_H, _RATE),
-    "m": (1.0, r"\metre"),
-    "deg": (_DEG, r"\radian"),
-    "urad": (1e-6, r"\radian"),
-    "arcsec": (_DEG_PER_H, r"\radian"),
-    "ug": (1e-6 * G, _FORCE),
-    "deg/h/g": (_DEG_PER_H / G, r"\radian\second\metre\tothe{-1}"),
-    "deg/h/g^2": (_DEG_PER_H / G**2, r"\radian\second\tothe{3}\metre\tothe{-2}"),
-    "ug/g^2": (1e-6 / G, r"\second\tothe{2}\metre\tothe{-1}"),
-    "ug/g^3": (1e-6 / G**2, r"\second\tothe{4}\metre\tothe{-2}"),
-    "deg/h/(°C/min)": (_DEG_PER_H * 60.0, r"\radian\kelvin\tothe{-1}"),
+# SI units in the D-SI's spelling.
+_D_SI: Final = {
+    "1": _ONE,
+    "rad": r"\radian",
+    "m": r"\metre",
+    "rad/s": r"\radian\second\tothe{-1}",
+    "m/s^2": r"\metre\second\tothe{-2}",
+    "1/K": r"\kelvin\tothe{-1}",
+    "rad/K": r"\radian\kelvin\tothe{-1}",
+    "s/K": r"\second\kelvin\tothe{-1}",
+    "rad/s/K": r"\radian\second\tothe{-1}\kelvin\tothe{-1}",
+    "m/s/K": r"\metre\second\tothe{-1}\kelvin\tothe{-1}",
+    "m/s^2/K": r"\metre\second\tothe{-2}\kelvin\tothe{-1}",
+    "rad/s/(m/s^2)": r"\radian\second\metre\tothe{-1}",
+    "rad/s/(m/s^2)^2": r"\radian\second\tothe{3}\metre\tothe{-2}",
+    "1/(m/s^2)": r"\second\tothe{2}\metre\tothe{-1}",
+    "1/(m/s^2)^2": r"\second\tothe{4}\metre\tothe{-2}",
+}
+# The certificate's units: how many SI units one of them is, and which.
+_IN_SI: Final = {shown: (1.0 / factor, _D_SI[si]) for si, (shown, factor) in UNITS_OF_TERMS.items()} | {
+    "m": (1.0, _D_SI["m"]),
+    "deg": (math.pi / 180.0, _D_SI["rad"]),
 }
 
 
@@ -61,8 +65,6 @@ def _document(certificate: Certificate, rig: RigFile | None) -> ET.Element:
     for key, option in (("certificate number", "--number"), ("performed", "--performed 2026-11-22")):
         if stated[key] == NOT_STATED:
             raise ValueError(f"a DCC says the {key}: give {option}")
-    if strange := [row.term for row in certificate.corrections if row.unit not in _IN_SI]:
-        raise ValueError(f"a DCC has no unit for {', '.join(strange)}: leave --dcc out")
     begin, _, end = stated["performed"].partition("..")
     root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION})
     root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{VERSION}/dcc.xsd")
@@ -94,7 +96,7 @@ def _document(certificate: Certificate, rig: RigFile | None) -> ET.Element:
     statements = _add(data, "statements")
     sentences = ["This document claims no accreditation.", *certificate.validity]
     if certificate.simulated:
-        sentences.insert(0, "SIMULATED: the data come from simulated devices. This certifies nothing of a real unit.")
+        sentences.insert(0, "SIMULATED: the data come from simulated devices. This certifies nothing of a real sensor.")
     for sentence in sentences:
         _text(_add(statements, "statement"), "declaration", sentence)
     _measurement(_add(_add(root, "measurementResults"), "measurementResult"), certificate)
@@ -127,7 +129,7 @@ def _measurement(result: ET.Element, certificate: Certificate) -> None:
         _corrections(results, channel, [row for row in certificate.corrections if row.channel == channel])
     for budget in certificate.budgets:
         factor, unit = _IN_SI[budget.unit]
-        data = _result(results, f"Uncertainty budget: {budget.requirement}, axis {budget.axis}")
+        data = _result(results, f"Uncertainty budget: {budget.requirement}, {budget.axis}")
         for entry in budget.inputs:
             words = f"{entry.name} ({entry.value}; {entry.distribution}, type {entry.type}): contribution to u"
             _real(data, words, entry.contribution * factor, unit)
@@ -142,7 +144,7 @@ def _error(results: ET.Element, row: ResultRow) -> None:
     if row.standard is None or row.expanded is None:
         return
     factor, unit = _IN_SI[row.unit]
-    data = _result(results, f"{row.name}, axis {row.axis}: error after correction")
+    data = _result(results, f"{row.name}, {row.axis}: error after correction")
     # The schema has no coverage factor below 1.
     k = max(row.coverage, 1.0)
     quantity = _real(data, "error after correction", 0.0, unit, (k * row.standard * factor, k))

@@ -2,7 +2,8 @@
 
 import io
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -17,6 +18,7 @@ from gradcal_jax import plots
 from gradcal_jax.api.ieee_terms import Box
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.pages.run_history import RunHistory
@@ -43,6 +45,8 @@ _STYLE: Any = {
 _LOGARITHMIC = 4.0
 # Maps whose ratio is everywhere nearer to 1 than this look alike (a natural logarithm).
 _ALIKE = 0.3
+# Curves above which a legend has two columns.
+_LONG_LEGEND = 4
 # Distances of labels on a map from its edge, and from one another, as shares of its sides.
 _INSIDE, _APART = 0.06, np.array([0.15, 0.09])
 
@@ -55,41 +59,56 @@ class Picture(NamedTuple):
     svg: str
 
 
-def map_pictures(facts: Sequence[MapFact], targets: Mapping[tuple[str, str], float]) -> list[list[Picture]]:
-    """For each requirement whose box is in no earlier one: its maps on one colour scale, then their curves. A map that
-    looks like the one before it is shown as their ratio. `targets`: the limits on the standard deviation, by
-    requirement and axis."""
+def map_pictures(facts: Sequence[MapFact], targets: Mapping[str, float]) -> list[list[Picture]]:
+    """For each requirement whose box is in no earlier one its pictures. Over temperature and rate: for each element its
+    maps on one colour scale, then their curves; a map that looks like the one before it is shown as their ratio. Over
+    temperature alone: curves, of a single element all in one picture, of several a picture for before, predicted and
+    achieved. `targets`: the limits on the standard deviation, by requirement."""
     groups: list[list[Picture]] = []
     drawn: list[MapFact] = []
-    for fact in facts:
-        if fact.curves:
-            words = f"{fact.name}: error of the heading over time, one standard deviation; own noise stays."
-            key = f"{picture_key(fact.name)}-{fact.axis}-heading"
-            groups.append([picture(key, words, lambda ax, f=fact: plots.draw_heading(f.curves, ax=ax), _HIGH)])
-            continue
-        if any(_holds(other, fact) for other in drawn):
-            continue
-        drawn.append(fact)
-        where = fact.name if len({f.axis for f in facts}) == 1 else f"{fact.name}, axis {fact.axis}"
-        key = f"{picture_key(fact.name)}-{fact.axis}-{fact.quantity}"
-        if len(fact.maps[0][1].rate_dps) == 1:
-            groups.append([_curves(fact, f"{key}-curves", where, targets.get((fact.name, fact.axis)))])
-            continue
-        norm = _norm([box for _, box in fact.maps])
-        group: list[Picture] = []
-        for place, (label, box) in enumerate(fact.maps):
-            earlier = fact.maps[place - 1] if place else None
-            if earlier is not None and _alike(box, earlier[1]):
-                ratio = box._replace(values=box.values / earlier[1].values, unit="ratio")
-                words = f"{where}: residual {label} over that {earlier[0]}."
-                # At least from a tenth less to a tenth more, so that small differences have nearly one colour.
-                ends = Normalize(min(float(ratio.values.min()), 0.9), max(float(ratio.values.max()), 1.1))
-                group.append(_map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, ends))
-            else:
-                words = f"{where}: residual {label}, one standard deviation."
-                group.append(_map(box, label, f"{key}-{label}", words, norm))
-        groups.append([*group, _curves(fact, f"{key}-curves", where, targets.get((fact.name, fact.axis)))])
+    for (name, quantity), several in groupby(facts, lambda fact: (fact.name, fact.quantity)):
+        own = [fact for fact in several if not any(_holds(other, fact) for other in drawn)]
+        drawn += own
+        key, target = picture_key(f"{name} {quantity}"), targets.get(name)
+        heading = [fact for fact in own if fact.curves]
+        maps = [fact for fact in own if fact.maps and len(fact.maps[0][1].rate_dps) > 1]
+        curves = [fact for fact in own if fact.maps and fact not in maps]
+        for fact in heading:
+            words = f"{name}: error of the heading over time, one standard deviation; own noise stays."
+            draw = lambda ax, f=fact: plots.draw_heading(f.curves, ax=ax)  # noqa: E731
+            groups.append([picture(f"{key}-heading", words, draw, _HIGH)])
+        for fact in maps:
+            where = name if len(maps) == 1 else f"{name}, axis {fact.axis}"
+            of = picture_key(f"{key} {fact.axis}")
+            groups.append([*_maps(fact, of, where), _curves(fact.maps, f"{of}-curves", where, target)])
+        if len(curves) == 1:
+            groups.append([_curves(curves[0].maps, f"{key}-curves", name, target)])
+        elif curves:
+            stages = dict.fromkeys(stage for fact in curves for stage, _ in fact.maps)
+            lines = {s: [(f.axis, box) for f in curves for stage, box in f.maps if stage == s] for s in stages}
+            groups.append([_curves(boxes, f"{key}-{s}", name, target, s) for s, boxes in lines.items()])
     return groups
+
+
+def _maps(fact: MapFact, key: str, where: str) -> Iterator[Picture]:
+    norm = _norm([box for _, box in fact.maps])
+    for place, (label, box) in enumerate(fact.maps):
+        earlier = fact.maps[place - 1] if place else None
+        if earlier is not None and _alike(box, earlier[1]):
+            ratio = box._replace(values=box.values / earlier[1].values, unit="ratio")
+            words = f"{where}: residual {label} over that {earlier[0]}."
+            # At least from a tenth less to a tenth more, so that small differences have nearly one colour.
+            ends = Normalize(min(float(ratio.values.min()), 0.9), max(float(ratio.values.max()), 1.1))
+            yield _map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, ends)
+        else:
+            words = f"{where}: residual {label}, one standard deviation."
+            yield _map(box, label, f"{key}-{label}", words, norm)
+
+
+def pose_picture(spec: UnitSpec) -> Picture:
+    """The vertical in the device's frame at every rest."""
+    words = "Which way is up, seen from the device, at every rest; the colour is the time, the size how long it rests."
+    return picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), _LOW, projection="mollweide")
 
 
 def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Picture]:
@@ -166,7 +185,7 @@ def calibration_pictures(calibration: Calibration) -> list[Picture]:
 
 
 def _holds(outer: MapFact, inner: MapFact) -> bool:
-    if (outer.axis, outer.quantity) != (inner.axis, inner.quantity):
+    if (outer.axis, outer.quantity) != (inner.axis, inner.quantity) or not (outer.maps and inner.maps):
         return False
     one, other = outer.maps[0][1], inner.maps[0][1]
     sides = ((one.temperature_c, other.temperature_c), (one.rate_dps, other.rate_dps))
@@ -235,21 +254,24 @@ def _label(ax: Axes, contours: QuadContourSet) -> None:
         ax.text(x, y, figures(value, 3), fontsize=8, ha="center", va="center", bbox=box)
 
 
-def _curves(fact: MapFact, key: str, where: str, target: float | None) -> Picture:
-    words = "over temperature" if fact.quantity != "scale_factor" else "the worst over temperature, against rate"
-    caption = f"{where}: residual, {words}, one standard deviation."
-    return picture(key, caption, lambda ax: _draw_curves(fact, target, ax), _HIGH)
+def _curves(boxes: Sequence[tuple[str, Box]], key: str, where: str, target: float | None, stage: str = "") -> Picture:
+    by_rate = len(boxes[0][1].rate_dps) > 1
+    words = "the worst over temperature, against rate" if by_rate else "over temperature"
+    caption = f"{where}: residual {stage}".rstrip() + f", {words}, one standard deviation."
+    if not all(np.all(np.isfinite(box.values)) for _, box in boxes):
+        caption += " Without a curve: not observable."
+    return picture(key, caption, lambda ax: _draw_curves(boxes, target, ax), _HIGH)
 
 
-def _draw_curves(fact: MapFact, target: float | None, ax: Axes) -> None:
-    bias = fact.quantity != "scale_factor"
+def _draw_curves(boxes: Sequence[tuple[str, Box]], target: float | None, ax: Axes) -> None:
+    by_rate = len(boxes[0][1].rate_dps) > 1
     values = []
-    for index, (label, box) in enumerate(fact.maps):
-        if bias:
-            plots.draw_over_temperature(box.temperature_c, box.values, box.unit, label=label, index=index, ax=ax)
-        else:
+    for index, (label, box) in enumerate(boxes):
+        if by_rate:
             plots.draw_worst_over_temperature(box.rate_dps, box.values, box.unit, label=label, index=index, ax=ax)
-        values.append(np.max(box.values, axis=1 if bias else 0))
+        else:
+            plots.draw_over_temperature(box.temperature_c, box.values, box.unit, label=label, index=index, ax=ax)
+        values.append(np.max(box.values, axis=0 if by_rate else 1))
     if target is not None:
         ax.axhline(target, color="#555555", linewidth=1.0, linestyle=(0, (6, 3)), label="target (1σ)")
         values.append(np.array([target]))
@@ -262,9 +284,9 @@ def _draw_curves(fact: MapFact, target: float | None, ax: Axes) -> None:
         ax.yaxis.set_minor_formatter(NullFormatter())
     elif len(seen):
         ax.set_ylim(0.0, 1.08 * seen.max())
-    if not bias:
-        ax.set_ylabel(f"worst residual over temperature, {fact.maps[0][1].unit}")
-    ax.legend()
+    if by_rate:
+        ax.set_ylabel(f"worst residual over temperature, {boxes[0][1].unit}")
+    ax.legend(ncols=2 if len(boxes) > _LONG_LEGEND else 1)
 
 
 def _tick(value: float, _place: int) -> str:

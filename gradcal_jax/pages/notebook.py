@@ -9,9 +9,7 @@ from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.contracts import Prediction
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.requirement_table import requirement_table
-from gradcal_jax.pages.coefficients import estimated_coefficients, parameters
-from gradcal_jax.pages.predicted_coefficients import coefficient_table
-from gradcal_jax.pages.unit import parameter_rows
+from gradcal_jax.pages.coefficients import coefficient_table, estimated_coefficients, parameters
 from gradcal_jax.units import times_text
 
 
@@ -32,7 +30,7 @@ def _prediction(prediction: Prediction) -> Iterator[str | _Table]:
     yield _text(times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s))
     if prediction.requirements:
         yield _Table(requirement_table(prediction.requirements), (2, 3, 4, 5))
-    yield _Table(*coefficient_table(prediction))
+    yield _Table(*coefficient_table(parameters(prediction, None, {})))
     yield _list([row.sentence for row in prediction.notices] + list(prediction.warnings))
 
 
@@ -55,7 +53,7 @@ def _tests(calibration: Calibration) -> _Table:
 def _calibration(calibration: Calibration) -> Iterator[str | _Table]:
     yield _head("Calibration of " + _named(calibration.serial_number, calibration.simulated))
     yield _text("; ".join(filter(None, (calibration.title, calibration.valid_range))))
-    yield _Table(parameter_rows(parameters({}, calibration, {})), (1, 2, 3))
+    yield _Table(*coefficient_table(parameters(None, calibration, {})))
     if calibration.result:
         yield _Table(
             [("requirement", "statistic", "residual 1σ", "target", "verdict"), *calibration.result_rows], (2, 3)

@@ -4,14 +4,16 @@ import os
 import re
 from datetime import UTC, datetime
 from importlib import resources
-from typing import Any
+from typing import Any, Final
 
 import gradcal_jax
 from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.files.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.pages.coefficients import ParameterFact, hidden_values
-from gradcal_jax.pages.figures import calibration_pictures, map_pictures, track_pictures
+from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, symbols
+from gradcal_jax.pages.figures import calibration_pictures, map_pictures, pose_picture, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures, one_sign
 from gradcal_jax.pages.panel import panel_of
@@ -19,16 +21,18 @@ from gradcal_jax.pages.plain_text import times_text
 from gradcal_jax.pages.report_data import ReportData
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
-from gradcal_jax.pages.unit import BASIS, parameter_rows, plan_words, unit_pictures
-from gradcal_jax.units import time_text
+from gradcal_jax.units import DEG_PER_S, time_text
+
+# Moves of a cycle that a page shows.
+_MOST_MOVES: Final = 80
 
 
 def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
     """The whole page as HTML, in one file: styles and figures inside, and no script but that of the `panel`."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
-    if panel and sources.recipe is None:
-        raise ValueError("the panel is of a recipe's plan, and there is none here: leave --panel out")
+    if panel and sources.spec is None:
+        raise ValueError("the panel is of a plan, and there is none here: leave --panel out")
     environment = Environment(
         autoescape=True,
         undefined=StrictUndefined,
@@ -40,25 +44,20 @@ def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
     environment.filters["sentence"] = sentence
     room = resources.files(__name__.rsplit(".", 1)[0])
     template = environment.get_template("page.html")
-    recipe, calibration = sources.recipe, sources.calibration
-    targets = {(r.name, r.axis): r.target / r.coverage for r in data.requirements if r.target is not None}
-    left, tracks = map_pictures(data.maps, targets), track_pictures(recipe, data.history)
-    words = _words(data, sources)
-    pictures = [] if calibration is None else calibration_pictures(calibration)
-    if sources.unit is not None:
-        left, poses = unit_pictures(sources.unit)
-        tracks = [*poses, *tracks]
-        words["unit"] = plan_words(sources.unit)
+    spec, recipe, calibration = sources.spec, sources.recipe, sources.calibration
+    targets = {r.name: r.target / r.coverage for r in data.requirements if r.target is not None}
+    tracks = [] if spec is None or spec.is_one_axis else [pose_picture(spec)]
+    tracks += track_pictures(recipe, data.history)
     context: dict[str, Any] = {
         "data": data,
-        "panel": panel_of(recipe) if panel and recipe is not None else None,
+        "panel": panel_of(spec) if panel and spec is not None else None,
         "recipe": recipe,
         "calibration_name": sources.calibration_name,
         "css": (room / "style.css").read_text(encoding="utf-8"),
-        "words": words,
-        "map_groups": left,
+        "words": _words(data, sources),
+        "map_groups": map_pictures(data.maps, targets),
         "tracks": tracks,
-        "calibration_pictures": pictures,
+        "calibration_pictures": [] if calibration is None else calibration_pictures(calibration),
         "chamber_head": ["segment", *CHAMBER_HEAD[1:]],
         "chamber": [] if recipe is None else chamber_rows(recipe),
     }
@@ -76,18 +75,16 @@ def sentence(text: str) -> str:
 
 
 def _words(data: ReportData, sources: Sources) -> dict[str, Any]:
-    recipe, calibration = sources.recipe, sources.calibration
     """Rows of cells and sentences for the template."""
-    plan = None if recipe is None else recipe.prediction
+    spec, recipe, calibration = sources.spec, sources.recipe, sources.calibration
+    (head, *cells), numbers = coefficient_table(data.parameters)
     return {
-        "unit": None,
+        "plan": None if spec is None else _plan(spec),
         "verdict": _verdict(data),
-        "times": "" if plan is None else times_text(plan.duration_s, plan.soak_s, plan.motion_s) + ".",
         "chamber": [] if recipe is None else chamber_words(recipe),
         "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
         "optimised": [] if recipe is None else _optimised(recipe),
         "converged": recipe is None or (recipe.optimisation or {}).get("converged", True),
-        "has_gradient": any(p.multiplies == "dT/dt" for p in data.parameters),
         "done": _done(data),
         "waited": [
             (row.step, time_text(row.waited_s), f"{figures(row.temperature_c)} °C")
@@ -104,11 +101,38 @@ def _words(data: ReportData, sources: Sources) -> dict[str, Any]:
         "fit": [(name, figures(value), str(degrees), figures(chance, 2)) for name, value, degrees, chance in data.fit],
         "table": _table_errors(sources),
         "order": "" if calibration is None else calibration.order,
-        "basis": _basis(recipe, data),
+        "basis": symbols(spec, calibration) + ("" if data.axes else " The plan's own uncertainty of each."),
         "exports": [(row.target, row.command, "; ".join(row.losses) or "nothing is lost") for row in data.exports],
         "provenance": [*data.provenance, ("page made", _time_and_version())],
+        "parameters": {"head": head, "rows": cells, "numbers": numbers},
         **_requirements(data),
-        **_parameters(data),
+    }
+
+
+def _plan(spec: UnitSpec) -> dict[str, Any]:
+    """The times of a plan, and the moves of its cycle."""
+    schedule = spec.schedule
+    lasts = times_text(schedule.duration, schedule.soak, schedule.motion)
+    if isinstance(schedule, StandardSchedule):
+        return {"times": f"{lasts}. {len(schedule.points)} points.", "moves": [], "more": ""}
+    cycles = sum(stretch.cycles for stretch in schedule.stretches)
+    hung = len(spec.rig.table.mounting)
+    left = len(schedule.steps) - _MOST_MOVES
+    lasts += f". A cycle of {time_text(schedule.period)}, made {cycles} times" if cycles else ""
+    return {
+        "times": lasts + (f", in {hung} mountings." if hung > 1 else "."),
+        "moves": [
+            (
+                spec.rig.table.axis[step.axis].name if step.axis >= 0 else "",
+                step.move.shape,
+                time_text(step.move.duration),
+                f"{figures(step.move.angle * DEG_PER_S, 6)} deg" if step.axis >= 0 else "",
+                f"{figures(step.move.fastest * DEG_PER_S)} deg/s" if step.axis >= 0 else "",
+                str(step.move.repeat) if step.move.repeat > 1 else "",
+            )
+            for step in schedule.steps[:_MOST_MOVES]
+        ],
+        "more": f"… and {left} more moves: gradcal timeline prints all." if left > 0 else "",
     }
 
 
@@ -183,38 +207,6 @@ def _box(row: RequirementFact) -> str:
     return words + f", {figures(row.rate_dps[0])} to {figures(row.rate_dps[1])} deg/s"
 
 
-def _parameters(data: ReportData) -> dict[str, Any]:
-    rows = data.parameters
-    if len({(row.kind, row.axis) for row in rows}) > 3:
-        head, *cells = parameter_rows(rows)
-        return {"parameter_head": list(head), "parameter_rows": cells, "parameter_numbers": (1, 2, 3), "basis": BASIS}
-    several = len({row.axis for row in rows}) > 1
-    # Head, the field that must have a value, the shown field, its digits, text for none, suffix.
-    columns = (
-        ("value", "value", "value", 6, "", ""),
-        ("1σ", "value", "std", 4, "not observable", ""),
-        ("1σ predicted", "predicted_std", "predicted_std", 4, "", ""),
-        ("hidden truth", "truth", "truth", 6, "", ""),
-        ("off by", "off_by_sigma", "off_by_sigma", 2, "", " σ"),
-    )
-    kept = [column for column in columns if any(getattr(row, column[1]) is not None for row in rows)]
-
-    def numbers(row: ParameterFact) -> list[str]:
-        return [
-            none if (value := getattr(row, name)) is None else figures(value, digits) + after
-            for _, _, name, digits, none, after in kept
-        ]
-
-    return {
-        "parameter_head": ["parameter", "multiplies", *(head for head, *_ in kept), "unit"],
-        "parameter_rows": [
-            [f"{row.name}, axis {row.axis}" if several else row.name, row.multiplies, *numbers(row), row.unit]
-            for row in rows
-        ],
-        "parameter_numbers": tuple(range(2, 2 + len(kept))),
-    }
-
-
 def _table_errors(sources: Sources) -> dict[str, Any] | None:
     """The estimated errors of the table, beside the spec's uncertainty and a simulation's true values."""
     calibration = sources.calibration
@@ -224,28 +216,11 @@ def _table_errors(sources: Sources) -> dict[str, Any] | None:
     rows: list[tuple[str, ...]] = []
     for error in calibration.table:
         unit, factor = UNITS_OF_TERMS.get(error.unit, (error.unit, 1.0))
-        numbers = (error.value, error.standard_deviation, error.prior, *([hidden[error.name]] if hidden else []))
-        rows.append((error.name.replace("_", " "), *(figures(n * factor) for n in numbers), unit))
+        numbers = (error.value, error.standard_deviation, error.prior, *([hidden.get(error.name)] if hidden else []))
+        shown = ("" if number is None else figures(number * factor) for number in numbers)
+        rows.append((error.name.replace("_", " "), *shown, unit))
     head = ["error of the table", "estimate", "1σ", "known to", *(["hidden truth"] if hidden else []), "unit"]
     return {"head": head, "rows": rows, "numbers": tuple(range(1, len(head) - 1))}
-
-
-def _basis(recipe: Recipe | None, data: ReportData) -> str:
-    """Definitions of T′ and ω′."""
-    if recipe is None:
-        return (
-            "T′ and ω′ are temperature and rate less their centre, over their scale, as the calibration file has them."
-        )
-    parts: list[str] = []
-    sensor = recipe.axis_spec.sensor
-    of_temperature = next((m.temperature for m in (sensor.scale_factor, sensor.bias) if m is not None), None)
-    if of_temperature is not None and of_temperature.basis == "polynomial":
-        parts.append(f"T′ = (T − {of_temperature.centre}) / {of_temperature.scale}")
-    if sensor.scale_factor is not None and sensor.scale_factor.rate.basis == "polynomial":
-        rate = sensor.scale_factor.rate
-        parts.append(f"ω′ = (ω − {rate.centre}) / {rate.scale}")
-    text = "In the paper's basis: " + ", ".join(parts) + "." if parts else "Coefficients of the spec's bases."
-    return text + (" The plan's own uncertainty of each." if not data.axes else "")
 
 
 def _optimised(recipe: Recipe) -> list[str]:

@@ -1,44 +1,47 @@
-"""Predictions of the recipe's plan for other times, encoders and slopes on a small grid, for the panel.
+"""Predictions of a plan for other times, encoders and slopes on a small grid, for the panel.
 
 The grid has factors on the chamber's slope, numbers of ramps (there, back, there …, which is the time), and factors on
-every figure of the angle. The panel shows only grid points, so that each of its numbers is a prediction and none is
-interpolated. A point to which the plan does not fit (a cycle longer than its ramp, a slope beyond the chamber's) has
-none.
+every figure of the angles of all axes. The panel shows only grid points, so that each of its numbers is a prediction
+and none is interpolated. A point to which the plan does not fit (a cycle longer than its ramp, a slope beyond the
+chamber's) has none.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Any, Final
 
-from gradcal_jax import api
-from gradcal_jax.files import Spec, SpecError, changed
+from gradcal_jax.api.prediction import requirement_rows
+from gradcal_jax.files.bench import AxisEncoder
+from gradcal_jax.files.changes import changed
+from gradcal_jax.files.contracts import RequirementRow
+from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.unit_plan import UnitPlan
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.units import time_text
 
 SLOPES: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
 RAMPS: Final = (1, 2, 3)
 ANGLES: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
-_ANGLE: Final = "rig.table.angle"
 
 
-def panel_of(recipe: Recipe) -> dict[str, Any]:
+def panel_of(spec: UnitSpec) -> dict[str, Any]:
     """The panel's numbers: `choices` by slider, and by grid point (slopes slow, angles fast) the time in hours and the
     requirements' values and verdicts; null where the plan does not fit or a requirement is not observable.
 
-    Errors: `ValueError` for a plan that is not one ramp from start to end.
+    Errors: `ValueError` for a plan that is not one ramp from start to end, or without requirements.
     """
-    spec = recipe.axis_spec
     plan = spec.plan
     if not isinstance(plan, UnitPlan) or plan.temperature is None or not isinstance(plan.gradient, Quantity):
         raise ValueError("the panel varies the slope of one ramp, and this plan is not one ramp: leave --panel out")
+    if not spec.requirement:
+        raise ValueError("the panel shows requirements, and this spec has none: leave --panel out")
     points = [_point(spec, plan, *at) for at in product(SLOPES, RAMPS, ANGLES)]
-    rows = recipe.prediction.requirements
-    kept = [row for row in rows if row.axis == rows[0].axis]
     minute = 60.0 * float(plan.gradient)
+    own = points[2 * len(RAMPS) * len(ANGLES) + 2]
+    assert own is not None
     return {
         "choices": [
             {"name": "chamber slope", "labels": [f"{figures(f * minute, 3)} K/min" for f in SLOPES], "own": 2},
@@ -54,26 +57,28 @@ def panel_of(recipe: Recipe) -> dict[str, Any]:
                 "target": row.target,
                 # The limit on one standard deviation.
                 "allowed": None if row.target is None else row.target / row.coverage,
-                # Six digits are more than the panel shows.
-                "values": [None if p is None or p[1][k][0] is None else float(f"{p[1][k][0]:.6g}") for p in points],
-                "verdicts": [None if p is None else p[1][k][1] for p in points],
+                "values": [None if p is None else _short(p[1][k].judged) for p in points],
+                "verdicts": [None if p is None else p[1][k].verdict for p in points],
             }
-            for k, row in enumerate(kept)
+            for k, row in enumerate(own[1])
         ],
     }
 
 
 def _point(
-    spec: Spec, plan: UnitPlan, slope: float, ramps: int, angle: float
-) -> tuple[float, list[tuple[float | None, str | None]]] | None:
-    """Hours of the whole plan, and of each requirement its value and verdict; None where the plan does not fit."""
+    spec: UnitSpec, plan: UnitPlan, slope: float, ramps: int, angle: float
+) -> tuple[float, list[RequirementRow]] | None:
+    """Hours of the whole plan, and every requirement; None where the plan does not fit."""
     try:
         varied = changed(spec, {**_course(plan, slope, ramps), **_angles(spec, angle)})
     except SpecError:
         return None
-    rows = api.predict(varied).requirements
-    first = [row for row in rows if row.axis == rows[0].axis]
-    return varied.schedule.duration / 3600.0, [(row.judged, row.verdict) for row in first]
+    return varied.schedule.duration / 3600.0, requirement_rows(varied)
+
+
+def _short(value: float | None) -> float | None:
+    """Six digits, more than the panel shows."""
+    return None if value is None else float(f"{value:.6g}")
 
 
 def _course(plan: UnitPlan, slope: float, ramps: int) -> Mapping[str, object]:
@@ -91,19 +96,26 @@ def _course(plan: UnitPlan, slope: float, ramps: int) -> Mapping[str, object]:
     return {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": items}
 
 
-def _angles(spec: Spec, factor: float) -> Mapping[str, object]:
-    angle = spec.rig.table.angle
-    sizes = {"reading_noise": angle.reading_noise, "standstill_offset": angle.standstill_offset}
-    changes = {f"{_ANGLE}.{name}": factor * float(size) for name, size in sizes.items() if size}
-    changes |= {
-        f"{_ANGLE}.harmonics[{k}].amplitude": factor * float(h.amplitude) for k, h in enumerate(angle.harmonics)
+def _angles(spec: UnitSpec, factor: float) -> Mapping[str, object]:
+    """Every figure of the axes' angles, times a factor."""
+    return {
+        f"rig.table.axis[{k}].angle.{key}": Quantity.of(factor * size, "urad").text
+        for k, axis in enumerate(spec.rig.table.axis)
+        for key, size in _figures(axis.angle)
     }
-    return {key: Quantity.of(value, "urad").text for key, value in changes.items()}
 
 
-def _angle_label(spec: Spec, factor: float) -> str:
+def _figures(angle: AxisEncoder) -> Iterator[tuple[str, float]]:
+    """The figures of an angle that are stated and not zero (rad), by their keys."""
+    for name in ("reading_noise", "standstill_offset"):
+        if size := float(getattr(angle, name)):
+            yield name, size
+    for k, harmonic in enumerate(angle.harmonics):
+        yield f"harmonics[{k}].amplitude", float(harmonic.amplitude)
+
+
+def _angle_label(spec: UnitSpec, factor: float) -> str:
     """The label of an encoder, by its largest figure."""
-    angle = spec.rig.table.angle
-    largest = max(float(angle.reading_noise), float(angle.standstill_offset))
-    shown = factor * math.degrees(largest)
+    sizes = (size for axis in spec.rig.table.axis for _, size in _figures(axis.angle))
+    shown = factor * math.degrees(max(sizes, default=0.0))
     return f"{figures(shown, 3)} deg" if shown >= 0.01 else f"{figures(3600.0 * shown, 3)} arcsec"

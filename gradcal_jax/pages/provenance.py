@@ -1,56 +1,94 @@
 """Assumptions and provenance of a page's numbers."""
 
+import re
+from collections.abc import Iterable
+from typing import Any
+
+from gradcal_jax.api.contract_rows import versions_of
 from gradcal_jax.files.absent import absent_terms
+from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.calibration import Calibration
-from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.sensor import UnitSensor
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.pages.sources import Sources
 
 
-def assumed_noise(recipe: Recipe | None, calibration: Calibration | None) -> list[tuple[str, str]]:
-    """The noise figures behind the numbers: the spec's, or those of the calibration."""
-    rows: list[tuple[str, str]] = []
-    if recipe is not None:
-        sensor, angle = recipe.axis_spec.sensor, recipe.axis_spec.rig.table.angle
-        rows.append(("angle random walk", str(sensor.angle_random_walk)))
-        for drift in sensor.drift:
-            rows.append(("bias instability", f"{drift.standard_deviation}, correlation time {drift.correlation_time}"))
-        for wander in sensor.scale_factor_instability:
-            words = f"{wander.standard_deviation}, correlation time {wander.correlation_time}"
-            rows.append(("scale-factor instability", words))
-        figures = (
-            ("rate random walk", sensor.rate_random_walk),
-            ("turn-on bias", sensor.turn_on_bias),
-            ("sample clock error", sensor.clock_text),
-            ("offset of the temperature", sensor.temperature_offset),
-            ("lag of the temperature", sensor.temperature_lag),
-            ("input axis beside the table's axis", recipe.axis_spec.rig.table.mounting_accuracy),
-            ("scale of the table's angle", angle.scale_error),
-            ("Earth's rate", recipe.axis_spec.rig.earth_rate),
-            ("thermal lag", sensor.thermal_lag),
-            ("reading noise", angle.reading_noise or None),
-            ("standstill offset", angle.standstill_offset or None),
-            ("timing error", angle.timing_error or None),
-        )
-        rows += [(name, str(value)) for name, value in figures if value is not None]
-        return rows + omitted_rows(recipe.axis_spec)
-    if calibration is not None and calibration.noise is not None:
-        names = ("angle_random_walk", "rate_random_walk", "velocity_random_walk")
-        known = {name.replace("_", " "): getattr(calibration.noise, name) for name in names}
-        rows += [(name, str(figure)) for name, figure in known.items() if figure is not None]
-    return rows
+def assumptions(spec: UnitSpec | None, calibration: Calibration | None) -> list[tuple[str, str]]:
+    """The figures behind the numbers: those of a plan's spec, with what it leaves out, or of a calibration."""
+    if spec is not None:
+        left_out = "not stated, and so counted as is typical of its class: "
+        omitted = [(term.key, left_out + term.typical) for term in absent_terms(spec)]
+        return [*figures_of_sensor(spec.sensor), *figures_of_rig(spec.rig), *omitted]
+    noise = None if calibration is None else calibration.noise
+    names = () if noise is None else ("angle_random_walk", "rate_random_walk", "velocity_random_walk")
+    return _stated((name.replace("_", " "), getattr(noise, name)) for name in names)
 
 
-def omitted_rows(spec: UnitSpec) -> list[tuple[str, str]]:
-    """The error terms that a spec leaves out, with the figures that count for them."""
-    words = "not stated, and so counted as is typical of its class: "
-    return [(term.key, words + term.typical) for term in absent_terms(spec)]
+def figures_of_sensor(sensor: UnitSensor) -> list[tuple[str, str]]:
+    """The noise figures of every channel, by the names that error budgets have for them, and those of all channels."""
+    rows: list[tuple[str, Any]] = []
+    for kind, triad in (("gyro", sensor.gyro), ("accelerometer", sensor.accelerometer)):
+        if triad is None:
+            continue
+        # White noise has a name of its own in either kind, a process that of its kind where it is not a gyro's.
+        own = "" if kind == "gyro" else f"{kind} "
+        white = ("angle random walk", "velocity random walk")
+        rows += [(name, getattr(triad, name.replace(" ", "_"), None)) for name in white]
+        processes = {"bias instability": triad.drift, "scale-factor instability": triad.scale_factor_instability}
+        rows += [
+            (own + name, f"{p.standard_deviation}, correlation time {p.correlation_time}")
+            for name, several in processes.items()
+            for p in several
+        ]
+        names = ("rate random walk", "turn-on bias")
+        rows += [(own + name, getattr(triad, re.sub("[- ]", "_", name), None)) for name in names]
+    rows += [
+        ("sample clock error", sensor.clock_text),
+        ("offset of the temperature", sensor.temperature_offset),
+        ("lag of the temperature", sensor.temperature_lag),
+        ("thermal lag", sensor.thermal_lag),
+    ]
+    return _stated(rows)
+
+
+def figures_of_rig(rig: UnitRig) -> list[tuple[str, str]]:
+    """The figures of site and table; of each axis, where there are several."""
+    table = rig.table
+    rows: list[tuple[str, Any]] = [
+        ("rate accuracy", table.rate_accuracy),
+        ("latitude", rig.site.latitude),
+        ("gravity", rig.site.gravity_accuracy or None),
+        ("tilt of the base", table.tilt or None),
+        ("azimuth of the base", table.azimuth or None),
+    ]
+    several = len(table.axis) > 1
+    for axis in table.axis:
+        of, angle = f"{axis.name}: " * several, axis.angle
+        rows += [
+            (of + "reading noise", angle.reading_noise or None),
+            (of + "standstill offset", angle.standstill_offset or None),
+            (of + "timing error", angle.timing_error or None),
+            (of + "scale of the table's angle", angle.scale_error or None),
+            (of + "angle to the next axis", axis.orthogonality or None),
+        ]
+        rows += [(f"{of}encoder's error by angle, {h.order} a turn", h.amplitude) for h in angle.harmonics]
+    hung = table.mounting
+    rows += [("mounting" + f" {k + 1}" * (len(hung) > 1), m.accuracy or None) for k, m in enumerate(hung)]
+    return _stated(rows)
+
+
+def _stated(rows: Iterable[tuple[str, Any]]) -> list[tuple[str, str]]:
+    """The rows that have a value, in words."""
+    return [(name, str(value)) for name, value in rows if value is not None]
 
 
 def provenance_rows(sources: Sources) -> list[tuple[str, str]]:
     """Fingerprints, versions, seeds and names of files."""
     rows: list[tuple[str, str]] = []
     recipe, calibration, run = sources.recipe, sources.calibration, sources.run
+    if sources.plan is not None:
+        versions = versions_of(("gradcal_jax", "numpy", "scipy", "jax"))
+        rows.append(("versions", ", ".join(map(" ".join, versions.items()))))
     if recipe is not None:
         rows += [
             ("recipe", recipe.fingerprint),
@@ -69,7 +107,7 @@ def provenance_rows(sources: Sources) -> list[tuple[str, str]]:
         if notes.get("simulated"):
             rows.append(("seed of the simulation", str(notes["simulation"]["seed"])))
     if calibration is not None:
-        rows += [("unit", calibration.serial_number), ("frame", calibration.frame), ("order", calibration.order)]
+        rows += [("device", calibration.serial_number), ("frame", calibration.frame), ("order", calibration.order)]
         names = {
             "program": "estimated by",
             **{key: key for key in ("estimator", "readings", "rows", "log")},

@@ -17,11 +17,10 @@ def report(
     limits: str | Path | None = None,
     panel: bool = False,
 ) -> ReportData:
-    """Make one HTML page of a recipe, a run or a calibration: plan, prediction, run, estimate and how to apply it. For
-    a gyro's axes or a whole unit.
+    """Make one HTML page of a plan, a run or a calibration: plan, prediction, run, estimate and how to apply it.
 
-    `sources`: the folder of a run (a calibration in it is taken with it), a recipe, a calibration, or those of them
-    that belong together; for a whole unit its spec, too. `before`: a spec or recipe whose plan to compare with.
+    `sources`: the folder of a run (a calibration in it is taken with it), a recipe or a spec, a calibration, or those
+    of them that belong together. `before`: a spec or recipe whose plan to compare with.
     `limits`: the output of `gradcal limit --json`. `panel`: sliders for other times, encoders and slopes. The page
     replaces `output`; it has no external resources.
 

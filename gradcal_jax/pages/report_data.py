@@ -1,17 +1,17 @@
 """All numbers of a page, from recipe, run and calibration, by the functions behind the commands."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from gradcal_jax import api
 from gradcal_jax.api.ieee_terms import IeeeTerm, standard_terms
 from gradcal_jax.display import summary
+from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.pages.applying import ExampleFact, ExportFact, examples_of, exports_of
-from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_values, parameters, predicted_deviations
-from gradcal_jax.pages.provenance import assumed_noise, provenance_rows
-from gradcal_jax.pages.requirements import MapFact, RequirementFact, hidden_by_structure, requirements_of
+from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_values, parameters
+from gradcal_jax.pages.provenance import assumptions, provenance_rows
+from gradcal_jax.pages.requirements import MapFact, RequirementFact, requirements_of
 from gradcal_jax.pages.run_history import RunHistory, history_of
 from gradcal_jax.pages.sources import Sources
-from gradcal_jax.pages.unit import assumed_of_unit, unit_requirements, versions_row
 
 
 class AxisFact(NamedTuple):
@@ -33,18 +33,18 @@ class ReportData(NamedTuple):
     before_is: str
     requirements: tuple[RequirementFact, ...]
     parameters: tuple[ParameterFact, ...]
-    axes: tuple[AxisFact, ...]
-    unobservable: tuple[str, ...]
-    contradicted: tuple[str, ...]
-    fit: tuple[tuple[str, float, int, float], ...]
-    agreement: tuple[float, int, float] | None
-    examples: tuple[ExampleFact, ...]
-    exports: tuple[ExportFact, ...]
     assumed: tuple[tuple[str, str], ...]
     history: RunHistory | None
     provenance: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
     maps: tuple[MapFact, ...]
+    axes: tuple[AxisFact, ...] = ()
+    unobservable: tuple[str, ...] = ()
+    contradicted: tuple[str, ...] = ()
+    fit: tuple[tuple[str, float, int, float], ...] = ()
+    agreement: tuple[float, int, float] | None = None
+    examples: tuple[ExampleFact, ...] = ()
+    exports: tuple[ExportFact, ...] = ()
 
     __repr__ = summary
 
@@ -61,33 +61,44 @@ class ReportData(NamedTuple):
 
 def report_data_of(sources: Sources) -> ReportData:
     """Compute the data of a page. Raises `ValueError` for a run that never began."""
-    recipe, calibration, unit = sources.recipe, sources.calibration, sources.unit
+    recipe, calibration = sources.recipe, sources.calibration
     history = None if sources.run is None else history_of(sources.run)
-    prediction = None if unit is None else api.predict(unit)
-    if prediction is None:
-        before_is, requirements, maps = requirements_of(sources)
-    else:
-        before_is, requirements, maps = "", unit_requirements(prediction, calibration), []
+    prediction = None if sources.spec is None else sources.prediction
+    left = requirements_of(sources)
     notes = [*sources.notes]
-    if calibration is not None and calibration.lacks is not None:
-        notes.append(calibration.lacks)
-    for planned in (prediction, None if recipe is None else recipe.prediction):
-        notes += [] if planned is None else [*(row.sentence for row in planned.notices), *planned.warnings]
+    if prediction is not None:
+        notes += [*(row.sentence for row in prediction.notices), *prediction.warnings]
     notes += [] if recipe is None else recipe.notes
-    if calibration is not None and calibration.unobservable:
-        notes.append(f"not observed by the data: {', '.join(calibration.unobservable)}")
-    notes += hidden_by_structure(requirements, maps)
+    if left.differing:
+        notes.append(
+            "the achieved maps are by the covariance in the calibration file; its results also count what is not in "
+            f"it, such as the estimate of a model discrepancy: {', '.join(left.differing)}"
+        )
     hidden = hidden_values(sources.hidden_truth, calibration)
-    titles = (source.title for source in (recipe, unit, calibration) if source is not None and source.title)
+    own: dict[str, Any] = {} if calibration is None else _of_calibration(calibration, sources.calibration_name, hidden)
+    if calibration is not None:
+        notes += [] if calibration.lacks is None else [calibration.lacks]
+        notes += [f"not observed by the data: {', '.join(calibration.unobservable)}"] * bool(calibration.unobservable)
+    titles = (source.title for source in (recipe, sources.spec, calibration) if source is not None and source.title)
     return ReportData(
         title=next(titles, "Calibration"),
         simulated=any(source is not None and source.simulated for source in (history, calibration)),
-        before_is=before_is,
-        requirements=tuple(requirements),
-        parameters=tuple(parameters(predicted_deviations(recipe, prediction), calibration, hidden)),
-        axes=()
-        if calibration is None
-        else tuple(
+        before_is=left.before_is,
+        requirements=left.rows,
+        parameters=tuple(parameters(prediction, calibration, hidden)),
+        assumed=tuple(assumptions(sources.spec, calibration)),
+        history=history,
+        provenance=tuple(provenance_rows(sources)),
+        notes=tuple(dict.fromkeys(notes)),
+        maps=left.maps,
+        **own,
+    )
+
+
+def _of_calibration(calibration: Calibration, name: str, hidden: Mapping[str, float]) -> dict[str, Any]:
+    """The fields that are of a calibration alone."""
+    return {
+        "axes": tuple(
             AxisFact(
                 channel.label,
                 tuple(standard_terms(calibration, channel)),
@@ -96,20 +107,13 @@ def report_data_of(sources: Sources) -> ReportData:
             )
             for channel in calibration.channel
         ),
-        unobservable=() if calibration is None else calibration.unobservable,
-        contradicted=() if calibration is None else calibration.contradicted,
-        fit=()
-        if calibration is None
-        else tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in calibration.fit),
-        agreement=None if calibration is None else agreement(calibration.values(), calibration.covariance, hidden),
-        examples=() if calibration is None else tuple(examples_of(calibration)),
-        exports=() if calibration is None else tuple(exports_of(calibration, sources.calibration_name)),
-        assumed=tuple(assumed_noise(recipe, calibration) if unit is None else assumed_of_unit(unit)),
-        history=history,
-        provenance=(*provenance_rows(sources), *(() if unit is None else (versions_row(),))),
-        notes=tuple(dict.fromkeys(notes)),
-        maps=tuple(maps),
-    )
+        "unobservable": calibration.unobservable,
+        "contradicted": calibration.contradicted,
+        "fit": tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in calibration.fit),
+        "agreement": agreement(calibration.values(), calibration.covariance, hidden),
+        "examples": tuple(examples_of(calibration)),
+        "exports": tuple(exports_of(calibration, name)),
+    }
 
 
 def as_tables(data: ReportData) -> dict[str, Any]:

@@ -1,26 +1,26 @@
 """The requirements of a page: before, as predicted, as achieved, and the residual maps behind the numbers."""
 
 import re
-from typing import Any, Final, NamedTuple, cast
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.contract_rows import finite
-from gradcal_jax.api.ieee_terms import Box, calibration_map, grid_of, prior_map
+from gradcal_jax.api.ieee_terms import Box, calibrated_posterior, calibration_map, grid_of
 from gradcal_jax.api.missions import ErrorCurve, error_curves
 from gradcal_jax.api.prediction import counted_posteriors
-from gradcal_jax.api.systematic import CountedPosteriors
-from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_residual import quantity_of
-from gradcal_jax.api.verdicts import mission_weights, run_of
-from gradcal_jax.files.calibration import Result
+from gradcal_jax.api.systematic import TURN_ON, CountedPosteriors, widened
+from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
+from gradcal_jax.api.unit_residual import UnitResidual, quantity_of
+from gradcal_jax.api.verdicts import run_of
+from gradcal_jax.files.calibration import Calibration, Result
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.requirement import MissionHeadingRequirement, UnitRequirement
-from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information import statistic
-from gradcal_jax.information.residual import Statistic
+from gradcal_jax.files.spec import Spec
+from gradcal_jax.information import Posterior, posterior
+from gradcal_jax.information.posterior import square_root
 from gradcal_jax.pages.sources import Sources
+from gradcal_jax.plots.calibration_maps import panels_of
 
 SUMMED: Final = {"worst": "worst axis", "all": "all axes together"}
 # Relative difference of residuals that shows in the digits of a page.
@@ -30,9 +30,10 @@ _SEEN: Final = 1e-3
 class RequirementFact(NamedTuple):
     """A requirement's residual before, predicted and achieved (1σ, in `unit`); None: not observable, or not known.
 
-    Both count what the spec omits and, in any run, the turn-on bias; `named`: the last one by the terms that the spec
-    names alone, where it is another. `verdict`: of the achieved residual, else of the predicted one; `limit`: proven
-    for any plan; `coverage`: number of standard deviations that must be within the target.
+    All count what the spec omits and, in any run, the turn-on bias; `named`: the last one by the terms that the spec
+    names alone, where it is another. `verdict`: of the achieved residual where there is a calibration, else of the
+    predicted one; `limit`: proven for any plan; `coverage`: number of standard deviations that must be within the
+    target.
     """
 
     name: str
@@ -54,19 +55,9 @@ class RequirementFact(NamedTuple):
     coverage: float = 1.0
 
 
-def fact_of(row: RequirementRow, result: Result | None, **more: Any) -> RequirementFact:
-    """A requirement as predicted, and as achieved where there is a result. `more`: further fields."""
-    fields: dict[str, Any] = {"statistic": row.statistic, "predicted": row.judged, "verdict": row.verdict}
-    fields["named"] = None if row.judged == row.decisive else row.decisive
-    if result is not None:
-        fields |= {"achieved": result.value, "verdict": result.verdict, "named": result.named}
-    same = ("name", "axis", "quantity", "unit", "temperature_c", "rate_dps", "target", "limited_by")
-    return RequirementFact(**{name: getattr(row, name) for name in same}, **(fields | more))
-
-
 class MapFact(NamedTuple):
-    """Residual maps of one requirement and axis, in the order before, predicted, achieved, as far as they are known;
-    for missions the curves of their error."""
+    """Residual maps of one element ("x", "xy") of a requirement's quantity, in the order before, predicted, achieved,
+    as far as they are known; for missions the curves of their error."""
 
     name: str
     axis: str
@@ -75,98 +66,146 @@ class MapFact(NamedTuple):
     curves: tuple[tuple[str, ErrorCurve], ...] = ()
 
 
-def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[MapFact]]:
-    """The meaning of "before", every requirement, and its maps."""
-    recipe, calibration = sources.recipe, sources.calibration
-    if recipe is None:
+class RequirementFacts(NamedTuple):
+    """The requirements of a page with their maps. `before_is`: the meaning of "before"; empty without it. `differing`:
+    names of requirements whose achieved map does not have the statistic that the calibration states, with both."""
+
+    before_is: str
+    rows: tuple[RequirementFact, ...]
+    maps: tuple[MapFact, ...]
+    differing: tuple[str, ...] = ()
+
+
+def requirements_of(sources: Sources) -> RequirementFacts:
+    """Every requirement of a page."""
+    spec, calibration = sources.spec, sources.calibration
+    if spec is None:
         assert calibration is not None
-        maps = [
-            MapFact("all that the data cover", channel.axis, name, (("achieved", deviation),))
-            for channel in calibration.channel
-            if channel.kind == "gyro"
-            for name in ("scale_factor", "bias")
-            if channel.term_of(name) is not None
-            for _, deviation in (calibration_map(calibration, channel, name, *grid_of(channel, None, name)),)
-        ]
-        return "", [result_alone(row) for row in calibration.result], maps
-    spec = expect_spec(recipe.axis_spec)
-    built, known, counted = _plan(spec)
-    other = None if sources.before is None else _plan(expect_spec(sources.before))
-    results = {} if calibration is None else {(r.name, r.axis): r for r in reversed(calibration.result)}
+        alone = tuple(_result_alone(row, len(calibration.channel) > 1) for row in calibration.result)
+        return RequirementFacts("", alone, tuple(_covered(calibration)))
+    here = _Plan(spec)
+    other = None if sources.before is None else _Plan(sources.before)
+    results = {} if calibration is None else {row.name: row for row in calibration.result}
+    achieved = None if calibration is None else calibrated_posterior(here.counted.built.model, calibration)
     rows: list[RequirementFact] = []
     maps: list[MapFact] = []
-    before_is = ""
-    for row in recipe.prediction.requirements:
-        requirement = next(r for r in spec.requirement if r.name == row.name)
-        drawn: list[tuple[str, Box]] = []
-        earlier = prior_map(spec, requirement) if other is None else _judged_map(other[2], requirement)
-        before = None if earlier is None else finite(statistic(requirement.statistic, earlier.values))
+    differing: list[str] = []
+    known_before = False
+    by_name = {requirement.name: requirement for requirement in spec.requirement}
+    for row in sources.prediction.requirements:
+        requirement = by_name[row.name]
+        stages = {
+            "before": here.prior(requirement) if other is None else other.left(requirement),
+            "predicted": here.left(requirement),
+            "achieved": None if achieved is None else here.left_by(achieved, requirement),
+        }
+        known = {label: left for label, left in stages.items() if left is not None and np.isfinite(left.values).any()}
+        before = known["before"].statistic() if "before" in known else None
+        known_before |= "before" in known
+        result = results.get(row.name)
         more = {"before": before, "limit": sources.limits.get(row.name), "own": row.own, "coverage": row.coverage}
-        rows.append(fact_of(row, results.get((row.name, row.axis)), **more))
-        if earlier is not None:
-            before_is = "the spec's priors, without a calibration"
-            if other is not None:
-                before_is = f"the plan of {sources.before_name}, on the rig of that file"
-            drawn.append(("before", earlier))
-        name = requirement.quantity.removeprefix("gyro_")
+        # A calibration gives no verdict on what it does not state.
+        more |= {} if calibration is None else {"verdict": None}
+        rows.append(_fact_of(row, result, several=here.has_several(requirement), **more))
         if isinstance(requirement, MissionHeadingRequirement):
-            curves = [curve for _, curve in error_curves(built, known, requirement)]
-            names = [f"calibration, {c.file}" if len(curves) > 1 else "calibration" for c in curves]
-            maps.append(MapFact(row.name, row.axis, name, (), tuple(zip(names, curves, strict=True))))
+            maps.append(here.curves(requirement))
             continue
-        predicted = _judged_map(counted, requirement)
-        assert predicted is not None
-        drawn.append(("predicted", predicted))
-        channel = calibration and calibration.channel_of("gyro", row.axis)
-        if calibration and channel and channel.term_of(name) is not None:
-            grid = grid_of(channel, requirement, name)
-            drawn.append(("achieved", calibration_map(calibration, channel, name, *grid)[1]))
-        maps.append(MapFact(row.name, row.axis, name, tuple(drawn)))
-    record = recipe.optimisation or {}
+        maps += _maps_of(requirement, known)
+        shown = known["achieved"].statistic() if "achieved" in known else None
+        if result is not None and result.value and shown and abs(shown - result.value) > _SEEN * result.value:
+            both = f"{shown:.4g} {row.unit} in the map, {result.value:.4g} {row.unit} in the table"
+            differing.append(f"{row.name} ({both})")
+    before_is = "" if not known_before else "the spec's priors, without a calibration"
+    if other is not None:
+        before_is = f"the plan of {sources.before_name}, on the rig of that file"
+    record = (sources.recipe and sources.recipe.optimisation) or {}
     name, value = re.sub(r" \([^)]*\)$", "", str(record.get("objective", ""))), record.get("before")
     if not before_is and name and isinstance(value, float | int):
         before_is = "the plan that the optimisation began with"
         rows = [row._replace(before=float(value) if row.name == name else None) for row in rows]
-    return before_is, rows, maps
+    return RequirementFacts(before_is, tuple(rows), tuple(maps), tuple(differing))
 
 
-def hidden_by_structure(requirements: list[RequirementFact], maps: list[MapFact]) -> list[str]:
-    """A note where results exceed the maps: these have only the covariance of the coefficients, not the discrepancy."""
-    names: list[str] = []
-    for row, fact in zip(requirements, maps, strict=False):
-        drawn = dict(fact.maps).get("achieved")
-        if drawn is None or row.achieved is None or row.temperature_c is None:
-            continue
-        shown = statistic(cast("Statistic", row.statistic), drawn.values)
-        if abs(shown - row.achieved) > _SEEN * row.achieved:
-            names.append(f"{row.name} ({shown:.4g} {row.unit} in the map, {row.achieved:.4g} {row.unit} in the table)")
-    if not names:
-        return []
-    return [
-        "the achieved maps leave out what the results count besides the coefficients' covariance, such as a model "
-        f"discrepancy: {', '.join(names)}"
-    ]
+class _Plan:
+    """A spec's model and posteriors before and after its plan."""
+
+    def __init__(self, spec: Spec) -> None:
+        self.built = assemble_unit(spec)
+        self.known = posterior_of_unit(self.built)
+        self.counted: CountedPosteriors = counted_posteriors(self.built, self.known)
+        self._prior = posterior(square_root(np.asarray(self.counted.built.model.prior_rows())))
+
+    def left(self, requirement: UnitRequirement) -> UnitResidual | None:
+        """The residual that a verdict judges."""
+        return _residual(self.counted.built, self.counted.judged(run_of(requirement)), requirement)
+
+    def prior(self, requirement: UnitRequirement) -> UnitResidual | None:
+        """The residual by what is known before any calibration."""
+        return _residual(self.counted.built, self._prior, requirement)
+
+    def left_by(self, achieved: Posterior, requirement: UnitRequirement) -> UnitResidual | None:
+        """The residual after a calibration; in any run with the bias of another power-on."""
+        if run_of(requirement) == "any run" and (turn_on := self.counted.columns.get(TURN_ON)) is not None:
+            achieved = widened(achieved, {TURN_ON: turn_on})
+        return _residual(self.counted.built, achieved, requirement)
+
+    def has_several(self, requirement: UnitRequirement) -> bool:
+        """Whether a requirement's quantity has several elements."""
+        return len(quantity_of(self.built, requirement).elements) > 1
+
+    def curves(self, requirement: MissionHeadingRequirement) -> MapFact:
+        """The error of the heading over every mission, with what several curves differ by."""
+        drawn = error_curves(self.built, self.known, requirement)
+        axes, files = len({axis for axis, _ in drawn}) > 1, len({curve.file for _, curve in drawn}) > 1
+        parts = [("calibration", axis * axes, curve.file * files) for axis, curve in drawn]
+        labels = [", ".join(filter(None, part)) for part in parts]
+        curves = tuple(zip(labels, (curve for _, curve in drawn), strict=True))
+        return MapFact(requirement.name, requirement.axis, requirement.quantity, (), curves)
 
 
-def _plan(spec: UnitSpec):
-    """A spec's model, the posterior after its plan, and those that verdicts judge."""
-    built = assemble_unit(spec)
-    known = posterior_of_unit(built)
-    return built, known, counted_posteriors(built, known)
+def _residual(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> UnitResidual | None:
+    """A requirement's residual; None where another sensor does not have its quantity."""
+    quantity = quantity_of(built, requirement)
+    return quantity.residual(known) if quantity.elements else None
 
 
-def _judged_map(budget: CountedPosteriors, requirement: UnitRequirement) -> Box | None:
-    """The residual that a verdict judges, of the first element; None where the other plan's sensor does not have it."""
-    quantity = quantity_of(budget.built, requirement)
-    if not quantity.elements:
-        return None
-    left = quantity.residual(budget.judged(run_of(requirement)))
-    values = left.values[0] * mission_weights(requirement, requirement.statistic)
-    return Box(left.temperatures, np.degrees(left.rates), values, left.unit)
+def _maps_of(requirement: UnitRequirement, stages: dict[str, UnitResidual]) -> list[MapFact]:
+    """The maps of every element of a quantity at each stage."""
+    maps: dict[str, list[tuple[str, Box]]] = {}
+    for stage, left in stages.items():
+        for element, values in zip(left.labels, left.values, strict=True):
+            box = Box(left.temperatures, np.degrees(left.rates), values, left.unit)
+            maps.setdefault(element, []).append((stage, box))
+    return [MapFact(requirement.name, element, requirement.quantity, tuple(own)) for element, own in maps.items()]
 
 
-def result_alone(row: Result) -> RequirementFact:
-    """A requirement of a calibration without a recipe: the achieved residual."""
+def _covered(calibration: Calibration) -> Iterator[MapFact]:
+    """The achieved maps of biases and scale factors of a calibration without a plan, over all that the data cover."""
+    for kind, name in panels_of(calibration):
+        for channel in calibration.channel:
+            if channel.kind == kind and channel.term_of(name) is not None:
+                _, deviation = calibration_map(calibration, channel, name, *grid_of(channel, name))
+                yield MapFact("all that the data cover", channel.axis, f"{kind}_{name}", (("achieved", deviation),))
+
+
+def _fact_of(row: RequirementRow, result: Result | None, *, several: bool, **more: Any) -> RequirementFact:
+    """A requirement as predicted, and as achieved where there is a result. `several`: elements are summed up; `more`:
+    further fields."""
+    fields: dict[str, Any] = {"statistic": _statistic(row.statistic, row.axis, several), "predicted": row.judged}
+    fields |= {"named": None if row.judged == row.decisive else row.decisive, "verdict": row.verdict, **more}
+    if result is not None:
+        fields |= {"achieved": result.value, "verdict": result.verdict, "named": result.named}
+    same = ("name", "axis", "quantity", "unit", "temperature_c", "rate_dps", "target", "limited_by")
+    return RequirementFact(**{name: getattr(row, name) for name in same}, **fields)
+
+
+def _result_alone(row: Result, several: bool) -> RequirementFact:
+    """A requirement of a calibration without a plan: the achieved residual."""
     known = {"achieved": row.value, "target": row.target, "verdict": row.verdict, "named": row.named}
-    statistic = ", ".join(filter(None, (row.statistic.removesuffix(", 1 sigma"), SUMMED.get(row.axis))))
+    statistic = _statistic(row.statistic.removesuffix(", 1 sigma"), row.axis, several)
     return RequirementFact(row.name, row.axis, row.quantity, statistic, row.unit, **known)
+
+
+def _statistic(statistic: str, axis: str, several: bool) -> str:
+    """A statistic, and how several elements are summed up."""
+    return f"{statistic}, {SUMMED[axis]}" if several and axis in SUMMED else statistic

@@ -1,19 +1,20 @@
-"""The sources of a page: a recipe, its run, a calibration, and a plan to compare with."""
+"""The sources of a page: a plan, its run, a calibration, and a plan to compare with."""
 
 import hashlib
 import json
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from gradcal_jax.files import Spec
 from gradcal_jax.files.calibration import Calibration, is_calibration, read_calibration
+from gradcal_jax.files.contracts import Prediction
 from gradcal_jax.files.document import read_text, read_toml
-from gradcal_jax.files.recipe import Recipe, is_recipe, recipe_of, spec_in
-from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.unit_spec import FORMAT, UnitSpec
+from gradcal_jax.files.recipe import Predicted, Recipe, is_recipe, recipe_of, spec_in
+from gradcal_jax.files.spec import Spec, spec_of
+from gradcal_jax.files.unit_spec import FORMAT
 from gradcal_jax.hardware.run_folder import RunFolder
 
 CALIBRATION_IN_RUN = "calibration.toml"
@@ -21,10 +22,10 @@ CALIBRATION_IN_RUN = "calibration.toml"
 
 @dataclass(frozen=True)
 class Sources:
-    """The sources of a page. `unit`: the spec of a whole unit, in the place of a recipe. `limits`: the proven lower
-    limits, by requirement. `paths`: name and SHA-256 of each file; `notes`: mismatches between the sources."""
+    """The sources of a page. `plan`: a spec, in the place of a recipe. `limits`: the proven lower limits, by
+    requirement. `paths`: name and SHA-256 of each file; `notes`: mismatches between the sources."""
 
-    unit: UnitSpec | None = None
+    plan: Spec | None = None
     recipe: Recipe | None = None
     run: RunFolder | None = None
     calibration: Calibration | None = None
@@ -36,9 +37,24 @@ class Sources:
     paths: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
 
+    @property
+    def spec(self) -> Spec | None:
+        """The spec of the plan, as rounded in a recipe."""
+        return self.plan if self.recipe is None else self.recipe.spec
+
+    @cached_property
+    def prediction(self) -> Predicted | Prediction:
+        """The prediction of the plan: a recipe's own, or that of its spec."""
+        if self.recipe is not None:
+            return self.recipe.prediction
+        from gradcal_jax.api.prediction import predict
+
+        assert self.plan is not None
+        return predict(self.plan, limits=True, notices=True)
+
 
 def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: Path | None = None) -> Sources:
-    """Read the sources of a page: the folder of a run (with the calibration in it), a recipe, a calibration.
+    """Read the sources of a page: the folder of a run (with the calibration in it), a recipe or spec, a calibration.
 
     `before`: a spec, or a recipe, whose plan is compared with; `limits`: the output of `gradcal limit --json`. Raises
     `ValueError` with a remedy.
@@ -54,11 +70,6 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
         if path.is_file():
             named.append((path.name, hashlib.sha256(path.read_bytes()).hexdigest()))
 
-    def take_recipe(recipe: Recipe, path: Path) -> None:
-        # The page of a whole unit shows its rounded plan.
-        of_unit = isinstance(recipe.spec, UnitSpec)
-        take("unit" if of_unit else "recipe", recipe.spec if of_unit else recipe, path)
-
     def take_calibration(path: Path) -> None:
         take("calibration", read_calibration(path), path)
         parts["calibration_name"] = str(path)
@@ -71,30 +82,26 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
             continue
         document = read_toml(read_text(path), str(path))
         if document.get("format") == FORMAT:
-            take("unit", spec_of(document, str(path)), path)
+            take("plan", spec_of(document, str(path)), path)
         elif is_recipe(document):
-            take_recipe(recipe_of(document, str(path)), path)
+            take("recipe", recipe_of(document, str(path)), path)
         elif is_calibration(document):
             take_calibration(path)
         else:
-            raise ValueError(
-                f"{path} is neither the folder of a run, nor a recipe or a calibration. Make a recipe of a spec first: "
-                "gradcal recipe SPEC -o recipe.toml"
-            )
+            raise ValueError(f"{path} is neither the folder of a run, nor a spec, a recipe or a calibration")
     run: RunFolder | None = parts.get("run")
     if run is not None:
-        if "recipe" not in parts and "unit" not in parts:
-            take_recipe(run.recipe(), run.path / "recipe.toml")
+        if "recipe" not in parts:
+            take("recipe", run.recipe(), run.path / "recipe.toml")
         if "calibration" not in parts and (own := _calibration_in(run.path)) is not None:
             take_calibration(own)
         parts["hidden_truth"] = _hidden_truth(run)
-    if "unit" in parts:
-        if before is not None or limits is not None:
-            raise ValueError("the page of a whole unit compares with no other plan: gradcal compare does")
-        if "recipe" in parts:
-            raise ValueError("one of these is of a whole unit, another of a gyro's axes: they make two pages")
+    if "plan" in parts and "recipe" in parts:
+        raise ValueError("a page is of one plan, and the recipe has its spec inside: leave the other spec out")
     if not parts:
-        raise ValueError("a report of what? Name the folder of a run, a recipe, a calibration, or the spec of a unit")
+        raise ValueError("a report of what? Name the folder of a run, a recipe or a spec, or a calibration")
+    if (before is not None or limits is not None) and not parts.keys() & {"plan", "recipe"}:
+        raise ValueError("a calibration alone has no plan to compare with: name its recipe or its spec, too")
     if before is not None:
         parts["before"], parts["before_name"] = spec_in(before), before.name
         named.append((before.name, hashlib.sha256(before.read_bytes()).hexdigest()))
@@ -144,8 +151,6 @@ def _misfits(parts: dict[str, Any]) -> list[str]:
     recipe: Recipe | None = parts.get("recipe")
     calibration: Calibration | None = parts.get("calibration")
     run: RunFolder | None = parts.get("run")
-    if recipe is None and run is not None and isinstance(run.recipe().spec, UnitSpec):
-        recipe = run.recipe()
     notes: list[str] = []
     if recipe is not None and calibration is not None:
         made_by = calibration.provenance.get("recipe")

@@ -4,12 +4,12 @@ from gradcal_jax.plots import calibration
 from gradcal_jax.plots.calibration_maps import draw_calibrated_scale_factor
 from gradcal_jax.plots.design import draw_frontier, draw_sensitivities
 from gradcal_jax.plots.identification import draw_drift
-from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
+from gradcal_jax.plots.poses import draw_poses
+from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_residual, draw_worst_over_temperature
 from gradcal_jax.plots.spec import draw_comparison, draw_heading, draw_prediction
 from gradcal_jax.plots.style import save, style_of
 from gradcal_jax.plots.sweep import draw_sweep
 from gradcal_jax.plots.tracks import draw_temperature
-from gradcal_jax.plots.unit import draw_poses, draw_unit_residual
 
 __all__ = [
     "draw_calibrated_scale_factor",
@@ -21,10 +21,10 @@ __all__ = [
     "draw_over_temperature",
     "draw_poses",
     "draw_prediction",
+    "draw_residual",
     "draw_sensitivities",
     "draw_sweep",
     "draw_temperature",
-    "draw_unit_residual",
     "draw_worst_over_temperature",
     "save",
     "style_of",

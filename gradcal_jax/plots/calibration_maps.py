@@ -24,7 +24,7 @@ def draw_calibrated_term(
     unit = ""
     for channel in calibration.channel:
         if channel.kind == kind and channel.term_of(name) is not None:
-            temperatures, _ = grid_of(channel, None, name)
+            temperatures, _ = grid_of(channel, name)
             value, std = calibration_map(calibration, channel, name, temperatures, np.zeros(1))
             unit, number = value.unit, len(lines)
             lines.append(draw_band(ax, temperatures, value.values[:, 0], std.values[:, 0], number, channel.axis))
@@ -39,7 +39,7 @@ def draw_calibrated_scale_factor(
 ) -> tuple[Axes, list[Line2D]]:
     """M over rate at the coldest, the middle and the warmest temperature that the data cover."""
     ax = new_axes(ax)
-    temperatures, rates = grid_of(channel, None, "scale_factor")
+    temperatures, rates = grid_of(channel, "scale_factor")
     chosen = temperatures[[0, len(temperatures) // 2, -1]]
     value, deviation = calibration_map(calibration, channel, "scale_factor", chosen, rates)
     lines: list[Line2D] = []

@@ -8,6 +8,7 @@ from matplotlib.collections import QuadMesh
 from matplotlib.contour import QuadContourSet
 from matplotlib.lines import Line2D
 
+from gradcal_jax.api.unit_residual import UnitResidual
 from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, style_of
 
 
@@ -62,10 +63,37 @@ def draw_over_temperature(
     index: int = 0,
     ax: Axes | None = None,
 ) -> tuple[Axes, Line2D]:
-    """A bias residual `(n_T, 1)` against temperature, or in deg the error of north that follows from it."""
+    """A residual `(n_T, 1)` against temperature."""
     ax = new_axes(ax)
     values = residual[:, 0]
     (line,) = ax.plot(temperature_c, np.where(np.isfinite(values), values, np.nan), label=label, **style_of(index))
-    ax.set(xlabel="temperature, °C", ylabel=f"{'error of north' if unit == 'deg' else 'bias residual'} (1σ), {unit}")
+    ax.set(xlabel="temperature, °C", ylabel=f"residual (1σ), {unit}")
     from_zero(ax)
     return ax, line
+
+
+def draw_residual(
+    left: UnitResidual, *, label: str = "", first: int = 0, target: bool = True, ax: Axes | None = None
+) -> tuple[Axes, list[Line2D]]:
+    """The residual of each element of a requirement's quantity over temperature or, for the scale factor of gyros, the
+    largest over temperature against rate, with the `target` on one standard deviation. `first`: the index of the first
+    curve's style."""
+    ax = new_axes(ax)
+    lines: list[Line2D] = []
+    for element, values in zip(left.labels, left.values, strict=True):
+        words = ", ".join(filter(None, (label, element if len(left.labels) > 1 else "")))
+        style = {"label": words, "index": first + len(lines), "ax": ax}
+        if len(left.rates) > 1:
+            lines.append(draw_worst_over_temperature(np.degrees(left.rates), values, left.unit, **style)[1])
+        else:
+            lines.append(draw_over_temperature(left.temperatures, values, left.unit, **style)[1])
+    requirement = left.requirement
+    if target and requirement.target is not None:
+        limit = float(requirement.target) * left.si / requirement.coverage
+        ax.axhline(limit, color="black", linewidth=0.8, linestyle=":")
+        ax.annotate("target", (0.01, limit), xycoords=("axes fraction", "data"), va="bottom", fontsize=8)
+    from_zero(ax)
+    ax.set_ylim(top=1.08 * ax.get_ylim()[1])
+    if len(left.labels) > 1:
+        ax.legend(fontsize=8, ncols=3)
+    return ax, lines

@@ -10,13 +10,13 @@ from matplotlib.lines import Line2D
 from gradcal_jax.api.missions import ErrorCurve, error_curves
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import unit_residual
-from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, UnitRequirement
+from gradcal_jax.files.requirement import MissionHeadingRequirement, UnitRequirement
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior
-from gradcal_jax.plots.residual import draw_map, draw_over_temperature, draw_worst_over_temperature
+from gradcal_jax.plots.poses import draw_poses
+from gradcal_jax.plots.residual import draw_map, draw_residual
 from gradcal_jax.plots.style import from_zero, new_axes, new_panels, style_of
-from gradcal_jax.plots.unit import draw_poses, draw_unit_residual
 
 _PANEL = (6.0, 4.0)
 _COLUMNS = 2
@@ -78,10 +78,11 @@ def _draw_requirement(built: AssembledUnit, known: Posterior, requirement: UnitR
         ax.set_title(requirement.name)
         return
     left = unit_residual(built, known, requirement)
-    if len(left.labels) == 1 and isinstance(requirement, GyroScaleFactorRequirement):
-        draw_map(left.temperatures, np.degrees(left.rates), left.values[0], left.unit, title=requirement.name, ax=ax)
+    if len(left.labels) == 1 and len(left.rates) > 1:
+        draw_map(left.temperatures, np.degrees(left.rates), left.values[0], left.unit, ax=ax)
     else:
-        draw_unit_residual(requirement, left, ax=ax)
+        draw_residual(left, ax=ax)
+    ax.set_title(requirement.name)
 
 
 def _label(words: str, curves: Sequence[tuple[str, ErrorCurve]], axis: str, curve: ErrorCurve) -> str:
@@ -109,13 +110,7 @@ def draw_comparison(specs: Sequence[tuple[str, UnitSpec]]) -> Figure:
                     drawn += len(curves)
                     continue
                 left = unit_residual(built, of, requirement)
-                for element, values in zip(left.labels, left.values, strict=True):
-                    style = {"label": label if len(left.labels) == 1 else f"{label}, {element}", "index": drawn}
-                    if isinstance(requirement, GyroScaleFactorRequirement):
-                        draw_worst_over_temperature(np.degrees(left.rates), values, left.unit, **style, ax=axes)
-                    else:
-                        draw_over_temperature(left.temperatures, values, left.unit, **style, ax=axes)
-                    drawn += 1
+                drawn += len(draw_residual(left, label=label, first=drawn, target=False, ax=axes)[1])
         axes.set_title(of_name[0])
         axes.legend()
     return figure

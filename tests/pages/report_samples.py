@@ -5,15 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from simulated_devices.line_clock import LineClock
-from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax import api
 from gradcal_jax.files import Spec, changed, parse_spec, presets
 from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.hardware.run_folder import new_folder
-from gradcal_jax.hardware.session import run_session
+from gradcal_jax.hardware import execute
 
 TURN = {"turn": "720 deg", "peak_rate": "200 deg/s", "shape": "cosine ramps"}
 BACK = {"turn": "-720 deg", "peak_rate": "100 deg/s", "shape": "cosine ramps"}
@@ -36,7 +33,7 @@ def spec(**changes: object) -> Spec:
             "requirement": [
                 {
                     "name": "all rates",
-                    "quantity": "scale_factor",
+                    "quantity": "gyro_scale_factor",
                     "temperature": ["20 degC", "26 degC"],
                     "rate": ["-200 deg/s", "200 deg/s"],
                     "target": "2000 ppm",
@@ -44,12 +41,12 @@ def spec(**changes: object) -> Spec:
                 },
                 {
                     "name": "slow",
-                    "quantity": "scale_factor",
+                    "quantity": "gyro_scale_factor",
                     "temperature": ["21 degC", "25 degC"],
                     "rate": ["-50 deg/s", "50 deg/s"],
                     "grid": [5, 11],
                 },
-                {"name": "at rest", "quantity": "bias", "temperature": ["20 degC", "26 degC"], "grid": [11]},
+                {"name": "at rest", "quantity": "gyro_bias", "temperature": ["20 degC", "26 degC"], "grid": [11]},
             ],
             "plan.temperature": ["20 degC", "26 degC"],
             "plan.soak": {"duration": "60 s", "used": False},
@@ -68,20 +65,16 @@ def recipe() -> Recipe:
 
 def rehearse(made: Recipe, folder: Path, seed: int = 3) -> dict[str, Any]:
     """Run a recipe on simulated devices into a folder; the hidden truth."""
-    clock = LineClock()
-    with SimulatedLab(made.spec, clock, seed=seed) as lab:
-        run = new_folder(folder, made, lab.rig, simulated={"seed": seed, "speed": None, "sample_rate_hz": 125.0})
-        truth = lab.truth.tables(lab.axes)
-        (folder / "hidden_truth.json").write_text(json.dumps(truth), encoding="utf-8")
-        result = run_session(run, lab.rig, clock, simulated=True)
-        assert result.exit_status == "success", result.reason
-    return truth
+    result = execute.run(made, folder, simulate=True, seed=seed)
+    assert result.exit_status == "success", result.reason
+    return json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
 
 
 def calibration(made: Recipe, seed: int = 7) -> Calibration:
     """Coefficients and covariance of the recipe's bases, drawn; their results are those of that covariance."""
     random = np.random.default_rng(seed)
-    sensor = made.spec.sensor
+    sensor = made.spec.sensor.gyro
+    assert sensor is not None
     assert sensor.bias is not None
     assert sensor.scale_factor is not None
     bias, scale = ["a0", "a1"], ["b00", "b10", "b01", "b11"]
@@ -129,7 +122,7 @@ def calibration(made: Recipe, seed: int = 7) -> Calibration:
             {
                 "name": "all rates",
                 "axis": "x",
-                "quantity": "scale_factor",
+                "quantity": "gyro_scale_factor",
                 "statistic": "mean of max, 1 sigma",
                 "value": 123.456,
                 "unit": "ppm",

@@ -20,7 +20,7 @@ def made():
 
 @pytest.fixture(scope="module")
 def panel(made):
-    return panel_of(made)
+    return panel_of(made.spec)
 
 
 def place(slope, ramps, angle):
@@ -58,7 +58,7 @@ def test_a_point_is_what_predict_says_of_such_a_spec(made, panel, slope, ramps, 
 
 
 def test_what_does_not_fit_has_no_number():
-    slow = panel_of(gj.recipe(spec(**{"rig.chamber.max_heating": "1 K/min", "rig.chamber.max_cooling": "0.8 K/min"})))
+    slow = panel_of(spec(**{"rig.chamber.max_heating": "1 K/min", "rig.chamber.max_cooling": "0.8 K/min"}))
     assert slow["hours"][place(1.0, 1, 1.0)] is not None
     assert slow["hours"][place(1.4, 1, 1.0)] is None
     assert slow["hours"][place(1.0, 2, 1.0)] is None

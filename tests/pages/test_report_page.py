@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 from report_samples import calibration, recipe, rehearse, spec
 
-from gradcal_jax.api.ieee_terms import calibration_map, prior_map, standard_terms
+from gradcal_jax.api.ieee_terms import calibration_map, standard_terms
 from gradcal_jax.cli import main
 from gradcal_jax.files import to_toml
 from gradcal_jax.files.calibration import write_calibration
@@ -111,7 +111,9 @@ def test_the_requirements_of_a_page_are_those_of_recipe_and_calibration(made, wh
     assert (rows[0]["verdict"], number(rows[0]["target"])) == ("met", 2000.0)
     assert "Met: every target" in shown.text
     # The drawn results are not those of the drawn covariance, as with a model discrepancy; the page says so.
-    assert any("achieved maps leave out" in note and "123.5 ppm in the table" in note for note in data.notes)
+    assert any(
+        "achieved maps are by the covariance" in note and "123.5 ppm in the table" in note for note in data.notes
+    )
 
 
 def test_predicted_maps_have_the_recipes_statistics_and_achieved_ones_the_covariances(made, whole):
@@ -121,9 +123,11 @@ def test_predicted_maps_have_the_recipes_statistics_and_achieved_ones_the_covari
     ):
         maps = dict(fact.maps)
         assert statistic(requirement.statistic, maps["predicted"].values) == pytest.approx(predicted.judged, rel=1e-9)
-        prior = prior_map(plan.spec, requirement)
-        assert prior is not None
-        np.testing.assert_array_equal(maps["before"].values, prior.values)
+        # Coefficients of degree one, each as uncertain as its prior.
+        cold, fast = (maps["before"].temperature_c - 20.0) / 50.0, maps["before"].rate_dps / 300.0
+        expected = np.sqrt(np.outer(1.0 + cold**2, 1.0 + fast**2 if len(fast) > 1 else np.ones(1)))
+        prior = 5000.0 if len(fast) > 1 else 200.0
+        np.testing.assert_allclose(maps["before"].values, prior * expected, rtol=1e-9)
     # One point by hand: ψ of the monomials, the file's covariance between.
     maps = dict(whole[0].maps[0].maps)
     box = maps["achieved"]
@@ -138,7 +142,8 @@ def test_parameters_and_their_hidden_truth_are_those_of_the_files(made, whole):
     _, plan, found, truth = made
     rows = whole[1].table("parameters", "parameter")
     values = {name.removeprefix("gyro_x."): value for name, value in found.values().items()}
-    predicted = {row.name: row.std for row in plan.prediction.parameters}
+    predicted = {row.name.removeprefix("gyro_x."): row.std for row in plan.prediction.parameters}
+    truth = {name.removeprefix("gyro_x."): value for name, value in truth["units"]["unit1"].items()}
     assert [row["parameter"] for row in rows] == list(values)
     deviations = np.sqrt(np.diag(np.array(found.covariance.matrix)))
     for row, std in zip(rows, deviations, strict=True):
@@ -148,8 +153,8 @@ def test_parameters_and_their_hidden_truth_are_those_of_the_files(made, whole):
         assert number(row["value"]) == pytest.approx(values[name] * factor, rel=1e-5)
         assert number(row["1σ"]) == pytest.approx(std * factor, rel=1e-3)
         assert number(row["1σ predicted"]) == pytest.approx(predicted[name] * factor, rel=1e-3)
-        assert number(row["hidden truth"]) == pytest.approx(truth["x"][name] * factor, rel=1e-5)
-        assert number(row["off by"]) == pytest.approx((values[name] - truth["x"][name]) / std, rel=0.05)
+        assert number(row["hidden truth"]) == pytest.approx(truth[name] * factor, rel=1e-5)
+        assert number(row["off by"]) == pytest.approx((values[name] - truth[name]) / std, rel=0.05)
     assert [row["multiplies"] for row in rows] == ["1", "T′", "1", "ω′", "T′", "ω′·T′"]
 
 
@@ -274,13 +279,13 @@ def test_pages_of_a_recipe_and_of_a_calibration_alone(made, tmp_path):
     assert (data.history, data.axes, data.simulated) == (None, (), False)
     shown = Page(page(sources, data))
     assert {row["parameter"] for row in shown.table("parameters", "parameter")} == {
-        row.name for row in plan.prediction.parameters
+        row.name.removeprefix("gyro_x.") for row in plan.prediction.parameters
     }
     assert "value" not in shown.table("parameters", "parameter")[0]
     alone = read_sources([folder / "run" / "calibration.toml"])
     found = report_data_of(alone)
     assert [row.achieved for row in found.requirements] == [123.456]
-    assert {fact.quantity for fact in found.maps} == {"scale_factor", "bias"}
+    assert {fact.quantity for fact in found.maps} == {"gyro_scale_factor", "gyro_bias"}
     assert "plan" not in Page(page(alone, found)).ids
 
 
@@ -319,7 +324,7 @@ def test_what_is_not_converged_has_the_colour_of_a_verdict(made):
 
 
 def test_maps_that_look_alike_are_shown_as_a_ratio_whose_colours_tell_its_size(whole):
-    fact = next(f for f in whole[0].maps if f.quantity == "scale_factor")
+    fact = next(f for f in whole[0].maps if f.quantity == "gyro_scale_factor")
     ((_, box), *_) = fact.maps
     shades = []
     for factor in (1.001, 1.09, 2.0):
@@ -357,7 +362,8 @@ def test_files_that_do_not_belong_together_are_named(made, tmp_path, capsys):
     (tmp_path / "limit.json").write_text("{}", encoding="utf-8")
     out = str(tmp_path / "page.html")
     wrong: list[tuple[list[str], str]] = [
-        ([str(tmp_path / "spec.toml")], "gradcal recipe SPEC"),
+        ([str(tmp_path / "spec.toml"), str(folder / "recipe.toml")], "leave the other spec out"),
+        ([str(tmp_path / "other.toml"), "--limits", str(tmp_path / "limit.json")], "name its recipe or its spec"),
         ([str(tmp_path)], "not the folder of a run"),
         ([str(folder / "recipe.toml")] * 2, "a second recipe"),
         ([str(tmp_path / "nothing.toml")], "nothing.toml"),
@@ -378,9 +384,9 @@ def test_the_glossary_explains_what_is_asked(capsys):
 
 @pytest.mark.parametrize("allowed", [2000.0, 75.0, 20.0])
 def test_the_line_of_a_target_is_within_its_picture(made, allowed):
-    fact = next(f for f in report_data_of(read_sources([made[0] / "run"])).maps if f.quantity == "scale_factor")
+    fact = next(f for f in report_data_of(read_sources([made[0] / "run"])).maps if f.quantity == "gyro_scale_factor")
     axes = Figure().add_subplot()
-    _draw_curves(fact, allowed, axes)
+    _draw_curves(fact.maps, allowed, axes)
     low, high = axes.get_ylim()
     assert low < allowed < high
     (line,) = [line for line in axes.get_lines() if line.get_label() == "target (1σ)"]

@@ -137,7 +137,6 @@ PLAN = """
 method      = "gradient"
 temperature = ["-30 degC", "70 degC"]
 gradient    = "1 K/min"
-read_every  = "1 s"
 """
 
 

@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from gradcal_jax import formulas
 from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.structures import gyro_of
 from gradcal_jax.files import Spec
 from gradcal_jax.files.log import AngleReadings, Log, ReadingKind
 from gradcal_jax.files.schedule import StandardSchedule
@@ -52,7 +53,7 @@ def simulate_log(
     rng = np.random.default_rng(seed)
     if isinstance(spec.schedule, StandardSchedule):
         return _standard(built, spec.schedule, units, sample_rate_hz, rng, truth, noiseless)
-    lines = {c: built.trajectory(c) for c in built.channels}
+    lines = {gyro_of(spec).axes[0]: built.trajectory()}
     first = next(iter(lines.values()))
     begin = float(first.start[0])
     end = float(first.start[-1] + first.duration[-1])

@@ -231,7 +231,7 @@ def _window(spec: UnitSpec, built: Assembled, motion: float | None) -> _Window:
     if as_is or one_ramp is None:
         # The plan as it is: its stretches with soaks that are used and every slope.
         free -= {"gradient", "cycle"} if one_ramp is None else set()
-        chamber = built.schedules[built.channels[0]].programme
+        chamber = built.schedule.programme
         spans = [(s.start, s.start + s.duration) for s in schedule.stretches]
     else:
         time = motion or motion_time(spec, design_of(spec))
@@ -298,8 +298,8 @@ def _spacing(built: Assembled, cycle: ResolvedCycle) -> tuple[float, float]:
     turns = [m.duration for m in cycle.moves if not m.is_rest]
     rests = [m.read_every for m in cycle.moves if m.read_every is not None]
     apart = min([LEAST_TURN, *turns])
-    read = [between_readings(built.trajectory(channel)) for channel in built.channels]
-    return min([*rests, cycle.other_read_every or np.inf, apart, *read]), apart
+    read = between_readings(built.trajectory())
+    return min([*rests, cycle.other_read_every or np.inf, apart, read]), apart
 
 
 def between_readings(line: trajectory.Trajectory) -> float:

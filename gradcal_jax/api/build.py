@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
 from gradcal_jax import model, trajectory
 from gradcal_jax.files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
-from gradcal_jax.files.moves import Axis, ResolvedMove
+from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
 from gradcal_jax.files.spec import expect_spec
@@ -22,38 +22,28 @@ _CORRELATION_TIMES_A_PIECE = 3.0
 
 
 class Assembled(NamedTuple):
-    """A spec of one gyro in the core's terms: the model of a channel, and the schedule of each.
+    """A spec of one gyro along the only axis of a table in the core's terms.
 
-    `moves`: the first moves of every schedule, with their shapes. `sources`: the indices of the model's noise processes
-    by the name of their error source. `past`: the motion before the plan begins. `until_s`: where the plan is broken
-    off, on its clock.
+    `moves`: the first moves of the schedule, with their shapes. `sources`: the indices of the model's noise processes
+    by the name of their error source. `past`: the motion before the plan begins.
     """
 
     spec: UnitSpec
     model: SensorModel
-    schedules: dict[Axis, Schedule]
+    schedule: Schedule
     moves: tuple[Move, ...]
     thermal_lag: float | None
     sources: dict[str, tuple[int, ...]]
-    past: dict[Axis, Past]
-    until_s: float = np.inf
+    past: Past | None
 
-    @property
-    def channels(self) -> tuple[Axis, ...]:
-        """Sensor axes whose calibration the plan is for."""
-        return tuple(self.schedules)
-
-    def trajectory(self, channel: Axis | None = None) -> trajectory.Trajectory:
-        """The motion before the plan and of the plan, as the sensor of a channel (default: the first) sees it."""
-        channel = channel or self.channels[0]
-        line = self.schedules[channel].trajectory(self.thermal_lag)
-        if self.until_s < np.inf:
-            line = line.between(-np.inf, self.until_s)
-        return self.past[channel].then(line) if channel in self.past else line
+    def trajectory(self) -> trajectory.Trajectory:
+        """The motion before the plan and of the plan."""
+        line = self.schedule.trajectory(self.thermal_lag)
+        return line if self.past is None else self.past.then(line)
 
 
-def assemble(spec: UnitSpec, until_s: float = np.inf) -> Assembled:
-    """Sensor model and schedules of a spec of one gyro, whose plan is broken off at `until_s` of its clock.
+def assemble(spec: UnitSpec) -> Assembled:
+    """Sensor model and schedule of a spec of one gyro along the only axis of a table.
 
     Errors: `TypeError` for anything but a spec, `ValueError` for one of several sensors or axes of the table.
     """
@@ -74,15 +64,13 @@ def assemble(spec: UnitSpec, until_s: float = np.inf) -> Assembled:
     )
     harmonics = {h.order: float(h.amplitude) for h in angle.harmonics}
     channel, lag = gyro_channel(gyro, processes, reference, harmonics=harmonics), spec.sensor.lag
-    axis = cast("Axis", gyro.axes[0])
     schedule, moves = table_schedule(spec.schedule, spec)
     past: Past | None = None
     for part in spec.done:
         plan, _ = table_schedule(unit_schedule(part.plan, spec.rig), spec)
         line = plan.trajectory(lag).between(float(part.start), float(part.end))
         past = Past(line if past is None else past.then(line), np.asarray(float(part.pause)))
-    pasts: dict[Axis, Past] = {} if past is None else {axis: past}
-    return Assembled(spec, channel, {axis: schedule}, moves, lag, sources, pasts, until_s)
+    return Assembled(spec, channel, schedule, moves, lag, sources, past)
 
 
 def table_schedule(plan: UnitSchedule | StandardSchedule, spec: UnitSpec) -> tuple[Schedule, tuple[Move, ...]]:

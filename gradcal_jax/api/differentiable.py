@@ -113,16 +113,15 @@ def differentiable(spec: UnitSpec) -> Differentiable:
     if spec.done:
         raise goes_on("a function of the plan's figures")
     built = assemble(spec)
-    channel = built.channels[0]
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is nothing to compute: add one")
-    schedule = built.schedules[channel]
+    schedule = built.schedule
     moves = np.setdiff1d(np.arange(len(schedule.duration)), schedule.fill_move)
     return Differentiable(
         _figures(built, schedule, moves),
         built.model,
         schedule,
-        {r.name: counted_criterion(criterion_of(built.model, r), built, channel) for r in spec.requirement},
+        {r.name: counted_criterion(criterion_of(built.model, r), built) for r in spec.requirement},
         {r.name: UNIT_OF[r.quantity][1] for r in spec.requirement},
         built.sources,
         tuple(int(k) for k in moves),

@@ -74,7 +74,7 @@ def design_block(spec: UnitSpec) -> str:
     name = spec.requirement[0].name if spec.requirement else "D-optimality"
     if isinstance(spec.plan, StandardPlan):
         free = '"temperatures", "integration"' + (', "rates"' if any(spec.plan.rates or ()) else "")
-    elif isinstance(spec, UnitSpec) and not spec.turns_one_gyro:
+    elif not spec.turns_one_gyro:
         return f'[design]\nminimise = "{name if spec.requirement else ALL}"'
     else:
         free = '"duration", "peak_rate"' if spec.plan.cycle is not None else '"programme"'
@@ -124,7 +124,7 @@ def measure(spec: UnitSpec) -> Measure:
             tuple(limit),
             np.asarray(weight),
             believed=believed,
-            past=built.past.get(built.channels[0]),
+            past=built.past,
         )
         for model, (_, built, weight), main, limit in zip(models, scenarios, mains, limits, strict=True)
     )
@@ -161,7 +161,7 @@ def _criterion(built: Assembled, requirement: UnitRequirement, *, limited: bool 
     """The criterion of a requirement's own statistic or, if `limited`, of the one that its target limits."""
     limit = limit_of(requirement) if limited else None
     criterion = criterion_of(built.model, requirement, None if limit is None else limit[0], _GRID)
-    return counted_criterion(criterion, built, built.channels[0])
+    return counted_criterion(criterion, built)
 
 
 def _optimality(built: Assembled, name: str) -> Optimality:

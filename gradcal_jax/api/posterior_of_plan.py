@@ -13,7 +13,6 @@ from gradcal_jax.api.verdicts import limit_of as limit_of
 from gradcal_jax.api.verdicts import run_of as run_of
 from gradcal_jax.api.verdicts import target_of as target_of
 from gradcal_jax.design import Criterion, polynomial_grid
-from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
 from gradcal_jax.files.requirement import (
     GyroScaleFactorRequirement,
@@ -31,9 +30,9 @@ from gradcal_jax.units import PPM as PPM
 from gradcal_jax.units import G as G
 
 
-def posterior_of_plan(built: Assembled, channel: Axis | None = None) -> Posterior:
+def posterior_of_plan(built: Assembled) -> Posterior:
     """The posterior after the plan, by the estimator that the spec names."""
-    line, model = built.trajectory(channel), built.model
+    line, model = built.trajectory(), built.model
     return unweighted(line, model) if unweighted_estimator(built.spec) else posterior(information(line, model))
 
 

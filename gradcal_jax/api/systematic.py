@@ -17,13 +17,12 @@ from typing import Any, Final, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
 from gradcal_jax.design import Criterion
 from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
 from gradcal_jax.files.calibration import UnseenError
 from gradcal_jax.files.changes import changed
-from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior
 from gradcal_jax.model import (
@@ -260,7 +259,10 @@ def budget_of_unit(built: AssembledUnit, known: Posterior, complete: AssembledUn
     """The posteriors of a unit's plan."""
     fit = known if complete is built else posterior_of_unit(complete)
     turn_on = another_run(systematic_figures(complete.spec), terms_of_unit(complete), complete.model.size)
-    return _planned(known, columns_of_unit_plan(built), complete, fit, columns_of_unit_plan(complete), turn_on)
+    every = columns_of_unit_plan(complete)
+    own = own_of_unit(built, known)
+    whole = own if fit is known else widened(fit, every)
+    return CountedPosteriors(own, whole, widened(whole, turn_on), complete, fit, every | turn_on)
 
 
 def own_of_unit(built: AssembledUnit, known: Posterior) -> Posterior:
@@ -268,16 +270,10 @@ def own_of_unit(built: AssembledUnit, known: Posterior) -> Posterior:
     return widened(known, columns_of_unit_plan(built))
 
 
-def _planned(known: Posterior, named, complete, fit: Posterior, every, turn_on) -> CountedPosteriors:
-    own = widened(known, named)
-    whole = own if fit is known else widened(fit, every)
-    return CountedPosteriors(own, whole, widened(whole, turn_on), complete, fit, every | turn_on)
-
-
-def columns_of_plan(built: Assembled, channel: Axis) -> dict[str, np.ndarray]:
+def columns_of_plan(built: Assembled) -> dict[str, np.ndarray]:
     """Columns of what no residual of a plan's run shows, as far as the spec names it."""
     figures = _without_fitted(systematic_figures(built.spec), _fitted(built.model))
-    return columns_of(figures, terms_of_axis(built.model), built.model.size, ramp_of([built.trajectory(channel)]))
+    return columns_of(figures, terms_of_axis(built.model), built.model.size, ramp_of([built.trajectory()]))
 
 
 def columns_of_unit_plan(built: AssembledUnit) -> dict[str, np.ndarray]:
@@ -330,21 +326,15 @@ def _estimated(
 _NEGLIGIBLE: Final = 1e-4
 
 
-def counted_criterion(criterion: Criterion, built: Assembled, channel: Axis) -> Criterion:
+def counted_criterion(criterion: Criterion, built: Assembled) -> Criterion:
     """The criterion with what no residual shows and the spec names: no plan removes it, so that it is a part of the
     variance from the beginning."""
-    more = sum(np.sum((np.asarray(criterion.rows) @ c) ** 2, axis=1) for c in columns_of_plan(built, channel).values())
+    more = sum(np.sum((np.asarray(criterion.rows) @ c) ** 2, axis=1) for c in columns_of_plan(built).values())
     return eqx.tree_at(lambda c: c.beyond, criterion, criterion.beyond + more)
 
 
-def floor_of_plan(spec: UnitSpec, channel: Axis) -> tuple[Assembled, Posterior]:
-    """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
-    built = assemble(spec)
-    return built, _alone(built.model.size, columns_of_plan(built, channel))
-
-
 def floor_of_unit_plan(spec: UnitSpec) -> tuple[AssembledUnit, Posterior]:
-    """The same of a whole unit."""
+    """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
     built = assemble_unit(spec)
     return built, _alone(built.model.size, columns_of_unit_plan(built))
 

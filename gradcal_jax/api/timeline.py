@@ -62,7 +62,7 @@ def timeline(spec: UnitSpec) -> Timeline | unit_rows.UnitTimeline:
 
 def _of_channel(spec: UnitSpec) -> Timeline:
     built = assemble(spec)
-    (channel,) = built.channels
+    channel = cast("Axis", gyro_of(spec).axes[0])
     if isinstance(spec.schedule, StandardSchedule):
         segments, readings = _standard_rows(built, spec.schedule, channel)
     else:
@@ -80,7 +80,7 @@ def _of_channel(spec: UnitSpec) -> Timeline:
 
 
 def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], list[ReadingRow]]:
-    line, schedule = built.trajectory(channel), built.schedules[channel]
+    line, schedule = built.trajectory(), built.schedule
     times = schedule.programme.times()
     begins, ends = schedule.programme.chamber()
     chamber = np.append(begins, ends[-1])

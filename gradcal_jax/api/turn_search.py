@@ -1,7 +1,7 @@
 """The search for the course of one gyro's turns, of the chamber, or of set points, that minimises a [design]'s
 objective; its result is rounded, with the limits that bind it."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Final, NamedTuple
 
@@ -11,11 +11,13 @@ from gradcal_jax.api.build import assemble
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.measure import Measure, design_of, measure
 from gradcal_jax.api.plan_to_spec import plan_to_spec
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, limit_of, posterior_of_plan, residual_map, statistic_of
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, limit_of
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.search_results import MARGIN, MET, NO_TARGET, Optimised, Price, RequirementChange, SearchStep
 from gradcal_jax.api.structures import Structure, structures
-from gradcal_jax.api.systematic import columns_of_plan, widened
+from gradcal_jax.api.systematic import own_of_unit
+from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
+from gradcal_jax.api.unit_residual import UnitResidual, unit_residual
 from gradcal_jax.design import (
     KEPT,
     AnyCoordinates,
@@ -32,10 +34,9 @@ from gradcal_jax.design import (
     search,
 )
 from gradcal_jax.files import SpecError
-from gradcal_jax.files.requirement import UnitRequirement
 from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.unit_spec import UnitSpec
-from gradcal_jax.information.residual import STATISTICS, Statistic
+from gradcal_jax.information.residual import Statistic
 
 STEPS: Final = 240
 # A turn within this share of its limit counts as limited.
@@ -100,26 +101,23 @@ def exact(spec: UnitSpec, of: Measure) -> float:
     """The exact value of a spec's own plan, on the requirement's own grid; `inf` where it observes too little."""
     wanted = [r for r in spec.requirement if r.name == design_of(spec).minimise]
     if wanted and len(of.cases) == 1:
-        return residual_of_plan(spec, wanted)[wanted[0].name][wanted[0].statistic]
-    built = assemble(spec)
-    value = of.exact(built.schedules[built.channels[0]])
+        return residuals_of_plan(spec)[wanted[0].name].finite_statistic()
+    value = of.exact(assemble(spec).schedule)
     return value if np.isfinite(value) else np.inf
 
 
-def residual_of_plan(spec: UnitSpec, of: Sequence[UnitRequirement]) -> dict[str, dict[Statistic, float]]:
-    """The statistics (`UNIT_OF`) that a spec's own plan leaves of requirements, by the terms that the spec names;
-    infinite where they are not observable."""
-    built = assemble(spec)
-    known = widened(posterior_of_plan(built), columns_of_plan(built, built.channels[0]))
-    maps = {r.name: (r, residual_map(built, known, r)[2]) for r in of}
-    return {n: {s: statistic_of(r, values, s) for s in STATISTICS} for n, (r, values) in maps.items()}
+def residuals_of_plan(spec: UnitSpec) -> dict[str, UnitResidual]:
+    """What a spec's own plan leaves of every requirement, by the terms that the spec names."""
+    built = assemble_unit(spec)
+    known = own_of_unit(built, posterior_of_unit(built))
+    return {r.name: unit_residual(built, known, r) for r in spec.requirement}
 
 
 def requirement_changes(spec: UnitSpec, plan: UnitSpec) -> tuple[RequirementChange, ...]:
     """What two plans of a spec leave of its requirements."""
-    both = [residual_of_plan(one, spec.requirement) for one in (spec, plan)]
+    both = [residuals_of_plan(one) for one in (spec, plan)]
     return tuple(
-        RequirementChange(r.name, UNIT_OF[r.quantity][0], *(finite(of[r.name][r.statistic]) for of in both))
+        RequirementChange(r.name, UNIT_OF[r.quantity][0], *(of[r.name].statistic() for of in both))
         for r in spec.requirement
     )
 
@@ -134,8 +132,9 @@ def targets_met(spec: UnitSpec) -> bool:
 
 def _within(spec: UnitSpec, limits: Mapping[str, tuple[Statistic, float]], share: float) -> bool:
     """Whether the named requirements are within that share of their limits, by the terms that the spec names."""
-    found = residual_of_plan(spec, [r for r in spec.requirement if r.name in limits])
-    return all(found[name][statistic] <= share * most for name, (statistic, most) in limits.items())
+    found = residuals_of_plan(spec)
+    left = {name: found[name].statistic(statistic) for name, (statistic, _) in limits.items()}
+    return all(value is not None and value <= share * limits[name][1] for name, value in left.items())
 
 
 def search_turns(

@@ -58,7 +58,7 @@ def test_several_missions_are_weighed():
     assert worst.own == pytest.approx(max(m.own for m in worst.missions))
     # The search sees what the prediction says.
     spec = with_requirements(heading(hover(weight=3.0), spin()), design={"minimise": "h"})
-    assert measure(spec).exact(api.assemble(spec).schedules["x"]) == pytest.approx(both.rms, rel=1e-9)
+    assert measure(spec).exact(api.assemble(spec).schedule) == pytest.approx(both.rms, rel=1e-9)
 
 
 def test_north_is_the_bias_over_the_earths_rate():

@@ -1,6 +1,7 @@
 """From a spec with [design] to a plan that is executed: what is written is feasible, whole, and worth what is said."""
 
 import math
+import tomllib
 
 import numpy as np
 import pytest
@@ -126,9 +127,7 @@ def limited(spec: UnitSpec, travel: float, shape: str, cycles: str, **design) ->
 
 def check_executable(spec: UnitSpec, plan: UnitSpec) -> None:
     """Nothing is left to round, and the cable is where it was after every cycle, within the travel in between."""
-    for change in rounded(plan).changes:
-        before, after = change.replace(", shape = linear ramps", "").split(": ", 1)[1].split(" -> ")
-        assert before == after
+    assert not [change for change in rounded(plan).changes if not change.endswith("cosine ramps -> linear ramps")]
     moves = cycle_of(plan).moves
     places = np.cumsum([m.angle for m in moves]) / DEG
     assert np.max(np.abs(places)) <= float(spec.rig.table.axis[0].travel) / DEG * (1 + 1e-9)
@@ -219,15 +218,10 @@ def static(**design) -> UnitSpec:
 
 
 def test_axes_that_turn_as_if_each_had_a_table_of_its_own_are_refused():
-    moves = [
-        {"rest": "10 s", "read_every": "5 s"},
-        {"duration": "50 s", "peak_rate": "200 deg/s", "shape": "cosine ramps", "axis": "x"},
-        {"rest": "10 s", "read_every": "5 s"},
-        {"duration": "50 s", "peak_rate": "200 deg/s", "shape": "cosine ramps", "axis": "z"},
-    ]
-    both = changed(files.parse_spec(SPEC), {"plan.cycle.moves": moves})
+    tables = tomllib.loads(SPEC)
+    tables["plan"]["cycle"]["moves"][3]["axis"] = "z"
     with pytest.raises(SpecError, match="turns sensor axes x, z as if each had a table of its own"):
-        next(optimise(both, steps=20))
+        files.spec_of(tables)
 
 
 def test_programmes_and_standard_plans_are_written_within_their_time():

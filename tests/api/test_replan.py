@@ -47,7 +47,7 @@ def test_two_halves_of_a_plan_are_worth_what_the_plan_is(spec):
     assert left_by(longer) != pytest.approx(left_by(whole), rel=1e-6)
     # What the search minimises is the same number.
     of = measure(rest)
-    assert of.exact(assemble(rest).schedules["x"]) == pytest.approx(left_by(rest), rel=1e-6)
+    assert of.exact(assemble(rest).schedule) == pytest.approx(left_by(rest), rel=1e-6)
 
 
 def test_an_offset_of_the_standstill_is_drawn_anew_after_the_pause(spec):

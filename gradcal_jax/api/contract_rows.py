@@ -57,7 +57,7 @@ def coefficient_rows(calibration: "Calibration") -> list[dict[str, Any]]:
     ]
 
 
-def random_walks(gyro: "GyroTriad") -> dict[str, Any]:
+def random_walks(gyro: GyroTriad) -> dict[str, Any]:
     """A gyro's noise for a calibration file: white noise and rate random walk. Over times much shorter than its
     correlation time, a drift is a rate random walk and is added to it."""
     square = float(gyro.rate_random_walk or 0.0) ** 2

@@ -32,6 +32,8 @@ from gradcal_jax.files.log import LogError
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 
+# Standard deviations by which a coefficient must be beyond what a device has.
+_SURE = 3.0
 # Residuals of this many times the noise come from a wrong table, order of axes, or sign.
 _ABSURD = 100.0
 # Temperatures (°C) and rates (rad/s) of a calibration that is used at those of its own data alone.
@@ -53,6 +55,9 @@ def _refuse_the_implausible(built: AssembledUnit, name: str, solution: UnitEstim
     """Raise `LogError` for the first channel with coefficients that no device has."""
     model, priors = built.model, prior_deviations(built)
     values, begin = model.to_reported @ solution.parameters, 0
+    # What the data hardly determine proves nothing.
+    doubt = _SURE * solution.known.deviations(model.to_reported)
+    values = np.sign(values) * np.maximum(np.abs(values) - np.where(np.isfinite(doubt), doubt, np.inf), 0.0)
     for c in model.channels:
         own = slice(begin, begin + c.model.size)
         begin = own.stop

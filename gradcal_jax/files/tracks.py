@@ -225,8 +225,8 @@ def _blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]
     axes, hung = rig.table.axis, rig.table.mounting
     spacing = min(float(axis.angle.read_every) for axis in axes)
     held, once = rig.table.standing == "held", math.isinf(spacing)
-    # A held table that an operator turns is read where a turn ends, and then stands.
-    typed = held and once and rig.table.drive == "hand"
+    # An operator types an angle where a turn ends, and none while the table stands.
+    typed = once and rig.table.drive == "hand"
     moves: list[TrackMove] = []
     clock = 0.0
     for step in (*schedule.steps, *schedule.after):
@@ -238,7 +238,9 @@ def _blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]
             own["repeat"] = move.repeat
         every, ends = spacing if held or move.reads_as_table else move.read_every, move.read_end
         moves.append(
-            _line(clock, move.duration, **own, **_readings(every, at_end=ends and not (typed and step.axis < 0)))
+            _line(
+                clock, move.duration, **own, **_readings(every, at_end=ends and not (held and typed and step.axis < 0))
+            )
         )
         clock += move.repeat * move.duration
     blocks: list[MotionBlock] = []
@@ -248,14 +250,14 @@ def _blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]
         if len(hung) > 1:
             hang = {"mounting": where + 1, "hang": hanging(hung[where], where + 1)}
         start = {axis.name: _in("deg", math.degrees(at)) for axis, at in zip(axes, schedule.start, strict=True)}
-        left = stretch.leftover if once and rig.table.drive == "motor" and stretch.leftover > 0.0 else spacing
+        left = stretch.leftover if once and not typed and stretch.leftover > 0.0 else spacing
         after: dict[str, Any] = {} if math.isinf(left) else {"read_every_after": _in("s", left)}
         more: dict[str, Any] = {**hang, "start": start, "repeat": max(stretch.cycles, 1), **after}
         first = _first(stretch, segments)
         if stretch.cycles:
             blocks.append(_block(number + 1, first, moves, schedule.period, stretch.leftover, **more))
         else:
-            standing = _line(0.0, stretch.duration, do="rest", **_readings(spacing, at_end=True))
+            standing = _line(0.0, stretch.duration, do="rest", **_readings(spacing, at_end=not typed))
             blocks.append(_block(number + 1, first, [standing], stretch.duration, **more))
     return tuple(blocks)
 

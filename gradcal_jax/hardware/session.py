@@ -108,7 +108,8 @@ def run_session(
             wait_when_paused=wait_when_paused,
             first_step=first_step,
             mounting=0 if resumed is None else mounting_of(resumed),
-            draw=partial(drawn, recipe.spec),
+            # Of a gyro along the only axis no direction across it matters, nor is it known.
+            draw=None if recipe.spec.is_one_axis else partial(drawn, recipe.spec),
         )
         runner.on_new_session = new_session
         if with_runner is not None:

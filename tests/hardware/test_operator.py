@@ -304,6 +304,7 @@ def hand_recipe(**more: object) -> Recipe:
         "plan.cycle.moves": moves,
         "plan.cycle.other_axes": {"duration": "20 s", "read": False},
         "rig.table.answer_time": "0 s",
+        "rig.table.axis[0].angle.read_every": "rest",
         "requirement": None,
     }
     return unpredicted(changed(parse_spec(presets.text("rig-hand")), keys | more))
@@ -346,6 +347,7 @@ def test_a_log_has_the_readings_that_the_plan_counts(tmp_path: Path) -> None:
     assert readings_of_rests(tmp_path / "typed", typed) == [1] * (2 * typed.motion[0].repeat + 1)
     others = {"duration": "20 s", "read": True}
     keys = {"plan.cycle.moves": READ_AT_REST, "plan.cycle.other_axes": others, "rig.table.answer_time": "4 s"}
+    keys |= {"rig.table.axis[0].angle.read_every": "1 s"}
     first, *middle, _ = readings_of_rests(tmp_path / "encoder", hand_recipe(**keys))
     assert first >= 6
     # Somebody who is late has less time for other axes.
@@ -512,7 +514,7 @@ def quick_hand_recipe(folder: Path) -> Path:
     ]
     made = hand_recipe(
         **{
-            "rig.table.max_rate": "200 deg/s",
+            "rig.table.axis[0].max_rate": "200 deg/s",
             "plan.cycle.moves": moves,
             "plan.temperature": ["23 degC", "23.3 degC"],
             "plan.cycle.other_axes": None,

@@ -42,7 +42,7 @@ class RememberingPlant(AxisPlant):
         self.all = [p for p in getattr(self, "all", []) if p.start_s < now_s] + phases
 
 
-SLOWER = {"rig.table.max_acceleration": "300 deg/s^2"}
+SLOWER = {"rig.table.axis[0].max_acceleration": "300 deg/s^2"}
 
 
 def run_without_a_unit(folder: Path, made: Recipe) -> RememberingPlant:

@@ -25,7 +25,7 @@ from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.supervision import read_status
 
-SLOWER = {"rig.table.max_acceleration": "300 deg/s^2"}
+SLOWER = {"rig.table.axis[0].max_acceleration": "300 deg/s^2"}
 # Writes its last word into the file that is named before it.
 ALARM = [sys.executable, "-c", "import sys; open(sys.argv[1], 'a').write(sys.argv[2] + '\\n')"]
 

@@ -227,7 +227,7 @@ def test_a_pause_states_its_reason(tmp_path: Path) -> None:
             threading.Timer(0.5, lambda: runners[0].request("resume")).start()
 
     with Rig(clock, stage=True) as rig:
-        changes = {"rig.table.max_acceleration": "300 deg/s^2"}
+        changes = {"rig.table.axis[0].max_acceleration": "300 deg/s^2"}
         run = new_folder(tmp_path / "run", short_recipe(2.0, changes=changes), rig.rig, simulated={})
         more = {"on_progress": look, "with_runner": runners.append, "wait_when_paused": True}
         assert run_session(run, rig.rig, clock, simulated=True, **more).exit_status == "success"
@@ -335,7 +335,7 @@ def test_late_replies_are_said_by_check_and_run(tmp_path: Path, capsys: pytest.C
         rig.ports[0].faults = Slow(rig.ports[0], 0.3)
         assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 0
         assert "s late: raise reply_timeout" in " ".join(capsys.readouterr().out.split())
-        changes = {"rig.table.max_acceleration": "300 deg/s^2"}
+        changes = {"rig.table.axis[0].max_acceleration": "300 deg/s^2"}
         run = new_folder(tmp_path / "run", short_recipe(1.0, changes=changes), rig_of(tables), simulated={})
 
         def look(progress: RunProgress) -> None:

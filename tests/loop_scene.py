@@ -5,8 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from gradcal_jax.files import spec as specs
 from gradcal_jax.files.log import Log
-from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware.simulate.draws import draw_table
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
@@ -53,7 +53,7 @@ def spec_of(*, back: bool, size: float = SIZE, plays: bool = True) -> UnitSpec:
             "reading_noise": "0.1 arcsec", "standstill_offset": "0 arcsec", "read_every": "30 s", "harmonics": [],
         },
     }  # fmt: skip
-    return spec_of({
+    return specs.spec_of({
         "format": "gradcal-spec/1",
         "sensor": {
             "grade": "tactical", "clock": "sensor", "temperature_offset": "0 K", "temperature_lag": "0 s",

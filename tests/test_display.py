@@ -17,7 +17,7 @@ from simulated_log import simulate_log
 
 import gradcal_jax as gj
 from gradcal_jax import display, identify
-from gradcal_jax.api import frontier, instability, limit, optimise
+from gradcal_jax.api import estimate, frontier, instability, limit, optimise
 from gradcal_jax.files.calibration.upgrade import upgraded
 from gradcal_jax.files.requirement_table import requirement_table
 
@@ -88,8 +88,7 @@ def test_all_results_of_functions_are_among_the_classes():
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_specs_predictions_recipes_and_timelines_show_what_they_are(preset):
-    read = gj.parse_spec if preset in gj.presets.names() else gj.parse_spec
-    spec = read(gj.presets.text(preset))
+    spec = gj.parse_spec(gj.presets.text(preset))
     prediction = gj.predict(spec)
     assert spec.title[:60] in fits(spec)
     shown = fits(prediction)

@@ -33,7 +33,7 @@ def specs():
     from gradcal_jax.files import changed, read_spec
 
     spec = read_spec(SPEC)
-    return [spec, changed(spec, {"sensor.scale_factor.discrepancy": HIDDEN})]
+    return [spec, changed(spec, {"sensor.gyro.scale_factor.discrepancy": HIDDEN})]
 
 
 def descent(objective, start: np.ndarray) -> tuple[float, int]:

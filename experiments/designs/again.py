@@ -18,9 +18,11 @@ import numpy as np
 from variants import MOVING, STATIC, spec_of
 
 from gradcal_jax.api.measure import Measure, measure
-from gradcal_jax.api.optimise import PRICED, SearchStep, optimise, polished, shadow_prices
+from gradcal_jax.api.optimise import optimise
 from gradcal_jax.api.scenarios import scenario_specs
+from gradcal_jax.api.search_results import SearchStep
 from gradcal_jax.api.structures import structures
+from gradcal_jax.api.turn_search import PRICED, polished, shadow_prices
 from gradcal_jax.design import Coordinates, Optimum, ProgrammeKnots, polish
 
 HERE = Path(__file__).parent
@@ -35,9 +37,9 @@ def tried(name: str, count: int) -> dict[str, Any]:
     """Optimise a variant, perturb its optimum and polish `count` times, ease its limits."""
     spec = spec_of(name)
     kept = [e.checkpoint for e in optimise(spec) if isinstance(e, SearchStep)][-1]
-    structure = structures(spec, [s for s, _ in scenario_specs(spec)])[kept.best_structure]
+    structure = structures(spec, [s for s, _ in scenario_specs(spec)])[kept["at"][1]]
     of = measure(spec)
-    coordinates, found = polished(of, structure.coordinates, kept.best.best_point)
+    coordinates, found = polished(of, structure.coordinates, kept["best_best_point"])
     objective = of.compiled(coordinates)
     knots = coordinates if isinstance(coordinates, ProgrammeKnots) else None
     linear = None if knots is None else knots.limits

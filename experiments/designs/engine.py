@@ -20,9 +20,11 @@ from gradcal_jax.cli.precision import use_float64
 use_float64()
 
 import numpy as np  # noqa: E402
-from gradcal_jax.api.unit_optimise import EVALUATIONS, CyclePlan, UnitOptimum, optimise_unit  # noqa: E402
 
 import gradcal_jax as gj  # noqa: E402
+from gradcal_jax.api.optimise import optimise  # noqa: E402
+from gradcal_jax.api.pose_search import EVALUATIONS, CyclePlan  # noqa: E402
+from gradcal_jax.api.search_results import Optimised  # noqa: E402
 from gradcal_jax.design.cycle_moves import Neighbourhood  # noqa: E402
 from gradcal_jax.files import write_toml  # noqa: E402
 
@@ -51,11 +53,11 @@ def cases() -> dict[str, tuple[gj.UnitSpec, Path, int]]:
     return rows
 
 
-def searched(start: gj.UnitSpec, reference: Path, seed: int) -> tuple[dict[str, object], UnitOptimum]:
+def searched(start: gj.UnitSpec, reference: Path, seed: int) -> tuple[dict[str, object], Optimised]:
     """One row of the table, and the optimum."""
     began, wall = time.process_time(), time.monotonic()
-    *_, best = optimise_unit(start, seed=seed)
-    assert isinstance(best, UnitOptimum)
+    *_, best = optimise(gj.changed(start, {"design.seed": seed}))
+    assert isinstance(best, Optimised)
     took, wall = time.process_time() - began, time.monotonic() - wall
     before = [row.decisive or math.nan for row in gj.predict(gj.read_spec(reference)).requirements]
     now = [row[3] or math.nan for row in best.rows]

@@ -69,14 +69,13 @@ def spec_of(name: str) -> Spec:
 def run(name: str) -> dict[str, object]:
     """Optimise a variant, write its recipe, and say what is to be said of it."""
     from gradcal_jax import api
-    from gradcal_jax.api.minimise_time import minimise_time
-    from gradcal_jax.api.optimise import Optimised, optimise, record_of
+    from gradcal_jax.api.flow import optimise
+    from gradcal_jax.api.search_results import record_of
 
     spec = spec_of(name)
     begun = time.perf_counter()
     assert spec.design is not None
-    find = minimise_time if spec.design.minimise == "motion time" else optimise
-    best = next(event for event in find(spec) if isinstance(event, Optimised))
+    best = optimise(spec)
     took = time.perf_counter() - begun
     made = api.recipe(best.spec, status=best.sentence, seed=spec.design.seed, optimisation=record_of(best))
     place = path_of(name)
@@ -97,7 +96,6 @@ def compared(name: str) -> dict[str, object]:
     from gradcal_jax.files.recipe import read_recipe
 
     spec = read_recipe(path_of(name)).spec
-    assert isinstance(spec, Spec)
     if name not in MOVING:
         return {"residual": predict(spec).requirements[0].mean, "limit": None, "relaxed": []}
     proven = limits(spec)[0]

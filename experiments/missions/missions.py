@@ -91,7 +91,7 @@ def write_tables() -> None:
 
 def searched(name: str) -> dict[str, object]:
     """Search a plan and keep its spec in `plans/`. What the search said, and its time of processor (s)."""
-    from gradcal_jax.api.optimise import Optimised, optimise
+    from gradcal_jax.api.flow import optimise
     from gradcal_jax.files import changed, read_spec, write_toml
 
     spec = read_spec(HERE / f"{name.removeprefix('guarded ')}.toml")
@@ -99,7 +99,7 @@ def searched(name: str) -> dict[str, object]:
         best = json.loads((HERE / "results.json").read_text(encoding="utf-8"))["ppm"]["left"]
         spec = changed(spec, {"requirement[0].target": f"{GUARD * best:.4g} ppm"})
     begun = time.process_time()
-    found = next(event for event in optimise(spec, steps=STEPS, quick=True) if isinstance(event, Optimised))
+    found = optimise(spec, steps=STEPS, quick=True)
     took = time.process_time() - begun
     (HERE / "plans").mkdir(exist_ok=True)
     write_toml(found.spec, plan_of(name), header="Made by experiments/missions/missions.py.")

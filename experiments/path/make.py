@@ -10,7 +10,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from gradcal_jax.plots.unit_calibration import draw_loop
 
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.files.log import Log

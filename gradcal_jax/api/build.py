@@ -81,7 +81,7 @@ def assemble(spec: UnitSpec, until_s: float = np.inf) -> Assembled:
         plan, _ = table_schedule(unit_schedule(part.plan, spec.rig), spec)
         line = plan.trajectory(lag).between(float(part.start), float(part.end))
         past = Past(line if past is None else past.then(line), np.asarray(float(part.pause)))
-    pasts = {} if past is None else {axis: past}
+    pasts: dict[Axis, Past] = {} if past is None else {axis: past}
     return Assembled(spec, channel, {axis: schedule}, moves, lag, sources, pasts, until_s)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from gradcal_jax import estimation, trajectory
 from gradcal_jax.api.build import move_of
-from gradcal_jax.api.contradictions import refuse_implausible
+from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible
 from gradcal_jax.api.estimated_calibration import calibrated_channels
 from gradcal_jax.api.fitted_lag import Lag, fitted_lag
 from gradcal_jax.api.recorded_rows import read_by_events
@@ -85,7 +85,10 @@ def fitted_twice(
     first = _read(built, name, rows, rows, temperature, threshold, points).solution
     held = tuple(calibrated_channels(built, built.model.to_reported @ first.parameters, _EVERYWHERE))
     rates, felt = correct_triads(held, rows.rates, rows.force, temperature)
-    seen = rows._replace(rates=rates)
+    # Data that hardly determine a map give one that no gyro has, which corrects nothing.
+    far = np.nanmax(np.abs(rates - rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))
+    fastest = np.nanmax(np.abs(rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))
+    seen = rows._replace(rates=np.where(far <= SCALE_FACTOR_ERROR * fastest, rates, rows.rates))
     return _read(built, name, rows, seen, temperature, threshold, points, felt, first.parameters)
 
 

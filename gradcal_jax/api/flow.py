@@ -78,9 +78,7 @@ def limit(spec: UnitSpec) -> list[PlanLimit]:
     return limits(spec)
 
 
-def frontier(
-    spec: UnitSpec, motion_s: Sequence[float], *, steps: int | None = None
-) -> list[frontiers.FrontierPoint]:
+def frontier(spec: UnitSpec, motion_s: Sequence[float], *, steps: int | None = None) -> list[frontiers.FrontierPoint]:
     """The best residual for each of several durations of the ramp, `motion_s` in s, soaks not counted.
 
     Each `api.frontier.FrontierPoint` has `motion` (s) and its `plan` as `optimise` gives it, or None and the `reason`.

@@ -19,16 +19,19 @@ _POOR_CLOCK = 2e-5
 _QUARTZ, _APART = 2e-5, 2.0
 # A comparison this near to the computer's own error adds nothing to it.
 _AS_COUNTED = 1.1
+# Stamps this near to each other are one, s.
+_SAME_STAMP_S = 1e-6
 _CLOCK_MEND = '[sensor] clock = "sensor" predicts what such a log gives'
 
 
 class TableReadings(NamedTuple):
-    """Rows with a reading of the table `(R,)`, its angle (rad; NaN: unknown), and the readings of the spec's noise that
-    it is worth."""
+    """Rows with a reading of the table `(R,)`, its angle (rad; NaN: unknown), the readings of the spec's noise that it
+    is worth, and whether it is stamped as the row's end is."""
 
     rows: np.ndarray
     angle: np.ndarray
     worth: np.ndarray
+    at_end: np.ndarray
 
     def at_rows(self, count: int) -> tuple[np.ndarray | None, np.ndarray, np.ndarray]:
         """`(count,)`: the angle, interpolated between the readings (None: unknown), whether a row has a reading, and
@@ -63,7 +66,9 @@ def table_readings(
         rows, place = np.unique(events.row, return_inverse=True)
         worth = np.bincount(place, own, len(rows))
         angle = np.bincount(place, own * events.angle_rad, len(rows)) / worth
-        return TableReadings(rows, angle, worth), estimation.standing_with(standing, rows, angle)
+        late = np.abs(events.time_s - log.time_s[events.row]) > _SAME_STAMP_S
+        at_end = np.bincount(place, late, len(rows)) == 0
+        return TableReadings(rows, angle, worth, at_end), estimation.standing_with(standing, rows, angle)
     column = None if table is None or log.table_angle_rad is None else log.table_angle_rad[:, table]
     if column is not None:
         known = np.isfinite(column)
@@ -75,7 +80,7 @@ def table_readings(
             standing = standing & known
     rows = np.flatnonzero(estimation.column_readings(log.time_s, column, standing, every))
     angle = np.full(len(rows), np.nan) if column is None else column[rows]
-    return TableReadings(rows, angle, np.ones(len(rows))), standing
+    return TableReadings(rows, angle, np.ones(len(rows)), np.ones(len(rows), bool)), standing
 
 
 def usable_rows(log: Log, unit: int) -> np.ndarray:

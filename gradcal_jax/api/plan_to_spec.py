@@ -116,7 +116,7 @@ def _cycle(spec: UnitSpec, coordinates: Coordinates, cycle: CycleNumbers) -> Uni
     """Rests become whole numbers of readings; turns are written by angle, rate and duration, each on its grid."""
     frame = coordinates.frame
     every = float(frame.read_every)
-    axis = {"axis": spec.rig.table.axis[0].name}
+    axis: dict[str, object] = {"axis": spec.rig.table.axis[0].name}
     reading = {} if coordinates.others_read else {"read": "none"}
     visits: list[list[_Move]] = [[] for _ in range(coordinates.groups)]
     for move in _moves(spec, coordinates, cycle):
@@ -131,7 +131,8 @@ def _cycle(spec: UnitSpec, coordinates: Coordinates, cycle: CycleNumbers) -> Uni
     for group, moves in enumerate(visits):
         if group and idle:
             every_move.append({"rest": _s(idle), "other_axes": True, **reading})
-        every_move += [move.keys() | axis if move.angle else {"rest": _s(move.duration)} for move in moves]
+        for move in moves:
+            every_move.append(move.keys() | axis if move.angle else {"rest": _s(move.duration)})
     cycle_tables: dict[str, object] = {"moves": every_move}
     if idle:
         cycle_tables["other_axes"] = {"duration": _s(idle), "read": coordinates.others_read}

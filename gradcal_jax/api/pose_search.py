@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.api.posterior_of_plan import UNIT_OF
+from gradcal_jax.api.posterior_of_plan import UNIT_OF, limit_of
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.search_results import MARGIN, MET, NO_TARGET, Optimised, RequirementChange, SearchStep
 from gradcal_jax.api.unit_build import (
@@ -27,7 +27,7 @@ from gradcal_jax.api.unit_build import (
     geometry,
     waves_of,
 )
-from gradcal_jax.api.unit_residual import RequiredQuantity, quantity_of
+from gradcal_jax.api.unit_residual import RequiredQuantity, UnitResidual, quantity_of
 from gradcal_jax.design.cycle_moves import Cycle, Neighbourhood
 from gradcal_jax.design.descent import Descent
 from gradcal_jax.design.pose_cycle import (
@@ -46,11 +46,13 @@ from gradcal_jax.design.pose_cycle import (
 )
 from gradcal_jax.files.design import ALL, TIMES, WORST, Design
 from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.requirement import UnitRequirement
 from gradcal_jax.files.rounding import rounded
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.unit_plan import UnitSchedule, quickest_turn
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, unit_system, whiten
+from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import PathTerm, UnitModel
 
 EVALUATIONS, QUICK_EVALUATIONS = 12000, 800
@@ -109,7 +111,7 @@ def search_poses(
         raise ValueError(NO_TARGET)
     plan = CyclePlan(spec)
     name, unit, factor = plan.shown()
-    before = plan.statistics(spec)
+    before = plan.residuals(spec)
     first = least = plan.value_of(before)
     best, after, words, used, cycle = spec, before, "as it was", 0, None
     search = _Search(plan, evaluations, plan.design.seed, stop)
@@ -117,7 +119,7 @@ def search_poses(
         cycle = search.resume(checkpoint)
     if cycle is not None:
         best = rounded(plan.spec_of(cycle)).spec
-        after = plan.statistics(best)
+        after = plan.residuals(best)
         least, words = plan.value_of(after), _in_words(cycle)
     met = until_met and plan.met(after)
     if not met:
@@ -128,7 +130,7 @@ def search_poses(
                 seen = search.best
                 with suppress(SpecError):
                     found = rounded(plan.spec_of(seen)).spec
-                    reached = plan.statistics(found)
+                    reached = plan.residuals(found)
                     if (value := plan.value_of(reached)) < least:
                         best, after, least, cycle, words = found, reached, value, seen, _in_words(seen)
             now = factor * math.exp(least)
@@ -140,20 +142,19 @@ def search_poses(
     if kept:
         with suppress(SpecError):
             best = rounded(spec).spec
-        after = plan.statistics(best)
-    how = f"after {used} gradients" if used else "without a search"
-    sentence = f"the plan as it was {how}, which is kept" if kept else f"the best {how}"
-    if met:
-        sentence = f"{MET}: {sentence}"
-    elif kept:
-        sentence = f"nothing better than {sentence}"
+        after = plan.residuals(best)
     rows = zip(spec.requirement, before[0], after[0], strict=True)
-    changes = tuple(RequirementChange(r.name, UNIT_OF[r.quantity][0], b, a) for r, b, a in rows)
-    ends = [factor * math.exp(value) for value in (first, least, plan.value_of(after))]
-    optimum, now = ends[1:]
-    yield Optimised(
-        best, name, unit, _finite(ends[0]), optimum, now, True, sentence, changes, words, kept, evaluations=used
+    changes = tuple(RequirementChange(r.name, UNIT_OF[r.quantity][0], b.statistic(), a.statistic()) for r, b, a in rows)
+    start, optimum, now = (factor * math.exp(value) for value in (first, least, plan.value_of(after)))
+    result = Optimised(
+        best, name, unit, _finite(start), optimum, now, True, "", changes, words, kept, evaluations=used
     )  # fmt: skip
+    how = f"after {used} gradients" if used else "without a search"
+    sentence = f"{result.gain:.2f} times better in the geometric mean of all requirements, {how}"
+    if kept:
+        sentence = f"the plan as it was, which is kept {how}"
+        sentence = sentence if met else f"nothing better than {sentence}"
+    yield result._replace(sentence=f"{MET}: {sentence}" if met else sentence)
 
 
 def _finite(value: float) -> float | None:
@@ -275,6 +276,7 @@ class CyclePlan:
         self.spec, self.design = spec, spec.design or Design()
         self.built = assemble_unit(spec)
         self._fine = tuple(quantity_of(self.built, r) for r in spec.requirement)
+        self._aims = tuple(_aim_of(r, self.design) for r in spec.requirement)
         scenarios = scenario_specs(spec)
         models = [assemble_unit(one).model if one is not spec else self.built.model for one, _ in scenarios]
         self._models = models
@@ -289,7 +291,9 @@ class CyclePlan:
             for r in spec.requirement
         ]
         minimised = [
-            quantity_of(self.built, r, _SEARCH_GRID) for r, own in zip(spec.requirement, counts, strict=True) if own
+            _statistics_of(quantity_of(self.built, r, _SEARCH_GRID), aim)
+            for r, aim, own in zip(spec.requirement, self._aims, counts, strict=True)
+            if own
         ]
         self._counted = tuple(counts)
         turns, stretches = _cycle_of(spec), spec.plain_schedule.stretches
@@ -306,7 +310,7 @@ class CyclePlan:
             geometry(spec.rig),
             models,
             self._known,
-            [_statistics_of(q) for q in minimised],
+            minimised,
             window=self._window,
             points=self.built.points,
             waves=waves_of(spec),
@@ -386,18 +390,16 @@ class CyclePlan:
         ramps = [r._replace(further=np.pad(r.further, ((0, most - len(r.further)), (0, 0), (0, 0)))) for r in ramps]
         return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
 
-    def statistics(self, spec: UnitSpec) -> list[list[float | None]]:
-        """What a spec's plan leaves by each model of the noise, in the order of its requirements and the units of
-        `UNIT_OF`."""
+    def residuals(self, spec: UnitSpec) -> list[list[UnitResidual]]:
+        """What a spec's plan leaves by each model of the noise, in the order of its requirements."""
         built = assemble_unit(spec)
-        return [_statistics(self._prior + _gram_of(built._replace(model=model)), self._fine) for model in self._models]
+        return [_residuals(self._prior + _gram_of(built._replace(model=model)), self._fine) for model in self._models]
 
-    def value_of(self, statistics: Sequence[Sequence[float | None]]) -> float:
-        """The objective of a plan that leaves these statistics."""
+    def value_of(self, residuals: Sequence[Sequence[UnitResidual]]) -> float:
+        """The objective of a plan that leaves these residuals."""
         together, over_models = max if self.worst else fmean, max if self.design.robust == "worst" else fmean
         counted = [
-            [_log(v, q) for v, q, own in zip(values, self._fine, self._counted, strict=True) if own]
-            for values in statistics
+            [_log(r, aim) for r, aim, own in zip(of, self._aims, self._counted, strict=True) if own] for of in residuals
         ]
         return over_models([together(logs) for logs in counted])
 
@@ -408,17 +410,12 @@ class CyclePlan:
             name = "residual over target" if self.worst else "residual over target, geometric mean"
             return name, "of the target" if all(r.target is not None for r in counted) else "", 1.0
         (r,) = counted
-        unit, factor = UNIT_OF[r.quantity]
-        return f"{r.name} ({r.statistic})", unit, 1.0 if r.target is None else float(r.target) * factor
+        name, limit = _aim_of(r, self.design)
+        return f"{r.name} ({name})", UNIT_OF[r.quantity][0], limit
 
-    def met(self, statistics: Sequence[Sequence[float | None]]) -> bool:
-        """Whether every target is met with `MARGIN`, by every model."""
-        limited = [
-            _log(v, q)
-            for values in statistics
-            for v, q in zip(values, self._fine, strict=True)
-            if q.requirement.target is not None
-        ]
+    def met(self, residuals: Sequence[Sequence[UnitResidual]]) -> bool:
+        """Whether every target is met by its rule with `MARGIN`, by every model."""
+        limited = [_log(r, aim) for of in residuals for r in of if (aim := limit_of(r.requirement)) is not None]
         return max(limited) <= math.log(1.0 - MARGIN)
 
     def on_steps(self, cycle: Cycle) -> Cycle:
@@ -561,24 +558,29 @@ def _limits(spec: UnitSpec, design: Design, start: Cycle) -> TableLimits:
     )
 
 
-def _statistics_of(quantity: RequiredQuantity) -> Statistics:
-    """A requirement's statistic over its target, for the objective."""
+def _aim_of(requirement: UnitRequirement, design: Design) -> tuple[Statistic, float]:
+    """The statistic of a requirement that counts, and what it is divided by (`UNIT_OF`): its target by its rule, or 1.
+    Of a requirement that alone is minimised its own statistic counts."""
+    limit = None if requirement.name == design.minimise else limit_of(requirement)
+    return (requirement.statistic, 1.0) if limit is None else limit
+
+
+def _statistics_of(quantity: RequiredQuantity, aim: tuple[Statistic, float]) -> Statistics:
+    """A requirement's statistic over its limit, for the objective."""
     requirement, elements = quantity.requirement, []
     for e in quantity.elements:
         rows, alone, added = e.contrasts()
         alone = alone if np.any(alone) else None
         elements.append(GridElement(e.where, np.asarray(rows), alone, added + quantity.beside**2, e.path))
     shape = len(quantity.temperatures), len(quantity.rates)
-    target = requirement.target
-    factor = UNIT_OF[requirement.quantity][1] if target is None else 1.0 / float(target)
-    return Statistics(tuple(elements), shape, requirement.statistic, requirement.axis == "all", factor)
+    factor = UNIT_OF[requirement.quantity][1] / aim[1]
+    return Statistics(tuple(elements), shape, aim[0], requirement.axis == "all", factor)
 
 
-def _log(value: float | None, quantity: RequiredQuantity) -> float:
-    """The logarithm of a statistic in the unit of `UNIT_OF`, over the target where there is one."""
-    target = quantity.requirement.target
-    limit = 1.0 if target is None else float(target) * UNIT_OF[quantity.requirement.quantity][1]
-    return math.log(value / limit) if value else math.inf
+def _log(residual: UnitResidual, aim: tuple[Statistic, float]) -> float:
+    """The logarithm of a statistic over its limit."""
+    value = residual.statistic(aim[0])
+    return math.log(value / aim[1]) if value else math.inf
 
 
 def _gram_of(built: AssembledUnit) -> np.ndarray:
@@ -587,11 +589,11 @@ def _gram_of(built: AssembledUnit) -> np.ndarray:
     return rows.T @ rows
 
 
-def _statistics(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[float | None]:
-    """Every requirement's statistic in the units of `UNIT_OF`, from the Gram matrix: its scaled columns are
-    far from parallel where everything is observable."""
+def _residuals(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[UnitResidual]:
+    """Every requirement's residual from the Gram matrix: its scaled columns are far from parallel where everything is
+    observable."""
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(gram / (scale[:, None] * scale[None, :]))
     seen = values > 1e-13 * values[-1]
     known = Posterior(vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None], vectors[:, ~seen] / scale[:, None])
-    return [q.residual(known).statistic() for q in quantities]
+    return [q.residual(known) for q in quantities]

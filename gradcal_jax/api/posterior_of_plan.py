@@ -1,14 +1,13 @@
 """The posterior covariance after a spec's plan, and residuals on its requirements' boxes."""
 
-from functools import partial
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.missions import earth_gain, flights_of
 from gradcal_jax.api.verdicts import DEG_PER_H as DEG_PER_H
-from gradcal_jax.api.verdicts import UNIT_OF, mission_weights, verdict_of
+from gradcal_jax.api.verdicts import UNIT_OF, mission_weights
 from gradcal_jax.api.verdicts import decision_rule as decision_rule
 from gradcal_jax.api.verdicts import limit_of as limit_of
 from gradcal_jax.api.verdicts import run_of as run_of
@@ -16,7 +15,7 @@ from gradcal_jax.api.verdicts import target_of as target_of
 from gradcal_jax.design import Criterion, polynomial_grid
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
-from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, Requirement, UnitRequirement
+from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, UnitRequirement
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, contrasts, information, posterior, residual, statistic, unweighted
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
@@ -33,32 +32,9 @@ def posterior_of_plan(built: Assembled, channel: Axis | None = None) -> Posterio
     return unweighted(line, model) if unweighted_estimator(built.spec) else posterior(information(line, model))
 
 
-def posteriors_of_plan(built: Assembled) -> dict[Axis, Posterior]:
-    """The posterior after the plan of every axis."""
-    return {channel: posterior_of_plan(built, channel) for channel in built.channels}
-
-
 def unweighted_estimator(spec: UnitSpec) -> bool:
     """Whether the spec's estimator is ordinary least squares on the points' rates, as in the paper's figure."""
     return isinstance(spec.plan, StandardPlanSection) and spec.plan.estimator == "least squares"
-
-
-class Survey(NamedTuple):
-    """The coldest and warmest temperature (°C) and the fastest rate (rad/s) of a plan, on a grid of each piece."""
-
-    coldest: float
-    warmest: float
-    fastest: float
-
-
-def survey(built: Assembled, channel: Axis | None = None) -> Survey:
-    """The range of temperature and rate that the plan visits on one axis."""
-    line = built.trajectory(channel)
-    grid = np.broadcast_to(np.linspace(0.0, 1.0, 33), (len(line.moving_pieces), 33))
-    used = ~line.gap
-    ends = np.concatenate([end[used] for end in line.ends()])
-    fastest = np.max(np.abs(line.rate(grid, line.moving_pieces)), initial=0.0)
-    return Survey(float(ends.min()), float(ends.max()), float(fastest))
 
 
 def residual_map(
@@ -136,9 +112,7 @@ def _few_places(of: Map, temperatures: np.ndarray, rates: np.ndarray):
     return (few_t, few_w), (by_t, by_w)
 
 
-def statistic_of(
-    requirement: UnitRequirement, values: np.ndarray, name: Statistic | None = None
-) -> float:
+def statistic_of(requirement: UnitRequirement, values: np.ndarray, name: Statistic | None = None) -> float:
     """The requirement's statistic of its residuals, or the one of that `name`."""
     name = name or requirement.statistic
     return statistic(name, values * mission_weights(requirement, name))
@@ -150,8 +124,3 @@ def _map_of(requirement: UnitRequirement) -> Literal["bias", "scale_factor"]:
 
 def _gain(requirement: UnitRequirement) -> float:
     return earth_gain(requirement) if isinstance(requirement, NorthRequirement) else 1.0
-
-
-def verdict(requirement: Requirement, values: np.ndarray) -> Literal["met", "missed", "unobservable"] | None:
-    """The verdict on a residual map (in `UNIT_OF`, 1σ) by a requirement's decision rule; None without a target."""
-    return verdict_of(requirement, partial(statistic_of, requirement, values))

@@ -34,6 +34,7 @@ from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import STATISTICS, Posterior
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
 from gradcal_jax.information.residual import Statistic, statistic_of_each
+from gradcal_jax.model import Discrepancy
 
 # The chances of keeping a target are computed on a grid of at most this many temperatures and rates.
 _GRID = 41
@@ -101,11 +102,15 @@ def _of_plan(built: AssembledUnit, known: Posterior) -> dict[str, Any]:
     """The part of a prediction that is common to all plans: title, times, the reported parameters and their
     covariance."""
     spec, model = built.spec, built.model
-    count = model.calibrated
-    names, units, reported = model.names(), model.units(), model.to_reported[:count]
+    terms = [term for c in model.channels for term in c.model.terms]
+    # A calibration carries no discrepancy.
+    carried = np.concatenate([np.full(term.size, not isinstance(term, Discrepancy)) for term in terms])
+    own = np.flatnonzero(carried)
+    names, units = ([of[k] for k in own] for of in (model.names(), model.units()))
+    reported = model.to_reported[own]
     deviations = known.deviations(reported)
     stds = [float(std) if np.isfinite(std) else None for std in deviations]
-    rows = [ParameterRow(name=n, axis="unit", std=std, unit=u) for n, std, u in zip(names, stds, units, strict=False)]
+    rows = [ParameterRow(name=n, axis="unit", std=std, unit=u) for n, std, u in zip(names, stds, units, strict=True)]
     seen = np.isfinite(deviations)
     covariance = np.where(np.outer(seen, seen), known.covariance(reported), cast("Any", None))
     return {

@@ -90,7 +90,7 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
         raise LogError("a log without gyros must mark its standstills (a column standstill in the column map)")
     smooth = estimation.smoothed_temperature(time, temperature)
     mounting = np.zeros(len(time), int) if log.mounting is None else log.mounting
-    worth = rate = None
+    worth = rate = at_end = None
     if standard:
         angles, at_a_stop, rate = (
             np.full((len(time), 1), np.nan),
@@ -106,13 +106,15 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
             )
         noise = float(built.model.encoder.reading[0])
         read, standing = table_readings(log, place, standing, _spacing(built, options), messages, noise)
-        at_a_stop, worth = np.zeros(len(time), bool), np.ones(len(time))
-        at_a_stop[read.rows], worth[read.rows] = True, read.worth
+        at_a_stop, worth, at_end = np.zeros(len(time), bool), np.ones(len(time)), np.zeros(len(time), bool)
+        at_a_stop[read.rows], worth[read.rows], at_end[read.rows] = True, read.worth, read.at_end
         angles = np.full((len(time), 1), np.nan)
         angles[read.rows, 0] = read.angle
     else:
         angles, at_a_stop = _table_angles(built, log, options.table_axis)
-    return UnitRows(time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop, worth, rate), messages
+    return UnitRows(
+        time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop, worth, rate, at_end
+    ), messages
 
 
 def _spacing(built: AssembledUnit, options: Options) -> float:

@@ -73,9 +73,7 @@ def known_so_far(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> list
     ]
 
 
-def rest_of(
-    spec: UnitSpec, done: Sequence[Span], *, left_s: float | None = None, pause_s: float = PAUSE_S
-) -> UnitSpec:
+def rest_of(spec: UnitSpec, done: Sequence[Span], *, left_s: float | None = None, pause_s: float = PAUSE_S) -> UnitSpec:
     """The spec of the remaining plan, after the executed part: a ramp of `left_s` (None: the plan's remaining time)
     from the temperature of the interruption to the plan's last one, with the plan's cycle; where turns of one gyro are
     searched, with as many turns at the table of about the same length as fit.

@@ -98,6 +98,7 @@ def record_of(best: Optimised) -> dict[str, Any]:
         "now": finite(best.now),
         "converged": best.converged,
         "kept": best.kept,
+        "gain": best.gain,
         "sentence": best.sentence,
         "gradient_norm": best.gradient_norm,
         "structure": best.structure,

@@ -137,9 +137,8 @@ def with_motion(spec: UnitSpec, time: float) -> UnitSpec:
             if isinstance(item, RampItem)
         }
     else:
-        several = isinstance(plan.gradient, tuple)
-        slopes = [slower(slope) for slope in (plan.gradient if several else (plan.gradient,))]
-        keys = {"plan.gradient": slopes if several else slopes[0]}
+        one = plan.gradient
+        keys = {"plan.gradient": [slower(s) for s in one] if isinstance(one, tuple) else slower(float(one or 0.0))}
     return changed(spec, keys)
 
 

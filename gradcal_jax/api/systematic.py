@@ -18,7 +18,6 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.posterior_of_plan import posterior_of_plan
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
 from gradcal_jax.design import Criterion
 from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
@@ -255,13 +254,6 @@ class CountedPosteriors(NamedTuple):
     def judged(self, run: str) -> Posterior:
         """What a verdict judges in "any run" or in "this run"."""
         return self.any_run if run == "any run" else self.whole
-
-
-def budget_of_plan(built: Assembled, known: Posterior, channel: Axis, complete: Assembled) -> CountedPosteriors:
-    """The posteriors of one axis of a plan; `complete`: the spec with all that it omits at typical figures."""
-    fit = known if complete is built else posterior_of_plan(complete, channel)
-    turn_on = another_run(systematic_figures(complete.spec), terms_of_axis(complete.model), complete.model.size)
-    return _planned(known, columns_of_plan(built, channel), complete, fit, columns_of_plan(complete, channel), turn_on)
 
 
 def budget_of_unit(built: AssembledUnit, known: Posterior, complete: AssembledUnit) -> CountedPosteriors:

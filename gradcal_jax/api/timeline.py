@@ -148,11 +148,17 @@ def _standard_rows(
     clock, point = 0.0, 0
     for temperature in plan.temperatures:
         at: dict = {"temperature_start": float(temperature), "temperature_end": float(temperature)}
-        segments.append(SegmentRow(axis=channel, start=clock, duration=soak, shape="rest", read=False, used=False, **at))
+        segments.append(
+            SegmentRow(axis=channel, start=clock, duration=soak, shape="rest", read=False, used=False, **at)
+        )
         clock += soak
         for rate in plan.rates:
             both: dict = {"axis": channel, "standstill_id": point, "duration": integration}
-            turned = {"peak_rate": float(rate), "angle": float(rate) * integration, "table_axis": channel if rate else None}
+            turned = {
+                "peak_rate": float(rate),
+                "angle": float(rate) * integration,
+                "table_axis": channel if rate else None,
+            }
             shape = "constant" if rate else "rest"
             segments.append(SegmentRow(read=True, start=clock, shape=shape, **both, **turned, **at))
             clock += integration

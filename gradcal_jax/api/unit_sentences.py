@@ -126,7 +126,10 @@ def unit_warnings(built: AssembledUnit, known: Posterior) -> list[str]:
 def one_way_sentences(built: AssembledUnit, known: Posterior, line: Trajectory | None = None) -> list[str]:
     """What a plan that does not return leaves of every hysteresis, and the shortest return that observes it. `line`: of
     an executed motion in the place of the plan's."""
-    model, prior = built.model, _prior(built)
+    model = built.model
+    if not any(isinstance(term, Hysteresis) for c in model.channels for term in c.model.terms):
+        return []
+    prior = _prior(built)
     left: dict[tuple[str, str, str], tuple[float, float, list[str]]] = {}
     for c in model.channels:
         for head, kind in ((HYSTERESIS, "bias"), (SCALE_FACTOR_HYSTERESIS, "scale factor")):

@@ -51,7 +51,8 @@ class UnitRows(NamedTuple):
     axes, NaN for missing ones; `angles` `(n, L)` rad of the table's axes, NaN where not read; `standing`: all of them
     stand; `usable`: the row may be integrated; `mounting`: its number; `at_a_stop`: the row's angles are readings of
     axes that stand there, if only for an instant. `worth`: the readings of the spec's noise that a row's are worth
-    (None: one); `table_rate`: the rate held by the table's only axis, rad/s.
+    (None: one); `at_end`: whether they are of the row's end, not of an instant near it (None: they are not);
+    `table_rate`: the rate held by the table's only axis, rad/s.
     """
 
     time_s: np.ndarray
@@ -65,6 +66,7 @@ class UnitRows(NamedTuple):
     at_a_stop: np.ndarray
     worth: np.ndarray | None = None
     table_rate: np.ndarray | None = None
+    at_end: np.ndarray | None = None
 
 
 class ExecutedUnit(NamedTuple):
@@ -408,6 +410,8 @@ def across_stops(done: ExecutedUnit, log: UnitRows) -> np.ndarray:
         stop = int(rows[k + 1])
         # Where the plan tells the stop, it may lie within a row, which is then the only one that both moves share.
         late_s = float(done.motion.line.start[k + 1] - log.time_s[stop])
+        if log.at_end is not None and log.at_end[stop]:
+            continue
         if axis[k] == axis[k + 1]:
             near = slice(stop - 3, stop + 4)
             if late_s == 0.0 and rows[k] + 3 < stop < rows[k + 2] - 3:

@@ -363,7 +363,9 @@ def _solved(
     model = readings.model
     kept = readings.by_steps(used)
     jacobian, prior = np.asarray(whiten(steps, columns))[kept], model.prior_rows()
-    design = np.concatenate([jacobian, prior])
+    # As many rows as columns: a log may have fewer readings than the model has parameters.
+    missing = max(0, model.size - len(jacobian) - len(prior))
+    design = np.concatenate([jacobian, prior, np.zeros((missing, model.size))])
     norm = np.linalg.norm(design, axis=0)
     scale = np.where(norm > 0.0, norm, 1.0)
     orthogonal, triangle = np.linalg.qr(design / scale)
@@ -380,13 +382,13 @@ def _solved(
 
     rest = left_over()
     while moved > _SETTLED and rounds < _ROUNDS:
-        rotated = left.T @ (orthogonal.T @ np.concatenate([rest, -prior @ beta]))
+        rotated = left.T @ (orthogonal.T @ np.concatenate([rest, -prior @ beta, np.zeros(missing)]))
         step = (right[seen].T @ (rotated[seen] / spread[seen])) / scale
         beta = beta + step
         moved = float(np.max(np.abs(step[counted]) / deviation[counted], initial=0.0))
         rest, rounds = left_over(), rounds + 1
     chi_squared = np.array([rest @ rest + np.sum((prior @ beta) ** 2)])
-    degrees = np.array([len(design) - np.count_nonzero(seen)])
+    degrees = np.array([len(design) - missing - np.count_nonzero(seen)])
     taken = orthogonal[: len(jacobian)] @ left[:, seen]
     estimate = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
     white = Whitened(jacobian[None], (rest + jacobian @ beta)[None], prior)

@@ -81,7 +81,7 @@ def convert(document: Mapping[str, Any], axis: Axis | None = None) -> tuple[Tabl
     table = dict(_table(rig.get("table")))
     plan, every = _plan(spec.get("plan"), seen, table, problems)
     of_rig = {key: value for key, value in rig.items() if key != "earth_rate"}
-    if isinstance(rig.get("table"), Mapping):
+    if _is_table(rig.get("table")):
         of_rig["table"] = _table_of(table, seen, every)
     if "earth_rate" in rig:
         of_rig["site"] = {"latitude": "unknown"}
@@ -92,19 +92,20 @@ def convert(document: Mapping[str, Any], axis: Axis | None = None) -> tuple[Tabl
         message = 'expected "gyro": one axis is a gyro\'s; accelerometers are in [sensor.accelerometer]'
         problems.append(Problem(("sensor", "quantity"), message + hint(quantity, ["gyro"]), quantity))
     own: Tables = {"sensor": _sensor(sensor, seen), "rig": of_rig, "plan": plan}
-    result = spec | {name: value for name, value in own.items() if isinstance(spec.get(name), Mapping)}
+    result = spec | {name: value for name, value in own.items() if _is_table(spec.get(name))}
     if isinstance(rows := spec.get("requirement"), list):
         result["requirement"] = [_requirement(row, seen) for row in cast("list[Any]", rows)]
-    if isinstance(design := spec.get("design"), Mapping):
+    if _is_table(design := spec.get("design")):
         with _collected(problems):
             result["design"] = _design(_table(design))
     if isinstance(parts := spec.get("done"), list):
-        result["done"] = []
+        done: list[Tables] = []
         for number, part in enumerate(cast("list[Any]", parts)):
             of_part: list[Problem] = []
             plan = _plan(_table(part).get("plan"), seen, table, of_part)[0]
-            result["done"].append(_table(part) | {"plan": plan})
+            done.append(_table(part) | {"plan": plan})
             problems += [problem.under("done", number) for problem in of_part]
+        result["done"] = done
     return result, problems
 
 
@@ -154,6 +155,10 @@ def turned_axes(document: Mapping[str, Any]) -> Sequence[Axis]:
     return tuple(name for name in dict.fromkeys(turned) if name in AXES) or AXES[:1]
 
 
+def _is_table(value: object) -> bool:
+    return isinstance(value, Mapping)
+
+
 def _table(value: object) -> Tables:
     """The value where it is a table; what is none is found when the spec is validated."""
     return dict(cast("Tables", value)) if isinstance(value, Mapping) else {}
@@ -168,7 +173,7 @@ def _sensor(of_file: Tables, axis: Axis) -> Tables:
     imu = {key: of_file[key] for key in _OF_IMU if key in of_file}
     gyro = {"axes": [axis]} | {k: v for k, v in of_file.items() if k not in (*_OF_IMU, "quantity", "uncertain")}
     uncertain = of_file.get("uncertain")
-    if isinstance(uncertain, Mapping):
+    if _is_table(uncertain):
         of = _table(uncertain)
         for part, keys in ((imu, _OF_IMU), (gyro, set(of) - set(_OF_IMU))):
             if own := {key: of[key] for key in of if key in keys}:
@@ -183,7 +188,7 @@ def _table_of(table: Tables, axis: Axis, every: Any) -> Tables:
     mounting = _MOUNTINGS[axis] | ({"accuracy": table.pop("mounting_accuracy")} if "mounting_accuracy" in table else {})
     angle = table.get("angle", {})
     turn = {"name": axis, "direction": [0.0, 0.0, 1.0], **table}
-    turn["angle"] = _table(angle) | {"read_every": every} if isinstance(angle, Mapping) else angle
+    turn["angle"] = _table(angle) | {"read_every": every} if _is_table(angle) else angle
     return {"standing": "read", **common, "axis": [turn], "mounting": [mounting]}
 
 
@@ -191,9 +196,7 @@ def _design(design: Tables) -> Tables:
     """The scenarios change keys where they are in the general form."""
     if not isinstance(rows := design.get("scenario"), list):
         return design
-    return design | {
-        "scenario": [_scenario(_table(row)) if isinstance(row, Mapping) else row for row in cast("list[Any]", rows)]
-    }
+    return design | {"scenario": [_scenario(_table(row)) if _is_table(row) else row for row in cast("list[Any]", rows)]}
 
 
 def _scenario(scenario: Tables) -> Tables:
@@ -233,7 +236,7 @@ _QUANTITIES: Final[Mapping[str, str]] = {
 
 def _requirement(row: Any, axis: Axis) -> Any:
     """The requirement on the gyro, by the quantity's general name."""
-    if not isinstance(row, Mapping):
+    if not _is_table(row):
         return row
     quantity = _table(row).get("quantity", "")
     return _table(row) | {"quantity": _QUANTITIES.get(quantity, quantity), "axis": axis}
@@ -241,10 +244,11 @@ def _requirement(row: Any, axis: Axis) -> Any:
 
 def _plan(of_file: object, axis: Axis, table: Tables, problems: list[Problem]) -> tuple[Any, Any]:
     """The plan, and the spacing of the table's readings where the plan does not say it."""
-    if not isinstance(of_file, Mapping):
+    if not _is_table(of_file):
         return of_file, "rest"
     plan = _table(of_file)
-    plan.pop("reference", None)
+    if (reference := plan.pop("reference", "angle")) != "angle":
+        problems.append(Problem(("plan", "reference"), 'expected "angle"', reference))
     every = plan.pop("read_every", None)
     if plan.get("method") == "gradient" and "cycle" not in plan and every is None:
         message = 'this key is missing: without a cycle it says how often the standing axis is read, such as "1 s"'
@@ -252,7 +256,7 @@ def _plan(of_file: object, axis: Axis, table: Tables, problems: list[Problem]) -
     if "cycle" in plan and every is not None:
         message = "with a cycle, the moves say when the axis is read; leave this key out"
         problems.append(Problem(("plan", "read_every"), message, every))
-    if not isinstance(plan.get("cycle"), Mapping) or not (moves := _moves_of(plan)):
+    if not _is_table(plan.get("cycle")) or not (moves := _moves_of(plan)):
         return plan, every or "rest"
     cycle = plan["cycle"] = _table(plan["cycle"])
     of_others: Tables = {"read": "none"}
@@ -268,7 +272,7 @@ def _plan(of_file: object, axis: Axis, table: Tables, problems: list[Problem]) -
     converted: list[Any] = []
     for i, move in enumerate(moves):
         with _collected(problems, "plan", "cycle", "moves", i):
-            converted.append(_move(_table(move), axis, of_others, table) if isinstance(move, Mapping) else move)
+            converted.append(_move(_table(move), axis, of_others, table) if _is_table(move) else move)
     if len(converted) == len(moves):
         cycle["moves"] = converted
     else:
@@ -295,7 +299,7 @@ def _move(move: Tables, axis: Axis, of_others: Tables, table: Tables) -> Tables:
     try:
         limit = TypeAdapter(PositiveAcceleration).validate_python(table.get("max_acceleration"))
         answer_time = TypeAdapter(SizeOfTime).validate_python(table.get("answer_time", "0 s"))
-        resolved: ResolvedMove = cast("Any", TypeAdapter(Move).validate_python(move)).resolve(float(limit))
+        resolved: ResolvedMove = cast("Any", TypeAdapter(Move).validate_python(plain)).resolve(float(limit))
     except ValidationError:
         return move
     lasts = resolved.answered(float(answer_time)).duration

@@ -15,7 +15,7 @@ _BYTES: Final = 68.0
 def needed_bytes(spec: UnitSpec) -> float:
     """Memory that a prediction of the spec takes beside the program's own, to a factor of two."""
     schedule, gyro, forces = spec.schedule, spec.sensor.gyro, spec.sensor.accelerometer
-    readings = len(schedule.points) if isinstance(schedule, StandardSchedule) else row_count(schedule, spec.rig.table)
+    readings = schedule.readings if isinstance(schedule, StandardSchedule) else row_count(schedule, spec.rig.table)
     columns = 4 + 2 * sum(len(axis.angle.harmonics) for axis in spec.rig.table.axis)
     for triad in (gyro, forces):
         if triad is not None:

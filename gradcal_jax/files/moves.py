@@ -87,13 +87,11 @@ class ResolvedMove:
     @property
     def readings(self) -> int:
         """Readings in one execution: at `k·read_every`, k = 1, 2, … ≤ duration/read_every, or the one at the end."""
-        every = self.read_every
-        return int(self.read_end) if every is None else formulas.reading_count(self.duration, every)
+        every = math.inf if self.read_every is None else self.read_every
+        return int(self.read_end) if math.isinf(every) else formulas.reading_count(self.duration, every)
 
 
 class _Move(Section):
-    axis: Axis = "x"
-    """Axis of the sensor."""
     repeat: Count = 1
     """How often the move is made."""
     read: Literal["end", "none"] | None = None
@@ -114,7 +112,7 @@ class _Move(Section):
         end = self.read != "none" and self.read_every is None
         own: dict[str, Any] = {"read_end": end, "read_every": _number(self.read_every), "repeat": self.repeat}
         own |= {"low": min(0.0, reach), "high": max(0.0, reach)}
-        return ResolvedMove(shape, self.axis, duration, **own | motion)
+        return ResolvedMove(shape, AXES[0], duration, **own | motion)
 
 
 class Rest(_Move):

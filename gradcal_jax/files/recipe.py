@@ -151,9 +151,6 @@ def spec_in(path: str | Path) -> UnitSpec:
         return from_text(spec_or_recipes_of, read_text(path), str(path))
 
 
-
-
-
 def spec_or_recipes_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:
     """The spec from the tables of a spec or recipe. Raises `SpecError`."""
     return recipe_of(document, source).spec if is_recipe(document) else spec_of(document, source)

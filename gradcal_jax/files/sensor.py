@@ -449,11 +449,6 @@ class _PathOfTemperature(Section):
         """The half-widths of all plays, K."""
         return tuple(sorted({float(play.width) for play in (*self.hysteresis, *self.scale_factor_hysteresis)}))
 
-    @property
-    def follows_a_path(self) -> bool:
-        """Whether any error depends on the path of temperature."""
-        return bool(self.widths or self.turn_on_transient or self.scale_factor_temperature_gradient)
-
 
 class GyroTriad(_Gyro, _PathOfTemperature):
     """`[sensor.gyro]`: common properties of the IMU's gyros. An absent table is not estimated: known."""

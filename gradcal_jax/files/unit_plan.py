@@ -27,7 +27,6 @@ from gradcal_jax.files.schedule import (
     programme_of,
 )
 from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
-from gradcal_jax.formulas import reading_count
 
 _SLACK = 1e-6
 _FULL_TURN = 2.0 * math.pi
@@ -219,12 +218,9 @@ def row_count(schedule: UnitSchedule, table: UnitTable) -> int:
 
 
 def _rows(move: ResolvedMove, spacing: float, table: UnitTable) -> int:
-    every = spacing if move.reads_as_table else move.read_every
     if table.standing == "held":
         return 1
-    if every is None or math.isinf(every):
-        return int(move.read_end)
-    return reading_count(move.duration, every)
+    return (replace(move, read_every=spacing) if move.reads_as_table else move).readings
 
 
 def duration_of(steps: Iterable[UnitStep]) -> float:

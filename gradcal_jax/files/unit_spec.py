@@ -130,7 +130,7 @@ class UnitSpec(TitledFile):
 def _sections() -> Mapping[str, TypeAdapter[Any]]:
     """The readers of the sections, one by one."""
     return {
-        name: TypeAdapter(Annotated[field.annotation, Field(), *field.metadata])
+        name: TypeAdapter[Any](cast("Any", Annotated)[(field.annotation, Field(), *field.metadata)])
         for name, field in UnitSpec.model_fields.items()
         if name not in TitledFile.model_fields
     }

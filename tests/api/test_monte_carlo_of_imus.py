@@ -1,27 +1,18 @@
 """Simulated calibrations of an IMU are as good as predicted, and a prediction that is wrong by a tenth is found."""
 
 import sys
-import tomllib
 
 import pytest
 
 from gradcal_jax.api import monte_carlo
 from gradcal_jax.files import presets
-from gradcal_jax.files.axis_as_imu import axis_as_imu
-from gradcal_jax.files.spec import parse_spec, spec_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.information import Posterior, wishart_test
-
-
-def spec_of(name: str) -> UnitSpec:
-    if name in presets.names():
-        return parse_spec(presets.text(name))
-    return spec_of(axis_as_imu(tomllib.loads(presets.text(name))))
 
 
 @pytest.mark.parametrize("name", ["ferraris", "paper-static-standard", "two-axis-table"])
 def test_simulated_calibrations_of_an_imu_are_as_predicted(name: str) -> None:
-    spec = spec_of(name)
+    spec = parse_spec(presets.text(name))
     rows, tests = monte_carlo(spec, 400, seed=1)
     assert [row.name for row in rows] == [requirement.name for requirement in spec.requirement]
     for row in rows:
@@ -35,9 +26,9 @@ def test_a_prediction_that_is_wrong_by_a_tenth_is_found(monkeypatch: pytest.Monk
         return wishart_test(errors, Posterior(1.1 * predicted.spread, predicted.hidden))
 
     monkeypatch.setattr(sys.modules["gradcal_jax.api.monte_carlo"], "wishart_test", spoilt)
-    assert not monte_carlo(spec_of("ferraris"), 400, seed=1)[1]["all"].consistent
+    assert not monte_carlo(parse_spec(presets.text("ferraris")), 400, seed=1)[1]["all"].consistent
 
 
 def test_too_few_runs_are_refused() -> None:
     with pytest.raises(ValueError, match="runs cannot test a covariance of 4 parameters: ask for 8 or more"):
-        monte_carlo(spec_of("paper-static-standard"), 7)
+        monte_carlo(parse_spec(presets.text("paper-static-standard")), 7)

@@ -265,15 +265,34 @@ def test_a_plan_that_meets_its_targets_is_not_searched(searched):
 def test_targets_are_met_only_where_every_noise_meets_them():
     """Noise as it is written meets targets of 1.2 times what it leaves, the worst that it may be does not."""
     plain = CyclePlan(small())
-    (left,) = plain.statistics(plain.spec)
+    left = [r.statistic() for r in plain.residuals(plain.spec)[0]]
     units = [UNIT_OF[r.quantity][0] for r in plain.spec.requirement]
     rows = [r.model_dump(mode="json", exclude_unset=True) for r in plain.spec.requirement]
     wide = [row | {"target": f"{1.2 * now} {unit}"} for row, now, unit in zip(rows, left, units, strict=True)]
     certain, doubtful = CyclePlan(small(requirement=wide)), CyclePlan(small(**UNCERTAIN, requirement=wide))
-    assert certain.met(certain.statistics(certain.spec))
-    statistics = doubtful.statistics(doubtful.spec)
-    assert statistics[0] == pytest.approx(left, rel=1e-12)
-    assert not doubtful.met(statistics)
+    assert certain.met(certain.residuals(certain.spec))
+    residuals = doubtful.residuals(doubtful.spec)
+    assert [r.statistic() for r in residuals[0]] == pytest.approx(left, rel=1e-12)
+    assert not doubtful.met(residuals)
+
+
+def test_a_target_counts_by_its_rule():
+    """Twice the standard deviation within the target is met where one is within half of it; a risk limits the worst."""
+    plain = CyclePlan(small())
+    rows = [r.model_dump(mode="json", exclude_unset=True) for r in plain.spec.requirement]
+    left = {r.requirement.name: r for r in plain.residuals(plain.spec)[0]}
+
+    def met(share: float, of: str, **keys: object) -> bool:
+        wide = [r | {"target": f"{share * left[r['name']].statistic(of)} {left[r['name']].unit}"} | keys for r in rows]
+        plan = CyclePlan(small(requirement=wide))
+        return plan.met(plan.residuals(plan.spec))
+
+    own = rows[0].get("statistic", "mean")
+    assert met(1.2, own)
+    assert not met(1.2, own, coverage=2.0)
+    assert met(2.4, own, coverage=2.0)
+    assert not met(1.2, "max", risk="5 %")
+    assert met(2.4, "max", risk="5 %")
 
 
 def test_a_table_turned_by_hand_is_refused_before_anything_is_computed():

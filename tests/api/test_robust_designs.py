@@ -1,5 +1,8 @@
 """Designs for a wrong model: a hidden map that must be noticed, and noise figures that are uncertain."""
 
+import tomllib
+from typing import Any
+
 import numpy as np
 import pytest
 from search_problem import SPEC
@@ -11,8 +14,7 @@ from gradcal_jax.api.scenarios import extremes, scenario_specs
 from gradcal_jax.api.search_results import Optimised
 from gradcal_jax.api.structures import structures
 from gradcal_jax.api.turn_search import belief_of
-from gradcal_jax.files import SpecError, changed, parse_spec, to_toml
-from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.files import SpecError, changed, parse_spec, spec_of, to_toml
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.units import format_quantity, unit_of
 
@@ -135,3 +137,50 @@ def test_what_is_believed_is_said(spec):
 def test_what_cannot_be_is_refused_in_a_sentence(spec, changes, says):
     with pytest.raises(SpecError, match=says):
         changed(spec, changes)
+
+
+SCENARIOS = [
+    {"weight": 2.0, "rig": {"table": {"angle": {"standstill_offset": "0.01 deg"}, "max_rate": "250 deg/s"}}},
+    {"rig": {"table": {"mounting_accuracy": "0.1 deg", "rate_accuracy": "100 ppm"}}},
+    {"rig": {"chamber": {"max_heating": "3 K/min"}}},
+    {"name": "north", "rig": {"earth_rate": "7.5 deg/h"}},
+    {"sensor": {"angle_random_walk": "0.2 deg/sqrt(h)", "thermal_lag": "90 s", "sample_clock_error": "20 ppm"}},
+    {"sensor": {"scale_factor": {"prior": "1000 ppm"}}},
+]
+
+
+def test_scenarios_change_the_same_figures_in_the_general_form():
+    """Changed and then converted, or converted and then changed."""
+    base = tomllib.loads(SPEC)
+    several = scenario_specs(spec_of(base | {"design": base["design"] | {"scenario": SCENARIOS}}))
+    assert [weight for _, weight in several] == [2.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    for (imu, _), scenario in zip(several, SCENARIOS, strict=True):
+        one = spec_of({key: _merged(value, scenario.get(key)) for key, value in base.items() if key != "design"})
+        assert changed(imu, {"design": None}) == one
+        assert one != spec_of({key: value for key, value in base.items() if key != "design"})
+
+
+def _merged(table: Any, changes: dict[str, Any] | None) -> Any:
+    if changes is None or not isinstance(table, dict):
+        return table
+    new = {key: _merged(table.get(key, {}), of) if isinstance(of, dict) else of for key, of in changes.items()}
+    return table | new
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"design.angle_step": "15 deg"}, "has no effect on a search of the turns of one axis"),
+        ({"design.minimise": "worst ratio"}, 'expected the name of a requirement \\("full range"\\) or "motion time"'),
+        ({"design": {"minimise": "full range"}}, "which parts of the plan may change"),
+        ({"design.moves": 41}, "must be at most 40"),
+        (
+            {"rig.table.standing": "held", "plan.cycle.other_axes": None},
+            "has no effect on a search of a cycle",
+        ),
+    ],
+)
+def test_a_design_of_the_other_kind_of_search_is_refused(spec, changes, says):
+    rests = {"plan.cycle.moves[0].read_every": None, "plan.cycle.moves[2].read_every": None}
+    with pytest.raises(SpecError, match=says):
+        changed(spec, changes | rests)

@@ -1,12 +1,13 @@
 """Sensitivities of a unit's plan: homogeneous in all sizes together, known limits, and the prediction itself."""
 
+import functools
 import json
 import math
 
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.api.sensitivity import RATES, UNIT_TIME, sensitive_figures
+from gradcal_jax.api.sensitivity import RATES, TIME, sensitive_figures
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets
 
@@ -40,7 +41,7 @@ def test_all_sizes_one_per_cent_larger_leave_one_per_cent_more(spec):
     assert len(found.residuals) == len({row.requirement for row in found.rows})
     for requirement in found.residuals:
         figures = by_figure(found, requirement)
-        sizes = [v for k, v in figures.items() if k not in (UNIT_TIME, RATES) and "correlation time" not in k]
+        sizes = [v for k, v in figures.items() if k not in (TIME, RATES) and "correlation time" not in k]
         assert math.fsum(sizes) == pytest.approx(1.0, abs=1e-5)
         assert all(value > -1e-6 for value in sizes)
 
@@ -50,9 +51,9 @@ def test_white_noise_falls_with_the_root_of_time_and_turns_do_not_matter_to_it()
     found = gj.sensitivity(bare)
     for requirement in ("accelerometer bias", "accelerometer scale factor"):
         figures = by_figure(found, requirement)
-        assert set(figures) == {"accelerometer: velocity random walk", UNIT_TIME, RATES}
-        assert figures["accelerometer: velocity random walk"] == pytest.approx(1.0, abs=1e-5)
-        assert figures[UNIT_TIME] == pytest.approx(-0.5, abs=1e-5)
+        assert set(figures) == {"velocity random walk", TIME, RATES}
+        assert figures["velocity random walk"] == pytest.approx(1.0, abs=1e-5)
+        assert figures[TIME] == pytest.approx(-0.5, abs=1e-5)
         # The last face is held for what the turns leave.
         assert abs(figures[RATES]) < 0.01
 
@@ -69,20 +70,34 @@ def test_a_figure_s_row_is_what_the_prediction_says_of_it():
 
 def test_figures_are_those_that_the_spec_has_and_keys_of_one_kind_go_together():
     spec = gj.parse_spec(presets.text("heat-and-cool"))
-    # The computer's clock, which counts without a key, is no figure of the file.
-    assert "sample clock error" not in sensitive_figures(spec)
-    figures = sensitive_figures(gj.changed(spec, {"sensor.clock": "sensor"}))
-    assert {"gyro: angle random walk", "thermal lag", "sample clock error", "accuracy of gravity", UNIT_TIME} <= set(
-        figures
-    )
-    assert list(figures["table: reading noise"]) == [f"rig.table.axis[{k}].angle.reading_noise" for k in (0, 1)]
-    assert figures[UNIT_TIME]["plan.programme[1].rate"] == -1
-    assert figures[UNIT_TIME]["plan.programme[0].soak"] == 1
-    assert figures[UNIT_TIME]["rig.table.axis[0].max_acceleration"] == -2
-    assert figures[RATES]["rig.table.axis[0].max_acceleration"] == 2
-    assert not [key for key in figures[RATES] if "programme" in key or "chamber" in key or key.endswith("rest")]
-    by_hand = sensitive_figures(gj.parse_spec(presets.text("gimbal-by-hand")))
-    assert by_hand[RATES]["plan.cycle.moves[1].duration"] == -1
+    figures = sensitive_figures(spec)
+    assert {"thermal lag", "gyro: drift's correlation time"} <= set(figures)
+    assert not any("harmonics" in key or "noise" in key for keys in figures.values() for key in keys)
+    biases = gj.changed(SIX, {"sensor.accelerometer.bias.prior": "10 mg"})
+    assert sensitive_figures(biases)["accelerometer: prior of bias"] == ["sensor.accelerometer.bias.prior"]
+
+
+@pytest.mark.parametrize(
+    ("figure", "key"),
+    [
+        ("accelerometer bias instability", "sensor.accelerometer.drift[0].standard_deviation"),
+        ("velocity random walk", "sensor.accelerometer.velocity_random_walk"),
+        ("gravity", "rig.site.gravity_accuracy"),
+        ("tilt of the base", "rig.table.tilt"),
+    ],
+)
+def test_the_share_of_an_error_is_the_slope_of_the_prediction_in_its_size(figure, key):
+    found = gj.sensitivity(SIX)
+    names = key.replace("[", ".").replace("]", "").split(".")
+    value, unit = str(functools.reduce(_member, names, SIX)).split(" ", 1)
+    low, high = (gj.predict(gj.changed(SIX, {key: f"{float(value) * f:.12g} {unit}"})) for f in (0.999, 1.001))
+    for a, b in zip(low.requirements, high.requirements, strict=True):
+        slope = math.log(b.decisive / a.decisive) / math.log(1.001 / 0.999)
+        assert by_figure(found, a.name).get(figure, 0.0) == pytest.approx(slope, abs=1e-5)
+
+
+def _member(of, name):
+    return of[int(name)] if name.isdigit() else getattr(of, name)
 
 
 def test_what_cannot_be_observed_or_is_not_required_is_said():

@@ -332,7 +332,7 @@ def test_what_a_log_lacks_is_a_sentence():
         estimated(spec, log, axis="roll")
     standard = spec_of(STANDARD)
     with pytest.raises(ValueError, match="none of the plan's points"):
-        estimated(standard, log)
+        estimated(standard, replace(log, temperature_c=log.temperature_c + 10.0))
 
 
 def test_without_a_table_only_the_bias_is_seen():

@@ -18,7 +18,6 @@ from scipy.stats import chi2
 
 from gradcal_jax.cli import main
 from gradcal_jax.files import spec_of
-from gradcal_jax.files.spec import spec_of
 
 # Of the simulated chamber's air behind its set point; and the ends of the pieces in which it approaches, in lags.
 AIR_LAG_S = 40.0
@@ -89,7 +88,7 @@ def _lagging(spec: dict[str, Any], air_lag_s: float) -> dict[str, Any]:
     At the end of a short or steep ramp that is some per cent of its temperatures; and two lags in series bend the
     beginning of a ramp otherwise than one does, which is all that tells dB/dT from a bias.
     """
-    schedule = (spec_of if "quantity" in spec["sensor"] else spec_of)(spec).schedule
+    schedule = spec_of(spec).schedule
     segments = getattr(schedule, "segments", ())
     if not segments:  # the standard method waits until it is stable
         return spec

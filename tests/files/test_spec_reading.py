@@ -371,6 +371,24 @@ def test_other_axes_of_a_file_of_one_axis_read_as_the_first_rest():
     assert keys_of(document) == {"plan.cycle.other_axes.read_every"}
 
 
+def test_what_a_file_of_one_axis_may_not_say_is_refused_together():
+    document = tomllib.loads(
+        (Path(__file__).parent / "broken" / "plan_gradient_too_steep.toml").read_text(encoding="utf-8")
+    )
+    document["sensor"]["quantity"] = "accelerometer"
+    document["rig"]["earth_rate"] = "1 K"
+    document["plan"] |= {"reference": "rate", "read_every": "1 s"}
+    del document["plan"]["cycle"]["moves"][1]["shape"]
+    assert keys_of(document) == {
+        "sensor.quantity",
+        "rig.earth_rate",
+        "plan.reference",
+        "plan.read_every",
+        "plan.cycle.moves[1].shape",
+        "plan.gradient",
+    }
+
+
 def test_a_plan_has_readings_and_not_too_many():
     document = tables()
     for move in document["plan"]["cycle"]["moves"]:

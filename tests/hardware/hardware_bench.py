@@ -17,12 +17,11 @@ from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import SimulatedWeiss, WeissOptions
 from simulated_devices.zaber import SimulatedZaber, ZaberOptions
 
-from gradcal_jax.files import Quantity, changed, parse_spec, presets
+from gradcal_jax.files import Quantity, Spec, changed, parse_spec, presets
 from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
 from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
-from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import lines, odrive, registers, stim300, vectornav, weiss, zaber
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
@@ -273,7 +272,7 @@ def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict
     return unpredicted(spec, stable_for=stable_for)
 
 
-def unpredicted(spec: UnitSpec, *, stable_for: str = "20 s") -> Recipe:
+def unpredicted(spec: Spec, *, stable_for: str = "20 s") -> Recipe:
     """A recipe whose prediction is empty: what can be made without compiling anything."""
     result, steps = rounded(spec).spec, steps_of(spec)
     chamber, motion = tracks_of(result, float(steps.acceleration))

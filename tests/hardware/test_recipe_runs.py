@@ -142,8 +142,8 @@ def test_gyros_may_differ_from_the_table_by_what_the_spec_says_of_them() -> None
 
 
 def test_axes_that_the_rig_does_not_have_are_named() -> None:
-    made = short_recipe(changes={"plan.cycle.moves[1].axis": "z"})
-    with pytest.raises(HardwareError, match=r"turns axis x, z, and the rig's axes are table: name the rig's axes"):
+    made = unpredicted(parse_spec(presets.text("two-axis-table")))
+    with pytest.raises(HardwareError, match=r"turns axis spin, tilt, and the rig's axes are table: name the rig's axes"):
         track_of(made, ["table"])
 
 

@@ -9,7 +9,6 @@ from scipy.stats import chi2
 from unit_bench import estimated, made, short, stopped_in_its_second_cycle
 
 from gradcal_jax import api
-from gradcal_jax.api import unit_optimise
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.replan import known_so_far, rest_of, with_done
 from gradcal_jax.api.timeline import unit_timeline
@@ -132,7 +131,7 @@ def test_a_run_goes_on_by_the_plan_of_its_rest(
     stopped_in_its_second_cycle(recipe, run)
     folder = RunFolder(run)
     done = [(part.start_s, part.end_s) for part in stretches_of(folder)]
-    monkeypatch.setattr(unit_optimise, "QUICK_EVALUATIONS", 30)
+    monkeypatch.setattr("gradcal_jax.api.optimise.QUICK_EVALUATIONS", 30)
     assert main(["watch", str(run), "--known", "--json"]) == 0
     known = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
     assert main(["replan", str(run), "-o", str(tmp_path / "rest.toml"), "--quick", "--json"]) == 0

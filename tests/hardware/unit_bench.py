@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from hardware_bench import unpredicted
 
-from gradcal_jax.api.estimate import fitted_twice, unit_rows
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fit_of_log import fitted_twice
 from gradcal_jax.api.recorded_rows import unit_rows

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.information import NoiseSteps, adjoint, whiten_from
-from gradcal_jax.information.by_reading import filter_readings, noise_cotangents
+from gradcal_jax.information.by_reading import adjoint_parts, filter_readings
 from gradcal_jax.information.compiled import compiler as find_compiler
 from gradcal_jax.information.whitening import FilterState, block_length
 
@@ -61,8 +61,14 @@ def test_rows_state_and_derivative_are_those_of_the_blocks(sizes):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GRADCAL_NATIVE", "0")
         wanted = jax.grad(weighed, (0, 1, 2))(known[0].covariance, known[0].reading_variance, known[0].initial)
-    for mine, theirs in zip(noise_cotangents(steps, found, weights), wanted, strict=True):
-        assert_close((mine + mine.swapaxes(-1, -2)) / 2 if mine.ndim > 1 else mine, theirs)
+    # ∂(weights · rowsᵀrows) by the adjoint states: −ρ W ρᵀ, −uᵀ W u.
+    inner = (weights + weights.T) / 2
+    parts = sorted(adjoint_parts(steps, found), key=lambda part: part[0].start)
+    us, rhos = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
+    first = steps.transition[0].T @ rhos[0]
+    mine = -rhos @ inner @ rhos.swapaxes(1, 2), -np.sum((us @ inner) * us, axis=1), -first @ inner @ first.T
+    for own, theirs in zip(mine, wanted, strict=True):
+        assert_close(own, theirs)
 
 
 JOB = """

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm
 
 import gradcal_jax as gj
-from gradcal_jax.api import assemble, posterior_of_plan
-from gradcal_jax.api.posterior_of_plan import decision_rule, limit_of, verdict
-from gradcal_jax.information import contrasts
+from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
+from gradcal_jax.api.unit_residual import errors_of, quantity_of
+from gradcal_jax.api.verdicts import decision_rule, limit_of, verdict_of
 from gradcal_jax.information.conformity import (
     acceptance_limit,
     chance_of_keeping,
@@ -20,6 +20,7 @@ from gradcal_jax.information.conformity import (
     global_risks,
     specific_risk,
 )
+from gradcal_jax.information.residual import statistic, statistic_of_each
 
 PACKAGE = json.loads((Path(__file__).parent / "conformity_suncal.json").read_text(encoding="utf-8"))
 SIZES = st.floats(0.01, 100.0)
@@ -84,17 +85,16 @@ def test_a_hundred_thousand_simulated_units_are_falsely_accepted_as_often_as_is_
         assert abs(np.mean(counted) - stated) < 2.0 * np.sqrt(stated * (1.0 - stated) / 100_000)
 
 
-def test_the_chance_of_a_unit_is_that_of_errors_drawn_from_the_dense_covariance():
-    spec = gj.changed(gj.parse_spec(gj.presets.text("paper-dynamic-gradient")), {"requirement[0].target": "150 ppm"})
-    built = assemble(spec)
-    known = posterior_of_plan(built)
-    box = np.linspace(-30.0, 70.0, 11), np.radians(np.linspace(-300.0, 300.0, 13))
-    grid = (g.ravel() for g in np.meshgrid(*box, indexing="ij"))
-    places = contrasts(built.model, "scale_factor", *grid)
-    said = chance_of_keeping(known, built.model, places, (11, 13), "mean of max", 150e-6, draws=20_000)
+def test_the_chance_of_a_sensor_is_that_of_errors_drawn_from_the_dense_covariance():
+    spec = gj.changed(gj.parse_spec(gj.presets.text("paper-dynamic-gradient")), {"requirement[0].grid": [11, 13]})
+    built = assemble_unit(spec)
+    root = errors_of(built.model, posterior_of_unit(built), quantity_of(built, built.spec.requirement[0]))
+    assert root.shape[:4] == (1, 1, 11, 13)
+    said = chance_of_keeping(root, lambda of: statistic_of_each("mean of max", of[0]), 150e-6, draws=20_000)
     # The same by hand: monomials of the file, the reported covariance, Cholesky.
     prediction = gj.predict(spec)
     root = np.linalg.cholesky(np.array(prediction.covariance))
+    box = np.linspace(-30.0, 70.0, 11), np.radians(np.linspace(-300.0, 300.0, 13))
     warm, fast = np.meshgrid((box[0] - 20.0) / 50.0, box[1] / np.radians(300.0), indexing="ij")
     rows = np.stack([warm**i * fast**j for i in range(4) for j in range(4)], axis=-1)
     rng = np.random.default_rng(3)
@@ -108,19 +108,31 @@ def test_errors_that_a_structure_hides_take_part_in_the_chance():
     spec = gj.parse_spec(gj.presets.text("paper-static-gradient"))
     hidden = {"standard_deviation": "0.5 deg/h", "temperature_degree": 5}
     spec = gj.changed(spec, {"sensor.bias.discrepancy": hidden, "requirement[0].statistic": "max"})
-    built = assemble(spec)
-    known = posterior_of_plan(built)
-    (row,) = gj.predict(spec).requirements
+    built = assemble_unit(spec)
+    known, quantity = posterior_of_unit(built), quantity_of(built, built.spec.requirement[0])
     # At one place the chance is the normal distribution's.
-    from gradcal_jax.api import residual_map
-
-    at, _, values = residual_map(built, known, spec.requirement[0], si=True)
+    values = quantity.residual(known).values[0] / quantity.residual(known).si
     worst = int(np.argmax(values))
     limit = float(values[worst, 0])
-    place = contrasts(built.model, "bias", at[[worst]], np.zeros(1))
-    chance, _ = chance_of_keeping(known, built.model, place, (1, 1), "max", limit, draws=40_000)
-    assert chance == pytest.approx(0.6827, abs=0.008)
+    root = errors_of(built.model, known, quantity)[:, :, [worst]]
+    chance, everywhere = chance_of_keeping(root, lambda of: of[0, 0, 0], limit, draws=40_000)
+    assert chance == everywhere == pytest.approx(0.6827, abs=0.008)
+    (row,) = gj.predict(spec).requirements
     assert row.max == pytest.approx(np.degrees(limit) * 3600.0)
+
+
+def test_the_chance_of_several_gyros_is_that_each_keeps_the_target():
+    """Of gyros with independent errors of one size, the product; and for "all" that of the root mean square."""
+    spec = gj.parse_spec(gj.presets.text("ferraris"))
+    built = assemble_unit(spec)
+    requirement = next(r for r in spec.requirement if r.quantity == "gyro_bias")
+    quantity = quantity_of(built, requirement)
+    root = errors_of(built.model, posterior_of_unit(built), quantity)[:, :, :1]
+    sizes = np.linalg.norm(root[:, 0, 0, 0], axis=1)
+    assert len(sizes) == 3
+    _, everywhere = chance_of_keeping(root, lambda of: of[:, 0, 0].max(axis=0), float(sizes[0]), draws=40_000)
+    single = [chance_of_keeping(root[[k]], lambda of: of[0, 0, 0], float(sizes[0]), draws=40_000)[0] for k in range(3)]
+    assert everywhere == pytest.approx(np.prod(single), abs=0.015)
 
 
 MAP = np.array([[1.0, 2.0], [3.0, 2.0]])
@@ -143,7 +155,7 @@ def test_a_verdict_follows_its_rule_and_says_it(keys, said):
     spec = gj.parse_spec(gj.presets.text("paper-dynamic-gradient"))
     keys = {"target": "2.6 ppm", "coverage": None} | keys
     requirement = gj.changed(spec, {f"requirement[0].{k}": v for k, v in keys.items()}).requirement[0]
-    assert verdict(requirement, MAP) == said
+    assert verdict_of(requirement, lambda name: statistic(name, MAP)) == said
     assert ("guarded" if "risk" in keys else "simple acceptance") in decision_rule(requirement)
     name, limit = limit_of(requirement)
     assert (name == "max") == ("risk" in keys)

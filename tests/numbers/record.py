@@ -5,7 +5,8 @@
     python tests/numbers/record.py elasticities    # of `sensitivity`: exact derivatives of the same numbers
     python tests/numbers/record.py units           # as predictions, of every preset of a unit
     python tests/numbers/record.py calibrations    # every export, and `apply` to the same measurements
-    python tests/numbers/record.py estimates       # of the logs beside this file
+    python tests/numbers/record.py estimates       # of the logs beside this file, of an axis by its own estimator then
+    python tests/numbers/record.py axis_estimates  # of those of an axis, by the estimator of all channels
     python tests/numbers/record.py logs            # those logs themselves, simulated with fixed seeds: not in "all"
     python tests/numbers/record.py predictions "any 1"     # of these cases alone; the others stay as recorded
 
@@ -133,6 +134,9 @@ def drawn(kind: str) -> dict[str, dict]:
         return {name: t for k, (name, t) in enumerate(every.items()) if k >= 60 or k % 3 == 0}
     if (HERE / f"{kind}.json").exists():
         return {name: of["tables"] for name, of in recorded.read(kind).items()}
+    if kind == "axis_estimates":
+        every = {name: of["tables"] for name, of in recorded.read("estimates").items()}
+        return {name: tables for name, tables in every.items() if "quantity" in tables["sensor"]}
     if kind == "units":
         return {name: tomllib.loads(presets.text(name)) for name in presets.names()}
     if kind == "calibrations":
@@ -159,6 +163,7 @@ KINDS = {
     "units": unit,
     "calibrations": calibration,
     "estimates": estimate,
+    "axis_estimates": estimate,
 }
 
 

@@ -11,17 +11,16 @@ import numpy as np
 import tomlkit
 
 from gradcal_jax.api import predict
-from gradcal_jax.api.estimate import estimate_sensors
-from gradcal_jax.api.log_flow import estimate as estimate_axes
+from gradcal_jax.api.log_flow import estimate as estimate_log
+from gradcal_jax.api.prediction import counted_shares
 from gradcal_jax.api.sensitivity import sensitivity
-from gradcal_jax.files import Spec, spec_of, tables_of
+from gradcal_jax.files import spec_of, tables_of
+from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
 from gradcal_jax.files.calibration import parse_calibration
 from gradcal_jax.files.calibration.correction import apply
 from gradcal_jax.files.calibration.exports import export
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.log_file import read_log
-from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.unit_spec import UnitSpec
 
 HERE = Path(__file__).resolve().parent
 Tables = dict[str, Any]
@@ -34,15 +33,42 @@ def read(kind: str) -> dict[str, Any]:
     return json.loads((HERE / f"{kind}.json").read_text(encoding="utf-8"))
 
 
-def any_spec(tables: Tables) -> UnitSpec:
-    """A spec of an axis, or of a unit."""
-    return spec_of(tables) if "quantity" in tables["sensor"] else spec_of(tables)
-
-
 def prediction(tables: Tables) -> Tables:
-    """Statistics of every requirement, and the standard deviation of every parameter."""
-    answer = predict(any_spec(tables), limits=False)
-    return {"requirements": rows(answer), "parameters": {f"{p.name} / {p.axis}": p.std for p in answer.parameters}}
+    """Statistics of every requirement, and the standard deviation of every parameter; of a spec of one axis by the
+    names that a plan of single axes had."""
+    if "quantity" not in tables["sensor"]:
+        answer = predict(spec_of(tables))
+        return {"requirements": rows(answer), "parameters": {f"{p.name} / {p.axis}": p.std for p in answer.parameters}}
+    found: Tables = {"requirements": {}, "parameters": {}}
+    for axis in turned_axes(tables):
+        # A plan of several axes is none of a table, and is read for each alone.
+        answer = predict(spec_of(axis_as_imu(tables, axis)))
+        found["requirements"] |= rows(answer)
+        found["parameters"] |= {f"{p.name.removeprefix(f'gyro_{axis}.')} / {axis}": p.std for p in answer.parameters}
+    return found
+
+
+JUDGED = ("verdict", "with_typical", "another_run", "worst", "specific_risk", "chance", "chance_everywhere", "own")
+
+
+def judgement(tables: Tables) -> Tables:
+    """What verdicts count on a spec of one axis: by requirement the judged values and chances, and the share of every
+    error; the power of tests for more structure; typical figures of omitted terms."""
+    spec = spec_of(tables)
+    answer, shares = predict(spec, notices=True, outlook=True), counted_shares(spec)
+    found: Tables = {}
+    for row in answer.requirements:
+        one = {name: value for name in JUDGED if (value := getattr(row, name)) is not None}
+        if row.check is not None:
+            one["check"] = row.check.model_dump()
+        if row.own_sources is not None:
+            one["own_sources"] = row.own_sources
+        if row.name in shares:
+            one["shares"] = {name: share for name, share in shares[row.name].items() if abs(share) > 1e-9}
+        found[row.name] = one
+    fields = ("quantity", "temperature_degree", "rate_degree", "components", "sure_from", "power")
+    notices = [{name: getattr(row, name) for name in fields} for row in answer.notices]
+    return {"requirements": found, "notices": notices, "omitted": sorted(t.typical for t in answer.omitted)}
 
 
 def rows(answer: Any) -> Tables:
@@ -56,8 +82,10 @@ def rows(answer: Any) -> Tables:
 def elasticities(tables: Tables) -> Tables:
     """Per cent of each requirement's residual for one per cent of each figure. Raises `ValueError` where refused."""
     found: dict[str, dict[str, float]] = {}
-    for row in sensitivity(spec_of(tables)).rows:
-        found.setdefault(row.requirement, {})[row.figure] = row.percent
+    for axis in turned_axes(tables):
+        for row in sensitivity(spec_of(axis_as_imu(tables, axis))).rows:
+            of = found.setdefault(row.requirement, {})
+            of[row.figure] = row.percent
     return found
 
 
@@ -108,11 +136,8 @@ def exported(of: Any, target: str) -> Tables:
 
 def estimate(name: str, tables: Tables) -> Tables:
     """Coefficients, their standard deviations and the fit's χ² of a log beside this file, in the calibration's SI."""
-    spec, logs = any_spec(tables), [unpacked(path) for path in sorted((HERE / "logs").glob(f"{name}, *.nc.gz"))]
-    if isinstance(spec, Spec):
-        found = [tables_of(c) for c in estimate_axes(spec, logs[0]).calibrations]
-    else:
-        found = [tables_of(report.calibration) for report in estimate_sensors(spec, logs)]
+    spec, logs = spec_of(tables), [unpacked(path) for path in sorted((HERE / "logs").glob(f"{name}, *.nc.gz"))]
+    found = map(tables_of, estimate_log(spec, logs).calibrations)
     return {document["serial_number"]: result(document) for document in found}
 
 

@@ -1,9 +1,10 @@
-"""The log of a gyro axis, estimated by its own spec and by that of an IMU of one gyro: the same calibration.
+"""The log of a gyro axis is estimated as that of an IMU of one gyro, to the same calibration as before.
 
-Two estimators of different construction: whitened readings of one axis, with maps and true rates in turn; and
-Gauss-Newton through the finite geometry of a table.
+`axis_estimator.json` has what an estimator of another construction gave: whitened readings of one axis, with sums of
+samples as regressors, and maps and true rates in turn. Today it is Gauss-Newton through the finite geometry of a table.
 """
 
+import json
 import sys
 from pathlib import Path
 
@@ -12,22 +13,21 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "estimation"))
 
-from gradcal_jax.api.calibration import estimate_calibration
 from logs_zoo import GRADIENT, STANDARD, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api.estimate import estimate_sensors
+from gradcal_jax.api.estimate import estimate_log, estimate_sensors
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.structure_tests import discrepancies
 from gradcal_jax.files import Spec, changed
-from gradcal_jax.files.axis_as_imu import axis_as_imu
+from gradcal_jax.files import spec as specs
 from gradcal_jax.files.changes import tables_of
 from gradcal_jax.files.log import LogError
-from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.unit_spec import UnitSpec
 
 UNWEIGHTED = STANDARD.replace('"standard"', '"standard"\nestimator = "least squares"')
 STATIC = GRADIENT[: GRADIENT.index("[plan.cycle]")] + 'read_every = "2 s"\n'
+BEFORE = json.loads((Path(__file__).parent / "axis_estimator.json").read_text(encoding="utf-8"))
 CASES = {
     "moves without rests": GRADIENT,
     "unread rests": GRADIENT.replace('"5 s", read_every = "1 s"', '"5 s", read = "none"'),
@@ -38,7 +38,7 @@ CASES = {
 
 
 def as_imu(spec: Spec) -> UnitSpec:
-    return spec_of(axis_as_imu(tables_of(spec)))
+    return spec
 
 
 def text_of(name: str) -> str:
@@ -51,24 +51,21 @@ def text_of(name: str) -> str:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_one_log_gives_one_calibration(name: str) -> None:
-    spec = spec_of(text_of(name))
+def test_a_log_gives_the_calibration_that_the_estimator_of_an_axis_gave(name: str) -> None:
+    spec, was = spec_of(text_of(name)), BEFORE[name]
     made = simulate_log(
         spec, units=1, sample_rate_hz=50.0, seed=3, readings=name != "standing" and "standard" not in name
     )
-    axis = estimate_calibration(spec, made.log).calibrations[0]
-    (report,) = estimate_sensors(as_imu(spec), [made.log])
-    imu = report.calibration
-    std = dict(zip(axis.covariance.names, np.sqrt(np.diag(axis.covariance.matrix)), strict=True))
-    other = dict(zip(imu.covariance.names, np.sqrt(np.diag(imu.covariance.matrix)), strict=True))
-    assert set(std) == set(other)
-    here, there = axis.values(), imu.values()
-    for key, own in std.items():
-        assert other[key] == pytest.approx(own, rel=0.02)
-        assert abs(there[key] - here[key]) < 0.1 * own, key
-    for one, two in zip(axis.result, imu.result, strict=True):
-        assert two.value == pytest.approx(one.value, rel=0.02)
-        assert two.verdict == one.verdict
+    (calibration,) = estimate_log(spec, [made.log]).calibrations
+    std = dict(zip(calibration.covariance.names, np.sqrt(np.diag(calibration.covariance.matrix)), strict=True))
+    assert set(std) == set(was["std"])
+    values = calibration.values()
+    for key, own in was["std"].items():
+        assert std[key] == pytest.approx(own, rel=0.02)
+        assert abs(values[key] - was["values"][key]) < 0.1 * own, key
+    for (value, verdict), result in zip(was["results"], calibration.result, strict=True):
+        assert result.value == pytest.approx(value, rel=0.02)
+        assert result.verdict == verdict
 
 
 def test_an_imu_is_tested_for_more_structure_and_what_it_lacks_is_measured() -> None:
@@ -125,7 +122,7 @@ def test_the_earths_rate_and_the_tables_axis_may_be_given_with_the_log() -> None
     sideways["rig"]["table"]["axis"][0]["direction"] = [1.0, 0.0, 0.0]
     sideways["rig"]["table"]["mounting"] = [{"x": "+x", "y": "+y", "z": "+z"}]
     with pytest.raises(ValueError, match="only axis that points up"):
-        estimate_sensors(spec_of(sideways), [log], options=Options(earth_rate=along))
+        estimate_sensors(specs.spec_of(sideways), [log], options=Options(earth_rate=along))
 
 
 def test_points_that_a_log_lacks_are_named() -> None:

@@ -5,12 +5,12 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from gradcal_jax.cli.unit_estimate import text_of_estimate
 from loop_scene import WIDTHS, recorded, spec_of
 from matplotlib.figure import Figure
 
 from gradcal_jax.api.estimate import EstimateReport, SensorEstimate, estimate_sensors
 from gradcal_jax.api.estimate_rows import estimate_rows
+from gradcal_jax.cli.estimated import text_of_estimate
 from gradcal_jax.files.calibration import read_calibration, write_calibration
 from gradcal_jax.files.calibration.exports import export
 from gradcal_jax.hardware.simulate.draws import draw_truth

@@ -256,7 +256,7 @@ class Noise(Section):
 
 class Calibration(TitledFile):
     """A calibration file, SI (°C) inside, with the channels of one sensor: one gyro axis, or a whole IMU. Made by
-    `estimate`, `estimate_sensors`, `estimate_by_hand` and `read_calibration`. Errors: `SpecError` by the last.
+    `estimate`, `estimate_by_hand` and `read_calibration`. Errors: `SpecError` by the last.
     """
 
     format: Literal["gradcal-calibration/2"]

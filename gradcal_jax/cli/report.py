@@ -44,7 +44,7 @@ def report(
     panel
         Sliders on the page: the residuals for another time, encoder or slope, from 75 predictions.
     certificate
-        Two pages of a calibration for a laboratory to sign, in the place of the whole page.
+        A certificate of a calibration for a laboratory to sign, in the place of the whole page.
     rig
         The rig file, whose [laboratory] and [[reference]] a certificate names.
     number

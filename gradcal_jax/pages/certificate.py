@@ -1,4 +1,4 @@
-"""A calibration certificate of one unit on two pages, for a laboratory to sign, from calibration, run and rig file.
+"""A calibration certificate of one sensor in two parts, for a laboratory to sign, from calibration, run and rig file.
 
 Uncertainties are expanded, U = k·u, with the coverage of the requirement (2 by default). The budget is the exact share
 of each input in the variance of a requirement's residual: contributions √share·u add up in squares. The certificate
@@ -19,13 +19,14 @@ import gradcal_jax
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.ieee_terms import calibration_map
 from gradcal_jax.api.prediction import counted_shares
+from gradcal_jax.files.absent import with_typical
 from gradcal_jax.files.calibration import LOG_HASH, CalibratedChannel, Calibration, Result
 from gradcal_jax.files.log import SERIAL_NUMBER
 from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.information.conformity import specific_risk
 from gradcal_jax.pages.numbers import figures, one_sign
-from gradcal_jax.pages.provenance import figures_of_rig, figures_of_sensor
+from gradcal_jax.pages.provenance import stated_figures
 from gradcal_jax.pages.requirements import SUMMED
 from gradcal_jax.pages.sources import Sources
 
@@ -86,7 +87,7 @@ class Correction(NamedTuple):
 
 
 class Certificate(NamedTuple):
-    """The contents of the two pages."""
+    """The contents of the two parts."""
 
     heading: tuple[tuple[str, str], ...]
     method: str
@@ -225,26 +226,27 @@ def _budgets(sources: Sources) -> Iterator[Budget]:
     spec, calibration = sources.spec, sources.calibration
     if spec is None or calibration is None:
         return
-    stated = [*figures_of_sensor(spec.sensor), *figures_of_rig(spec.rig)]
+    stated = stated_figures(with_typical(spec))
     shares = counted_shares(spec)
     for row in calibration.result:
         parts = shares.get(row.name, {})
         if not parts or row.value is None or row.verdict == "not valid":
             continue
         inputs = (
-            Input(part, _value_of(part, stated), "normal", "B", share, row.value * sqrt(max(share, 0.0)))
+            Input(part, _value_of(part, row.quantity, stated), "normal", "B", share, row.value * sqrt(max(share, 0.0)))
             for part, share in parts.items()
             if share >= _SMALLEST_SHARE
         )
         yield Budget(row.name, _elements(row.axis), row.unit, row.value, tuple(inputs))
 
 
-def _value_of(part: str, stated: Sequence[tuple[str, str]]) -> str:
+def _value_of(part: str, quantity: str, stated: Sequence[tuple[str, str]]) -> str:
     """The figures of an input of the budget, those of several axes together."""
-    own = (
-        value for name, value in stated if re.fullmatch(rf"(.*: )?{re.escape(part)}( error|, \d+ a turn| \d+)?", name)
-    )
-    return "; ".join(dict.fromkeys(own)) or "as in the spec"
+    for name in (f"accelerometer {part}", part)[not quantity.startswith("accelerometer") :]:
+        pattern = re.compile(rf"(.*: )?{re.escape(name)}( error|, \d+ a turn| \d+)?")
+        if own := dict.fromkeys(value for of, value in stated if pattern.fullmatch(of)):
+            return "; ".join(own)
+    return "as in the spec"
 
 
 def _elements(axis: str) -> str:
@@ -286,7 +288,7 @@ def certificate_tables(certificate: Certificate) -> dict[str, Any]:
 
 
 def write_certificate(certificate: Certificate, output: str | Path) -> None:
-    """The two pages as one HTML file. Errors: `OSError` where it cannot be written."""
+    """The two parts as one HTML file. Errors: `OSError` where it cannot be written."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)

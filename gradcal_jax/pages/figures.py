@@ -86,7 +86,9 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[str, float]) -> list
         elif curves:
             stages = dict.fromkeys(stage for fact in curves for stage, _ in fact.maps)
             lines = {s: [(f.axis, box) for f in curves for stage, box in f.maps if stage == s] for s in stages}
-            groups.append([_curves(boxes, f"{key}-{s}", name, target, s) for s, boxes in lines.items()])
+            # Priors are mostly the same for all elements, which needs no picture.
+            shown = {s: of for s, of in lines.items() if s != "before" or not _same(of)}
+            groups.append([_curves(of, f"{key}-{s}", name, target, s) for s, of in shown.items()])
     return groups
 
 
@@ -192,6 +194,12 @@ def _holds(outer: MapFact, inner: MapFact) -> bool:
     return all(bool(wide[0] <= narrow[0] and wide[-1] >= narrow[-1]) for wide, narrow in sides)
 
 
+def _same(boxes: Sequence[tuple[str, Box]]) -> bool:
+    """Whether all curves coincide."""
+    first = boxes[0][1].values
+    return all(np.allclose(box.values, first, rtol=1e-3) for _, box in boxes)
+
+
 def _alike(box: Box, other: Box) -> bool:
     """Whether two maps of one box would look alike in colours."""
     if box.values.shape != other.values.shape or not np.all(np.isfinite(box.values) & (other.values > 0.0)):
@@ -260,10 +268,10 @@ def _curves(boxes: Sequence[tuple[str, Box]], key: str, where: str, target: floa
     caption = f"{where}: residual {stage}".rstrip() + f", {words}, one standard deviation."
     if not all(np.all(np.isfinite(box.values)) for _, box in boxes):
         caption += " Without a curve: not observable."
-    return picture(key, caption, lambda ax: _draw_curves(boxes, target, ax), _HIGH)
+    return picture(key, caption, lambda ax: _draw_curves(boxes, target, ax).set_title(stage), _HIGH)
 
 
-def _draw_curves(boxes: Sequence[tuple[str, Box]], target: float | None, ax: Axes) -> None:
+def _draw_curves(boxes: Sequence[tuple[str, Box]], target: float | None, ax: Axes) -> Axes:
     by_rate = len(boxes[0][1].rate_dps) > 1
     values = []
     for index, (label, box) in enumerate(boxes):
@@ -287,6 +295,7 @@ def _draw_curves(boxes: Sequence[tuple[str, Box]], target: float | None, ax: Axe
     if by_rate:
         ax.set_ylabel(f"worst residual over temperature, {boxes[0][1].unit}")
     ax.legend(ncols=2 if len(boxes) > _LONG_LEGEND else 1)
+    return ax
 
 
 def _tick(value: float, _place: int) -> str:

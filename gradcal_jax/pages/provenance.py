@@ -1,10 +1,10 @@
 """Assumptions and provenance of a page's numbers."""
 
-import re
 from collections.abc import Iterable
 from typing import Any
 
 from gradcal_jax.api.contract_rows import versions_of
+from gradcal_jax.api.systematic import BESIDE_THE_AXIS
 from gradcal_jax.files.absent import absent_terms
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.calibration import Calibration
@@ -18,14 +18,19 @@ def assumptions(spec: UnitSpec | None, calibration: Calibration | None) -> list[
     if spec is not None:
         left_out = "not stated, and so counted as is typical of its class: "
         omitted = [(term.key, left_out + term.typical) for term in absent_terms(spec)]
-        return [*figures_of_sensor(spec.sensor), *figures_of_rig(spec.rig), *omitted]
+        return [*stated_figures(spec), *omitted]
     noise = None if calibration is None else calibration.noise
     names = () if noise is None else ("angle_random_walk", "rate_random_walk", "velocity_random_walk")
     return _stated((name.replace("_", " "), getattr(noise, name)) for name in names)
 
 
-def figures_of_sensor(sensor: UnitSensor) -> list[tuple[str, str]]:
-    """The noise figures of every channel, by the names that error budgets have for them, and those of all channels."""
+def stated_figures(spec: UnitSpec) -> list[tuple[str, str]]:
+    """The figures that a spec states, by the names that error budgets have for them."""
+    return [*_of_sensor(spec.sensor), *_of_rig(spec.rig)]
+
+
+def _of_sensor(sensor: UnitSensor) -> list[tuple[str, str]]:
+    """The figures of every channel, and those of all channels."""
     rows: list[tuple[str, Any]] = []
     for kind, triad in (("gyro", sensor.gyro), ("accelerometer", sensor.accelerometer)):
         if triad is None:
@@ -40,8 +45,13 @@ def figures_of_sensor(sensor: UnitSensor) -> list[tuple[str, str]]:
             for name, several in processes.items()
             for p in several
         ]
-        names = ("rate random walk", "turn-on bias")
-        rows += [(own + name, getattr(triad, re.sub("[- ]", "_", name), None)) for name in names]
+        gradient = triad.bias_temperature_gradient
+        rows += [
+            (own + "rate random walk", getattr(triad, "rate_random_walk", None)),
+            (own + "turn-on bias", triad.turn_on_bias),
+            # Of an estimated one what is known before.
+            (own + "bias from dT/dt", getattr(gradient, "prior", gradient)),
+        ]
     rows += [
         ("sample clock error", sensor.clock_text),
         ("offset of the temperature", sensor.temperature_offset),
@@ -51,12 +61,13 @@ def figures_of_sensor(sensor: UnitSensor) -> list[tuple[str, str]]:
     return _stated(rows)
 
 
-def figures_of_rig(rig: UnitRig) -> list[tuple[str, str]]:
+def _of_rig(rig: UnitRig) -> list[tuple[str, str]]:
     """The figures of site and table; of each axis, where there are several."""
     table = rig.table
     rows: list[tuple[str, Any]] = [
         ("rate accuracy", table.rate_accuracy),
-        ("latitude", rig.site.latitude),
+        ("latitude", None if rig.site.is_unknown else rig.site.latitude),
+        ("Earth's rate", "up to 15.04 deg/h" if rig.site.is_unknown else None),
         ("gravity", rig.site.gravity_accuracy or None),
         ("tilt of the base", table.tilt or None),
         ("azimuth of the base", table.azimuth or None),
@@ -69,11 +80,11 @@ def figures_of_rig(rig: UnitRig) -> list[tuple[str, str]]:
             (of + "standstill offset", angle.standstill_offset or None),
             (of + "timing error", angle.timing_error or None),
             (of + "scale of the table's angle", angle.scale_error or None),
-            (of + "angle to the next axis", axis.orthogonality or None),
+            (of + "angles between the table's axes", axis.orthogonality or None),
         ]
         rows += [(f"{of}encoder's error by angle, {h.order} a turn", h.amplitude) for h in angle.harmonics]
-    hung = table.mounting
-    rows += [("mounting" + f" {k + 1}" * (len(hung) > 1), m.accuracy or None) for k, m in enumerate(hung)]
+    hung, name = table.mounting, "mounting" if several else BESIDE_THE_AXIS
+    rows += [(name + f" {k + 1}" * (len(hung) > 1), m.accuracy or None) for k, m in enumerate(hung)]
     return _stated(rows)
 
 

@@ -67,7 +67,9 @@ def report_data_of(sources: Sources) -> ReportData:
     left = requirements_of(sources)
     notes = [*sources.notes]
     if prediction is not None:
-        notes += [*(row.sentence for row in prediction.notices), *prediction.warnings]
+        several = len({row.axis for row in prediction.notices}) > 1
+        notes += [f"gyro {row.axis}: " * several + row.sentence for row in prediction.notices]
+        notes += prediction.warnings
     notes += [] if recipe is None else recipe.notes
     if left.differing:
         notes.append(

@@ -77,14 +77,15 @@ def test_the_page_of_a_calibration(folder, capsys):
         "--format matrices",
     ):
         assert words in html
-    # Residuals, poses, scale factors of three gyros over rate, and three terms over temperature.
-    assert html.count("<svg") == len(kept.result) + 1 + 3 + 3
+    # Of every gyro's scale factor three maps and their curves, of all else a picture as predicted and one as achieved;
+    # poses, scale factors of three gyros over rate, and three terms over temperature.
+    assert html.count("<svg") == 3 * 4 + 2 * (len(kept.result) - 1) + 1 + 3 + 3
     assert "gradcal validate" in html
     assert main(["report", found, "-o", page, "--force"]) == 0
     alone = (folder / "page.html").read_text(encoding="utf-8")
-    # Standard deviations of three gyros over temperature and rate (a map and two curves each); and the terms.
-    assert alone.count("<svg") == 9 + 3 + 3
-    assert "Plan of the unit" not in alone
+    # Standard deviations of three gyros over temperature and rate, and of three terms over temperature; and the terms.
+    assert alone.count("<svg") == 3 * 2 + 3 + 3 + 3
+    assert 'id="plan"' not in alone
     capsys.readouterr()
     assert main(["report", found, found, "-o", page, "--force"]) == 2
     assert "second calibration" in capsys.readouterr().err

@@ -7,8 +7,11 @@ from typing import Any
 import numpy as np
 
 from gradcal_jax import api
+from gradcal_jax.api.contract_rows import result_of_requirement
+from gradcal_jax.api.estimated_calibration import calibrated_channels
+from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.files import Spec, changed, parse_spec, presets
-from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration
+from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration, Covariance
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.hardware import execute
 
@@ -133,3 +136,21 @@ def calibration(made: Recipe, seed: int = 7) -> Calibration:
         "provenance": {"program": "gradcal", "estimator": "least squares", "recipe": made.fingerprint},
     }
     return Calibration.model_validate(tables)
+
+
+def calibration_of_plan(planned: Spec, seed: int = 1) -> Calibration:
+    """Drawn coefficients of all channels of a plan, with its own covariance and what it leaves of the requirements."""
+    built, prediction = assemble_unit(planned), api.predict(planned)
+    values = np.random.default_rng(seed).standard_normal(built.model.size)
+    return Calibration(
+        format=FORMAT,
+        title=planned.title,
+        serial_number="unit1",
+        simulated=True,
+        frame="the table's axes",
+        order=ORDER,
+        channel=tuple(calibrated_channels(built, values, ((-30.0, 70.0), (-5.0, 5.0)))),
+        covariance=Covariance(names=tuple(row.name for row in prediction.parameters), matrix=prediction.covariance),
+        result=tuple(map(result_of_requirement, prediction.requirements)),
+        provenance={},
+    )

@@ -101,7 +101,7 @@ def test_corrections_are_those_of_apply_and_their_uncertainty_the_covariances(ma
 def test_the_page_has_every_item_and_claims_nothing(made, folder):
     assert main(made) == 0
     page = (folder / "c.html").read_text(encoding="utf-8")
-    for words in ("page 1 of 2", "page 2 of 2", "Laboratory &lt;1&gt;", "A &amp; B", "RON 905, 12345", "K-2026-17"):
+    for words in ("part 1 of 2", "part 2 of 2", "Laboratory &lt;1&gt;", "A &amp; B", "RON 905, 12345", "K-2026-17"):
         assert words in page
     for title in (
         "Method",

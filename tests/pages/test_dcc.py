@@ -13,7 +13,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
-from report_samples import calibration, recipe
+from report_samples import calibration, calibration_of_plan, recipe
 from test_certificate import REFERENCES
 
 import gradcal_jax as gj
@@ -203,6 +203,50 @@ def test_the_numbers_are_the_certificates_in_si(folder, written, capsys):
     said = [e.text for e in root.iter(f"{D}content")]
     assert "This document claims no accreditation." in said
     assert any(s.startswith("SIMULATED") for s in said)
+
+
+def test_an_imu_s_document_has_every_quantity_in_its_si_unit(folder, tmp_path, capsys):
+    spec = gj.parse_spec(gj.presets.text("gradient-three-axes"))
+    gj.write_toml(spec, tmp_path / "spec.toml")
+    found = calibration_of_plan(spec)
+    gj.write_calibration(found, tmp_path / "imu.toml")
+    command = ["report", tmp_path / "spec.toml", tmp_path / "imu.toml", "--certificate", "--rig", folder / "rig.toml"]
+    command += ["--number", "K-2", "--performed", "2026-11-22", "--json"]
+    command += ["-o", tmp_path / "c.html", "--dcc", tmp_path / "c.xml"]
+    assert main([str(word) for word in command]) == 0
+    told = json.loads(capsys.readouterr().out)
+    root = ET.parse(tmp_path / "c.xml").getroot()
+    assert structure_faults(root) == []
+    assert schema_faults(tmp_path / "c.xml") == []
+    by_name = {result.find(f"{D}name/{D}content").text: result for result in root.iter(f"{D}result")}
+    g = 9.80665
+    sizes = {
+        "accelerometer bias, worst axis": (1e-6 * g, r"\metre\second\tothe{-2}"),
+        "accelerometer second order, worst axis": (1e-6 / g, r"\second\tothe{2}\metre\tothe{-1}"),
+        "acceleration sensitivity, all axes together": (
+            math.radians(1.0) / 3600.0 / g,
+            r"\radian\second\metre\tothe{-1}",
+        ),
+        "gyro misalignment, all axes together": (1e-6, r"\radian"),
+    }
+    for name, (factor, unit) in sizes.items():
+        real = by_name[f"{name}: error after correction"].find(f".//{S}real")
+        row = next(row for row in told["results"] if f"{row['name']}, {row['axis']}" == name)
+        assert float(real.find(f"{S}expandedUnc/{S}uncertainty").text) == pytest.approx(row["expanded"] * factor)
+        assert real.find(f"{S}unit").text == unit
+    forces = by_name["Corrections of accelerometer z over temperature"]
+    bias = next(q for q in forces.iter(f"{D}quantity") if q.find(f"{D}name/{D}content").text == "bias")
+    coefficients = found.channel_of("accelerometer", "z").term_of("bias").coefficients
+    warm = [(t - 20.0) / 50.0 for t in (-30.0, 20.0, 70.0)]
+    expected = [sum(c * t**k for k, c in enumerate(coefficients.values())) for t in warm]
+    assert [float(v) for v in bias.find(f".//{S}valueXMLList").text.split()] == pytest.approx(expected)
+    budgets = {budget["requirement"]: budget for budget in told["budgets"]}
+    assert set(budgets) == {row.name for row in found.result}
+    for budget in budgets.values():
+        assert sum(i["contribution"] ** 2 for i in budget["inputs"]) == pytest.approx(budget["total"] ** 2, rel=0.01)
+    inputs = {i["name"]: i["value"] for i in budgets["accelerometer bias"]["inputs"]}
+    assert inputs["turn-on bias"] == "0.75 mg"
+    assert inputs["velocity random walk"] == "0.05 m/s/√h"
 
 
 @pytest.mark.parametrize(

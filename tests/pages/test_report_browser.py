@@ -3,8 +3,9 @@
 import pytest
 from headless_chromium import BOXES, Chromium, browser, overlaps
 from report_samples import calibration, recipe, rehearse
-from unit_bench import made, short
+from unit_bench import short
 
+from gradcal_jax import api
 from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files.calibration import write_calibration
@@ -20,12 +21,12 @@ pytestmark = [
 ]
 
 
-@pytest.fixture(scope="module", params=["a gyro's axis", "a whole unit"])
+@pytest.fixture(scope="module", params=["a gyro's axis", "an IMU"])
 def html(request, tmp_path_factory):
     """The page of a simulated run and of its calibration."""
     folder = tmp_path_factory.mktemp("browser")
-    if request.param == "a whole unit":
-        plan = made(short())
+    if request.param == "an IMU":
+        plan = api.recipe(short())
         execute.run(plan, folder / "run", simulate=True, seed=3)
         (found,) = estimate_sensors(plan.spec, [run_log.log(folder / "run")])
         write_calibration(found.calibration, folder / "run" / "calibration.toml")

@@ -1,0 +1,214 @@
+"""The page of an IMU's plan: its numbers are the prediction's, it says what is not observed, and nothing is fetched."""
+
+import json
+import re
+from html import unescape
+
+import numpy as np
+import pytest
+from report_samples import calibration_of_plan
+from unit_bench import short
+
+import gradcal_jax as gj
+from gradcal_jax.api.ieee_terms import calibrated_posterior
+from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
+from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.cli import main
+from gradcal_jax.files import presets
+from gradcal_jax.files.calibration import Covariance, UnseenError
+from gradcal_jax.information import posterior
+from gradcal_jax.information.posterior import square_root
+from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, parameters
+from gradcal_jax.pages.panel import ANGLES, RAMPS, SLOPES, panel_of
+from gradcal_jax.pages.provenance import stated_figures
+
+# The paper's method at a coarser ramp: a third of the cycles.
+SPEC = gj.changed(
+    gj.parse_spec(presets.text("gradient-three-axes")),
+    {"rig.chamber.max_heating": "3 K/min", "plan.gradient": "3 K/min"},
+)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    gj.write_toml(SPEC, folder / "imu.toml")
+    data = gj.report(folder / "imu.toml", folder / "page.html")
+    return data, (folder / "page.html").read_text(encoding="utf-8"), folder
+
+
+@pytest.fixture(scope="module")
+def found():
+    """A plan's own covariance as a calibration, with the model and the posterior behind it."""
+    built = assemble_unit(SPEC)
+    return built, posterior_of_unit(built), calibration_of_plan(SPEC)
+
+
+def test_every_number_is_the_prediction_s_and_every_warning_is_on_the_page(written):
+    data, html, _ = written
+    predicted = gj.predict(SPEC, limits=True, notices=True)
+    assert [row.predicted for row in data.requirements] == [row.judged for row in predicted.requirements]
+    assert [row.verdict for row in data.requirements] == [row.verdict for row in predicted.requirements]
+    assert [row.limited_by for row in data.requirements] == [row.limited_by for row in predicted.requirements]
+    assert data.verdict == "missed"
+    assert "Missed: the predicted residual exceeds a target" in html
+    assert len(data.parameters) == len(predicted.parameters)
+    bias = next(row for row in predicted.parameters if row.name == "accelerometer_x.a0")
+    shown = next(row for row in data.parameters if (row.kind, row.name, row.axis) == ("accelerometer", "a0", "x"))
+    assert shown.predicted_std == pytest.approx(bias.std / 9.80665e-6)
+    assert shown.unit == "ug"
+    for words in ("accelerometer z never points down: add a pose", "add 180 deg of spin", "k2"):
+        assert words in html
+    for said in (*predicted.warnings, *(row.sentence for row in predicted.notices)):
+        assert said in unescape(html)
+
+
+def test_before_a_calibration_is_what_the_priors_leave(written):
+    data, _, _ = written
+    assert data.before_is == "the spec's priors, without a calibration"
+    before = {row.quantity: row.before for row in data.requirements}
+    assert before["g_sensitivity"] == pytest.approx(50.0)
+    assert before["second_order"] == pytest.approx(1000.0)
+    # Two coefficients of 10 mrad, of 1 and of T′ on 101 temperatures of −1 … 1.
+    at = np.linspace(-1.0, 1.0, 101)
+    assert before["gyro_misalignment"] == pytest.approx(1e4 * np.mean(np.sqrt(1.0 + at**2)), rel=1e-9)
+    assert all(row.before > row.predicted for row in data.requirements)
+
+
+def test_every_element_of_a_requirement_is_drawn_and_the_page_fetches_nothing(written):
+    data, html, _ = written
+    elements = {
+        name: {fact.axis for fact in data.maps if fact.name == name} for name in (r.name for r in data.requirements)
+    }
+    assert elements["gyro scale factor"] == elements["gyro bias"] == set("xyz")
+    assert elements["gyro misalignment"] == {"xy", "xz", "yx", "yz", "zx", "zy"}
+    assert len(elements["acceleration sensitivity"]) == 9
+    # Of each gyro's scale factor the map before and as predicted, and their curves; of all else curves as predicted.
+    assert html.count("<svg") == 3 * 3 + (len(SPEC.requirement) - 1) + 1
+    assert 'id="poses"' in html
+    assert "SIMULATED" not in html
+    assert not re.findall(r'(?:src|href)="(?!#|data:)[^"]*"', html)
+    assert "<script" not in html
+    ids = re.findall(r'\bid="([^"]+)"', html)
+    assert len(ids) == len(set(ids))
+    assert "tilt of the base" in html
+    assert "made 6 times" in html
+
+
+def test_the_drawn_residuals_have_the_statistic_of_the_table(written):
+    data, _, _ = written
+    for row, requirement in zip(data.requirements, SPEC.requirement, strict=True):
+        each = []
+        for fact in (fact for fact in data.maps if fact.name == row.name):
+            values = dict(fact.maps)["predicted"].values
+            each.append(np.mean(np.max(values, axis=0)) if row.quantity == "gyro_scale_factor" else np.mean(values))
+        together = np.sqrt(np.mean(np.square(each))) if requirement.axis == "all" else np.max(each)
+        assert together == pytest.approx(row.predicted, rel=1e-9)
+
+
+def test_another_plan_to_compare_with_and_the_command_prints_the_page_s_numbers(written, capsys, tmp_path):
+    data, _, folder = written
+    spec = str(folder / "imu.toml")
+    assert main(["report", spec, spec, "-o", str(tmp_path / "no.html")]) == 2
+    assert "second plan" in capsys.readouterr().err
+    slower = gj.changed(SPEC, {"plan.gradient": "1.5 K/min"})
+    gj.write_toml(slower, folder / "slower.toml")
+    page = str(tmp_path / "page.html")
+    assert main(["report", spec, "--before", str(folder / "slower.toml"), "-o", page, "--json"]) == 0
+    tables = json.loads(capsys.readouterr().out)
+    assert tables["verdict"] == data.verdict
+    assert [row["predicted"] for row in tables["requirements"]] == [row.predicted for row in data.requirements]
+    others = gj.predict(slower).requirements
+    assert [row["before"] for row in tables["requirements"]] == pytest.approx([row.judged for row in others], rel=1e-9)
+    assert tables["before_is"].startswith("the plan of slower.toml")
+
+
+def test_a_calibration_s_covariance_leaves_what_the_posterior_behind_it_does(found):
+    built, known, calibration = found
+    again = calibrated_posterior(built.model, calibration)
+    for requirement in SPEC.requirement:
+        expected, left = (unit_residual(built, of, requirement) for of in (known, again))
+        assert left.labels == expected.labels
+        np.testing.assert_allclose(left.values, expected.values, rtol=1e-6)
+
+
+def test_what_no_residual_shows_counts_and_what_has_no_variance_is_not_observable(found):
+    built, _, calibration = found
+    of_bias = next(r for r in SPEC.requirement if r.quantity == "accelerometer_bias")
+    plain = unit_residual(built, calibrated_posterior(built.model, calibration), of_bias)
+    unseen = UnseenError(name="offset of the temperature", coefficients={"accelerometer_y.a0": 1e-3})
+    more = calibration.model_copy(update={"unseen": (unseen,)})
+    left = unit_residual(built, calibrated_posterior(built.model, more), of_bias)
+    expected = plain.values.copy()
+    expected[1] = np.hypot(expected[1], 1e-3 / 9.80665e-6)
+    np.testing.assert_allclose(left.values, expected, rtol=1e-9)
+    known = calibration.covariance
+    gone = known.names.index("accelerometer_z.a1")
+    rows = [k for k in range(len(known.names)) if k != gone]
+    less = Covariance(
+        names=tuple(known.names[k] for k in rows),
+        matrix=tuple(tuple(known.matrix[k][i] for i in rows) for k in rows),
+    )
+    left = unit_residual(
+        built, calibrated_posterior(built.model, calibration.model_copy(update={"covariance": less})), of_bias
+    )
+    at = np.linspace(-30.0, 70.0, left.values.shape[1])
+    # a1 stands before T′, which is zero at 20 °C.
+    assert np.isinf(left.values[2, np.abs(at - 20.0) > 1e-6]).all()
+    np.testing.assert_allclose(left.values[:2], plain.values[:2], rtol=1e-9)
+
+
+def test_a_few_channels_have_a_row_for_each_coefficient_and_many_a_column_for_each_axis(found):
+    _, _, calibration = found
+    hidden = hidden_values({"installation": {"tilt": 1.0}, "units": {"unit1": {"gyro_y.a0": 0.5}}}, calibration)
+    facts = parameters(None, calibration, hidden)
+    (head, *rows), _ = coefficient_table(facts)
+    assert head == ("parameter ± 1σ", "x", "y", "z", "unit")
+    row = next(row for row in rows if row[0] == "gyro a0")
+    fact = next(fact for fact in facts if (fact.kind, fact.axis, fact.name) == ("gyro", "y", "a0"))
+    assert fact.off_by_sigma == pytest.approx((fact.value - fact.truth) / fact.std)
+    assert "(off by " in row[2]
+    assert "off by" not in row[1]
+    (head, *rows), _ = coefficient_table([fact for fact in facts if fact.kind == "gyro"])
+    assert "hidden truth" in head
+    assert [row[0] for row in rows][:2] == ["gyro x: a0", "gyro x: a1"]
+
+
+def test_the_figures_of_every_channel_and_axis_are_stated():
+    stated = stated_figures(SPEC)
+    for row in (
+        ("angle random walk", "0.15 deg/√h"),
+        ("velocity random walk", "0.05 m/s/√h"),
+        ("accelerometer bias instability", "50 ug, correlation time 200 s"),
+        ("tilt: reading noise", "5 arcsec"),
+        ("spin: standstill offset", "5 arcsec"),
+        ("tilt: angles between the table's axes", "100 urad"),
+        ("azimuth of the base", "5 mrad"),
+    ):
+        assert row in stated
+
+
+def test_the_panel_of_an_imu_varies_the_angles_of_all_axes():
+    spec = short()
+    panel = panel_of(spec)
+    start, end = (t.text for t in spec.plan.temperature)
+    slope = 0.5 * 60.0 * float(spec.plan.gradient)
+    angles = {
+        f"rig.table.axis[{k}].angle.{of}": "20 arcsec" for k in (0, 1) for of in ("reading_noise", "standstill_offset")
+    }
+    angles |= {f"rig.table.axis[{k}].angle.harmonics[{i}].amplitude": "20 arcsec" for k in (0, 1) for i in (0, 1)}
+    other = gj.changed(spec, {"plan.gradient": f"{slope:.9g} K/min", **angles})
+    assert (start, end) == tuple(t.text for t in other.plan.temperature)
+    place = SLOPES.index(0.5) * len(RAMPS) * len(ANGLES) + ANGLES.index(4.0)
+    for row, shown in zip(gj.predict(other).requirements, panel["requirements"], strict=True):
+        assert shown["values"][place] == pytest.approx(row.judged, rel=1e-5)
+    assert [choice["labels"][2] for choice in panel["choices"]][2] == "5 arcsec"
+
+
+def test_the_prior_alone_hides_what_has_none():
+    flat = gj.changed(SPEC, {"sensor.gyro.g_sensitivity": {}})
+    built = assemble_unit(flat)
+    prior = posterior(square_root(np.asarray(built.model.prior_rows())))
+    by_name = {r.quantity: unit_residual(built, prior, r) for r in flat.requirement}
+    assert np.isinf(by_name["g_sensitivity"].values).all()
+    assert np.isfinite(by_name["gyro_bias"].values).all()

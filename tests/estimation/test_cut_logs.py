@@ -59,4 +59,4 @@ def test_a_unit_s_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predi
 
 def test_points_that_lack_are_named_by_themselves():
     spec = spec_of(STANDARD)
-    assert lacks_of(general(spec), [cut(simulate_log(spec, sample_rate_hz=5.0).log, 0.5)]) is None
+    assert lacks_of(spec, [cut(simulate_log(spec, sample_rate_hz=5.0).log, 0.5)]) is None

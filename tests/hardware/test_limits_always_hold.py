@@ -288,7 +288,9 @@ def test_limits_of_the_rig_file_reach_the_run_and_its_dry_run(tmp_path: Path, ca
         tables = lab_.rig.model_dump(mode="json", exclude_unset=True)
         tables["chamber"]["never_above"] = "26 degC"
         write_toml(rig_of(tables), tmp_path / "rig.toml")
-        write_toml(short_recipe(changes={"rig.table.axis[0].max_acceleration": "300 deg/s^2"}), tmp_path / "recipe.toml")
+        write_toml(
+            short_recipe(changes={"rig.table.axis[0].max_acceleration": "300 deg/s^2"}), tmp_path / "recipe.toml"
+        )
         words = ["run", str(tmp_path / "recipe.toml"), "--rig", str(tmp_path / "rig.toml"), "--dry-run"]
         assert main(words) != 0
         assert "sets 28 degC; the chamber accepts -50 to 26" in capsys.readouterr().out

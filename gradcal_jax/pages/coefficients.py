@@ -112,9 +112,10 @@ def _by_axis(facts: Sequence[ParameterFact]) -> list[tuple[str, ...]]:
         text = "not observable" if row.predicted_std is None else figures(row.predicted_std)
         if row.value is not None:
             text = "not observed" if row.std is None else f"{figures(row.value, 5)} ± {figures(row.std, 2)}"
-            text += "" if row.off_by_sigma is None else f" (off by {figures(row.off_by_sigma, 2)} σ)"
+            text += "" if row.off_by_sigma is None else f" ({figures(row.off_by_sigma, 2)}σ)"
         table.setdefault((row.kind, row.name, row.unit), {})[row.axis] = text
     first = "parameter ± 1σ" if any(row.value is not None for row in facts) else "parameter, 1σ"
+    first += " (off by)" if any(row.truth is not None for row in facts) else ""
     return [
         (first, "x", "y", "z", "unit"),
         *(

@@ -76,7 +76,7 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[str, float]) -> list
         for fact in heading:
             words = f"{name}: error of the heading over time, one standard deviation; own noise stays."
             draw = lambda ax, f=fact: plots.draw_heading(f.curves, ax=ax)  # noqa: E731
-            groups.append([picture(f"{key}-heading", words, draw, _HIGH)])
+            groups.append([picture(f"{key}-curves", words, draw, _HIGH)])
         for fact in maps:
             where = name if len(maps) == 1 else f"{name}, axis {fact.axis}"
             of = picture_key(f"{key} {fact.axis}")

@@ -140,8 +140,9 @@ class _Plan:
         return _residual(self.counted.built, self.counted.judged(run_of(requirement)), requirement)
 
     def prior(self, requirement: UnitRequirement) -> UnitResidual | None:
-        """The residual by what is known before any calibration."""
-        return _residual(self.counted.built, self._prior, requirement)
+        """The residual by what is known before any calibration; None for directions, of which it may be many turns."""
+        left = _residual(self.counted.built, self._prior, requirement)
+        return None if left is None or left.unit == "deg" else left
 
     def left_by(self, achieved: Posterior, requirement: UnitRequirement) -> UnitResidual | None:
         """The residual after a calibration; in any run with the bias of another power-on."""

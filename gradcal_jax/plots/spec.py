@@ -20,6 +20,8 @@ from gradcal_jax.plots.style import from_zero, new_axes, new_panels, style_of
 
 _PANEL = (6.0, 4.0)
 _COLUMNS = 2
+# Curves above which a legend has a column for each plan.
+_LONG_LEGEND = 6
 
 
 def draw_heading(
@@ -112,5 +114,5 @@ def draw_comparison(specs: Sequence[tuple[str, UnitSpec]]) -> Figure:
                 left = unit_residual(built, of, requirement)
                 drawn += len(draw_residual(left, label=label, first=drawn, target=False, ax=axes)[1])
         axes.set_title(of_name[0])
-        axes.legend()
+        axes.legend(fontsize=7 if drawn > _LONG_LEGEND else None, ncols=len(plans) if drawn > _LONG_LEGEND else 1)
     return figure

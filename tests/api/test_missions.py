@@ -31,7 +31,7 @@ def with_requirements(*rows, design=None):
 
 
 def heading(*missions, **more):
-    return {"name": "h", "quantity": "heading", "mission": list(missions), **more}
+    return {"name": "h", "quantity": "mission_heading", "mission": list(missions), **more}
 
 
 def hover(**more):
@@ -62,7 +62,7 @@ def test_several_missions_are_weighed():
 
 
 def test_north_is_the_bias_over_the_earths_rate():
-    bias = {"name": "b", "quantity": "bias", "temperature": ["0 degC", "40 degC"], "statistic": "mean"}
+    bias = {"name": "b", "quantity": "gyro_bias", "temperature": ["0 degC", "40 degC"], "statistic": "mean"}
     spec = with_requirements(NORTH, bias)
     north, plain = row_of(spec, "n"), row_of(spec, "b")
     across = 15.041067 * 0.5  # deg/h at 60 deg
@@ -201,7 +201,7 @@ def test_pictures_and_the_page_show_missions(tmp_path):
     (fact,) = (f for f in data.requirements if f.name == "h")
     assert fact.own == pytest.approx(row.own)
     assert "own noise, which stays" in page
-    assert 'id="h-x-heading' in page
+    assert 'id="h-mission-heading-curves' in page
 
 
 def test_a_mission_alone_in_a_design_says_what_it_lacks():

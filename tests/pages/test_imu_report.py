@@ -19,6 +19,7 @@ from gradcal_jax.files.calibration import Covariance, UnseenError
 from gradcal_jax.information import posterior
 from gradcal_jax.information.posterior import square_root
 from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, parameters
+from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.panel import ANGLES, RAMPS, SLOPES, panel_of
 from gradcal_jax.pages.provenance import stated_figures
 
@@ -163,12 +164,12 @@ def test_a_few_channels_have_a_row_for_each_coefficient_and_many_a_column_for_ea
     hidden = hidden_values({"installation": {"tilt": 1.0}, "units": {"unit1": {"gyro_y.a0": 0.5}}}, calibration)
     facts = parameters(None, calibration, hidden)
     (head, *rows), _ = coefficient_table(facts)
-    assert head == ("parameter ± 1σ", "x", "y", "z", "unit")
+    assert head == ("parameter ± 1σ (off by)", "x", "y", "z", "unit")
     row = next(row for row in rows if row[0] == "gyro a0")
     fact = next(fact for fact in facts if (fact.kind, fact.axis, fact.name) == ("gyro", "y", "a0"))
     assert fact.off_by_sigma == pytest.approx((fact.value - fact.truth) / fact.std)
-    assert "(off by " in row[2]
-    assert "off by" not in row[1]
+    assert row[2].endswith(f"({figures(fact.off_by_sigma, 2)}σ)")
+    assert "σ" not in row[1]
     (head, *rows), _ = coefficient_table([fact for fact in facts if fact.kind == "gyro"])
     assert "hidden truth" in head
     assert [row[0] for row in rows][:2] == ["gyro x: a0", "gyro x: a1"]

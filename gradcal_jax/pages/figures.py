@@ -29,6 +29,7 @@ from gradcal_jax.plots.calibration_maps import (
     draw_residuals,
     panels_of,
 )
+from gradcal_jax.plots.residual import LOGARITHMIC, tick_text
 from gradcal_jax.plots.tracks import draw_against_time, draw_planned_rate, draw_planned_temperature, turned_axes
 
 # Inches. A column is about 370 px wide on a telephone and 500 px on a desk: text of 10 points stays legible on both.
@@ -41,12 +42,8 @@ _STYLE: Any = {
     "font.size": 9.5,
     "axes.titlesize": 10.5,
 }
-# Residuals that differ by more than this are shown on logarithmic scales.
-_LOGARITHMIC = 4.0
 # Maps whose ratio is everywhere nearer to 1 than this look alike (a natural logarithm).
 _ALIKE = 0.3
-# Curves above which a legend has two columns.
-_LONG_LEGEND = 4
 # Distances of labels on a map from its edge, and from one another, as shares of its sides.
 _INSIDE, _APART = 0.06, np.array([0.15, 0.09])
 
@@ -213,7 +210,7 @@ def _norm(boxes: Sequence[Box]) -> Normalize:
     if not len(seen):
         return Normalize(0.0, 1.0)
     low, high = float(seen.min()), float(seen.max())
-    if low > 0.0 and high > _LOGARITHMIC * low:
+    if low > 0.0 and high > LOGARITHMIC * low:
         return LogNorm(low, high)
     return Normalize(low, high if high > low else low + 1.0)
 
@@ -226,7 +223,7 @@ def _map(box: Box, label: str, key: str, caption: str, norm: Normalize) -> Pictu
         assert bar is not None
         logarithmic = isinstance(norm, LogNorm)
         bar.locator = LogLocator(10.0, subs=(1.0, 2.0, 5.0)) if logarithmic else MaxNLocator(5)
-        bar.formatter = FuncFormatter(_tick)
+        bar.formatter = FuncFormatter(tick_text)
         bar.minorformatter = NullFormatter()
         if box.unit == "ratio":
             bar.set_label("ratio")
@@ -268,38 +265,7 @@ def _curves(boxes: Sequence[tuple[str, Box]], key: str, where: str, target: floa
     caption = f"{where}: residual {stage}".rstrip() + f", {words}, one standard deviation."
     if not all(np.all(np.isfinite(box.values)) for _, box in boxes):
         caption += " Without a curve: not observable."
-    return picture(key, caption, lambda ax: _draw_curves(boxes, target, ax).set_title(stage), _HIGH)
-
-
-def _draw_curves(boxes: Sequence[tuple[str, Box]], target: float | None, ax: Axes) -> Axes:
-    by_rate = len(boxes[0][1].rate_dps) > 1
-    values = []
-    for index, (label, box) in enumerate(boxes):
-        if by_rate:
-            plots.draw_worst_over_temperature(box.rate_dps, box.values, box.unit, label=label, index=index, ax=ax)
-        else:
-            plots.draw_over_temperature(box.temperature_c, box.values, box.unit, label=label, index=index, ax=ax)
-        values.append(np.max(box.values, axis=0 if by_rate else 1))
-    if target is not None:
-        ax.axhline(target, color="#555555", linewidth=1.0, linestyle=(0, (6, 3)), label="target (1σ)")
-        values.append(np.array([target]))
-    seen = np.concatenate(values)
-    seen = seen[np.isfinite(seen) & (seen > 0.0)]
-    if len(seen) and seen.max() > _LOGARITHMIC * seen.min():
-        ax.set(yscale="log", ylim=(0.8 * seen.min(), 1.25 * seen.max()))
-        ax.yaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
-        ax.yaxis.set_major_formatter(FuncFormatter(_tick))
-        ax.yaxis.set_minor_formatter(NullFormatter())
-    elif len(seen):
-        ax.set_ylim(0.0, 1.08 * seen.max())
-    if by_rate:
-        ax.set_ylabel(f"worst residual over temperature, {boxes[0][1].unit}")
-    ax.legend(ncols=2 if len(boxes) > _LONG_LEGEND else 1)
-    return ax
-
-
-def _tick(value: float, _place: int) -> str:
-    return figures(value)
+    return picture(key, caption, lambda ax: plots.draw_curves(boxes, target, ax=ax)[0].set_title(stage), _HIGH)
 
 
 def picture_key(name: str) -> str:

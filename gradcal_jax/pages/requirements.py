@@ -21,6 +21,7 @@ from gradcal_jax.information import Posterior, posterior
 from gradcal_jax.information.posterior import square_root
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.plots.calibration_maps import panels_of
+from gradcal_jax.plots.residual import boxes_of
 
 SUMMED: Final = {"worst": "worst axis", "all": "all axes together"}
 # Relative difference of residuals that shows in the digits of a page.
@@ -174,8 +175,7 @@ def _maps_of(requirement: UnitRequirement, stages: dict[str, UnitResidual]) -> l
     """The maps of every element of a quantity at each stage."""
     maps: dict[str, list[tuple[str, Box]]] = {}
     for stage, left in stages.items():
-        for element, values in zip(left.labels, left.values, strict=True):
-            box = Box(left.temperatures, np.degrees(left.rates), values, left.unit)
+        for element, box in boxes_of(left):
             maps.setdefault(element, []).append((stage, box))
     return [MapFact(requirement.name, element, requirement.quantity, tuple(own)) for element, own in maps.items()]
 

@@ -1,5 +1,6 @@
 """Residual maps over temperature and rate, and the curves drawn from them."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -7,9 +8,16 @@ from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.contour import QuadContourSet
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from gradcal_jax.api.ieee_terms import Box
 from gradcal_jax.api.unit_residual import UnitResidual
 from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, style_of
+
+# Residuals that differ by more than this are shown on logarithmic scales.
+LOGARITHMIC = 4.0
+# Curves for each column of a legend.
+_LONG_LEGEND = 5
 
 
 class MapArtists(NamedTuple):
@@ -72,28 +80,50 @@ def draw_over_temperature(
     return ax, line
 
 
-def draw_residual(
-    left: UnitResidual, *, label: str = "", first: int = 0, target: bool = True, ax: Axes | None = None
+def draw_curves(
+    boxes: Sequence[tuple[str, Box]], target: float | None = None, *, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
-    """The residual of each element of a requirement's quantity over temperature or, for the scale factor of gyros, the
-    largest over temperature against rate, with the `target` on one standard deviation. `first`: the index of the first
-    curve's style."""
+    """Residuals of one quantity, each with a label: over temperature or, of maps over rate, the largest over
+    temperature against rate; with the `target` on one standard deviation. Of very different sizes on a logarithmic
+    axis."""
     ax = new_axes(ax)
     lines: list[Line2D] = []
-    for element, values in zip(left.labels, left.values, strict=True):
-        words = ", ".join(filter(None, (label, element if len(left.labels) > 1 else "")))
-        style = {"label": words, "index": first + len(lines), "ax": ax}
-        if len(left.rates) > 1:
-            lines.append(draw_worst_over_temperature(np.degrees(left.rates), values, left.unit, **style)[1])
-        else:
-            lines.append(draw_over_temperature(left.temperatures, values, left.unit, **style)[1])
-    requirement = left.requirement
-    if target and requirement.target is not None:
-        limit = float(requirement.target) * left.si / requirement.coverage
-        ax.axhline(limit, color="black", linewidth=0.8, linestyle=":")
-        ax.annotate("target", (0.01, limit), xycoords=("axes fraction", "data"), va="bottom", fontsize=8)
-    from_zero(ax)
-    ax.set_ylim(top=1.08 * ax.get_ylim()[1])
-    if len(left.labels) > 1:
-        ax.legend(fontsize=8, ncols=3)
+    values: list[np.ndarray] = []
+    for index, (label, box) in enumerate(boxes):
+        by_rate = len(box.rate_dps) > 1
+        draw = draw_worst_over_temperature if by_rate else draw_over_temperature
+        over = box.rate_dps if by_rate else box.temperature_c
+        lines.append(draw(over, box.values, box.unit, label=label, index=index, ax=ax)[1])
+        values.append(np.max(box.values, axis=0 if by_rate else 1))
+    if target is not None:
+        ax.axhline(target, color="#555555", linewidth=1.0, linestyle=(0, (6, 3)), label="target (1σ)")
+        values.append(np.array([target]))
+    seen = np.concatenate(values)
+    seen = seen[np.isfinite(seen) & (seen > 0.0)]
+    if len(seen) and seen.max() > LOGARITHMIC * seen.min():
+        ax.set(yscale="log", ylim=(0.8 * seen.min(), 1.25 * seen.max()))
+        ax.yaxis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(FuncFormatter(tick_text))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+    elif len(seen):
+        ax.set_ylim(0.0, 1.08 * seen.max())
+    many = len(boxes) > _LONG_LEGEND
+    ax.legend(fontsize="small" if many else None, ncols=1 + len(boxes) // _LONG_LEGEND)
     return ax, lines
+
+
+def boxes_of(left: UnitResidual, label: str = "") -> list[tuple[str, Box]]:
+    """The elements of a residual with their names, after a label of them all."""
+    several = len(left.labels) > 1
+    return [
+        (
+            ", ".join(filter(None, (label, element if several or not label else ""))),
+            Box(left.temperatures, np.degrees(left.rates), values, left.unit),
+        )
+        for element, values in zip(left.labels, left.values, strict=True)
+    ]
+
+
+def tick_text(value: float, _place: int) -> str:
+    """A number at an axis, without powers of ten."""
+    return f"{value:.4g}" if value < 1e4 else f"{value:.0f}"

@@ -7,34 +7,34 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from gradcal_jax.api.ieee_terms import Box
 from gradcal_jax.api.missions import ErrorCurve, error_curves
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.api.verdicts import target_of
 from gradcal_jax.files.requirement import MissionHeadingRequirement, UnitRequirement
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior
 from gradcal_jax.plots.poses import draw_poses
-from gradcal_jax.plots.residual import draw_map, draw_residual
+from gradcal_jax.plots.residual import boxes_of, draw_curves, draw_map
 from gradcal_jax.plots.style import from_zero, new_axes, new_panels, style_of
 
 _PANEL = (6.0, 4.0)
 _COLUMNS = 2
-# Curves above which a legend has a column for each plan.
-_LONG_LEGEND = 6
 
 
 def draw_heading(
-    curves: Sequence[tuple[str, ErrorCurve]], *, own: bool = True, first: int = 0, ax: Axes | None = None
+    curves: Sequence[tuple[str, ErrorCurve]], *, own: bool = True, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
     """The heading error after calibrations over time (deg, 1σ), each with a label; with `own`, also the unit's own
-    noise and the sum of both. `first`: the index of the first curve's style."""
+    noise and the sum of both."""
     ax = new_axes(ax)
     drawn: list[Line2D] = []
 
     def line(curve: ErrorCurve, values: np.ndarray, label: str) -> None:
         shown = np.where(np.isfinite(values), values, np.nan)
-        drawn.extend(ax.plot(curve.time / 60.0, shown, label=label, **style_of(first + len(drawn))))
+        drawn.extend(ax.plot(curve.time / 60.0, shown, label=label, **style_of(len(drawn))))
 
     for label, curve in curves:
         line(curve, curve.left, label)
@@ -83,7 +83,8 @@ def _draw_requirement(built: AssembledUnit, known: Posterior, requirement: UnitR
     if len(left.labels) == 1 and len(left.rates) > 1:
         draw_map(left.temperatures, np.degrees(left.rates), left.values[0], left.unit, ax=ax)
     else:
-        draw_residual(left, ax=ax)
+        target = target_of(requirement)
+        draw_curves(boxes_of(left), None if target is None else target / requirement.coverage, ax=ax)
     ax.set_title(requirement.name)
 
 
@@ -103,16 +104,17 @@ def draw_comparison(specs: Sequence[tuple[str, UnitSpec]]) -> Figure:
     figure, all_axes = new_panels(len(names), 1, (6.8, 4.0))
     known = [posterior_of_unit(built) for _, built in plans]
     for axes, of_name in zip(all_axes[:, 0], names, strict=True):
-        drawn = 0
+        drawn: list[tuple[str, Box]] = []
+        headings: list[tuple[str, ErrorCurve]] = []
         for (label, built), of in zip(plans, known, strict=True):
             for requirement in (r for r in built.spec.requirement if (r.name, r.quantity) == of_name):
                 if isinstance(requirement, MissionHeadingRequirement):
-                    curves = [(label, curve) for _, curve in error_curves(built, of, requirement)]
-                    draw_heading(curves, own=False, first=drawn, ax=axes)
-                    drawn += len(curves)
-                    continue
-                left = unit_residual(built, of, requirement)
-                drawn += len(draw_residual(left, label=label, first=drawn, target=False, ax=axes)[1])
+                    headings += [(label, curve) for _, curve in error_curves(built, of, requirement)]
+                else:
+                    drawn += boxes_of(unit_residual(built, of, requirement), label)
+        if headings:
+            draw_heading(headings, own=False, ax=axes)
+        if drawn:
+            draw_curves(drawn, ax=axes)
         axes.set_title(of_name[0])
-        axes.legend(fontsize=7 if drawn > _LONG_LEGEND else None, ncols=len(plans) if drawn > _LONG_LEGEND else 1)
     return figure

@@ -19,12 +19,13 @@ from gradcal_jax.files.calibration import write_calibration
 from gradcal_jax.files.calibration.correction import channel_error
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.information import statistic
-from gradcal_jax.pages.figures import _draw_curves, map_pictures
+from gradcal_jax.pages.figures import map_pictures
 from gradcal_jax.pages.numbers import figures, one_sign
 from gradcal_jax.pages.page import page
 from gradcal_jax.pages.report_data import as_tables, report_data_of
 from gradcal_jax.pages.run_history import history_of, rates_of
 from gradcal_jax.pages.sources import read_sources
+from gradcal_jax.plots import draw_curves
 from gradcal_jax.plots.tracks import planned_rate
 
 DEG_PER_H = float(np.degrees(1.0)) * 3600.0
@@ -386,7 +387,7 @@ def test_the_glossary_explains_what_is_asked(capsys):
 def test_the_line_of_a_target_is_within_its_picture(made, allowed):
     fact = next(f for f in report_data_of(read_sources([made[0] / "run"])).maps if f.quantity == "gyro_scale_factor")
     axes = Figure().add_subplot()
-    _draw_curves(fact.maps, allowed, axes)
+    draw_curves(fact.maps, allowed, ax=axes)
     low, high = axes.get_ylim()
     assert low < allowed < high
     (line,) = [line for line in axes.get_lines() if line.get_label() == "target (1σ)"]

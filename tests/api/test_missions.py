@@ -146,7 +146,7 @@ def test_a_search_for_a_mission_beats_its_beginning_and_keeps_a_guard():
 def test_a_recipe_and_a_sweep_stand_alone(tmp_path, monkeypatch):
     (tmp_path / "hover.csv").write_text(HOVER, encoding="utf-8")
     text = to_toml(with_requirements()).replace(
-        "[plan]\n", '[[requirement]]\nname = "h"\nquantity = "heading"\nmission = "hover.csv"\n\n[plan]\n', 1
+        "[plan]\n", '[[requirement]]\nname = "h"\nquantity = "mission_heading"\nmission = "hover.csv"\n\n[plan]\n', 1
     )
     (tmp_path / "spec.toml").write_text(text, encoding="utf-8")
     made = gj.recipe(read_spec(tmp_path / "spec.toml"))

@@ -14,7 +14,12 @@ from gradcal_jax.api.verdicts import run_of as run_of
 from gradcal_jax.api.verdicts import target_of as target_of
 from gradcal_jax.design import Criterion, polynomial_grid
 from gradcal_jax.files.plan import StandardPlan as StandardPlanSection
-from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, UnitRequirement
+from gradcal_jax.files.requirement import (
+    GyroScaleFactorRequirement,
+    MissionHeadingRequirement,
+    NorthRequirement,
+    UnitRequirement,
+)
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.information import Posterior, contrasts, information, posterior, residual, statistic, unweighted
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
@@ -61,7 +66,7 @@ def box(requirement: UnitRequirement, most: int | None = None) -> tuple[np.ndarr
         return np.arange(float(len(requirement.mission))), np.zeros(1)
     cold, warm = requirement.temperature
     temperatures = np.linspace(float(cold), float(warm), min(most or requirement.grid[0], requirement.grid[0]))
-    if not requirement.quantity.endswith("scale_factor"):
+    if not isinstance(requirement, GyroScaleFactorRequirement):
         return temperatures, np.zeros(1)
     slow, fast = requirement.rate
     return temperatures, np.linspace(float(slow), float(fast), min(most or requirement.grid[1], requirement.grid[1]))

@@ -127,9 +127,9 @@ def _slope_of(quantity: RequiredQuantity, known: Posterior) -> tuple[float, Sens
         for k in np.unique(worst[counts]):
             here = counts & (worst == k)
             rows, alone, beyond = (np.asarray(x)[here] for x in states[k])
-            places = Contrasts(*(_widened(x, element.where, size) for x in (rows, alone)), beyond)
+            places = Contrasts(_widened(rows, element.where, size), _widened(alone, element.where, size), beyond)
             more = sensitivity_of(known, places, of_variance[here[counts]])
-            slope = Sensitivity(*(a + b for a, b in zip(slope, more, strict=True)))
+            slope = slope.plus(more)
         beside += float(np.sum(of_variance)) * quantity.beside**2
     return total, slope, beside
 

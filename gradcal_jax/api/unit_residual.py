@@ -170,9 +170,10 @@ def quantity_of(built: AssembledUnit, requirement: UnitRequirement, most: int | 
         temperatures = np.arange(float(len(requirement.mission)))
     else:
         counts = [min(count, most or count) for count in requirement.grid]
-        temperatures = np.linspace(*(float(t) for t in requirement.temperature), counts[0])
+        cold, warm = (float(t) for t in requirement.temperature)
+        temperatures = np.linspace(cold, warm, counts[0])
         if isinstance(requirement, GyroScaleFactorRequirement):
-            rates = np.linspace(*(float(w) for w in requirement.rate), counts[1])
+            rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), counts[1])
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "case":
         frame = built.spec.sensor.frame
         if frame is None or frame.fixed_by != "case":

@@ -101,7 +101,7 @@ def _sensors(spec: "UnitSpec") -> "Iterator[str]":
     for name, triad in (("gyro", spec.sensor.gyro), ("accelerometer", spec.sensor.accelerometer)):
         if triad is not None:
             own = [
-                key.replace("_", " ") + (f" ({part.size})" if hasattr(part, "size") else "")
+                key.replace("_", " ") + (f" ({size})" if (size := getattr(part, "size", None)) is not None else "")
                 for key, part in triad
                 if isinstance(part, Section) and key not in skipped
             ]

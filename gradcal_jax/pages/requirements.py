@@ -11,7 +11,7 @@ from gradcal_jax.api.posterior_of_plan import UNIT_OF, run_of, statistic_of
 from gradcal_jax.api.prediction import counted_posteriors
 from gradcal_jax.api.systematic import CountedPosteriors
 from gradcal_jax.files import Spec
-from gradcal_jax.files.calibration import Result
+from gradcal_jax.files.calibration import Calibration, Result
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.requirement import HeadingRequirement, Requirement
@@ -72,6 +72,15 @@ class MapFact(NamedTuple):
     curves: tuple[tuple[str, ErrorCurve], ...] = ()
 
 
+def _by_requirement(calibration: Calibration) -> dict[tuple[str, str, str], Result]:
+    return {(r.name, r.axis, _of_map(r.quantity)): r for r in reversed(calibration.result)}
+
+
+def _of_map(quantity: str) -> str:
+    """The quantity of a gyro's requirement without its kind of channel, which that of an axis does not name."""
+    return quantity.removeprefix("gyro_")
+
+
 def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[MapFact]]:
     """The meaning of "before", every requirement, and its maps."""
     recipe, calibration = sources.recipe, sources.calibration
@@ -88,7 +97,7 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
         return "", [result_alone(row) for row in calibration.result], maps
     built, known, counted = _plan(recipe.axis_spec)
     other = None if sources.before is None else _plan(sources.before)
-    results = {} if calibration is None else {(r.name, r.axis, r.quantity): r for r in reversed(calibration.result)}
+    results = {} if calibration is None else _by_requirement(calibration)
     rows: list[RequirementFact] = []
     maps: list[MapFact] = []
     before_is = ""
@@ -98,7 +107,7 @@ def requirements_of(sources: Sources) -> tuple[str, list[RequirementFact], list[
         earlier = _before(other, recipe.axis_spec, requirement, row.axis)
         before = None if earlier is None else finite(statistic_of(requirement, earlier.values))
         more = {"before": before, "limit": sources.limits.get(row.name), "own": row.own, "coverage": row.coverage}
-        rows.append(fact_of(row, results.get((row.name, row.axis, row.quantity)), **more))
+        rows.append(fact_of(row, results.get((row.name, row.axis, _of_map(row.quantity))), **more))
         if earlier is not None:
             before_is = "the spec's priors, without a calibration"
             if other is not None:

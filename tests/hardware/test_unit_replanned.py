@@ -11,7 +11,7 @@ from unit_bench import estimated, made, short, stopped_in_its_second_cycle
 from gradcal_jax import api
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.replan import known_so_far, rest_of, with_done
-from gradcal_jax.api.timeline import unit_timeline
+from gradcal_jax.api.timeline import timeline
 from gradcal_jax.api.unit_build import assemble_unit, executed_motion, executed_parts, posterior_of_unit
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
@@ -147,7 +147,7 @@ def test_what_cannot_be_planned_anew_is_a_sentence(spec: UnitSpec) -> None:
     with pytest.raises(ValueError, match="a limit is of a plan that begins a run"):
         limits(rest)
     with pytest.raises(ValueError, match="a timeline is of a plan that begins a run"):
-        unit_timeline(rest)
+        timeline(rest)
 
 
 def test_a_run_goes_on_by_the_plan_of_its_rest(

@@ -15,6 +15,7 @@ from report_samples import calibration, recipe, rehearse, spec
 from gradcal_jax.api.ieee_terms import calibration_map, prior_map, standard_terms
 from gradcal_jax.cli import main
 from gradcal_jax.files import to_toml
+from gradcal_jax.files.axis_as_imu import general
 from gradcal_jax.files.calibration import write_calibration
 from gradcal_jax.files.calibration.correction import channel_error
 from gradcal_jax.files.writing import write_toml
@@ -121,7 +122,8 @@ def test_predicted_maps_have_the_recipes_statistics_and_achieved_ones_the_covari
     ):
         maps = dict(fact.maps)
         assert statistic(requirement.statistic, maps["predicted"].values) == pytest.approx(predicted.judged, rel=1e-9)
-        prior = prior_map(plan.spec, requirement)
+        of = general(plan.spec)
+        prior = prior_map(of, next(r for r in of.requirement if r.name == requirement.name))
         assert prior is not None
         np.testing.assert_array_equal(maps["before"].values, prior.values)
     # One point by hand: ψ of the monomials, the file's covariance between.

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import recorded
 
-from gradcal_jax.api.timeline import timeline
 from gradcal_jax.files import SpecError, spec_of
 from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
 from gradcal_jax.files.rounding import rounded, steps_of

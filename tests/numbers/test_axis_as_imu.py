@@ -39,11 +39,6 @@ def test_an_axis_has_the_same_recipe_as_an_imu(name):
     assert told[0] == told[1]
 
 
-def test_a_timeline_of_an_imu_is_one_of_a_plain_cycle():
-    with pytest.raises(ValueError, match="needs a plan with a cycle"):
-        unit_timeline(spec_of(axis_as_imu(KEPT["tactical 3"]["tables"])))
-
-
 def test_several_axes_that_turn_alone_are_no_table():
     with pytest.raises(SpecError, match="turns sensor axes x, z as if each had a table of its own"):
         axis_as_imu(KEPT["any 0"]["tables"])

@@ -127,11 +127,9 @@ def _slope_of(quantity: RequiredQuantity, known: Posterior) -> tuple[float, Sens
         for k in np.unique(worst[counts]):
             here = counts & (worst == k)
             rows, alone, beyond = (np.asarray(x)[here] for x in states[k])
-            wide, own = (_widened(x, element.where, size) for x in (rows, alone))
-            more = sensitivity_of(known, Contrasts(wide, own, beyond), of_variance[here[counts]])
-            slope = Sensitivity(
-                slope.of_gram + more.of_gram, slope.of_covariance + more.of_covariance, slope.of_beyond + more.of_beyond
-            )
+            places = Contrasts(_widened(rows, element.where, size), _widened(alone, element.where, size), beyond)
+            more = sensitivity_of(known, places, of_variance[here[counts]])
+            slope = slope.plus(more)
         beside += float(np.sum(of_variance)) * quantity.beside**2
     return total, slope, beside
 

@@ -25,7 +25,7 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.design import Design
-from gradcal_jax.files.moves import Axis, ResolvedMove
+from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import RampItem, StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import GyroTriad
@@ -269,13 +269,8 @@ def largest_rate(spec: UnitSpec, scenarios: list[UnitSpec]) -> float:
     return min(rates + [float(usable) for s in every if (usable := gyro_of(s).usable_rate) is not None])
 
 
-def axes_of(cycle: ResolvedCycle) -> list[Axis]:
-    """The axes that turn, in their order in the cycle."""
-    return list(dict.fromkeys(move.axis for move in cycle.moves if not move.is_rest)) or ["x"]
-
-
 def visit_times(cycle: ResolvedCycle) -> tuple[float, float]:
-    """The duration (s) of one turn at the table for all axes of the plan, and the time after it for other axes."""
+    """The duration (s) of one turn at the table, and the time after it for other axes."""
     others = [move.duration for move in cycle.moves if move.other_axes]
     each = (cycle.moving - sum(others)) / (len(others) + 1)
     return each, others[0] if others else cycle.duration - cycle.moving

@@ -173,8 +173,7 @@ def quantity_of(built: AssembledUnit, requirement: UnitRequirement, most: int | 
         cold, warm = (float(t) for t in requirement.temperature)
         temperatures = np.linspace(cold, warm, counts[0])
         if isinstance(requirement, GyroScaleFactorRequirement):
-            slow, fast = (float(w) for w in requirement.rate)
-            rates = np.linspace(slow, fast, counts[1])
+            rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), counts[1])
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "case":
         frame = built.spec.sensor.frame
         if frame is None or frame.fixed_by != "case":

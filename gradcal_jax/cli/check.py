@@ -99,11 +99,10 @@ def _sensors(spec: "UnitSpec") -> "Iterator[str]":
     skipped = {"axes", "drift", "scale_factor_instability", "temperature_error"}
     for name, triad in (("gyro", spec.sensor.gyro), ("accelerometer", spec.sensor.accelerometer)):
         if triad is not None:
-            parts = [(key, part) for key, part in triad if isinstance(part, Section) and key not in skipped]
-            sizes = [getattr(part, "size", None) for _, part in parts]
             own = [
-                key.replace("_", " ") + (f" ({size})" if size else "")
-                for (key, _), size in zip(parts, sizes, strict=True)
+                key.replace("_", " ") + (f" ({size})" if (size := getattr(part, "size", None)) is not None else "")
+                for key, part in triad
+                if isinstance(part, Section) and key not in skipped
             ]
             yield f"to be found: {name} {', '.join(triad.axes)}: {', '.join(own)}"
 

@@ -40,6 +40,11 @@ class Sensitivity(NamedTuple):
     of_covariance: Float[np.ndarray, "p p"]
     of_beyond: float
 
+    def plus(self, other: "Sensitivity") -> "Sensitivity":
+        """The derivative of a sum."""
+        of_gram, of_covariance = self.of_gram + other.of_gram, self.of_covariance + other.of_covariance
+        return Sensitivity(of_gram, of_covariance, self.of_beyond + other.of_beyond)
+
 
 def sensitivity_of(known: Posterior, places: Contrasts, of_variance: Float[np.ndarray, " g"]) -> Sensitivity:
     """`of_variance`: derivative of the statistic with respect to the variance at each place."""

@@ -313,7 +313,7 @@ def _encoder_errors(motion: TableMotion, model: UnitModel, at: Segments) -> _Enc
             ((every, before, now), fresh),
         ]
         if of.held:
-            spread, first = _standstills(of, k, moved > 0.0, start, lasting)
+            spread, first = _standstills(of, k, moved > 0.0, start, lasting, gap)
             covariance.append(((every, now, now), spread))
             initial.append(((now, now), first))
             continue
@@ -337,14 +337,19 @@ def _encoder_errors(motion: TableMotion, model: UnitModel, at: Segments) -> _Enc
     return _EncoderErrors(*(placed(shape, *of_shape) for shape, of_shape in zip(shapes, parts, strict=True)))
 
 
-def _standstills(encoder, k: int, moves: Bool[AnyArray, " S"], start, duration):
+def _standstills(encoder, k: int, moves: Bool[AnyArray, " S"], start, duration, gap: Bool[np.ndarray, " S"]):
     """Variance of the encoder error that each move of axis k draws, `(S,)`, and of the first one."""
     xp = namespace(encoder, start, duration, moves)
     end = start[-1:] + duration[-1:]
     # A standstill lasts until the axis moves again: of every segment, the begin of the next one that moves it.
-    marked = xp.concatenate([xp.where(moves, start, end), end])
+    # Of a move in a gap, nothing is read in the whole gap.
+    of_gap = np.maximum.accumulate(np.where(gap & ~np.append(False, gap[:-1]), np.arange(len(gap)), 0))
+    marked = xp.concatenate([xp.where(moves, xp.where(gap, start[of_gap], start), end), end])
     stops = xp.flip(_running_least(xp.flip(marked)))
-    begins = xp.concatenate([start[:1], start + duration])
+    after = np.flatnonzero(~np.append(gap, False))
+    following = after[np.searchsorted(after, np.arange(len(gap)))]
+    ends = xp.where(gap, xp.concatenate([start, end])[following], start + duration)
+    begins = xp.concatenate([start[:1], ends])
     readings = xp.floor((stops - begins) / encoder.every[k] * (1.0 + 1e-9) + 1e-9) + 1.0
     variance = encoder.offset[k] ** 2 + encoder.reading[k] ** 2 / readings
     return xp.where(moves, variance[1:], 0.0), variance[0]

@@ -55,7 +55,7 @@ def test_a_preset_is_commented_and_written_back_it_is_the_same(name, tmp_path):
     gj.write_toml(spec, tmp_path / "copy.toml", header="written back")
     assert tomllib.loads((tmp_path / "copy.toml").read_text(encoding="utf-8")) == document
     assert gj.read_spec(tmp_path / "copy.toml") == spec
-    jsonschema.Draft202012Validator(schema("unit-spec")).validate(document)
+    jsonschema.Draft202012Validator(schema("spec")).validate(document)
 
 
 @pytest.mark.parametrize("name", presets.names())

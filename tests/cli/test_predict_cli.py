@@ -111,9 +111,9 @@ def test_json_says_what_the_table_says(missed, missed_json):
     assert (full["unit"], full["temperature_c"], full["verdict"]) == ("ppm", [-30.0, 70.0], "missed")
     assert full["rate_dps"] == pytest.approx([-300.0, 300.0])
     deviations = {row["name"]: row["std"] for row in document["parameters"]}
-    assert list(deviations) == [f"b{rate}{temperature}" for temperature in range(4) for rate in range(4)]
+    assert list(deviations) == [f"gyro_x.b{rate}{temperature}" for temperature in range(4) for rate in range(4)]
     np.testing.assert_allclose(np.sqrt(np.diag(document["covariance"])), list(deviations.values()), rtol=1e-12)
-    assert f"{deviations['b33'] * 1e6:.4g}  ppm" in missed.out
+    assert f"gyro b33         {deviations['gyro_x.b33'] * 1e6:.4g}" in missed.out
 
 
 def test_what_cannot_be_observed_is_null_with_a_warning_and_status_1(specs):

@@ -11,19 +11,18 @@ from unit_bench import estimated, made, short, stopped_in_its_second_cycle
 from gradcal_jax import api
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.replan import known_so_far, rest_of, with_done
-from gradcal_jax.api.timeline import unit_timeline
-from gradcal_jax.api.unit_build import assemble_unit, motion_of, posterior_of_unit
+from gradcal_jax.api.timeline import timeline
+from gradcal_jax.api.unit_build import assemble_unit, executed_motion, executed_parts, posterior_of_unit
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
-from gradcal_jax.files import SpecError, changed, presets
+from gradcal_jax.files import SpecError, changed, presets, tables_of
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.spec import parse_spec
-from gradcal_jax.files.unit_plan import cycles_between
 from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError
 from gradcal_jax.hardware.stretches import adopt, stretches_of
 from gradcal_jax.information import unit_system, whiten
-from gradcal_jax.trajectory import TableMotion, body_nodes
+from gradcal_jax.trajectory import TableMotion, TablePart, body_nodes
 
 
 @pytest.fixture(scope="module")
@@ -37,39 +36,67 @@ def gram(spec: UnitSpec, motion: TableMotion) -> np.ndarray:
     return rows.T @ rows
 
 
-def test_cycles_that_were_done_are_a_plan_of_their_own(spec: UnitSpec) -> None:
+def executed(spec: UnitSpec, start_s: float, end_s: float) -> TablePart | None:
+    plan = tables_of(spec)["plan"]
+    done = [{"plan": plan, "start": f"{start_s} s", "end": f"{end_s} s"}]
+    return next((part for part, _ in executed_parts(changed(spec, {"done": done}))), None)
+
+
+def test_of_a_table_that_is_held_whole_moves_count_and_parts_of_rests(spec: UnitSpec) -> None:
     plan = spec.schedule
-    stretch, period = plan.stretches[0], plan.period
-    assert stretch.cycles == 4
-    begins = stretch.start + period
-    part = cycles_between(plan, begins - 1e-4 * period, begins + 2.7 * period)
+    begins, period = plan.stretches[0].start, plan.period
+    whole = executed(spec, 0.0, plan.duration)
+    assert whole is not None
+    times = np.asarray(whole.line.start)
+    # In the middle of the second cycle's second rest, and of its second turn.
+    number = np.asarray(whole.line.segment)
+    second = np.flatnonzero(times >= begins + period - 1e-6)
+    rest = second[whole.axis[second] < 0][1]
+    cut = float(times[rest] + 0.25 * whole.line.duration[rest])
+    part = executed(spec, 0.0, cut)
     assert part is not None
-    assert (part.stretches[0].cycles, part.period) == (2, period)
-    assert part.duration == pytest.approx(2.0 * period)
-    (segment,) = part.segments
-    ramp = next(s for s in plan.segments if s.used)
-    assert segment.temperature_start == pytest.approx(ramp.temperature_start + ramp.slope * period)
-    assert segment.slope == pytest.approx(ramp.slope)
-    # A turn and a half of tilt, by every cycle.
-    net = sum(s.move.angle for s in plan.steps if s.axis == 0)
-    assert part.start[0] == pytest.approx(plan.start[0] + net)
-    assert cycles_between(plan, begins, begins + 0.9 * period) is None
+    assert part.line.start[-1] + part.line.duration[-1] == pytest.approx(cut)
+    assert part.line.duration[-1] == pytest.approx(0.25 * float(whole.line.duration[rest]))
+    turn = second[whole.axis[second] >= 0][-1]
+    of_turn = np.flatnonzero(number == number[turn])
+    part = executed(spec, 0.0, float(times[of_turn[-1]] + 0.5 * whole.line.duration[of_turn[-1]]))
+    assert part is not None
+    assert part.line.start[-1] + part.line.duration[-1] == pytest.approx(float(times[of_turn[0]]))
+    # The part from there on begins at the angles that were reached.
+    later = executed(spec, float(times[of_turn[0]]), plan.duration)
+    assert later is not None
+    net = [sum(s.move.repeat * s.move.angle for s in plan.steps if s.axis == k) for k in range(len(plan.start))]
+    turned = np.where(part.axis[:, None] == np.arange(len(net)), part.line.turned()[:, None], 0.0).sum(axis=0)
+    np.testing.assert_allclose(later.start, part.start + turned, atol=1e-9)
+    assert executed(spec, float(times[of_turn[0]]), float(times[of_turn[0]]) + 0.01) is None
+
+
+def test_in_a_pause_every_axis_returns_and_nothing_is_read(spec: UnitSpec) -> None:
+    both = rest_of(spec, [(0.0, spec.schedule.stretches[0].start + 1.4 * spec.schedule.period)], pause_s=600.0)
+    motion, done = assemble_unit(both).motion, executed_motion(assemble_unit(both))
+    assert done is not None
+    count, axes = done.line.piece_count, motion.geometry.axis_count
+    pause = slice(count, count + axes)
+    assert np.all(motion.line.gap[pause])
+    assert float(motion.line.duration[pause].sum()) == pytest.approx(600.0)
+    _, after = motion.angles()
+    turns = (after[count + axes - 1] - np.asarray(both.schedule.start)) / (2.0 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
 
 
 def test_a_prediction_counts_what_was_done(spec: UnitSpec) -> None:
-    """The information of the parts and of the priors adds up."""
+    """After a pause in which all drifts are forgotten, the information of the parts and of the priors adds up."""
     plan = spec.schedule
     half = plan.stretches[0].start + 2.0 * plan.period
-    both = rest_of(spec, [(0.0, half)])
+    both, forgotten = rest_of(spec, [(0.0, half)]), rest_of(spec, [(0.0, half)], pause_s=1e5)
     ramp = next(s for s in plan.segments if s.used)
     begins = ramp.temperature_start + ramp.slope * 2.0 * plan.period
     assert both.schedule.segments[0].temperature_start == pytest.approx(begins, abs=0.1)
     assert both.schedule.segments[-1].temperature_end == pytest.approx(ramp.temperature_end, abs=0.11)
-    done = cycles_between(plan, 0.0, half)
+    built = assemble_unit(forgotten)
+    rows, done = built.model.prior_rows(), executed_motion(built)
     assert done is not None
-    rows = assemble_unit(spec).model.prior_rows()
-    built = assemble_unit(both)
-    total = rows.T @ rows + gram(spec, motion_of(done, spec, assemble_unit(spec).model)) + gram(both, built.motion)
+    total = rows.T @ rows + gram(spec, done) + gram(spec, assemble_unit(changed(both, {"done": None})).motion)
     size = np.sqrt(np.diag(total))
     known = posterior_of_unit(built)
     assert not known.hidden.size
@@ -120,7 +147,7 @@ def test_what_cannot_be_planned_anew_is_a_sentence(spec: UnitSpec) -> None:
     with pytest.raises(ValueError, match="a limit is of a plan that begins a run"):
         limits(rest)
     with pytest.raises(ValueError, match="a timeline is of a plan that begins a run"):
-        unit_timeline(rest)
+        timeline(rest)
 
 
 def test_a_run_goes_on_by_the_plan_of_its_rest(

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import recorded
 
-from gradcal_jax.api.timeline import unit_timeline
 from gradcal_jax.files import SpecError, spec_of
 from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
 from gradcal_jax.files.rounding import rounded, steps_of
@@ -38,11 +37,6 @@ def test_an_axis_has_the_same_recipe_as_an_imu(name):
     for one, other in zip(told[0][1], told[1][1], strict=True):
         assert one.pop("angles") == pytest.approx(other.pop("angles"), abs=1.001e-3)
     assert told[0] == told[1]
-
-
-def test_a_timeline_of_an_imu_is_one_of_a_plain_cycle():
-    with pytest.raises(ValueError, match="needs a plan with a cycle"):
-        unit_timeline(spec_of(axis_as_imu(KEPT["tactical 3"]["tables"])))
 
 
 def test_several_axes_that_turn_alone_are_no_table():

@@ -86,7 +86,9 @@ def test_the_paper_s_presets_have_exactly_the_paper_s_terms(preset):
     assert keys(gj.parse_spec(gj.presets.text(preset))) == []
 
 
-@pytest.mark.parametrize("preset", [n for n in gj.presets.names() if n.startswith(("rig", "tactical", "consumer", "two", "one"))])
+@pytest.mark.parametrize(
+    "preset", [n for n in gj.presets.names() if n.startswith(("rig", "tactical", "consumer", "two", "one"))]
+)
 def test_presets_of_a_class_are_counted_not_zeroed(preset):
     left_out = keys(spec_of(tomllib.loads(gj.presets.text(preset))))
     assert any(key.endswith(("mounting[0].accuracy", "scale_error")) for key in left_out)

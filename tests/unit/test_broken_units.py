@@ -140,6 +140,7 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     ("plan.cycle.start", {"roll": "90 deg"}, "plan.cycle.start.roll", "no axis of this name"),
     ("plan.gradient", "9 K/min", "plan.gradient", "rig.chamber.max_heating"),
 ]  # fmt: skip
+# ruff: noqa: E501
 
 
 def place(document, dotted: str, value) -> None:

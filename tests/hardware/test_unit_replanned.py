@@ -11,6 +11,7 @@ from unit_bench import estimated, made, short, stopped_in_its_second_cycle
 from gradcal_jax import api
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.replan import known_so_far, rest_of, with_done
+from gradcal_jax.api.structures import motion_time
 from gradcal_jax.api.timeline import timeline
 from gradcal_jax.api.unit_build import assemble_unit, executed_motion, executed_parts, posterior_of_unit
 from gradcal_jax.cli import main
@@ -108,6 +109,18 @@ def test_a_prediction_counts_what_was_done(spec: UnitSpec) -> None:
         assert a.decisive is not None
         assert b.decisive is not None
         assert a.decisive == pytest.approx(b.decisive, rel=0.1), a.name
+
+
+@pytest.mark.parametrize("limit", ["max_motion", "max_total"])
+def test_limits_of_the_whole_runs_time_do_not_stretch_the_rest(spec: UnitSpec, limit: str) -> None:
+    """[design]'s time is that of the run; the search of the rest has the time that is left."""
+    limited = changed(spec, {"design": {"minimise": "worst ratio", limit: f"{spec.schedule.duration:.9g} s"}})
+    half = spec.schedule.stretches[0].start + 2.0 * spec.schedule.period
+    rest = rest_of(limited, [(0.0, half)])
+    assert rest.design is not None
+    assert rest.design.minimise == "worst ratio"
+    assert rest.schedule.motion == pytest.approx(spec.schedule.duration - half, rel=0.01)
+    assert motion_time(rest, rest.design) == rest.schedule.motion
 
 
 def test_what_is_known_by_now_and_at_the_end(spec: UnitSpec) -> None:

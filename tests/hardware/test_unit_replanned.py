@@ -146,14 +146,26 @@ def test_what_is_known_by_now_and_at_the_end(spec: UnitSpec) -> None:
         assert first.now is None or first.now > second.now
 
 
+def test_what_is_known_of_a_plan_with_several_mountings() -> None:
+    """Broken off in the second of three mountings; the run goes on there."""
+    several = parse_spec(presets.text("one-axis-table"))
+    second = several.schedule.stretches[1]
+    now_s = second.start + 2.5 * several.schedule.period
+    for found, whole in zip(
+        known_so_far(several, [(0.0, now_s)], now_s), api.predict(several).requirements, strict=True
+    ):
+        assert found.at_end == pytest.approx(whole.decisive, rel=1e-6), found.name
+        assert found.now is not None
+        assert found.at_end is not None
+        assert found.now > found.at_end, found.name
+
+
 def test_what_cannot_be_planned_anew_is_a_sentence(spec: UnitSpec) -> None:
     with pytest.raises(ValueError, match="nothing of the ramp is left"):
         rest_of(spec, [(0.0, spec.schedule.duration)])
     several = parse_spec(presets.text("one-axis-table"))
-    with pytest.raises(ValueError, match="several stretches of used data the rest is not planned anew: go on with"):
+    with pytest.raises(ValueError, match="several mountings the rest is not planned anew: go on with"):
         rest_of(several, [(0.0, 600.0)])
-    with pytest.raises(ValueError, match="what is known by now is not worked out yet"):
-        known_so_far(several, [(0.0, 600.0)], 600.0)
     with pytest.raises(SpecError, match="expected a time after its start"):
         with_done(spec, [(60.0, 30.0)])
     rest = with_done(spec, [(0.0, spec.schedule.duration)])

@@ -89,7 +89,7 @@ def table_schedule(plan: UnitSchedule | StandardSchedule, spec: Spec) -> tuple[S
     # (Steps behind the cycle are made once.)
     moves, after = (tuple(move(s.move) for s in part) for part in (plan.every_step, plan.after))
     # What no cycle fills is read once at its end, but by an operator, who types angles after turns only.
-    left = None if every is None or (np.isinf(every) and table.drive == "motor") else every
+    left = None if every is None or (np.isinf(every) and not table.typed) else every
     return trajectory.gradient_plan(course, moves, after, used=used, read_every=left), (*moves, *after)
 
 

@@ -18,7 +18,6 @@ from gradcal_jax.api.structures import ResolvedCycle, cycle_of, ramped_shape, re
 from gradcal_jax.api.unit_build import assemble_unit, executed_motion
 from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.files import changed, tables_of
-from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.rounding import steps_of
 from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import posterior, unit_information
@@ -116,15 +115,14 @@ def rest_of(spec: Spec, done: Sequence[Span], *, left_s: float | None = None, pa
     soak = schedule.segments[0]
     if soak.kind == "soak" and (not schedule.steps or not done):
         plan["plan.soak"] = {"duration": f"{soak.duration:.9g} s", "used": soak.used and not done}
-    if not spec.turns_one_gyro:
-        return changed(with_done(spec, done, pause_s), plan)
-    design = tables_of(spec).get("design") or tomllib.loads(design_block(spec))["design"]
-    if (cycle := cycle_of(spec)) is not None and {"duration", "rest", "turn"} & set(design["free"]):
-        plan["plan.cycle"] = _visits(spec, cycle, lasts_s)
-    design = {name: value for name, value in design.items() if name not in ("max_total", "max_motion")}
-    if design["minimise"] not in TIMES:
-        design["max_motion"] = f"{lasts_s:.9g} s"
-    return changed(with_done(spec, done, pause_s), plan | {"design": design})
+    if design := tables_of(spec).get("design"):
+        # The limits of the whole run's time: the rest has the plan's own.
+        plan["design"] = {name: value for name, value in design.items() if name not in ("max_total", "max_motion")}
+    if spec.turns_one_gyro:
+        design = plan.setdefault("design", tomllib.loads(design_block(spec))["design"])
+        if (cycle := cycle_of(spec)) is not None and {"duration", "rest", "turn"} & set(design["free"]):
+            plan["plan.cycle"] = _visits(spec, cycle, lasts_s)
+    return changed(with_done(spec, done, pause_s), plan)
 
 
 def replan(

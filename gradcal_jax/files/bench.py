@@ -249,6 +249,11 @@ class UnitTable(Section):
     )
     """One mounting, or several that are used one after the other."""
 
+    @property
+    def typed(self) -> bool:
+        """Whether an operator types angles, and none where no cycle fills a stretch of used data."""
+        return self.drive == "hand" and all(math.isinf(axis.angle.read_every) for axis in self.axis)
+
     def _problems(self) -> Iterator[Problem]:
         yield from repeated_names("axis", "name", [axis.name for axis in self.axis], "two axes have this name")
         if self.axis[-1].orthogonality:

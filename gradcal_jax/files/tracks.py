@@ -225,8 +225,7 @@ def _blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]
     axes, hung = rig.table.axis, rig.table.mounting
     spacing = min(float(axis.angle.read_every) for axis in axes)
     held, once = rig.table.standing == "held", math.isinf(spacing)
-    # An operator types an angle where a turn ends, and none while the table stands.
-    typed = once and rig.table.drive == "hand"
+    typed = rig.table.typed
     moves: list[TrackMove] = []
     clock = 0.0
     for step in (*schedule.steps, *schedule.after):

@@ -213,7 +213,8 @@ def row_count(schedule: UnitSchedule, table: UnitTable) -> int:
     for stretch in schedule.stretches:
         total += stretch.cycles * cycle + max(0, stretch.cycles - 1) * after
         stands = stretch.leftover if stretch.cycles else stretch.duration
-        total += _rows(ResolvedMove("rest", "x", stands), spacing, table) if stands > 0.0 else 0
+        if stands > 0.0 and (table.standing == "held" or not table.typed):
+            total += _rows(ResolvedMove("rest", "x", stands), spacing, table)
     return total
 
 

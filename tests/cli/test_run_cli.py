@@ -60,7 +60,7 @@ def test_a_rehearsal_from_recipe_to_log(tmp_path, capsys):
     assert "simulated devices: a rehearsal, not a measurement" in said
     assert "step 1 of" in said
     assert "chamber: safe (standby" in said
-    assert "b00" in json.loads((run / "hidden_truth.json").read_text())["x"]
+    assert "gyro_x.b00" in json.loads((run / "hidden_truth.json").read_text())["units"]["unit1"]
     assert main(["log", str(run)]) == 0
     assert "(simulated devices)" in capsys.readouterr().out
     first = (run / "log.nc").read_bytes()

@@ -126,14 +126,13 @@ def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> C
     assert status in (0, 1), printed
     made = tomllib.loads(path.read_text(encoding="utf-8"))
     truth = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
-    of_unit = "units" in truth
     names, matrix, values, hidden = _coefficients(made, truth)
     error = np.array([values[name] - hidden[name] for name in names])
     scale = np.sqrt(np.diag(matrix))
     apart = error / scale
     nees = float(apart @ np.linalg.solve(matrix / np.outer(scale, scale), apart))
     fit = (float(made["fit"][0]["statistic"]), int(made["fit"][0]["degrees"]))
-    before = {row["name"] if of_unit else f"{_gyro(made)}.{row['name']}": row["std"] for row in predicted["parameters"]}
+    before = {row["name"]: row["std"] for row in predicted["parameters"]}
     sigmas = {name: s / before[name] for name, s in zip(names, scale, strict=True) if before.get(name)}
     asked = {row["name"]: row for row in predicted["requirements"]}
     ratios = {row["name"]: _ratio(row, asked[row["name"]]) for row in made.get("result", []) if "value" in row}
@@ -149,10 +148,6 @@ def _ratio(achieved: dict[str, Any], predicted: dict[str, Any]) -> float:
     return float(achieved.get("named", achieved["value"]) / before)
 
 
-def _gyro(made: dict[str, Any]) -> str:
-    return f"gyro_{made['channel'][0]['axis']}"
-
-
 def _coefficients(made: dict[str, Any], truth: dict[str, Any]) -> tuple[Any, ...]:
     """Names that estimate and truth have in common, their covariance, and the values of both."""
     values = {
@@ -161,12 +156,7 @@ def _coefficients(made: dict[str, Any], truth: dict[str, Any]) -> tuple[Any, ...
         for term in channel["term"]
         for name, value in term["coefficients"].items()
     }
-    if "units" in truth:
-        (hidden,) = truth["units"].values()
-    else:
-        own = truth[made["channel"][0]["axis"]]
-        own = own | {"bias_temperature_gradient": own["gradient"]}
-        hidden = {f"{_gyro(made)}.{name}": value for name, value in own.items()}
+    (hidden,) = truth["units"].values()
     names = [name for name in made["covariance"]["names"] if name in hidden and name in values]
     return names, _part(made["covariance"], names), values, hidden
 

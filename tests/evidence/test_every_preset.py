@@ -13,11 +13,10 @@ from chain import AIR_LAG_S, Chain, chain, predicted_of, recipe_of
 from scipy.stats import chi2
 
 from gradcal_jax.files import presets
-from gradcal_jax.files.axis_as_imu import axis_as_imu
 
 ROOT = Path(__file__).parents[2]
 REPORT = ROOT / "experiments" / "evidence" / "presets.md"
-PRESETS = (*presets.names(), *presets.names())
+PRESETS = presets.names()
 EXPERIMENTS = tuple(
     str(path.relative_to(ROOT))
     for path in sorted((ROOT / "experiments").rglob("*.toml"))
@@ -57,10 +56,7 @@ QUICK = {
         "box": ["14 degC", "26 degC"],
     },
 }
-# The presets of an axis in the general form: one gyro along the only axis of a table.
-AS_IMU = tuple(f"{name} as an IMU" for name in presets.names())
-ALL = (*PRESETS, *AS_IMU, *EXPERIMENTS)
-QUICK |= {f"{name} as an IMU": QUICK[name] for name in QUICK if f"{name} as an IMU" in AS_IMU}
+ALL = (*PRESETS, *EXPERIMENTS)
 
 
 @dataclass
@@ -133,9 +129,8 @@ def written(name: str, folder: Path, changes: dict[str, object] | None = None) -
     if name in EXPERIMENTS:
         return ROOT / name
     path = folder / "spec.toml"
-    text = presets.text(name.removesuffix(" as an IMU"))
-    text = thinned(text, changes) if changes else text
-    path.write_text(tomlkit.dumps(axis_as_imu(tomllib.loads(text))) if name in AS_IMU else text, encoding="utf-8")
+    text = presets.text(name)
+    path.write_text(thinned(text, changes) if changes else text, encoding="utf-8")
     return path
 
 

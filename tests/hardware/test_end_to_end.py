@@ -23,11 +23,13 @@ from gradcal_jax.files.calibration import Calibration, read_calibration
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.log_file import write_log
 from gradcal_jax.files.recipe import Recipe, read_recipe
-from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.unit_spec import UnitSpec
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate import lab
-from gradcal_jax.hardware.simulate.plants import ChamberTruth
+from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
+from gradcal_jax.hardware.simulate.plants import AxisTruth, ChamberTruth
+from gradcal_jax.hardware.simulate.unit import TableTruth, UnitTruth
 
 SMALL = {
     "sensor.scale_factor.temperature.degree": 1,
@@ -44,16 +46,21 @@ def rehearsed(made: Recipe, folder: Path, seed: int) -> tuple[Log, dict[str, Any
         run = new_folder(folder, made, lab.rig, simulated={"seed": seed})
         result = run_session(run, lab.rig, clock, simulated=True)
         assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
-        truth = lab.truth.tables(lab.axes)
+        truth = lab.truths()
     return log_of(run.contents(), run.recipe(), run.rig()), truth
+
+
+def hidden_parameters(truth: dict[str, Any]) -> dict[str, float]:
+    """Of the only device and of its installation, by their names in the calibration, SI."""
+    return truth["units"]["unit1"] | truth["installation"]
 
 
 def distance(calibration: Calibration, truth: dict[str, Any]) -> tuple[float, int]:
     """χ² of the estimate's errors in its own covariance, and its degrees of freedom."""
-    values, hidden = calibration.values(), truth["x"] | {"bias_temperature_gradient": truth["x"]["gradient"]}
+    values, hidden = calibration.values(), hidden_parameters(truth)
     assert calibration.covariance is not None
     names = calibration.covariance.names
-    error = np.array([values[name] - hidden[name.removeprefix("gyro_x.")] for name in names])
+    error = np.array([values[name] - hidden[name] for name in names])
     matrix = np.array(calibration.covariance.matrix)
     scale = np.sqrt(np.diag(matrix))
     whitened = np.linalg.solve(np.linalg.cholesky(matrix / np.outer(scale, scale)), error / scale)
@@ -67,7 +74,7 @@ def test_a_log_holds_what_the_table_did(tmp_path: Path) -> None:
     assert log.table_course_rad is not None
     assert int(log.standstill.max()) == 2 * made.motion[0].repeat
     step = 1.0 / 125.0
-    factor = truth["x"]["b00"]
+    factor = hidden_parameters(truth)["gyro_x.b00"]
     turned = []
     for number in range(int(log.standstill.max())):
         last, first = (np.flatnonzero(log.standstill == n) for n in (number, number + 1))
@@ -112,8 +119,9 @@ def test_a_short_run_gives_back_the_hidden_parameters_within_its_covariance(tmp_
     assert chi2.sf(found, degrees) > 1e-4
     # The test can fail: a truth that is ten deviations away is not consistent.
     assert calibration.covariance is not None
-    wrong = truth["x"] | {"b00": truth["x"]["b00"] + 10.0 * float(np.sqrt(calibration.covariance.matrix[0][0]))}
-    assert chi2.sf(distance(calibration, {"x": wrong})[0], degrees) < 1e-4
+    name, variance = calibration.covariance.names[0], calibration.covariance.matrix[0][0]
+    truth["units"]["unit1"][name] += 10.0 * float(np.sqrt(variance))
+    assert chi2.sf(distance(calibration, truth)[0], degrees) < 1e-4
 
 
 DESIGN = """
@@ -163,7 +171,7 @@ class Chains:
 
     def in_lagging_air(self, requirement: str) -> float:
         """The prediction where the sensor is as far behind the set point as the chamber's own control leaves it."""
-        spec = read_recipe(self.recipe).axis_spec
+        spec = read_recipe(self.recipe).spec
         lag = float(spec.sensor.thermal_lag or 0.0) + ChamberTruth().air_time_constant_s
         rows = predict(changed(spec, {"sensor.thermal_lag": f"{lag} s"})).requirements
         value = next(row.mean_of_max for row in rows if row.name == requirement)
@@ -229,14 +237,17 @@ def test_with_hardly_any_noise_the_standard_method_leaves_nothing(
     A sensor without any noise repeats its value, as one that hangs: a three-hundredth of its noise is one step.
     """
 
-    def still(spec: Spec, seed: int) -> lab.HiddenTruth:
-        drawn = draw_truth(spec, seed)
-        triads = drawn.sensor.triads.items()
-        quiet = {kind: replace(triad, white=triad.white / 300.0, drifts=()) for kind, triad in triads}
-        return replace(drawn, sensor=replace(drawn.sensor, triads=quiet), axis=replace(drawn.axis, rate_accuracy=0.0))
+    def still(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
+        drawn = draw_truth(spec, seed, number)
+        quiet = {kind: replace(t, white=t.white / 300.0, drifts=()) for kind, t in drawn.triads.items()}
+        return replace(drawn, triads=quiet)
 
-    draw_truth = lab.draw_truth
+    def exact(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:
+        table, encoders, named = draw_table(spec, seed)
+        return table, [replace(encoder, rate_accuracy=0.0) for encoder in encoders], named
+
     monkeypatch.setattr(lab, "draw_truth", still)
+    monkeypatch.setattr(lab, "draw_table", exact)
     spec, recipe = tmp_path / "spec.toml", tmp_path / "recipe.toml"
     spec.write_text(presets.text("paper-dynamic-standard"), encoding="utf-8")
     assert gradcal("recipe", spec, "-o", recipe).returncode in (0, 1)

@@ -14,9 +14,11 @@ from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 from simulated_devices.port_lab import SimulatedLab
 
+from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.recipe import read_recipe
+from gradcal_jax.files.tracks import tracks_of
 from gradcal_jax.files.unit_plan import UnitSchedule, row_count
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.binding import track_of
@@ -33,6 +35,7 @@ from gradcal_jax.hardware.run_folder import (
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.track import Track
+from gradcal_jax.information import segments_of
 
 SPEED = 20.0
 
@@ -57,6 +60,45 @@ def test_every_preset_becomes_a_track_that_takes_as_long_as_its_plan(name: str) 
         following = ([move.start_s for move in step.moves] + [step.duration_s])[1:]
         for move, end, after in zip(step.moves, ends, following, strict=True):
             assert move.kind != "turn" or end <= after + 1e-6
+
+
+@pytest.mark.parametrize("drive", ["motor", "hand"])
+@pytest.mark.parametrize("standing", ["read", "held"])
+def test_a_prediction_reads_what_the_recipe_reads(drive: str, standing: str) -> None:
+    """Of an axis that is read once in each rest, in a plan whose first stretch is shorter than its cycle: an operator
+    types no angle there, nor behind the last cycle. Of a table that is held, a rest is data without a reading."""
+    turn = {"duration": "10 s", "shape": "hand"} if drive == "hand" else {"peak_rate": "90 deg/s", "ramp": "1 s"}
+    turn |= {"shape": "linear ramps"} if drive == "motor" else {}
+    programme = [
+        {"soak": "30 s", "at": "20 degC", "used": True},
+        {"soak": "30 min", "used": False},
+        {"ramp_to": "40.2 degC", "rate": "1 K/min"},
+    ]
+    keys = {
+        "rig.table.drive": drive,
+        "rig.table.answer_time": "4 s" if drive == "hand" else "0 s",
+        "rig.table.standing": standing,
+        "rig.table.axis[0].angle.read_every": "rest",
+        "plan.temperature": None,
+        "plan.gradient": None,
+        "plan.soak": None,
+        "plan.programme": programme,
+        "plan.cycle": {"moves": [{"rest": "15 s"}, {"turns": 1} | turn, {"rest": "15 s"}, {"turns": -1} | turn]},
+    }
+    spec = unpredicted(changed(parse_spec(presets.text("rig-hand")), keys)).spec
+    short, ramp = spec.gradient_schedule.stretches
+    assert (short.cycles, ramp.cycles > 10, ramp.leftover > 1.0) == (0, True, True)
+    built = assemble_unit(spec)
+    rows = segments_of(built.motion, built.model)
+    begins = np.asarray(built.motion.line.start)[rows.first][rows.row_segment[rows.used]]
+    last_ends = ramp.start + ramp.cycles * spec.gradient_schedule.period
+    fills = np.sum(begins < ramp.start), np.sum(begins > last_ends - 1e-6)
+    assert fills == ((0, 0) if (drive, standing) == ("hand", "read") else (1, 1))
+    assert rows.used.sum() == row_count(spec.gradient_schedule, spec.rig.table)
+    blocks = tracks_of(spec)[1]
+    read = [(block.moves[0].read_every is not None or block.moves[0].read == "end") for block in blocks]
+    behind = blocks[-1].read_every_after is not None
+    assert (read[0], behind) == ((False, False) if drive == "hand" else (True, True))
 
 
 def chamber_hears(track: Track) -> list[tuple[float, float, float | None]]:

@@ -16,7 +16,6 @@ from gradcal_jax.api.estimate import estimate_log
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
-from gradcal_jax.files import Spec
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.log_file import read_log
 from gradcal_jax.files.recipe import Recipe
@@ -144,13 +143,14 @@ def recorded_run(folder: Path, made: Recipe, seed: int) -> tuple[Log, dict[str, 
     the start nor, but for its 50 ppm, the rate; and the hidden truth."""
     clock, kept = LineClock(), list[SensorSamples]()
     with SimulatedLab(made.spec, clock, seed=seed) as lab:
-        take = lab.sensor.take
+        unit = lab.units["unit1"]
+        take = unit.take
 
         def keeping(count: int) -> SensorSamples:
             kept.append(take(count))
             return kept[-1]
 
-        lab.sensor.take = keeping
+        unit.take = keeping
         rig = lab.rig.model_copy(update={"imu": ()})
         result = run_session(new_folder(folder, made, rig, simulated={}), rig, clock, simulated=True)
         truth = lab.truths()
@@ -169,7 +169,6 @@ def recorded_run(folder: Path, made: Recipe, seed: int) -> tuple[Log, dict[str, 
 
 def squares(made: Recipe, log: Log, truth: dict[str, Any], clock: Literal["sensor", "host"]) -> tuple[float, ...]:
     """χ² of the data and of the parameters' errors, and the degrees of freedom of both: data, theirs, errors, theirs"""
-    assert isinstance(made.spec, Spec)
     (calibration,) = estimate_log(made.spec, [log], options=Options(clock=clock)).calibrations
     fit = next(test for test in calibration.fit if test.name == "chi-squared of the fit")
     return fit.statistic, fit.degrees, *distance(calibration, truth)

@@ -137,20 +137,20 @@ def test_the_rest_of_a_broken_run_is_nearly_as_good_as_if_the_loss_had_been_know
     spec.write_text(presets.text("paper-dynamic-gradient") + DESIGN, encoding="utf-8")
     assert gradcal("optimise", spec, "-o", recipe).returncode in (0, 1)
     made = read_recipe(recipe)
-    motion_s = made.axis_spec.gradient_schedule.motion
+    motion_s = made.spec.gradient_schedule.motion
     shorter = {"design.max_motion": f"{motion_s - LOST_S:g} s", "design.starts": 8}
     known = optimum(changed(read_spec(spec), shorter), tmp_path, "known.toml")
     said: list[str] = []
     statistic, degrees = 0.0, 0
     for number, share in enumerate((0.2, 0.5, 0.8)):
         folder = broken_off(made, tmp_path / f"run{number}", (1.0 - share) * motion_s, seed=number)
-        left_s = made.axis_spec.schedule.duration - stretches_of(folder)[-1].end_s - LOST_S
+        left_s = made.spec.schedule.duration - stretches_of(folder)[-1].end_s - LOST_S
         new = tmp_path / f"new{number}.toml"
         made_new = gradcal("replan", folder.path, "--time", f"{left_s:.1f} s", "-o", new, "--json")
         assert made_new.returncode in (0, 1), made_new.stderr
         found = json.loads(made_new.stdout)["now"]
         # The same rest, searched from twice as many other plans.
-        rest_spec = changed(read_recipe(new).axis_spec, {"design.starts": 8, "design.seed": 11})
+        rest_spec = changed(read_recipe(new).spec, {"design.starts": 8, "design.seed": 11})
         best = optimum(rest_spec, tmp_path, f"best{number}.toml")
         assert gradcal("run", new, "--resume", folder.path).returncode == 0
         assert gradcal("log", folder.path).returncode == 0

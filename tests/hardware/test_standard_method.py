@@ -4,8 +4,6 @@ Without the run, whose end-to-end proofs are elsewhere: what is asked here is wh
 variance that prediction and estimate take them to have. Fifty seeds of the paper's own spec.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from expected_errors import Observations, whitened
 from scipy.stats import chi2
@@ -13,8 +11,8 @@ from scipy.stats import chi2
 from gradcal_jax import estimation
 from gradcal_jax.api.build import assemble
 from gradcal_jax.files import changed, parse_spec, presets
-from gradcal_jax.files.spec import Spec
-from gradcal_jax.hardware.simulate.lab import draw_truth
+from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.unit import SimulatedUnit, TableTruth
 from gradcal_jax.information import noise_steps
@@ -26,12 +24,12 @@ SETTLED_S, SPINNING_S = 1800.0, 2.0
 EAST = TableTruth(((1.0, 0.0, 0.0),), np.radians(45.0), 9.8)
 
 
-def recorded(spec: Spec, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, float]]:
+def recorded(spec: UnitSpec, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, float]]:
     """Of every set point temperature (°C), the gyro's integral and the encoder's angle (deg); and the truth."""
-    plan, truth = spec.schedule, draw_truth(spec, seed)
+    plan, truth, (_, encoders, _) = spec.schedule, draw_truth(spec, seed, 1), draw_table(spec, seed)
     chamber = ChamberPlant(ChamberTruth(start_c=float(plan.temperatures[0]), load_time_constant_s=1.0))
-    axis = AxisPlant(replace(truth.axis, seed=16 * truth.axis.seed + 1))
-    sensor = SimulatedUnit(truth.sensor, EAST, chamber, [axis], sample_rate_hz=RATE_HZ, seed=seed + 1)
+    axis = AxisPlant(encoders[0])
+    sensor = SimulatedUnit(truth, EAST, chamber, [axis], sample_rate_hz=RATE_HZ, seed=seed + 1)
     now, rows = 0.0, []
 
     def last(time_s: float):
@@ -51,7 +49,7 @@ def recorded(spec: Spec, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray,
             said = last(float(plan.integration))
             turned = axis.reading(now) - before
             rows.append((np.mean(said.temperature_c), np.sum(said.rate_dps[:, 0]) / RATE_HZ, turned))
-    return *np.array(rows).T, truth.tables(("x",))["x"]
+    return *np.array(rows).T, truth.names
 
 
 def test_fifty_seeds_scatter_as_the_model_says():
@@ -70,7 +68,7 @@ def test_fifty_seeds_scatter_as_the_model_says():
         columns, readings = np.asarray(model.columns(gauss_nodes(line, model))), np.radians(said - turned)[:, None]
         found = estimation.solve(whitened(Observations(noise_steps(line, model), columns, readings), model))
         residuals += float(found.residuals[0] @ found.residuals[0])
-        error = model.to_reported @ found.parameters[0] - np.array([truth[name] for name in model.names()])
+        error = model.to_reported @ found.parameters[0] - np.array([truth[f"gyro_x.{name}"] for name in model.names()])
         errors += float(np.sum(np.linalg.solve(model.to_reported @ found.known[0].spread, error) ** 2))
     freedom = SEEDS * (count - model.size)
     assert (count, model.size) == (36, 16)

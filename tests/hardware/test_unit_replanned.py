@@ -11,6 +11,7 @@ from unit_bench import estimated, made, short, stopped_in_its_second_cycle
 from gradcal_jax import api
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.replan import known_so_far, rest_of, with_done
+from gradcal_jax.api.structures import motion_time
 from gradcal_jax.api.timeline import timeline
 from gradcal_jax.api.unit_build import assemble_unit, executed_motion, executed_parts, posterior_of_unit
 from gradcal_jax.cli import main
@@ -110,7 +111,19 @@ def test_a_prediction_counts_what_was_done(spec: Spec) -> None:
         assert a.decisive == pytest.approx(b.decisive, rel=0.1), a.name
 
 
-def test_what_is_known_by_now_and_at_the_end(spec: Spec) -> None:
+@pytest.mark.parametrize("limit", ["max_motion", "max_total"])
+def test_limits_of_the_whole_runs_time_do_not_stretch_the_rest(spec: UnitSpec, limit: str) -> None:
+    """[design]'s time is that of the run; the search of the rest has the time that is left."""
+    limited = changed(spec, {"design": {"minimise": "worst ratio", limit: f"{spec.schedule.duration:.9g} s"}})
+    half = spec.schedule.stretches[0].start + 2.0 * spec.schedule.period
+    rest = rest_of(limited, [(0.0, half)])
+    assert rest.design is not None
+    assert rest.design.minimise == "worst ratio"
+    assert rest.schedule.motion == pytest.approx(spec.schedule.duration - half, rel=0.01)
+    assert motion_time(rest, rest.design) == rest.schedule.motion
+
+
+def test_what_is_known_by_now_and_at_the_end(spec: UnitSpec) -> None:
     plan = spec.schedule
     starts, whole = plan.stretches[0].start, api.predict(spec).requirements
     # Nothing was done, a cycle is under way, three are done and the fourth is made again.
@@ -133,14 +146,26 @@ def test_what_is_known_by_now_and_at_the_end(spec: Spec) -> None:
         assert first.now is None or first.now > second.now
 
 
-def test_what_cannot_be_planned_anew_is_a_sentence(spec: Spec) -> None:
+def test_what_is_known_of_a_plan_with_several_mountings() -> None:
+    """Broken off in the second of three mountings; the run goes on there."""
+    several = parse_spec(presets.text("one-axis-table"))
+    second = several.schedule.stretches[1]
+    now_s = second.start + 2.5 * several.schedule.period
+    for found, whole in zip(
+        known_so_far(several, [(0.0, now_s)], now_s), api.predict(several).requirements, strict=True
+    ):
+        assert found.at_end == pytest.approx(whole.decisive, rel=1e-6), found.name
+        assert found.now is not None
+        assert found.at_end is not None
+        assert found.now > found.at_end, found.name
+
+
+def test_what_cannot_be_planned_anew_is_a_sentence(spec: UnitSpec) -> None:
     with pytest.raises(ValueError, match="nothing of the ramp is left"):
         rest_of(spec, [(0.0, spec.schedule.duration)])
     several = parse_spec(presets.text("one-axis-table"))
-    with pytest.raises(ValueError, match="several stretches of used data the rest is not planned anew: go on with"):
+    with pytest.raises(ValueError, match="several mountings the rest is not planned anew: go on with"):
         rest_of(several, [(0.0, 600.0)])
-    with pytest.raises(ValueError, match="what is known by now is not worked out yet"):
-        known_so_far(several, [(0.0, 600.0)], 600.0)
     with pytest.raises(SpecError, match="expected a time after its start"):
         with_done(spec, [(60.0, 30.0)])
     rest = with_done(spec, [(0.0, spec.schedule.duration)])

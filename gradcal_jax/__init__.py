@@ -25,7 +25,6 @@ _HOME_OF_NAME: dict[str, str] = {
     "presets": "files",
     "read_rig": "files.rig",
     "read_spec": "files",
-    "UnitSpec": "files.unit_spec",
     "schema": "files",
     "tables_of": "files",
     "write_toml": "files",

@@ -44,7 +44,6 @@ from gradcal_jax.files.log_file import write_log as write_log
 from gradcal_jax.files.recipe import read_recipe as read_recipe
 from gradcal_jax.files.rig import read_rig as read_rig
 from gradcal_jax.files.sweep import read_sweep as read_sweep
-from gradcal_jax.files.unit_spec import UnitSpec as UnitSpec
 from gradcal_jax.hardware.execute import resume as resume
 from gradcal_jax.hardware.execute import run as run
 from gradcal_jax.identify.limiting_function import limiting_function as limiting_function

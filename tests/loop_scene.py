@@ -7,7 +7,7 @@ import numpy as np
 
 from gradcal_jax.files import spec as specs
 from gradcal_jax.files.log import Log
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.hardware.simulate.draws import draw_table
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.unit import SimulatedUnit, UnitTruth
@@ -29,7 +29,7 @@ class Course(ChamberPlant):
 
 
 @lru_cache
-def spec_of(*, back: bool, size: float = SIZE, plays: bool = True) -> UnitSpec:
+def spec_of(*, back: bool, size: float = SIZE, plays: bool = True) -> Spec:
     """A tactical unit at rest; `size`: of the hysteresis, deg/h; `back`: the chamber returns, twice as fast."""
     slope = 2.0 * (WARM - COLD) / LASTING_S * 60.0 / (1.0 if back else 2.0)
     programme = [{"soak": "10 s", "at": f"{COLD} degC"}, {"ramp_to": f"{WARM} degC", "rate": f"{slope} K/min"}]
@@ -75,7 +75,7 @@ def spec_of(*, back: bool, size: float = SIZE, plays: bool = True) -> UnitSpec:
     })  # fmt: skip
 
 
-def recorded(truth: UnitTruth, spec: UnitSpec, *, back: bool, seed: int) -> Log:
+def recorded(truth: UnitTruth, spec: Spec, *, back: bool, seed: int) -> Log:
     table, _, _ = draw_table(spec, seed)
     unit = SimulatedUnit(truth, table, Course(back=back), [AxisPlant()], sample_rate_hz=1.0, seed=seed)
     kept = unit.take(int(LASTING_S))

@@ -33,14 +33,14 @@ IMU = HERE.parent / "imu"
 RANDOM_TURNS = 30
 
 
-def random_start(seed: int) -> gj.UnitSpec:
+def random_start(seed: int) -> gj.Spec:
     """The plan by hand with a cycle that is nothing but chance."""
     plan = CyclePlan(gj.read_spec(IMU / "hand2.toml"))
     turns = Neighbourhood(plan.limits, plan.slots).random(RANDOM_TURNS, np.random.default_rng(seed))
     return plan.spec_of(plan.start._replace(turns=turns))
 
 
-def cases() -> dict[str, tuple[gj.UnitSpec, Path, int]]:
+def cases() -> dict[str, tuple[gj.Spec, Path, int]]:
     """Start, file that the gain counts from, and seed of each case."""
     by_hand, rows = IMU / "hand2.toml", {}
     for seed in range(3):
@@ -53,7 +53,7 @@ def cases() -> dict[str, tuple[gj.UnitSpec, Path, int]]:
     return rows
 
 
-def searched(start: gj.UnitSpec, reference: Path, seed: int) -> tuple[dict[str, object], Optimised]:
+def searched(start: gj.Spec, reference: Path, seed: int) -> tuple[dict[str, object], Optimised]:
     """One row of the table, and the optimum."""
     began, wall = time.process_time(), time.monotonic()
     *_, best = optimise(gj.changed(start, {"design.seed": seed}))

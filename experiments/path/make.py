@@ -14,7 +14,7 @@ import numpy as np
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.plots import save
 from gradcal_jax.plots.calibration import draw_loop
 from gradcal_jax.plots.style import new_panels
@@ -40,7 +40,7 @@ def record() -> Log:
     return Log(time, rate[None], ("unit",), ("x", "y", "z"), at, ("turn",), np.zeros((count, 1)), None, number)
 
 
-def spec(*, plays: bool) -> UnitSpec:
+def spec(*, plays: bool) -> Spec:
     """Three gyros at rest, the noise as the record shows it."""
     cubic = {"basis": "polynomial", "degree": 3, "centre": "30 degC", "scale": "50 K"}
     gyro: dict[str, Any] = {

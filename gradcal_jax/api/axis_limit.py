@@ -27,7 +27,7 @@ from gradcal_jax.design import (
 from gradcal_jax.design.noise_floor import Course
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.requirement import UnitRequirement
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import information, statistic
 from gradcal_jax.model import BIAS, SCALE_FACTOR, Map, Processes, SensorModel, gyro_model
 from gradcal_jax.trajectory import Programme, programme
@@ -56,7 +56,7 @@ class Proof(NamedTuple):
     kept: tuple[str, ...]
 
 
-def proofs_of_axis(spec: UnitSpec, motion: float | None = None) -> list[Proof]:
+def proofs_of_axis(spec: Spec, motion: float | None = None) -> list[Proof]:
     """The limit of every requirement of a gradient plan that turns one gyro. Errors: `ValueError` without a proof.
 
     `motion` s: time without soaks, in the place of the plan's or [design]'s.
@@ -73,7 +73,7 @@ class _Window(NamedTuple):
     is free. `spans`: of all used data, not divided at the programme's `knots`.
     """
 
-    spec: UnitSpec
+    spec: Spec
     built: Assembled
     time: float
     every: float
@@ -218,7 +218,7 @@ def look_at(windows: Windows, course: Course, longest: float) -> Look:
     return Look(at[:-1], np.diff(at), temperature[:-1], temperature[1:], np.concatenate(used))
 
 
-def _window(spec: UnitSpec, built: Assembled, motion: float | None) -> _Window:
+def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
     schedule, design = spec.gradient_schedule, spec.design
     free = set() if design is None else set(design.free)
     cycle = cycle_of(spec)

@@ -13,7 +13,7 @@ from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_plan import UnitSchedule, unit_schedule
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.model import Map, PathTerm, Processes, Reference, SensorModel, SignalMap
 from gradcal_jax.trajectory import Move, Past, Schedule
 
@@ -28,7 +28,7 @@ class Assembled(NamedTuple):
     by the name of their error source. `past`: the motion before the plan begins.
     """
 
-    spec: UnitSpec
+    spec: Spec
     model: SensorModel
     schedule: Schedule
     moves: tuple[Move, ...]
@@ -42,7 +42,7 @@ class Assembled(NamedTuple):
         return line if self.past is None else self.past.then(line)
 
 
-def assemble(spec: UnitSpec) -> Assembled:
+def assemble(spec: Spec) -> Assembled:
     """Sensor model and schedule of a spec of one gyro along the only axis of a table.
 
     Errors: `TypeError` for anything but a spec, `ValueError` for one of several sensors or axes of the table.
@@ -73,7 +73,7 @@ def assemble(spec: UnitSpec) -> Assembled:
     return Assembled(spec, channel, schedule, moves, lag, sources, past)
 
 
-def table_schedule(plan: UnitSchedule | StandardSchedule, spec: UnitSpec) -> tuple[Schedule, tuple[Move, ...]]:
+def table_schedule(plan: UnitSchedule | StandardSchedule, spec: Spec) -> tuple[Schedule, tuple[Move, ...]]:
     """The schedule of a plan as a channel sees it that every axis turns, and the moves of its cycle."""
     if isinstance(plan, StandardSchedule):
         return held_rates(plan), ()

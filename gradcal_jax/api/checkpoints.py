@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 
 from gradcal_jax.files import to_toml
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.files.writing import whole
 
 _FORMAT = "gradcal-search/1"
 
 
-def write_checkpoint(path: Path, spec: UnitSpec, checkpoint: Mapping[str, np.ndarray]) -> None:
+def write_checkpoint(path: Path, spec: Spec, checkpoint: Mapping[str, np.ndarray]) -> None:
     """Write a checkpoint, atomically."""
     arrays = {**checkpoint, "format": np.array(_FORMAT), "spec": np.array(_fingerprint(spec))}
     with whole(path) as passing, passing.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **arrays)
 
 
-def read(path: Path, spec: UnitSpec) -> dict[str, np.ndarray]:
+def read(path: Path, spec: Spec) -> dict[str, np.ndarray]:
     """Read the checkpoint of a spec. Errors: `ValueError` for a file of another spec or format."""
     if not path.exists():
         raise ValueError(f"there is no interrupted search to go on from: {path} does not exist")
@@ -37,5 +37,5 @@ def read(path: Path, spec: UnitSpec) -> dict[str, np.ndarray]:
         raise ValueError(f"{path} cannot be read as a search kept by optimise: start anew, without --resume") from error
 
 
-def _fingerprint(spec: UnitSpec) -> str:
+def _fingerprint(spec: Spec) -> str:
     return hashlib.sha256(to_toml(spec).encode()).hexdigest()

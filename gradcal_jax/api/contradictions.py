@@ -10,7 +10,7 @@ from gradcal_jax.estimation import CoarseFit, diagnosis
 from gradcal_jax.files.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
 from gradcal_jax.files.log import LogError
 from gradcal_jax.files.requirement import UnitRequirement
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.model import AXIS_NAMES, Channel
 
 # K by which a die may be colder or warmer than the chamber's limits, self-heating included.
@@ -29,7 +29,7 @@ _OTHER_UNITS: Final = (
 )
 
 
-def refuse_other_units(spec: UnitSpec, temperature: np.ndarray, unit: str) -> None:
+def refuse_other_units(spec: Spec, temperature: np.ndarray, unit: str) -> None:
     """Raise `LogError` where a unit's temperatures (°C, finite ones count) leave the plan and fit it in another unit of
     temperature, or are beyond what the chamber can do."""
     known = temperature[np.isfinite(temperature)]
@@ -78,7 +78,7 @@ def beyond_the_data(requirement: UnitRequirement, temperature_c: Sequence[float]
     )
 
 
-def omitted_sentences(spec: UnitSpec, temperature: np.ndarray, lag_is_fitted: bool = False) -> list[str]:
+def omitted_sentences(spec: Spec, temperature: np.ndarray, lag_is_fitted: bool = False) -> list[str]:
     """What the spec omits and counts in an estimate, in sentences; `temperature`: the record's (°C)."""
     # How far the dies follow the chamber does not matter to a log, which has their temperature.
     absent = [term for term in absent_terms(spec) if not term.key.endswith("thermal_lag")]

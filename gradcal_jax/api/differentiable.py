@@ -16,7 +16,7 @@ from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.design import Criterion
 from gradcal_jax.display import summary
 from gradcal_jax.files.spec import expect_spec, goes_on
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import information
 from gradcal_jax.model import SensorModel
 from gradcal_jax.trajectory import Rule, Schedule, rule_of
@@ -102,7 +102,7 @@ class Differentiable(eqx.Module):
         return model
 
 
-def differentiable(spec: UnitSpec) -> Differentiable:
+def differentiable(spec: Spec) -> Differentiable:
     """A spec's requirements as a pure function of the sensor's, the rig's and the plan's figures, of one gyro
     along the only axis of a table. At the spec's own `quantities` it equals `predict`, in ppm or deg/h.
 

@@ -75,7 +75,7 @@ from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.information import Posterior, segments_of
 from gradcal_jax.model import AXIS_NAMES, KINDS
@@ -190,7 +190,7 @@ class EstimateReport(NamedTuple):
 
 
 def estimate_log(
-    spec: UnitSpec,
+    spec: Spec,
     logs: Sequence[Log],
     *,
     axis: str | None = None,
@@ -205,7 +205,7 @@ def estimate_log(
     return EstimateReport(sensors, tuple(discrepancies(of, (test for one in sensors for test in one.structure))))
 
 
-def of_log(spec: UnitSpec, log: Log, axis: str | None = None) -> UnitSpec:
+def of_log(spec: Spec, log: Log, axis: str | None = None) -> Spec:
     """The spec of one gyro along a table's only axis, of the `axis` of the body that was recorded, if it is another: it
     is named, or the log has no other. Errors: `LogError` and `ValueError`."""
     if axis is not None:
@@ -218,7 +218,7 @@ def of_log(spec: UnitSpec, log: Log, axis: str | None = None) -> UnitSpec:
 
 
 def estimate_sensors(
-    spec: UnitSpec,
+    spec: Spec,
     logs: Sequence[Log],
     *,
     units: Sequence[str] = (),
@@ -268,7 +268,7 @@ class Recorded(NamedTuple):
     points: TablePoints | None = None
 
 
-def with_earth(spec: UnitSpec, earth_rate: float) -> UnitSpec:
+def with_earth(spec: Spec, earth_rate: float) -> Spec:
     """The spec of a gyro along its table's only axis, at the latitude at which an axis that points up has that rate of
     the Earth (rad/s). Raises `ValueError` for other specs, whose rate of the Earth changes with the table's angles."""
     gyro, hung = spec.sensor.gyro, spec.rig.table.mounting[0]

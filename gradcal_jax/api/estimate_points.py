@@ -15,11 +15,11 @@ from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.points import RatePoints
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 
 def estimate_points(
-    spec: UnitSpec, points: RatePoints, *, options: Options | None = None, sources: dict[str, str] | None = None
+    spec: Spec, points: RatePoints, *, options: Options | None = None, sources: dict[str, str] | None = None
 ) -> SensorEstimate:
     """The calibration of one gyro from a table of points (temperature, reference rate, output, σ), by the spec's model.
 

@@ -27,7 +27,7 @@ from gradcal_jax.files.calibration import (
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, GradientOfBias, Hysteresis, Map, PathTerm, SignalMap
 
 
@@ -142,7 +142,7 @@ def calibrated_channels(
         begin += c.model.size
 
 
-def _terms(spec: UnitSpec, channel: Channel, values: np.ndarray) -> Iterator[CalibratedTerm]:
+def _terms(spec: Spec, channel: Channel, values: np.ndarray) -> Iterator[CalibratedTerm]:
     triad = getattr(spec.sensor, channel.kind)
     for term in channel.model.terms:
         # A sensitivity to dT/dt and what else depends on the path of temperature are estimated beside the calibration.
@@ -176,7 +176,7 @@ def _path_coefficients(built: AssembledUnit, values: np.ndarray, deviations: np.
                     )  # fmt: skip
 
 
-def _noise(spec: UnitSpec, log: Log) -> Noise:
+def _noise(spec: Spec, log: Log) -> Noise:
     densities: dict[str, Any] = {"sample_rate": Quantity.of(1.0 / log.sample_interval_s, "Hz")}
     if (gyro := spec.sensor.gyro) is not None:
         densities |= random_walks(gyro)

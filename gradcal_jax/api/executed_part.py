@@ -8,13 +8,13 @@ from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 # A log that is shorter than its plan by less than this, s and as a share, is whole: runs end with their last reading.
 _SHORT_S, _SHORT = 2.0, 0.01
 
 
-def lacks_of(spec: UnitSpec, logs: Sequence[Log]) -> str | None:
+def lacks_of(spec: Spec, logs: Sequence[Log]) -> str | None:
     """A sentence on the part of a spec's plan that its logs lack, beside the prediction of the rest; None: they hold it
     all, or the plan is one of points, of which each that is missing is named."""
     schedule = spec.schedule

@@ -15,10 +15,10 @@ from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.files import Prediction
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 
-def check(spec: UnitSpec) -> list[str]:
+def check(spec: Spec) -> list[str]:
     """Warnings on a spec's prediction, in sentences: parameter combinations that the plan cannot observe, and
     requirements beyond the temperatures (°C) and rates (deg/s) that the plan visits.
 
@@ -28,7 +28,7 @@ def check(spec: UnitSpec) -> list[str]:
     return unit_warnings(built, posterior_of_unit(built))
 
 
-def compare(*specs: UnitSpec) -> list[Prediction]:
+def compare(*specs: Spec) -> list[Prediction]:
     """The prediction of each spec (`predict`: s, ppm, deg/h), with the error sources that limit each requirement.
 
     Errors: as `predict`.
@@ -37,7 +37,7 @@ def compare(*specs: UnitSpec) -> list[Prediction]:
 
 
 def optimise(
-    spec: UnitSpec,
+    spec: Spec,
     *,
     steps: int | None = None,
     quick: bool = False,
@@ -65,7 +65,7 @@ def optimise(
     raise AssertionError("a search ends with its result")
 
 
-def limit(spec: UnitSpec) -> list[PlanLimit]:
+def limit(spec: Spec) -> list[PlanLimit]:
     """The proven lower limit on the residual of any plan on this rig in this time, for every requirement of a gradient
     plan that has a proof (`gradcal_jax.api.axis_limit`, `gradcal_jax.api.imu_limit`).
 
@@ -78,7 +78,7 @@ def limit(spec: UnitSpec) -> list[PlanLimit]:
     return limits(spec)
 
 
-def frontier(spec: UnitSpec, motion_s: Sequence[float], *, steps: int | None = None) -> list[frontiers.FrontierPoint]:
+def frontier(spec: Spec, motion_s: Sequence[float], *, steps: int | None = None) -> list[frontiers.FrontierPoint]:
     """The best residual for each of several durations of the ramp, `motion_s` in s, soaks not counted.
 
     Each `api.frontier.FrontierPoint` has `motion` (s) and its `plan` as `optimise` gives it, or None and the `reason`.

@@ -39,7 +39,7 @@ from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit
 from gradcal_jax.design import PRIOR_OF_WALK, criterion, limit, scale_factor_floor
 from gradcal_jax.design.noise_floor import Course
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import square_root, statistic
 from gradcal_jax.model import AXIS_NAMES, Channel, Map, Polynomial, SignalMap
 from gradcal_jax.trajectory import EARTH_RATE
@@ -56,7 +56,7 @@ _RELAXED = (
 )
 
 
-def proofs_of_imu(spec: UnitSpec) -> list[Proof]:
+def proofs_of_imu(spec: Spec) -> list[Proof]:
     """The limit of every requirement of a gradient plan for which there is a proof. Errors: `ValueError` for none."""
     window = _window(assemble_unit(spec))
     kept = kept_in_words(window.time)

@@ -69,7 +69,7 @@ class Instability:
         return float(self.rest.time_s[first]), float(self.rest.time_s[last])
 
     def drift_block(self) -> str:
-        """The `[[sensor.drift]]` of a spec; only a comment where no drift shows."""
+        """The `[[sensor.gyro.drift]]` of a spec; only a comment where no drift shows."""
         walk = f'angle_random_walk = "{number(self.bound.angle_random_walk * DEG_PER_SQRT_H)} deg/sqrt(h)"'
         if not self.bound.drift_shows:
             hidden = number(self.bound.hidden_drift_std * DEG_PER_H)
@@ -77,7 +77,7 @@ class Instability:
         return "\n".join(
             [
                 f"# {walk}",
-                "[[sensor.drift]]",
+                "[[sensor.gyro.drift]]",
                 f'standard_deviation = "{number(self.bound.drift_std * DEG_PER_H)} deg/h"',
                 f'correlation_time   = "{number(self.bound.correlation_time_s)} s"',
             ]

@@ -14,7 +14,7 @@ from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.display import summary
 from gradcal_jax.files.absent import with_typical
 from gradcal_jax.files.spec import expect_spec, goes_on
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 
 class PlanLimit(NamedTuple):
@@ -41,7 +41,7 @@ class PlanLimit(NamedTuple):
     __repr__ = summary
 
 
-def limits(spec: UnitSpec, *, motion: float | None = None) -> list[PlanLimit]:
+def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     """The limit of every requirement of a gradient plan for which there is a proof.
 
     `motion` s: time without soaks, in the place of the plan's or [design]'s; values and efficiencies are the plan's.

@@ -9,7 +9,7 @@ from gradcal_jax.api.estimate import EstimateReport, estimate_log
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.identify.allan import TERMS
 
 
@@ -73,7 +73,7 @@ def allan(
 
 
 def estimate(
-    spec: UnitSpec,
+    spec: Spec,
     log: Log | Sequence[Log],
     *,
     axis: str | None = None,
@@ -118,5 +118,5 @@ def estimate(
     )
     logs = [log] if isinstance(log, Log) else log
     return estimate_log(
-        spec if isinstance(spec, UnitSpec) else expect_spec(spec), logs, axis=axis, units=units, options=options
+        spec if isinstance(spec, Spec) else expect_spec(spec), logs, axis=axis, units=units, options=options
     )

@@ -11,7 +11,7 @@ from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.sensor import HOST_CLOCK
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 # A comparison of clocks that is no better than this, a ratio, is worth less than a quartz.
 _POOR_CLOCK = 2e-5
@@ -161,7 +161,7 @@ def clock_fit(log: Log) -> ClockFit:
     return ClockFit(slope, float(np.sum(stds**-2.0)) ** -0.5, " from when its samples arrived")
 
 
-def with_options(spec: UnitSpec, logs: Sequence[Log], options: Options) -> tuple[UnitSpec, Options, list[str]]:
+def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spec, Options, list[str]]:
     """The spec and the options of an estimate, each with what the other says of the clock; and sentences on a clock
     that contradicts the computer's.
 

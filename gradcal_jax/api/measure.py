@@ -16,7 +16,7 @@ from gradcal_jax.files import changed
 from gradcal_jax.files.design import ALL, OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.requirement import UnitRequirement
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import begin_filter, noise_states, quantiles, where_hidden
 from gradcal_jax.model import BIAS, SCALE_FACTOR
 from gradcal_jax.trajectory import Schedule, rule_of
@@ -60,7 +60,7 @@ class Measure(NamedTuple):
         return float(objective.of_schedule(schedule)[0])
 
 
-def design_of(spec: UnitSpec) -> Design:
+def design_of(spec: Spec) -> Design:
     """The spec's [design]. Errors: `ValueError` where it has none."""
     if spec.design is None:
         raise ValueError(
@@ -69,7 +69,7 @@ def design_of(spec: UnitSpec) -> Design:
     return spec.design
 
 
-def design_block(spec: UnitSpec) -> str:
+def design_block(spec: Spec) -> str:
     """A [design] for the spec's own requirement and kind of plan, as text to paste."""
     name = spec.requirement[0].name if spec.requirement else "D-optimality"
     if isinstance(spec.plan, StandardPlan):
@@ -81,7 +81,7 @@ def design_block(spec: UnitSpec) -> str:
     return f'[design]\nminimise = "{name}"\nfree     = [{free}]\nstarts   = 8'
 
 
-def measure(spec: UnitSpec) -> Measure:
+def measure(spec: Spec) -> Measure:
     """The objective of the spec's [design]; for a minimised time, the largest residual over its target."""
     design = design_of(spec)
     if design.whole_turns:
@@ -132,7 +132,7 @@ def measure(spec: UnitSpec) -> Measure:
     return Measure(name, unit, names, cases, np.array(factors, dtype=float), targets, robust)
 
 
-def _noticing(scenarios: list[tuple[UnitSpec, Assembled, float]], notice: Notice):
+def _noticing(scenarios: list[tuple[Spec, Assembled, float]], notice: Notice):
     """Models with the hidden map among their parameters, the criterion of missing it, and the number of parameters of
     the believed model (None: all, where the sensor has a discrepancy of its own)."""
     models, missing, believed = [], [], None

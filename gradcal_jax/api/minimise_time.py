@@ -11,7 +11,7 @@ from gradcal_jax.api.search_results import Optimised, Price, SearchStep
 from gradcal_jax.api.structures import motion_time
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.unit_plan import duration_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 # Relative accuracy of the time; the largest number of durations that are tried.
 _NEAR = 1.02
@@ -21,7 +21,7 @@ _SHORTEST = 1.0 / 20.0
 
 
 def minimise_time(
-    spec: UnitSpec,
+    spec: Spec,
     search: Callable[..., Iterator[SearchStep | Optimised]],
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[SearchStep | Optimised]:
@@ -87,7 +87,7 @@ def minimise_time(
     yield _as_time(spec, best, long, longest)
 
 
-def _refuse_what_no_plan_meets(spec: UnitSpec, longest: float) -> None:
+def _refuse_what_no_plan_meets(spec: Spec, longest: float) -> None:
     """A target below the proven limit needs no search."""
     try:
         rows = {row.name: row for row in limits(spec, motion=longest)}
@@ -104,7 +104,7 @@ def _refuse_what_no_plan_meets(spec: UnitSpec, longest: float) -> None:
             )
 
 
-def _least(spec: UnitSpec, longest: float) -> float:
+def _least(spec: Spec, longest: float) -> float:
     """A lower bound on the duration: the steepest ramp of the chamber, with one turn at the table."""
     if isinstance(spec.schedule, StandardSchedule) or not spec.schedule.steps:
         return longest * _SHORTEST
@@ -122,7 +122,7 @@ def _between(short: float, long: float, too_much: float | None, enough: float) -
     return float(short * (long / short) ** np.clip(share, 0.1, 0.9))
 
 
-def _as_time(spec: UnitSpec, best: Optimised, time: float, longest: float) -> Optimised:
+def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimised:
     """The result in minutes; the price of a limit follows from the residual's derivatives: −(∂r/∂limit)/(∂r/∂time)."""
     minutes = time / 60.0
     per_minute = next((p.change for p in best.prices if p.per == "minute"), 0.0)

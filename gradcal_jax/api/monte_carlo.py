@@ -8,7 +8,7 @@ from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit, unweigh
 from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.display import summary
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import (
     Posterior,
     WishartTest,
@@ -32,7 +32,7 @@ class TwinRow(NamedTuple):
     __repr__ = summary
 
 
-def monte_carlo(spec: UnitSpec, runs: int, seed: int = 0) -> tuple[list[TwinRow], dict[str, WishartTest]]:
+def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], dict[str, WishartTest]]:
     """Simulate `runs` calibrations of a spec's plan. Returns a row for each requirement (ppm, deg/h; in its own unit),
     and for all channels together the test of the sample covariance against the predicted one (likelihood ratio of a
     Wishart matrix).

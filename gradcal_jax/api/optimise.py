@@ -13,7 +13,7 @@ from gradcal_jax.api.turn_search import STEPS, search_turns
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 BY_HAND = (
     'rig.table.drive is "hand": the search makes turns of a motor. Search the plan with drive = "motor" and moves '
@@ -24,7 +24,7 @@ NO_UNTIL_MET = "a search for the shortest plan ends where its targets are just m
 
 
 def optimise(
-    spec: UnitSpec,
+    spec: Spec,
     *,
     steps: int | None = None,
     quick: bool = False,

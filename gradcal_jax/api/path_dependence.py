@@ -15,7 +15,7 @@ from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.display import summary
 from gradcal_jax.estimation import UnitEstimate, UnitReadings, Whitened, solve, split
 from gradcal_jax.files.absent import path_terms_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import segments_of, whiten
 from gradcal_jax.model import BIAS, BSpline, Channel, HalfDifference, Hysteresis, PathTerm, UnitModel
 from gradcal_jax.units import parse
@@ -107,7 +107,7 @@ class PathDependence(NamedTuple):
 
 
 def path_dependence(
-    spec: UnitSpec, readings: UnitReadings, solution: UnitEstimate, temperature: np.ndarray, heating: np.ndarray
+    spec: Spec, readings: UnitReadings, solution: UnitEstimate, temperature: np.ndarray, heating: np.ndarray
 ) -> PathDependence:
     """The half-differences of all channels and the play that explains them best. `temperature` (°C) and `heating` of
     every row that is used. Errors: none."""
@@ -130,13 +130,13 @@ def path_dependence(
     return PathDependence(tuple(differences), offer, tuple(_sentences(spec, differences, offer)))
 
 
-def _typical(spec: UnitSpec, kind: str) -> float:
+def _typical(spec: Spec, kind: str) -> float:
     """Typical coefficient of a play in the class of a kind of channel, SI for each K."""
     value = next(t.value for t in path_terms_of(spec.sensor, kind) if t.key == "hysteresis")[0]["prior"]
     return parse(value, "bias slope" if kind == "gyro" else "acceleration slope")
 
 
-def _half_difference(spec: UnitSpec, channel: Channel, knots: tuple[float, ...]) -> PathTerm:
+def _half_difference(spec: Spec, channel: Channel, knots: tuple[float, ...]) -> PathTerm:
     unit = "rad/s" if channel.kind == "gyro" else "m/s^2"
     std = np.asarray(_WIDE * 10.0 * _typical(spec, channel.kind))
     return HalfDifference(std=std, temperature=BSpline(knots, 1), signals=(), name="half_difference", si_unit=unit)
@@ -170,7 +170,7 @@ def _with_terms(
 
 
 def _offered(
-    spec: UnitSpec, readings: UnitReadings, solution: UnitEstimate, temperature: np.ndarray, heating: np.ndarray
+    spec: Spec, readings: UnitReadings, solution: UnitEstimate, temperature: np.ndarray, heating: np.ndarray
 ) -> OfferedPlay | None:
     """The play that reduces χ² most, if it does so beyond chance."""
     span = float(np.ptp(temperature))
@@ -216,7 +216,7 @@ def _offered(
     return OfferedPlay(width, before, now, 1.0 if after is None else after.agreement.probability, coefficients)
 
 
-def _sentences(spec: UnitSpec, differences: Sequence[BranchDifference], offer: OfferedPlay | None) -> list[str]:
+def _sentences(spec: Spec, differences: Sequence[BranchDifference], offer: OfferedPlay | None) -> list[str]:
     parts: list[str] = []
     for d in differences:
         if np.max(np.abs(d.value) / d.std) > _STATED:
@@ -237,7 +237,7 @@ def _sentences(spec: UnitSpec, differences: Sequence[BranchDifference], offer: O
     return result
 
 
-def _keys(spec: UnitSpec, offer: OfferedPlay) -> list[str]:
+def _keys(spec: Spec, offer: OfferedPlay) -> list[str]:
     """What to put into the spec for a play."""
     lines = []
     for kind in ("gyro", "accelerometer"):

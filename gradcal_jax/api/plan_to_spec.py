@@ -19,7 +19,7 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.files import changed
 from gradcal_jax.files.rounding import ControllerSteps, steps_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 DEG = math.pi / 180.0
 # A stretch of fewer steps of slope becomes a soak: rounding would change its duration too much.
@@ -32,7 +32,7 @@ _LEFT = 1e-6
 _ROUNDING = 1.0 + 1e-9
 
 
-def plan_to_spec(spec: UnitSpec, coordinates: AnyCoordinates, point: np.ndarray) -> UnitSpec:
+def plan_to_spec(spec: Spec, coordinates: AnyCoordinates, point: np.ndarray) -> Spec:
     """The spec with the plan of a point of the coordinates, rounded to the controllers' steps."""
     if isinstance(coordinates, StandardCoordinates):
         return _standard(spec, *coordinates.plan_of(point))
@@ -41,7 +41,7 @@ def plan_to_spec(spec: UnitSpec, coordinates: AnyCoordinates, point: np.ndarray)
     return _cycle(spec, coordinates, coordinates.cycle(point))
 
 
-def _standard(spec: UnitSpec, temperatures: np.ndarray, rates: np.ndarray, integration: float) -> UnitSpec:
+def _standard(spec: Spec, temperatures: np.ndarray, rates: np.ndarray, integration: float) -> Spec:
     steps = steps_of(spec)
     warm, quick, brief = (float(v) for v in (steps.temperature, steps.rate, steps.time))
     temperatures = np.round(temperatures / warm) * warm
@@ -55,7 +55,7 @@ def _standard(spec: UnitSpec, temperatures: np.ndarray, rates: np.ndarray, integ
     return changed(spec, keys)
 
 
-def _static(spec: UnitSpec, coordinates: ProgrammeCoordinates | ProgrammeKnots, point: np.ndarray) -> UnitSpec:
+def _static(spec: Spec, coordinates: ProgrammeCoordinates | ProgrammeKnots, point: np.ndarray) -> Spec:
     """Stretches at slopes and temperatures of the controller's steps, no steeper than the chamber allows."""
     programme, steps = coordinates.programme(point), steps_of(spec)
     here = _on_grid(float(programme.start), float(steps.temperature))
@@ -112,7 +112,7 @@ def _stretches(
     return items
 
 
-def _cycle(spec: UnitSpec, coordinates: Coordinates, cycle: CycleNumbers) -> UnitSpec:
+def _cycle(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> Spec:
     """Rests become whole numbers of readings; turns are written by angle, rate and duration, each on its grid."""
     frame = coordinates.frame
     every = float(frame.read_every)
@@ -183,7 +183,7 @@ class _Move(NamedTuple):
         return short._replace(angle=count * fine).lasting(duration, limits, step) if count else None
 
 
-def _moves(spec: UnitSpec, coordinates: Coordinates, cycle: CycleNumbers) -> list[_Move]:
+def _moves(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> list[_Move]:
     """The moves on the controllers' grids.
 
     Rates are kept or, where travel is limited, the positions at which turns end: rounding then does not accumulate over
@@ -271,7 +271,7 @@ def _rounded(coordinates: Coordinates, durations: np.ndarray, every: float, step
     return rounded
 
 
-def _programme(spec: UnitSpec, coordinates: Coordinates, cycle: CycleNumbers) -> dict[str, object]:
+def _programme(spec: Spec, coordinates: Coordinates, cycle: CycleNumbers) -> dict[str, object]:
     """The ramp: one slope, or one from each turn at the table to the next."""
     frame = coordinates.frame
     start, end = float(frame.temperature_start), float(frame.temperature_end)

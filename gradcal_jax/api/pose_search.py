@@ -50,7 +50,7 @@ from gradcal_jax.files.requirement import UnitRequirement
 from gradcal_jax.files.rounding import rounded
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.unit_plan import UnitSchedule, quickest_turn
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import Posterior, unit_system, whiten
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import PathTerm, UnitModel
@@ -94,7 +94,7 @@ class RepeatedCycle(NamedTuple):
 
 
 def search_poses(
-    spec: UnitSpec,
+    spec: Spec,
     *,
     evaluations: int = EVALUATIONS,
     until_met: bool = False,
@@ -272,7 +272,7 @@ class _Search:
 class CyclePlan:
     """A spec's plan as the search sees it: the objective of a cycle, its start, and what a cycle's plan leaves."""
 
-    def __init__(self, spec: UnitSpec) -> None:
+    def __init__(self, spec: Spec) -> None:
         self.spec, self.design = spec, spec.design or Design()
         self.built = assemble_unit(spec)
         self._fine = tuple(quantity_of(self.built, r) for r in spec.requirement)
@@ -390,7 +390,7 @@ class CyclePlan:
         ramps = [r._replace(further=np.pad(r.further, ((0, most - len(r.further)), (0, 0), (0, 0)))) for r in ramps]
         return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
 
-    def residuals(self, spec: UnitSpec) -> list[list[UnitResidual]]:
+    def residuals(self, spec: Spec) -> list[list[UnitResidual]]:
         """What a spec's plan leaves by each model of the noise, in the order of its requirements."""
         built = assemble_unit(spec)
         return [_residuals(self._prior + _gram_of(built._replace(model=model)), self._fine) for model in self._models]
@@ -431,7 +431,7 @@ class CyclePlan:
                 result.append(t)
         return tuple(result)
 
-    def spec_of(self, cycle: RepeatedCycle) -> UnitSpec:
+    def spec_of(self, cycle: RepeatedCycle) -> Spec:
         """The spec with a cycle's moves, in numbers that a controller takes."""
         if self.design.angle_step is not None:
             cycle = cycle._replace(turns=self.on_steps(cycle.turns))
@@ -523,7 +523,7 @@ def _parts(schedule: UnitSchedule, counts: Sequence[int], period: float) -> list
     return parts
 
 
-def _cycle_of(spec: UnitSpec) -> Cycle:
+def _cycle_of(spec: Spec) -> Cycle:
     """The spec's own cycle: a rest belongs to the turn before it, the first one to the last turn."""
     turns: list[PoseTurn] = []
     begins = 0.0
@@ -542,7 +542,7 @@ def _cycle_of(spec: UnitSpec) -> Cycle:
     return tuple(turns)
 
 
-def _limits(spec: UnitSpec, design: Design, start: Cycle) -> TableLimits:
+def _limits(spec: Spec, design: Design, start: Cycle) -> TableLimits:
     axes, gyro, forces = spec.rig.table.axis, spec.sensor.gyro, spec.sensor.accelerometer
     usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
     slow = 0.0 if forces is None else float(forces.read_on_moves_below or 0.0) * (1.0 + _SLACK)

@@ -20,7 +20,7 @@ from gradcal_jax.files.requirement import (
     NorthRequirement,
     UnitRequirement,
 )
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import Posterior, contrasts, information, posterior, residual, statistic, unweighted
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
 from gradcal_jax.information.residual import Contrasts, Statistic, map_of
@@ -36,7 +36,7 @@ def posterior_of_plan(built: Assembled) -> Posterior:
     return unweighted(line, model) if unweighted_estimator(built.spec) else posterior(information(line, model))
 
 
-def unweighted_estimator(spec: UnitSpec) -> bool:
+def unweighted_estimator(spec: Spec) -> bool:
     """Whether the spec's estimator is ordinary least squares on the points' rates, as in the paper's figure."""
     return isinstance(spec.plan, StandardPlanSection) and spec.plan.estimator == "least squares"
 

@@ -30,7 +30,7 @@ from gradcal_jax.files.requirement import (
     UnitRequirement,
 )
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import STATISTICS, Posterior
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
 from gradcal_jax.information.residual import Statistic, statistic_of_each
@@ -40,7 +40,7 @@ from gradcal_jax.model import Discrepancy
 _GRID = 41
 
 
-def predict(spec: UnitSpec, *, limits: bool = False, notices: bool = False, outlook: bool = False) -> Prediction:
+def predict(spec: Spec, *, limits: bool = False, notices: bool = False, outlook: bool = False) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
     `limits`: also the error sources that limit each requirement, and its range where noise figures are `uncertain`.
@@ -73,7 +73,7 @@ def predict(spec: UnitSpec, *, limits: bool = False, notices: bool = False, outl
     )
 
 
-def requirement_rows(spec: UnitSpec, until_s: float = np.inf) -> list[RequirementRow]:
+def requirement_rows(spec: Spec, until_s: float = np.inf) -> list[RequirementRow]:
     """The residual of every requirement after a spec's plan, and nothing else of its prediction. `until_s`: where the
     plan is broken off, on its clock."""
     built = assemble_unit(expect_spec(spec), until_s)
@@ -87,7 +87,7 @@ def counted_posteriors(built: AssembledUnit, known: Posterior) -> CountedPosteri
     return budget_of_unit(built, known, built if full is built.spec else assemble_unit(full, built.until_s))
 
 
-def _between(rows: Sequence[RequirementRow], others: Sequence[UnitSpec]) -> Sequence[RequirementRow]:
+def _between(rows: Sequence[RequirementRow], others: Sequence[Spec]) -> Sequence[RequirementRow]:
     """The rows with the smallest and largest value over these and other specs with the same requirements."""
     if not others:
         return rows
@@ -175,7 +175,7 @@ def decided(requirement: UnitRequirement, of: Callable[[Statistic], float]) -> d
     }
 
 
-def counted_shares(spec: UnitSpec) -> dict[str, dict[str, float]]:
+def counted_shares(spec: Spec) -> dict[str, dict[str, float]]:
     """For each requirement (by name) the share of every error in the variance of what the verdict judges: noise, what
     no residual shows, and what the spec omits; requirements that the plan cannot observe are left out."""
     built = assemble_unit(expect_spec(spec))

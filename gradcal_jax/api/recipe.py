@@ -10,7 +10,7 @@ from gradcal_jax.files.recipe import FORMAT, Predicted, Recipe, RecipeOrigin
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.tracks import Stability, tracks_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 if TYPE_CHECKING:
     from gradcal_jax.api.search_results import Optimised
@@ -20,7 +20,7 @@ NOT_OPTIMISED = "not optimised: the plan as it stands in the spec"
 
 
 def recipe(
-    plan: "UnitSpec | Optimised",
+    plan: "Spec | Optimised",
     *,
     resolution: ControllerSteps | None = None,
     stability: Stability | None = None,
@@ -40,7 +40,7 @@ def recipe(
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """
     spec = expect_spec(getattr(plan, "spec", plan))
-    if not isinstance(plan, UnitSpec):
+    if not isinstance(plan, Spec):
         from gradcal_jax.api.search_results import record_of
 
         status, optimisation = status or plan.sentence, optimisation or record_of(plan)

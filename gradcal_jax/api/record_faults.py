@@ -10,7 +10,7 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.signal_faults import without_faults
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 # An angle within a standstill is no chance at this many standard deviations, and matters at this many of a reading.
 _NO_CHANCE, _MATTERS = 6.0, 2.0
@@ -34,7 +34,7 @@ class RecordFaults(NamedTuple):
 
 
 def without_bad_rows(
-    spec: UnitSpec, logs: Sequence[Log], channels: Collection[str]
+    spec: Spec, logs: Sequence[Log], channels: Collection[str]
 ) -> tuple[list[Log], Mapping[str, RecordFaults]]:
     """The logs with such rows masked, and by unit what was found in any of them; `channels`: those that are estimated,
     such as "gyro x"."""
@@ -51,7 +51,7 @@ def without_bad_rows(
     return cleaned, {name: RecordFaults(tuple(left_out[name]), wrong[name]) for name in left_out}
 
 
-def _ends_of_standstills(spec: UnitSpec, log: Log, name: str, channels: Collection[str]) -> dict[str, str]:
+def _ends_of_standstills(spec: Spec, log: Log, name: str, channels: Collection[str]) -> dict[str, str]:
     if log.standstill is None:
         return {}
     angles = [axis.angle for axis in spec.rig.table.axis]

@@ -13,7 +13,7 @@ from gradcal_jax.estimation import UnitRows
 from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.model import PathTerm
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
@@ -123,7 +123,7 @@ def _spacing(built: AssembledUnit, options: Options) -> float:
     return options.read_every or (every if np.isfinite(every) else _READ_EVERY_S)
 
 
-def read_by_events(spec: UnitSpec) -> bool:
+def read_by_events(spec: Spec) -> bool:
     """Whether the only axis of a table is read while it stands, each reading being a reference."""
     return len(spec.rig.table.axis) == 1 and spec.rig.table.standing == "read"
 

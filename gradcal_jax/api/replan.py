@@ -20,7 +20,7 @@ from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.files import changed, tables_of
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.rounding import steps_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import posterior, unit_information
 from gradcal_jax.trajectory import body_nodes
 
@@ -46,14 +46,14 @@ class KnownRow(NamedTuple):
     at_end: float | None
 
 
-def with_done(spec: UnitSpec, done: Sequence[Span], pause_s: float = PAUSE_S) -> UnitSpec:
+def with_done(spec: Spec, done: Sequence[Span], pause_s: float = PAUSE_S) -> Spec:
     """The spec with spans of its own plan as the part that was executed before it."""
     plan: dict[str, Any] = {"plan": tables_of(spec)["plan"], "pause": f"{pause_s:.9g} s"}
     parts = [plan | {"start": f"{begin:.9g} s", "end": f"{end:.9g} s"} for begin, end in done]
     return changed(spec, {"done": [*tables_of(spec).get("done", ()), *parts]}) if parts else spec
 
 
-def known_so_far(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
+def known_so_far(spec: Spec, done: Sequence[Span], goes_on_s: float) -> list[KnownRow]:
     """The residual of each requirement after the executed spans of the spec's plan, and after the plan has continued
     from `goes_on_s` (s, its clock): the end of the last span while a run is under way, or the start of a repeated
     step."""
@@ -73,7 +73,7 @@ def known_so_far(spec: UnitSpec, done: Sequence[Span], goes_on_s: float) -> list
     ]
 
 
-def rest_of(spec: UnitSpec, done: Sequence[Span], *, left_s: float | None = None, pause_s: float = PAUSE_S) -> UnitSpec:
+def rest_of(spec: Spec, done: Sequence[Span], *, left_s: float | None = None, pause_s: float = PAUSE_S) -> Spec:
     """The spec of the remaining plan, after the executed part: a ramp of `left_s` (None: the plan's remaining time)
     from the temperature of the interruption to the plan's last one, with the plan's cycle; where turns of one gyro are
     searched, with as many turns at the table of about the same length as fit.
@@ -128,7 +128,7 @@ def rest_of(spec: UnitSpec, done: Sequence[Span], *, left_s: float | None = None
 
 
 def replan(
-    spec: UnitSpec,
+    spec: Spec,
     done: Sequence[Span],
     *,
     left_s: float | None = None,
@@ -148,7 +148,7 @@ def replan(
     return optimise(rest_of(spec, done, left_s=left_s, pause_s=pause_s), quick=quick, watch=watch)
 
 
-def _visits(spec: UnitSpec, cycle: ResolvedCycle, lasts_s: float) -> dict[str, Any]:
+def _visits(spec: Spec, cycle: ResolvedCycle, lasts_s: float) -> dict[str, Any]:
     """A cycle of one turn at the table and the other axes' time after it, a whole number of which fills the rest.
 
     Both are nearly as long as in the spec. The moves are only the start of a search.

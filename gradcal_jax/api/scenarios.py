@@ -11,13 +11,13 @@ from typing import Any, Literal
 from gradcal_jax.files import changed
 from gradcal_jax.files.design import Scenario
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 # With more uncertain correlation times than this, each end is tried alone, the others as they are written.
 _TOGETHER = 2
 
 
-def scenario_specs(spec: UnitSpec) -> list[tuple[UnitSpec, float]]:
+def scenario_specs(spec: Spec) -> list[tuple[Spec, float]]:
     """The spec of each scenario, with its weight; the spec itself where nothing is uncertain.
 
     For a design that minimises the worst case, every standard deviation is at its largest. For one that minimises the
@@ -33,7 +33,7 @@ def scenario_specs(spec: UnitSpec) -> list[tuple[UnitSpec, float]]:
     ]
 
 
-def extremes(spec: UnitSpec) -> list[UnitSpec]:
+def extremes(spec: Spec) -> list[Spec]:
     """Specs that include the best and the worst case of uncertain figures; none where nothing is uncertain."""
     if not spec.sensor.uncertain_figures():
         return []
@@ -54,12 +54,12 @@ def _leaves(tables: dict[str, Any], before: str):
             yield key, value
 
 
-def _star(spec: UnitSpec) -> list[dict[str, str]]:
+def _star(spec: Spec) -> list[dict[str, str]]:
     figures = spec.sensor.uncertain_figures()
     return [{}, *({key: ends[k].text} for key, ends in figures.items() for k in (0, 1))]
 
 
-def _corners(spec: UnitSpec, end: Literal[0, 1]) -> list[dict[str, str]]:
+def _corners(spec: Spec, end: Literal[0, 1]) -> list[dict[str, str]]:
     figures = spec.sensor.uncertain_figures()
     sizes = {key: ends[end].text for key, ends in figures.items() if not _is_time(key)}
     times: dict[str, tuple[Quantity, Quantity]] = {key: ends for key, ends in figures.items() if _is_time(key)}

@@ -8,7 +8,7 @@ import numpy as np
 
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.display import summary
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 MARGIN: Final = 0.1
 """A target is met with margin where the residual is less than the target by this share."""
@@ -62,7 +62,7 @@ class Optimised(NamedTuple):
     limits that bind, in words. `evaluations`: of the objective and its gradient, where they are counted.
     """
 
-    spec: UnitSpec
+    spec: Spec
     name: str
     unit: str
     before: float | None

@@ -26,7 +26,7 @@ from gradcal_jax.display import summary
 from gradcal_jax.files.changes import changed, tables_of
 from gradcal_jax.files.requirement import UnitRequirement
 from gradcal_jax.files.spec import expect_spec, goes_on
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import Posterior
 from gradcal_jax.trajectory import Schedule
 from gradcal_jax.units import dimension_of, format_quantity, parse, unit_of
@@ -66,7 +66,7 @@ class Sensitivities(NamedTuple):
     __repr__ = summary
 
 
-def sensitivity(spec: UnitSpec) -> Sensitivities:
+def sensitivity(spec: Spec) -> Sensitivities:
     """The change of each residual, in per cent, for one per cent more of every figure of sensor, rig and plan.
 
     `rows` of (requirement, figure, percent), the largest first; `residuals` of (value, unit) by requirement, in its own
@@ -116,7 +116,7 @@ def _of_errors(built: AssembledUnit) -> Iterator[tuple[UnitRequirement, dict[str
         yield requirement, shares | unseen
 
 
-def sensitive_figures(spec: UnitSpec) -> dict[str, list[str]]:
+def sensitive_figures(spec: Spec) -> dict[str, list[str]]:
     """The keys of a spec's figures that are no sizes of errors, by the name of the figure."""
     figures: dict[str, list[str]] = {}
     for key, text in _texts(tables_of(spec), ""):
@@ -127,7 +127,7 @@ def sensitive_figures(spec: UnitSpec) -> dict[str, list[str]]:
     return figures
 
 
-def _with_keys(spec: UnitSpec, keys: list[str], factor: float) -> AssembledUnit:
+def _with_keys(spec: Spec, keys: list[str], factor: float) -> AssembledUnit:
     """The spec with keys multiplied by a factor."""
     texts = dict(_texts(tables_of(spec), ""))
     scaled = {key: format_quantity(_number(texts[key]) * factor, unit_of(texts[key])) for key in keys}

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.tested_maps import hidden_maps, tested_maps
 from gradcal_jax.estimation import StructureTest, UnitEstimate, UnitReadings, size_of, structure_test
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.model import BIAS
 
 
@@ -24,9 +24,7 @@ class MeasuredDiscrepancy(NamedTuple):
     block: str
 
 
-def structure_tests(
-    spec: UnitSpec, readings: UnitReadings, solution: UnitEstimate
-) -> Iterator[tuple[str, StructureTest]]:
+def structure_tests(spec: Spec, readings: UnitReadings, solution: UnitEstimate) -> Iterator[tuple[str, StructureTest]]:
     """The test of each polynomial map of each gyro of an estimate, with the name of its channel."""
     model = readings.model
     for number, channel in enumerate(model.channels):
@@ -50,7 +48,7 @@ def structure_in_words(test: StructureTest) -> str:
     )
 
 
-def discrepancies(spec: UnitSpec, tests: Iterable[tuple[str, StructureTest]]) -> Iterator[MeasuredDiscrepancy]:
+def discrepancies(spec: Spec, tests: Iterable[tuple[str, StructureTest]]) -> Iterator[MeasuredDiscrepancy]:
     """The discrepancy of each map and channel, from all units together; `tests` with the names of their channels."""
     of_map: dict[tuple[str, str], list[StructureTest]] = {}
     for channel, test in tests:

@@ -30,7 +30,7 @@ from gradcal_jax.files.plan import RampItem, StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import GyroTriad
 from gradcal_jax.files.unit_plan import UnitPlan
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.formulas import RAMPED_SHAPES, repetitions
 
 # Shortest useful turn; s.
@@ -75,7 +75,7 @@ class Structure(NamedTuple):
     alone: bool = False
 
 
-def limits_of(spec: UnitSpec, scenarios: list[UnitSpec]) -> Limits:
+def limits_of(spec: Spec, scenarios: list[Spec]) -> Limits:
     """The strictest of the rig's and the sensor's limits, over all scenarios."""
     every, (start, end) = [spec, *scenarios], ramp_ends(spec)
     return Limits(
@@ -86,7 +86,7 @@ def limits_of(spec: UnitSpec, scenarios: list[UnitSpec]) -> Limits:
     )
 
 
-def ramp_ends(spec: UnitSpec) -> tuple[float, float]:
+def ramp_ends(spec: Spec) -> tuple[float, float]:
     """Where the one ramp of a gradient plan begins and ends, °C. Errors: `ValueError` for any other programme."""
     ramps = [s for s in spec.gradient_schedule.segments if s.kind == "ramp"]
     others = [s for s in spec.gradient_schedule.segments if s.kind == "step" or (s.kind == "soak" and s.used)]
@@ -99,7 +99,7 @@ def ramp_ends(spec: UnitSpec) -> tuple[float, float]:
     return ramps[0].temperature_start, ramps[-1].temperature_end
 
 
-def motion_time(spec: UnitSpec, design: Design) -> float:
+def motion_time(spec: Spec, design: Design) -> float:
     """The duration of the ramp (s) by [design], else the plan's. Errors: `ValueError` where no time is left."""
     schedule = spec.gradient_schedule
     limits = [] if design.max_motion is None else [float(design.max_motion)]
@@ -113,7 +113,7 @@ def motion_time(spec: UnitSpec, design: Design) -> float:
     return min(limits)
 
 
-def with_motion(spec: UnitSpec, time: float) -> UnitSpec:
+def with_motion(spec: Spec, time: float) -> Spec:
     """The spec with ramps that last, with steps between them, `time` s in all: every slope by the same factor.
 
     Errors: `ValueError` for a plan without a ramp, or where the steps take longer; `SpecError` where the chamber or a
@@ -142,7 +142,7 @@ def with_motion(spec: UnitSpec, time: float) -> UnitSpec:
     return changed(spec, keys)
 
 
-def structures(spec: UnitSpec, scenarios: list[UnitSpec], *, motion: float | None = None) -> list[Structure]:
+def structures(spec: Spec, scenarios: list[Spec], *, motion: float | None = None) -> list[Structure]:
     """The structures to search; `motion` s replaces the time that [design] gives (without soaks).
 
     Errors: `ValueError` where [design] frees a quantity that such a plan lacks, or leaves no time.
@@ -159,13 +159,13 @@ def structures(spec: UnitSpec, scenarios: list[UnitSpec], *, motion: float | Non
     return _cycles(spec, scenarios, cycle, design, motion)
 
 
-def gyro_of(spec: UnitSpec) -> GyroTriad:
+def gyro_of(spec: Spec) -> GyroTriad:
     """The gyro of a spec that has one."""
     assert spec.sensor.gyro is not None
     return spec.sensor.gyro
 
 
-def cycle_of(spec: UnitSpec) -> ResolvedCycle | None:
+def cycle_of(spec: Spec) -> ResolvedCycle | None:
     """The cycle of a plan about the only axis of a table; None where the axis stands.
 
     A rest that is read once, at its end, has no spacing; nor has a time of other axes in which nothing is read.
@@ -188,7 +188,7 @@ def cycle_of(spec: UnitSpec) -> ResolvedCycle | None:
     return ResolvedCycle(tuple(moves), moving, other, other_every, behind - other)
 
 
-def reading_spacing(spec: UnitSpec) -> float:
+def reading_spacing(spec: Spec) -> float:
     """Spacing (s) of the readings of the only axis where the plan does not say it; infinite: at the end of a rest."""
     return float(spec.rig.table.axis[0].angle.read_every)
 
@@ -199,7 +199,7 @@ def _only(design: Design, possible: tuple[str, ...], plan: str) -> None:
         raise ValueError(f"design.free: {plan} has no {wrong[0]!r} to change; it has {', '.join(possible)}")
 
 
-def _standard(spec: UnitSpec, scenarios: list[UnitSpec], design: Design, motion: float | None) -> list[Structure]:
+def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
     schedule = cast("StandardSchedule", spec.schedule)
     soak = schedule.soak_each
     fewest = max(s.temperature.size for s in (gyro_of(spec).bias, gyro_of(spec).scale_factor) if s is not None)
@@ -232,7 +232,7 @@ def _standard(spec: UnitSpec, scenarios: list[UnitSpec], design: Design, motion:
     ]
 
 
-def _programmes(spec: UnitSpec, scenarios: list[UnitSpec], design: Design, motion: float | None) -> list[Structure]:
+def _programmes(spec: Spec, scenarios: list[Spec], design: Design, motion: float | None) -> list[Structure]:
     schedule = spec.gradient_schedule
     first = schedule.segments[0]
     soak = first.duration if first.kind == "soak" else 0.0
@@ -256,13 +256,13 @@ def _programmes(spec: UnitSpec, scenarios: list[UnitSpec], design: Design, motio
     ]
 
 
-def temperatures_of(spec: UnitSpec, scenarios: list[UnitSpec]) -> tuple[float, float]:
+def temperatures_of(spec: Spec, scenarios: list[Spec]) -> tuple[float, float]:
     """The range that every scenario's chamber reaches, °C."""
     ranges = [s.rig.chamber.range for s in (spec, *scenarios)]
     return max(float(r[0]) for r in ranges), min(float(r[1]) for r in ranges)
 
 
-def largest_rate(spec: UnitSpec, scenarios: list[UnitSpec]) -> float:
+def largest_rate(spec: Spec, scenarios: list[Spec]) -> float:
     """The largest rate that every scenario's table and sensor allow, rad/s."""
     every = [spec, *scenarios]
     rates = [float(s.rig.table.axis[0].max_rate) for s in every]
@@ -277,7 +277,7 @@ def visit_times(cycle: ResolvedCycle) -> tuple[float, float]:
 
 
 def _cycles(
-    spec: UnitSpec, scenarios: list[UnitSpec], cycle: ResolvedCycle, design: Design, motion: float | None
+    spec: Spec, scenarios: list[Spec], cycle: ResolvedCycle, design: Design, motion: float | None
 ) -> list[Structure]:
     time = motion_time(spec, design) if motion is None else motion
     free = frozenset(_FREE.get(name, name) for name in design.free) - {"cycle"}
@@ -332,7 +332,7 @@ def _cycles(
     return candidates + ([own_plan._replace(alone=True)] if own_plan is not None and outside else [])
 
 
-def _frame(spec: UnitSpec, cycle: ResolvedCycle, own: float, other: float, time: float) -> Frame:
+def _frame(spec: Spec, cycle: ResolvedCycle, own: float, other: float, time: float) -> Frame:
     start, end = ramp_ends(spec)
     return Frame(own, other, time, start, end, read_spacing(cycle))
 
@@ -404,7 +404,7 @@ def _unsuited(moves: Sequence[ResolvedMove]) -> str:
 
 
 def _spec_cycle(
-    spec: UnitSpec, scenarios: list[UnitSpec], cycle: ResolvedCycle, free: frozenset[str], time: float
+    spec: Spec, scenarios: list[Spec], cycle: ResolvedCycle, free: frozenset[str], time: float
 ) -> Structure:
     """The moves of the spec's own cycle, which is the start."""
     moves, own, other = cycle.moves, cycle.moving, cycle.other + cycle.idle

@@ -23,7 +23,7 @@ from gradcal_jax.design import Criterion
 from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
 from gradcal_jax.files.calibration import UnseenError
 from gradcal_jax.files.changes import changed
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import Posterior
 from gradcal_jax.model import (
     BIAS,
@@ -86,11 +86,11 @@ class EstimatedRun(NamedTuple):
     one_way: bool = False
 
 
-def systematic_figures(spec: UnitSpec) -> SystematicFigures:
+def systematic_figures(spec: Spec) -> SystematicFigures:
     """The figures that a spec names; what it does not name is zero."""
     sensor = spec.sensor
     common = {"offset": float(sensor.temperature_offset or 0.0), "lag": float(sensor.temperature_lag or 0.0)}
-    if isinstance(spec, UnitSpec):
+    if isinstance(spec, Spec):
         gyro, table = spec.sensor.gyro, spec.rig.table
         scales = [float(axis.angle.scale_error or 0.0) for axis in table.axis]
         triads = {"gyro": gyro, "accelerometer": spec.sensor.accelerometer}
@@ -333,7 +333,7 @@ def counted_criterion(criterion: Criterion, built: Assembled) -> Criterion:
     return eqx.tree_at(lambda c: c.beyond, criterion, criterion.beyond + more)
 
 
-def floor_of_unit_plan(spec: UnitSpec) -> tuple[AssembledUnit, Posterior]:
+def floor_of_unit_plan(spec: Spec) -> tuple[AssembledUnit, Posterior]:
     """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
     built = assemble_unit(spec)
     return built, _alone(built.model.size, columns_of_unit_plan(built))
@@ -383,7 +383,7 @@ def omitted_noise_of_unit(built: AssembledUnit) -> dict[str, np.ndarray]:
     return {"omitted noise": _excess(plan, more, built.model.size, built.model.calibrated)}
 
 
-def noise_completed(spec: UnitSpec) -> UnitSpec:
+def noise_completed(spec: Spec) -> Spec:
     """The spec with the omitted terms that are noise, or parameters of the table, at typical figures; without those
     that change the parameters of the sensor or the temperatures of the plan."""
     noise = {t.key: t.value for t in absent_terms(spec) if t.key.rpartition(".")[2] not in _NO_NOISE}

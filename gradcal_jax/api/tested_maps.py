@@ -13,7 +13,7 @@ from gradcal_jax.api.unit_build import AssembledUnit
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.contracts import NoticeRow
 from gradcal_jax.files.sensor import GyroTriad, ScaleFactor
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import (
     SquareRootInformation,
     gains_of_shares,
@@ -56,7 +56,7 @@ class TestedMap(NamedTuple):
     __test__ = False
 
 
-def tested_maps(spec: UnitSpec) -> dict[str, TestedMap]:
+def tested_maps(spec: Spec) -> dict[str, TestedMap]:
     """The test of every polynomial map, by quantity, with degrees and size of its discrepancy or `notice`."""
     maps: dict[str, TestedMap] = {}
     gyro = _gyro(spec)
@@ -89,11 +89,11 @@ def tested_maps(spec: UnitSpec) -> dict[str, TestedMap]:
     return maps
 
 
-def _gyro(spec: UnitSpec) -> GyroTriad | None:
+def _gyro(spec: Spec) -> GyroTriad | None:
     return spec.sensor.gyro
 
 
-def with_hidden(spec: UnitSpec, model: SensorModel, quantity: str) -> SensorModel:
+def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
     """The model with the hidden map of a quantity as its last term, where it has no discrepancy of its own.
 
     No criterion includes that term: it is only tested for.
@@ -114,7 +114,7 @@ def with_hidden(spec: UnitSpec, model: SensorModel, quantity: str) -> SensorMode
     return eqx.tree_at(lambda m: m.terms, model, (*model.terms, beyond))
 
 
-def hidden_maps(spec: UnitSpec, model: SensorModel) -> list[tuple[Discrepancy, float]]:
+def hidden_maps(spec: Spec, model: SensorModel) -> list[tuple[Discrepancy, float]]:
     """The hidden maps that a log of the spec's sensor is tested for, with the false-alarm level of each test."""
     maps = [(where_hidden(with_hidden(spec, model, name), name), of) for name, of in tested_maps(spec).items()]
     return [(hidden[0], of.false_alarm) for hidden, of in maps if hidden is not None]

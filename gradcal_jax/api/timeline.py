@@ -8,7 +8,7 @@ import numpy as np
 
 from gradcal_jax import model
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.contract_rows import section_of
+from gradcal_jax.api.contract_rows import finite, section_of
 from gradcal_jax.api.structures import gyro_of
 from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.files import Timeline
@@ -28,6 +28,7 @@ from gradcal_jax.files.contracts import (
     StartsRow,
     TemperatureErrorRow,
 )
+from gradcal_jax.files.memory import too_large
 from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
@@ -41,7 +42,7 @@ from gradcal_jax.files.sensor import (
 )
 from gradcal_jax.files.spec import expect_whole
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import AXIS_NAMES, Channel, Hysteresis, Map, PathTerm, SignalMap, TurnOnTransient
 from gradcal_jax.trajectory import Move, frames
@@ -49,7 +50,7 @@ from gradcal_jax.trajectory import Move, frames
 _CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_functions="monomial")
 
 
-def timeline(spec: UnitSpec) -> Timeline | unit_rows.UnitTimeline:
+def timeline(spec: Spec) -> Timeline | unit_rows.UnitTimeline:
     """Every segment and reading of a spec's plan in SI; temperatures (°C) are the chamber's.
 
     Another program can compute the covariance from it alone. Of one gyro that the only axis of a table turns: contract
@@ -57,10 +58,12 @@ def timeline(spec: UnitSpec) -> Timeline | unit_rows.UnitTimeline:
     attitudes. Errors: `ValueError` for a spec with [[done]].
     """
     expect_whole(spec, "a timeline")
+    if too := too_large(spec):
+        raise MemoryError(too)
     return _of_channel(spec) if spec.turns_one_gyro else _of_imu(spec)
 
 
-def _of_channel(spec: UnitSpec) -> Timeline:
+def _of_channel(spec: Spec) -> Timeline:
     built = assemble(spec)
     channel = cast("Axis", gyro_of(spec).axes[0])
     if isinstance(spec.schedule, StandardSchedule):
@@ -215,7 +218,7 @@ def _starts_row(sensor: UnitSensor, gyro: GyroTriad) -> StartsRow:
 # --- an IMU -----------------------------------------------------------------------------------------------------------
 
 
-def _of_imu(spec: UnitSpec) -> unit_rows.UnitTimeline:
+def _of_imu(spec: Spec) -> unit_rows.UnitTimeline:
     """Every segment with attitudes, the terms of each channel, and all priors."""
     built, plan = assemble_unit(spec), spec.plain_schedule
     geometry, sensor, table = built.motion.geometry, spec.sensor, spec.rig.table
@@ -233,7 +236,7 @@ def _of_imu(spec: UnitSpec) -> unit_rows.UnitTimeline:
                 direction=_vector(axis.unit_vector),
                 reading_noise=axis.angle.reading_noise,
                 standstill_offset=axis.angle.standstill_offset,
-                read_every=axis.angle.read_every,
+                read_every=finite(float(axis.angle.read_every)),
                 harmonics=_harmonic_rows(axis.angle),
             )
             for axis in table.axis

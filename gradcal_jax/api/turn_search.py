@@ -35,7 +35,7 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.files import SpecError
 from gradcal_jax.files.rounding import rounded, steps_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information.residual import Statistic
 
 STEPS: Final = 240
@@ -84,7 +84,7 @@ class _Checkpoint(NamedTuple):
         return cls(structure, states[0], best, states[1])
 
 
-def belief_of(spec: UnitSpec) -> str:
+def belief_of(spec: Spec) -> str:
     """A sentence on the maps that a design takes as exact; empty where each has a discrepancy or smoothness."""
     gyro = spec.sensor.gyro
     sections = {} if gyro is None else {"bias": gyro.bias, "scale factor": gyro.scale_factor}
@@ -97,7 +97,7 @@ def belief_of(spec: UnitSpec) -> str:
     )
 
 
-def exact(spec: UnitSpec, of: Measure) -> float:
+def exact(spec: Spec, of: Measure) -> float:
     """The exact value of a spec's own plan, on the requirement's own grid; `inf` where it observes too little."""
     wanted = [r for r in spec.requirement if r.name == design_of(spec).minimise]
     if wanted and len(of.cases) == 1:
@@ -106,14 +106,14 @@ def exact(spec: UnitSpec, of: Measure) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def residuals_of_plan(spec: UnitSpec) -> dict[str, UnitResidual]:
+def residuals_of_plan(spec: Spec) -> dict[str, UnitResidual]:
     """What a spec's own plan leaves of every requirement, by the terms that the spec names."""
     built = assemble_unit(spec)
     known = own_of_unit(built, posterior_of_unit(built))
     return {r.name: unit_residual(built, known, r) for r in spec.requirement}
 
 
-def requirement_changes(spec: UnitSpec, plan: UnitSpec) -> tuple[RequirementChange, ...]:
+def requirement_changes(spec: Spec, plan: Spec) -> tuple[RequirementChange, ...]:
     """What two plans of a spec leave of its requirements."""
     both = [residuals_of_plan(one) for one in (spec, plan)]
     return tuple(
@@ -122,7 +122,7 @@ def requirement_changes(spec: UnitSpec, plan: UnitSpec) -> tuple[RequirementChan
     )
 
 
-def targets_met(spec: UnitSpec) -> bool:
+def targets_met(spec: Spec) -> bool:
     """Whether a plan meets every target by its rule, with `MARGIN`. Errors: `ValueError` where there is no target."""
     limits = {r.name: limit for r in spec.requirement if (limit := limit_of(r)) is not None}
     if not limits:
@@ -130,7 +130,7 @@ def targets_met(spec: UnitSpec) -> bool:
     return _within(spec, limits, 1.0 - MARGIN)
 
 
-def _within(spec: UnitSpec, limits: Mapping[str, tuple[Statistic, float]], share: float) -> bool:
+def _within(spec: Spec, limits: Mapping[str, tuple[Statistic, float]], share: float) -> bool:
     """Whether the named requirements are within that share of their limits, by the terms that the spec names."""
     found = residuals_of_plan(spec)
     left = {name: found[name].statistic(statistic) for name, (statistic, _) in limits.items()}
@@ -138,7 +138,7 @@ def _within(spec: UnitSpec, limits: Mapping[str, tuple[Statistic, float]], share
 
 
 def search_turns(
-    spec: UnitSpec,
+    spec: Spec,
     *,
     steps: int = STEPS,
     quick: bool = False,
@@ -158,7 +158,7 @@ def search_turns(
     before = exact(spec, of)
     known = finite(before)
 
-    def enough(plan: Callable[[], UnitSpec], value: float, words: str, sentence: str) -> Optimised | None:
+    def enough(plan: Callable[[], Spec], value: float, words: str, sentence: str) -> Optimised | None:
         """The rounded plan, where it meets every target with margin in every scenario."""
         try:
             candidate = rounded(plan(), steps_of(spec)).spec
@@ -226,7 +226,7 @@ def search_turns(
 
 
 def finished(
-    spec: UnitSpec,
+    spec: Spec,
     of: Measure,
     before: float | None,
     structure: Structure,
@@ -329,7 +329,7 @@ def polished(
     return coordinates, optimum
 
 
-def _within_limits(spec: UnitSpec, of: Measure) -> bool:
+def _within_limits(spec: Spec, of: Measure) -> bool:
     """Whether the prediction of the spec's own plan meets the targets that limit the search."""
     limits = {r.name: limit for r in spec.requirement if r.name in of.limits and (limit := limit_of(r)) is not None}
     return not of.limits or _within(spec, limits, 1.0)

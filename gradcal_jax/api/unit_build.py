@@ -23,7 +23,7 @@ from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.unit_plan import UnitSchedule, unit_schedule
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import Posterior, posterior, segments_of, unit_information, unweighted_of_unit
 from gradcal_jax.model import (
     AXIS_NAMES,
@@ -75,7 +75,7 @@ class AssembledUnit(NamedTuple):
     of a log). `sources`: for each kind of channel the indices of its noise processes by the name of their error source.
     `until_s`: where the plan is broken off, on its clock."""
 
-    spec: UnitSpec
+    spec: Spec
     model: UnitModel
     motion: TableMotion
     points: int
@@ -89,7 +89,7 @@ class AssembledUnit(NamedTuple):
 
 
 def assemble_unit(
-    spec: UnitSpec, until_s: float = np.inf, change: Callable[[Schedule], Schedule] | None = None
+    spec: Spec, until_s: float = np.inf, change: Callable[[Schedule], Schedule] | None = None
 ) -> AssembledUnit:
     """Model and motion of an IMU's spec, whose plan is broken off at `until_s` of its clock. `change`: what the times
     and rates of the plan become. Errors: `MemoryError` for a plan with more readings than this machine can hold."""
@@ -115,7 +115,7 @@ def assemble_unit(
     return AssembledUnit(spec, model_, _motion(parts, spec, model_), points, rough, sources, until_s)
 
 
-def executed_parts(spec: UnitSpec) -> list[tuple[TablePart, float]]:
+def executed_parts(spec: Spec) -> list[tuple[TablePart, float]]:
     """The executed parts of a spec, each with the pause after it (s)."""
     parts: list[tuple[TablePart, float]] = []
     for one in spec.done:
@@ -134,12 +134,12 @@ def executed_motion(built: AssembledUnit) -> TableMotion | None:
     return _motion(parts, built.spec, built.model) if parts else None
 
 
-def _reads_segments(spec: UnitSpec) -> bool:
+def _reads_segments(spec: Spec) -> bool:
     """Whether a rest or a move counts as a whole, and not what lies between two readings of the angle."""
     return spec.rig.table.standing == "held"
 
 
-def course_before(spec: UnitSpec) -> np.ndarray | None:
+def course_before(spec: Spec) -> np.ndarray | None:
     """Turning points of the temperature (°C) before the spec's plan or, of a run that goes on, before its first
     part."""
     first = spec.done[0].plan if spec.done else spec.plan
@@ -154,17 +154,17 @@ def posterior_of_unit(built: AssembledUnit) -> Posterior:
     return posterior(unit_information([(built.motion, built.body_nodes())], built.model))
 
 
-def unweighted_estimator(spec: UnitSpec) -> bool:
+def unweighted_estimator(spec: Spec) -> bool:
     """Whether the spec's estimator is ordinary least squares on the points' rates, as in the paper's figure."""
     return isinstance(spec.plan, StandardPlan) and spec.plan.estimator == "least squares"
 
 
-def unit_model(spec: UnitSpec) -> UnitModel:
+def unit_model(spec: Spec) -> UnitModel:
     """The channels of an IMU, the errors of its installation, and the encoders' noise."""
     return _model_and_sources(spec)[0]
 
 
-def _model_and_sources(spec: UnitSpec) -> tuple[UnitModel, dict[ChannelKind, dict[str, tuple[int, ...]]]]:
+def _model_and_sources(spec: Spec) -> tuple[UnitModel, dict[ChannelKind, dict[str, tuple[int, ...]]]]:
     sensor, channels = spec.sensor, []
     sources: dict[ChannelKind, dict[str, tuple[int, ...]]] = {}
     if (gyro := sensor.gyro) is not None:
@@ -195,12 +195,12 @@ def _model_and_sources(spec: UnitSpec) -> tuple[UnitModel, dict[ChannelKind, dic
     return UnitModel(tuple(channels), _installation(spec), encoder), sources
 
 
-def _has_common_clock(spec: UnitSpec) -> bool:
+def _has_common_clock(spec: Spec) -> bool:
     """Whether the sample clock is a parameter common to all channels; independent points each have their own."""
     return not isinstance(spec.plan, StandardPlan) or spec.plan.points == "one run"
 
 
-def _installation(spec: UnitSpec) -> tuple[model.InstallationTerm, ...]:
+def _installation(spec: Spec) -> tuple[model.InstallationTerm, ...]:
     table, site = spec.rig.table, spec.rig.site
     terms: list[model.InstallationTerm] = []
     if table.tilt or table.azimuth:
@@ -345,13 +345,13 @@ def rest_poses(built: AssembledUnit) -> RestPoses:
     return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
 
 
-def motion_of(plan: UnitSchedule | StandardSchedule, spec: UnitSpec, of: UnitModel) -> TableMotion:
+def motion_of(plan: UnitSchedule | StandardSchedule, spec: Spec, of: UnitModel) -> TableMotion:
     """The motion of a plan on a spec's rig, in pieces on which all functions of the model `of` are smooth."""
     return _motion([(_part(plan, spec), 0.0)], spec, of)
 
 
 def _part(
-    plan: UnitSchedule | StandardSchedule, spec: UnitSpec, change: Callable[[Schedule], Schedule] | None = None
+    plan: UnitSchedule | StandardSchedule, spec: Spec, change: Callable[[Schedule], Schedule] | None = None
 ) -> TablePart:
     """The pieces of a plan on a spec's rig."""
     schedule, axes, start = _schedule(plan, spec)
@@ -364,7 +364,7 @@ def _part(
     return TablePart(line, axis, np.minimum(stretch, len(spec.rig.table.mounting) - 1), start)
 
 
-def _motion(parts: Sequence[tuple[TablePart, float]], spec: UnitSpec, of: UnitModel) -> TableMotion:
+def _motion(parts: Sequence[tuple[TablePart, float]], spec: Spec, of: UnitModel) -> TableMotion:
     """The motion of parts of one run, each with the pause after it (s)."""
     whole, pause = parts[0]
     for part, later in parts[1:]:
@@ -385,7 +385,7 @@ def _motion(parts: Sequence[tuple[TablePart, float]], spec: UnitSpec, of: UnitMo
     return trajectory.motion_divided_by_plays(replace(smooth, history=course_before(spec)), widths, *fine)
 
 
-def _schedule(plan: UnitSchedule | StandardSchedule, spec: UnitSpec) -> tuple[Schedule, list[int], np.ndarray]:
+def _schedule(plan: UnitSchedule | StandardSchedule, spec: Spec) -> tuple[Schedule, list[int], np.ndarray]:
     """The schedule of a plan as a channel sees it that every axis turns, the axis of each of its moves (−1: a rest),
     and the axes' angles (rad) at its begin."""
     schedule, _ = table_schedule(plan, spec)
@@ -404,7 +404,7 @@ def _divisions_by_decay(line: trajectory.Trajectory, decay: float) -> tuple[np.n
     return pieces, 0.5**order
 
 
-def _fineness(spec: UnitSpec, of: UnitModel, line: trajectory.Trajectory) -> tuple[int | None, int]:
+def _fineness(spec: Spec, of: UnitModel, line: trajectory.Trajectory) -> tuple[int | None, int]:
     """The fastest wave in a column, in cycles a turn, and the number of nodes of a turning piece without waves. No
     column has waves if every gyro lies along the only axis of a table, whose encoder's error counts at the readings."""
     orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
@@ -424,7 +424,7 @@ def _fineness(spec: UnitSpec, of: UnitModel, line: trajectory.Trajectory) -> tup
     return (0 if orders else None, nodes) if plain else (waves_of(spec), max(nodes, _FEWEST))
 
 
-def waves_of(spec: UnitSpec) -> int:
+def waves_of(spec: Spec) -> int:
     """The fastest wave in a column of an IMU, in cycles a turn."""
     orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
     return max(_WAVES, max(orders, default=0) + 1)

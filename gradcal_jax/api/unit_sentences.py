@@ -18,7 +18,7 @@ from gradcal_jax.files.changes import changed
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import Posterior, posterior, square_root, unobservable_combinations
 from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, Hysteresis, Map, PathTerm
 from gradcal_jax.trajectory import Trajectory, frames
@@ -72,7 +72,7 @@ def _prior(built: AssembledUnit) -> Posterior:
     return posterior(square_root(built.model.prior_rows()))
 
 
-def unobservable(spec: UnitSpec) -> list[str]:
+def unobservable(spec: Spec) -> list[str]:
     """One sentence for each combination of parameters (named as in the paper, SI) that the plan cannot observe; for
     several channels none, if there are many. Errors: as `predict`."""
     built = assemble_unit(expect_spec(spec))

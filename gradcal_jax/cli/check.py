@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gradcal_jax.files.requirement import UnitRequirement
     from gradcal_jax.files.schedule import StandardSchedule
     from gradcal_jax.files.unit_plan import UnitSchedule
-    from gradcal_jax.files.unit_spec import UnitSpec
+    from gradcal_jax.files.unit_spec import Spec
 
 _MOST_ROWS, _MOST_MOVES = 24, 60
 
@@ -59,7 +59,7 @@ def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) ->
     return DONE
 
 
-def blind_of(spec: "UnitSpec") -> list[str]:
+def blind_of(spec: "Spec") -> list[str]:
     """All warnings of `check`: what the plan cannot observe, and what requirements ask for beyond it."""
     use_float64()
     from gradcal_jax.api.flow import check as check_of
@@ -67,7 +67,7 @@ def blind_of(spec: "UnitSpec") -> list[str]:
     return check_of(spec)
 
 
-def numbers(spec: "UnitSpec") -> dict[str, Any]:
+def numbers(spec: "Spec") -> dict[str, Any]:
     """A summary of the plan for other programs; times in s."""
     from gradcal_jax.files.absent import absent_terms
 
@@ -78,7 +78,7 @@ def numbers(spec: "UnitSpec") -> dict[str, Any]:
     return record | {"notes": notes(spec)}
 
 
-def summary(spec: "UnitSpec") -> str:
+def summary(spec: "Spec") -> str:
     """A summary of the plan as plain text, from the file alone."""
     from gradcal_jax.files.schedule import StandardSchedule
 
@@ -93,7 +93,7 @@ def summary(spec: "UnitSpec") -> str:
     return "\n".join([*lines, *(f"note: {note}" for note in notes(spec))])
 
 
-def _sensors(spec: "UnitSpec") -> "Iterator[str]":
+def _sensors(spec: "Spec") -> "Iterator[str]":
     from gradcal_jax.files.section import Section
 
     skipped = {"axes", "drift", "scale_factor_instability", "temperature_error"}
@@ -133,7 +133,7 @@ def _standard(schedule: "StandardSchedule") -> list[str]:
     return lines
 
 
-def _gradient(spec: "UnitSpec", schedule: "UnitSchedule") -> list[str]:
+def _gradient(spec: "Spec", schedule: "UnitSchedule") -> list[str]:
     from gradcal_jax.files.unit_plan import duration_of, row_count
 
     total = times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion")
@@ -193,7 +193,7 @@ def _turn(move: "ResolvedMove", axis: str) -> tuple[str, ...]:
     return (count, axis, move.shape, time_text(move.duration), *turn)
 
 
-def notes(spec: "UnitSpec") -> list[str]:
+def notes(spec: "Spec") -> list[str]:
     """Notes on a sound spec: unused time, and requirements beyond the temperatures of the plan."""
     from gradcal_jax.files.schedule import StandardSchedule
 

@@ -27,7 +27,7 @@ from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 if TYPE_CHECKING:
     from gradcal_jax.files.calibration import Calibration
     from gradcal_jax.files.log import Log
-    from gradcal_jax.files.unit_spec import UnitSpec
+    from gradcal_jax.files.unit_spec import Spec
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
 Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
@@ -273,7 +273,7 @@ def _options(
     return options | {"read_every": every, "neighbours_k": width, "temperature_c": at}
 
 
-def _spec(spec: Path | None, recipe: Path | None) -> "UnitSpec":
+def _spec(spec: Path | None, recipe: Path | None) -> "Spec":
     if (spec is None) == (recipe is None):
         raise ValueError("give the spec with --spec, or the recipe that was run with --recipe: one of them")
     from gradcal_jax.files.recipe import read_recipe, spec_in

@@ -16,7 +16,7 @@ from gradcal_jax.pages.plain_text import amount, columns
 
 if TYPE_CHECKING:
     from gradcal_jax.api.search_results import Optimised, SearchStep
-    from gradcal_jax.files.unit_spec import UnitSpec
+    from gradcal_jax.files.unit_spec import Spec
 
 
 def optimise(
@@ -99,7 +99,7 @@ def optimise(
 
 
 def search_and_watch(
-    spec: "UnitSpec", kept: Path | None = None, *, quick: bool = False, **options: Any
+    spec: "Spec", kept: Path | None = None, *, quick: bool = False, **options: Any
 ) -> tuple["Optimised", bool]:
     """The best plan, with a line of progress; and whether Ctrl-C ended the search. `kept`: file of its checkpoints;
     `options`: of `api.optimise.optimise`."""

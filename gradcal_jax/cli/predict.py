@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gradcal_jax.api.monte_carlo import TwinRow
     from gradcal_jax.files import Prediction
     from gradcal_jax.files.contracts import RequirementRow
-    from gradcal_jax.files.unit_spec import UnitSpec
+    from gradcal_jax.files.unit_spec import Spec
 
 
 def predict(
@@ -121,7 +121,7 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
     return "\n".join(lines)
 
 
-def omitted_lines(spec: "UnitSpec") -> list[str]:
+def omitted_lines(spec: "Spec") -> list[str]:
     """Error terms that are absent from the file, with the typical figures that count for them. Empty: none."""
     from gradcal_jax.files.absent import (
         EARTH,
@@ -144,9 +144,7 @@ def omitted_lines(spec: "UnitSpec") -> list[str]:
         "put your own figures into the file; 0 (or an empty list) says that there is none. Sources of the figures: "
         "gradcal check --json",
     ]
-    return (
-        lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH for term in absent) * spec.is_one_axis + of_branches
-    )
+    return lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH for term in absent) * spec.is_one_axis + of_branches
 
 
 def side_by_side(predictions: "list[tuple[str, Prediction]]") -> str:

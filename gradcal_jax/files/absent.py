@@ -17,7 +17,7 @@ from gradcal_jax.files.changes import changed
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import HOST_CLOCK, GyroTriad, UnitSensor
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 # Terms that act through one of the maps alone, or through motion or temperature.
 _OF_BIAS: Final = frozenset({"turn_on_bias", "bias_temperature_gradient"})
@@ -59,12 +59,12 @@ _NORMAL_GRAVITY: Final = AbsentTerm(
 )
 
 
-def absent_terms(spec: UnitSpec) -> list[AbsentTerm]:
+def absent_terms(spec: Spec) -> list[AbsentTerm]:
     """Every term of the error budget that the file does not name and that affects its plan. Errors: none."""
     return list(_of_axis(spec) if spec.is_one_axis else _of_imu(spec))
 
 
-def _of_axis(spec: UnitSpec) -> Iterator[AbsentTerm]:
+def _of_axis(spec: Spec) -> Iterator[AbsentTerm]:
     sensor, grade = spec.sensor, sensor_grade(spec.sensor).name
     gyro = sensor.gyro
     assert gyro is not None
@@ -96,7 +96,7 @@ def _unhung(table: UnitTable, term: AbsentTerm) -> Iterator[AbsentTerm]:
         yield from _unnamed(table.mounting[0], "rig.table.mounting[0]", [term._replace(key="accuracy")])
 
 
-def _of_imu(spec: UnitSpec) -> Iterator[AbsentTerm]:
+def _of_imu(spec: Spec) -> Iterator[AbsentTerm]:
     sensor, table, site = spec.sensor, spec.rig.table, spec.rig.site
     terms = terms_of("sensor", sensor_grade(sensor).name)
     of_table = terms_of("table", table_grade(spec).name)
@@ -134,7 +134,7 @@ _OF_BRANCHES: Final = {
 """The kind of channel and the key of the hysteresis of each quantity that may be required on a branch."""
 
 
-def _of_branches(spec: UnitSpec) -> Iterator[AbsentTerm]:
+def _of_branches(spec: Spec) -> Iterator[AbsentTerm]:
     """Hysteresis of quantities that are required on a branch of the temperature."""
     keys = {_OF_BRANCHES[r.quantity] for r in spec.requirement if getattr(r, "branch", None) is not None}
     for kind in ("gyro", "accelerometer"):
@@ -150,7 +150,7 @@ def path_terms_of(sensor: UnitSensor, kind: str) -> list[AbsentTerm]:
     return [AbsentTerm(term["key"], term["value"], term["source"]) for term in row["path"]]
 
 
-def branch_sentences(spec: UnitSpec) -> list[str]:
+def branch_sentences(spec: Spec) -> list[str]:
     """What requirements leave out that name no branch of the temperature, with the figures of the class."""
     sentences: list[str] = []
     for quantity, (kind, key) in _OF_BRANCHES.items():
@@ -181,7 +181,7 @@ def _below(prefix: str, terms: list[AbsentTerm]) -> list[AbsentTerm]:
     return [t._replace(key=t.key.removeprefix(prefix)) for t in terms if t.key.startswith(prefix)]
 
 
-def with_typical(spec: UnitSpec) -> UnitSpec:
+def with_typical(spec: Spec) -> Spec:
     """The spec with every absent term at its typical value. Errors: `SpecError` where the two contradict each other."""
     absent = absent_terms(spec)
     return changed(spec, {term.key: term.value for term in absent}) if absent else spec
@@ -228,7 +228,7 @@ def slopes_of(sensor: UnitSensor, kind: str = "gyro") -> tuple[float, float]:
     return tuple(abs(float(s)) if s is not None else t for s, t in zip(stated, (bias, scale), strict=True))  # pyright: ignore[reportReturnType]
 
 
-def table_grade(spec: UnitSpec) -> Grade:
+def table_grade(spec: Spec) -> Grade:
     """The class of a rate table, by its named angle errors; the worst class without any."""
     angles = [axis.angle for axis in spec.rig.table.axis]
     size = max(max(float(a.reading_noise), float(a.standstill_offset)) for a in angles)
@@ -266,7 +266,7 @@ def _matters_of_sensor(gyro: GyroTriad, clock: str | None, plan: object) -> set[
     return {term.key for term in terms_of("sensor", grades()[0])} - left_out
 
 
-def _matters_of_table(spec: UnitSpec, gyro: GyroTriad) -> set[str]:
+def _matters_of_table(spec: Spec, gyro: GyroTriad) -> set[str]:
     plan = spec.plan
     mounting = set[str]() if gyro.scale_factor is None else {"mounting_accuracy"}
     if isinstance(plan, StandardPlan):

@@ -42,7 +42,7 @@ from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.sweep import named_spec
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 FORMAT: Final = "gradcal-catalogue/1"
 MOST_CASES: Final = 10_000
@@ -115,7 +115,7 @@ class CatalogueCase:
     """One combination. `spec` is its spec, or None with the `failure` that says why it has none."""
 
     names: tuple[str, str, str, str]
-    spec: UnitSpec | None
+    spec: Spec | None
     failure: str = ""
 
     @property
@@ -161,9 +161,9 @@ def parse_catalogue(text: str, source: str = "", folder: str | Path = ".") -> Ca
 
 
 def _cases(file: CatalogueFile, folder: Path, source: str) -> Iterator[CatalogueCase]:
-    bases: dict[str, UnitSpec] = {}
+    bases: dict[str, Spec] = {}
 
-    def base_of(name: str) -> UnitSpec:
+    def base_of(name: str) -> Spec:
         if name not in bases:
             bases[name] = named_spec(name, folder, source)
         return bases[name]

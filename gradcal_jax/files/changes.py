@@ -15,7 +15,7 @@ from gradcal_jax.files.moves import AXES, Axis
 from gradcal_jax.files.problems import ABSENT, Key, Problem, SpecError, dotted
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 _PART: Final = re.compile(r"(?:^|\.)([A-Za-z_][A-Za-z0-9_-]*)|\[([0-9]{1,9})\]")
 
@@ -40,7 +40,7 @@ def tables_of(spec: Section) -> dict[str, Any]:
     return spec.model_dump(mode="json", exclude_unset=True)
 
 
-def changed(spec: UnitSpec, changes: Mapping[str, object], source: str = "") -> UnitSpec:
+def changed(spec: Spec, changes: Mapping[str, object], source: str = "") -> Spec:
     """A new spec with some keys set, such as {"rig.chamber.max_heating": "2 K/min"}; None removes a key.
 
     Values are as in the file: text with units. Of one gyro on a table of one axis the keys of [sensor.gyro] and
@@ -50,7 +50,7 @@ def changed(spec: UnitSpec, changes: Mapping[str, object], source: str = "") -> 
     return spec_of(patched(spec, changes, source), source)
 
 
-def along_axis(spec: UnitSpec, axis: Axis) -> UnitSpec:
+def along_axis(spec: Spec, axis: Axis) -> Spec:
     """The spec of one gyro on a table of one axis, of another axis of the body that hangs along that of the table, as
     the gyro's own did. Errors: `ValueError` for other specs."""
     axes: Sequence[Axis] = () if spec.sensor.gyro is None else spec.sensor.gyro.axes
@@ -73,7 +73,7 @@ def along_axis(spec: UnitSpec, axis: Axis) -> UnitSpec:
     return spec_of(tables)
 
 
-def patched(spec: UnitSpec, changes: Mapping[str, object], source: str = "") -> dict[str, Any]:
+def patched(spec: Spec, changes: Mapping[str, object], source: str = "") -> dict[str, Any]:
     """The tables of a spec with some keys set, not checked. Raises `SpecError` for keys that have no place."""
     tables = tables_of(spec)
     problems: list[Problem] = []

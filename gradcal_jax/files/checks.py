@@ -27,7 +27,7 @@ from gradcal_jax.files.sensor import GyroTriad
 from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, resolve_steps, row_count, unit_schedule
 
 if TYPE_CHECKING:
-    from gradcal_jax.files.unit_spec import UnitSpec
+    from gradcal_jax.files.unit_spec import Spec
 
 # Rounded figures (a ramp rounded to hundredths of a second) may exceed a limit by this share.
 _SLACK: Final = 1e-6
@@ -36,28 +36,28 @@ _NEARLY: Final = 0.5
 _MOST_READINGS: Final = 50_000_000
 
 
-def problems_between(spec: "UnitSpec") -> Iterator[Problem]:
+def problems_between(spec: "Spec") -> Iterator[Problem]:
     """Every problem between the sections of a spec, of which some may be None."""
     for needed, check in _CHECKS:
         if all(getattr(spec, name) is not None for name in needed.split()):
             yield from check(spec)
 
 
-def _schedule(spec: "UnitSpec") -> UnitSchedule | None:
+def _schedule(spec: "Spec") -> UnitSchedule | None:
     """The schedule of a gradient plan without problems."""
     with contextlib.suppress(SpecError):
         return None if isinstance(spec.plan, StandardPlan) else spec.gradient_schedule
     return None
 
 
-def _steps(spec: "UnitSpec") -> tuple[UnitStep, ...]:
+def _steps(spec: "Spec") -> tuple[UnitStep, ...]:
     """The steps of the cycle that have no problems themselves."""
     if isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None:
         return ()
     return resolve_steps(spec.plan.cycle, spec.rig)[0]
 
 
-def _plan_on_rig(spec: "UnitSpec") -> Iterator[Problem]:
+def _plan_on_rig(spec: "Spec") -> Iterator[Problem]:
     plan, table, chamber = spec.plan, spec.rig.table, spec.rig.chamber
     if isinstance(plan, StandardPlan):
         yield from (p.under("plan") for p in _standard(plan, table, chamber))
@@ -76,7 +76,7 @@ def _plan_on_rig(spec: "UnitSpec") -> Iterator[Problem]:
         yield Problem(key, "the plan has no readings")
 
 
-def _full_scale(spec: "UnitSpec") -> Iterator[Problem]:
+def _full_scale(spec: "Spec") -> Iterator[Problem]:
     """Where a plan turns a gyro faster than it measures."""
     gyro, table = spec.sensor.gyro, spec.rig.table
     if gyro is None or gyro.usable_rate is None:
@@ -128,7 +128,7 @@ def _turned(vector: Sequence[float], axis: Sequence[float], angle: float) -> tup
     )
 
 
-def _missions_on_plan(spec: "UnitSpec") -> Iterator[Problem]:
+def _missions_on_plan(spec: "Spec") -> Iterator[Problem]:
     """Where missions leave the temperatures that the plan visits."""
     if isinstance(spec.plan, StandardPlan):
         ends = [float(temperature) for temperature in spec.plan.temperatures]
@@ -160,12 +160,12 @@ def _missions(
             yield Problem(("requirement", i, "mission", k), message)
 
 
-def _names(spec: "UnitSpec") -> Iterator[Problem]:
+def _names(spec: "Spec") -> Iterator[Problem]:
     names = [requirement.name for requirement in spec.requirement]
     yield from repeated_names("requirement", "name", names, "two requirements have this name; names must differ")
 
 
-def _requirements_of_sensor(spec: "UnitSpec") -> Iterator[Problem]:
+def _requirements_of_sensor(spec: "Spec") -> Iterator[Problem]:
     """Requirements of what is not estimated, of axes that there are not, or beyond what the bases cover."""
     for i, requirement in enumerate(spec.requirement):
         key: Key = ("requirement", i)
@@ -215,7 +215,7 @@ _NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
 """The tables of [sensor] that a quantity needs."""
 
 
-def _table_of(spec: "UnitSpec", dotted: str) -> Any:
+def _table_of(spec: "Spec", dotted: str) -> Any:
     """A table below [sensor]; None where it or one above is absent."""
     value: Any = spec.sensor
     for name in dotted.split("."):
@@ -322,14 +322,14 @@ def _slope(slope: Quantity, heats: bool, chamber: Chamber, key: Key) -> Iterator
         yield Problem(key, f"exceeds rig.chamber.{name}, {limit}", slope.text)
 
 
-def _site(spec: "UnitSpec") -> Iterator[Problem]:
+def _site(spec: "Spec") -> Iterator[Problem]:
     """The latitude may be absent where the Earth's rate is the same all the time."""
     if (spec.rig.site.latitude is None or spec.rig.site.is_unknown) and not spec.is_one_axis:
         message = "this key is missing: the Earth's rate and gravity change with the table's angles"
         yield Problem(("rig", "site", "latitude"), message, kind="missing")
 
 
-def _frame(spec: "UnitSpec") -> Iterator[Problem]:
+def _frame(spec: "Spec") -> Iterator[Problem]:
     frame, mountings = spec.sensor.frame, spec.rig.table.mounting
     of_case = frame is not None and frame.fixed_by == "case"
     if len(mountings) > 1 and not of_case:
@@ -341,7 +341,7 @@ def _frame(spec: "UnitSpec") -> Iterator[Problem]:
             yield Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg")
 
 
-def _done(spec: "UnitSpec") -> Iterator[Problem]:
+def _done(spec: "Spec") -> Iterator[Problem]:
     if spec.done and isinstance(spec.plan, StandardPlan):
         yield Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone')
     for number, part in enumerate(spec.done):
@@ -355,14 +355,14 @@ def _done(spec: "UnitSpec") -> Iterator[Problem]:
             yield Problem(("done", number, "end"), "expected a time after its start", part.end.text)
 
 
-def _done_of_sensor(spec: "UnitSpec") -> Iterator[Problem]:
+def _done_of_sensor(spec: "Spec") -> Iterator[Problem]:
     for kind in ("gyro", "accelerometer") if spec.done else ():
         if (triad := _table_of(spec, kind)) is not None and triad.turn_on_transient:
             message = "the time since power-on is not known in a run that goes on ([[done]]); leave the key out"
             yield Problem(("sensor", kind, "turn_on_transient"), message)
 
 
-def _accelerometer(spec: "UnitSpec") -> Iterator[Problem]:
+def _accelerometer(spec: "Spec") -> Iterator[Problem]:
     accelerometer, steps = spec.sensor.accelerometer, _steps(spec)
     if accelerometer is None or not steps:
         return
@@ -378,7 +378,7 @@ def _accelerometer(spec: "UnitSpec") -> Iterator[Problem]:
         yield Problem(key, message + "leave it out (and the lever arm)", limit)
 
 
-def _design(spec: "UnitSpec") -> Iterator[Problem]:
+def _design(spec: "Spec") -> Iterator[Problem]:
     assert spec.design is not None
     names = [requirement.name for requirement in spec.requirement]
     problems = [*design_problems(spec.design, names, of_axis=spec.turns_one_gyro)]
@@ -387,7 +387,7 @@ def _design(spec: "UnitSpec") -> Iterator[Problem]:
     yield from (p.under("design") for p in problems)
 
 
-_CHECKS: Final[tuple[tuple[str, Callable[["UnitSpec"], Iterator[Problem]]], ...]] = (
+_CHECKS: Final[tuple[tuple[str, Callable[["Spec"], Iterator[Problem]]], ...]] = (
     ("rig plan", _plan_on_rig),
     ("sensor rig plan", _full_scale),
     ("requirement rig plan", _missions_on_plan),

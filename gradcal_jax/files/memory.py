@@ -6,13 +6,13 @@ from typing import Final
 
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.unit_plan import row_count
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 # For the whitened rows and their computation, by reading and column; measured: 2.6 kB a reading with 39 columns.
 _BYTES: Final = 68.0
 
 
-def needed_bytes(spec: UnitSpec) -> float:
+def needed_bytes(spec: Spec) -> float:
     """Memory that a prediction of the spec takes beside the program's own, to a factor of two."""
     schedule, gyro, forces = spec.schedule, spec.sensor.gyro, spec.sensor.accelerometer
     readings = schedule.readings if isinstance(schedule, StandardSchedule) else row_count(schedule, spec.rig.table)
@@ -37,7 +37,7 @@ def available_bytes() -> float:
         return float("inf")
 
 
-def too_large(spec: UnitSpec) -> str:
+def too_large(spec: Spec) -> str:
     """A sentence where the spec's readings need more memory than there is; empty otherwise."""
     needed, there = needed_bytes(spec), available_bytes()
     if needed <= there:

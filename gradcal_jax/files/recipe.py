@@ -27,7 +27,7 @@ from gradcal_jax.files.rounding import ControllerSteps
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 FORMAT: Final = "gradcal-recipe/1"
 
@@ -99,7 +99,7 @@ class Recipe(TitledFile):
     """Residual of the rounded plan."""
     optimisation: dict[str, Any] | None = None
     """The optimiser's own record: objective, before, now, starts, limits."""
-    spec: UnitSpec = Field(title="gradcal-spec/1")
+    spec: Spec = Field(title="gradcal-spec/1")
     """The spec whose plan these tracks are."""
 
     def _problems(self) -> Iterable[Problem]:
@@ -145,13 +145,13 @@ def read_recipe(path: str | Path) -> Recipe:
     return parse_recipe(read_text(path), str(path))
 
 
-def spec_in(path: str | Path) -> UnitSpec:
+def spec_in(path: str | Path) -> Spec:
     """The spec in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
     with missions_from(Path(path).parent):
         return from_text(spec_or_recipes_of, read_text(path), str(path))
 
 
-def spec_or_recipes_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:
+def spec_or_recipes_of(document: Mapping[str, Any], source: str = "") -> Spec:
     """The spec from the tables of a spec or recipe. Raises `SpecError`."""
     return recipe_of(document, source).spec if is_recipe(document) else spec_of(document, source)
 

@@ -33,7 +33,7 @@ from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.tracks import makeable_acceleration, trapezoid_acceleration
 from gradcal_jax.files.unit_plan import UnitSchedule, duration_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.formulas import repetitions
 
 _HAIR: Final = Decimal("1e-6")  # of a step: rounding of the arithmetic, never of the plan
@@ -74,7 +74,7 @@ class ControllerSteps(Section):
 _ACCELERATION: Final = Quantity.read("1.9073486328125 deg/s^2", "angular acceleration")
 
 
-def steps_of(spec: UnitSpec) -> ControllerSteps:
+def steps_of(spec: Spec) -> ControllerSteps:
     """The steps that a spec's `[rig.resolution]` gives, defaults for the others."""
     resolution = spec.rig.resolution or Resolution()
     names = ("temperature", "time", "rate", "angle", "acceleration")
@@ -86,12 +86,12 @@ def steps_of(spec: UnitSpec) -> ControllerSteps:
 class Rounded:
     """`changes`: the changes by rounding, a sentence each; `notes`: deviations of the controllers from the plan."""
 
-    spec: UnitSpec
+    spec: Spec
     changes: tuple[str, ...]
     notes: tuple[str, ...]
 
 
-def rounded(spec: UnitSpec, steps: ControllerSteps | None = None, *, keep_shapes: bool = False) -> Rounded:
+def rounded(spec: Spec, steps: ControllerSteps | None = None, *, keep_shapes: bool = False) -> Rounded:
     """The spec with a plan that the controllers can execute.
 
     `keep_shapes`: the table can follow any shape; without it turns become trapezoids ("linear ramps") of the same
@@ -182,7 +182,7 @@ class _Rounder:
 # ------------------------------------------------------------------------------------------------- gradient method
 
 
-def _keep_cycles(spec: UnitSpec, tables: Table, rounder: _Rounder) -> UnitSpec:
+def _keep_cycles(spec: Spec, tables: Table, rounder: _Rounder) -> Spec:
     """The spec of rounded tables, its slope the next slower one where a repetition of the cycle would be lost."""
     plan = tables["plan"]
     result, before = spec_of(tables), _cycles(spec)
@@ -195,7 +195,7 @@ def _keep_cycles(spec: UnitSpec, tables: Table, rounder: _Rounder) -> UnitSpec:
     return result
 
 
-def _cycles(spec: UnitSpec) -> int:
+def _cycles(spec: Spec) -> int:
     return sum(stretch.cycles for stretch in spec.gradient_schedule.stretches)
 
 
@@ -207,7 +207,7 @@ def _temperatures(plan: Table, rounder: _Rounder) -> None:
         rounder.entries(item, **kinds)
 
 
-def _cycle(spec: UnitSpec, schedule: UnitSchedule, cycle: Table, rounder: _Rounder) -> None:
+def _cycle(spec: Spec, schedule: UnitSchedule, cycle: Table, rounder: _Rounder) -> None:
     """Every rest and turn of a cycle in full, and the axes' first angles."""
     axes = spec.rig.table.axis
     gyro = spec.sensor.gyro

@@ -12,7 +12,7 @@ from gradcal_jax.files.section import Section
 
 # By module and class, so that a program that reads specs does not load the importers of logs.
 _MODELS: Final[Mapping[str, tuple[str, str]]] = {
-    "spec": ("unit_spec", "UnitSpec"),
+    "spec": ("unit_spec", "Spec"),
     "rig": ("rig", "RigFile"),
     "lines": ("line_protocol", "LineProtocol"),
     "registers": ("register_protocol", "RegisterProtocol"),

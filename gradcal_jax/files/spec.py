@@ -12,21 +12,19 @@ from gradcal_jax.files.document import from_text, model_of, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.section import refuse
-from gradcal_jax.files.unit_spec import FORMAT, UnitSpec, hidden_problems
-
-Spec = UnitSpec
+from gradcal_jax.files.unit_spec import FORMAT, Spec, hidden_problems
 
 
-def expect_spec(value: object) -> UnitSpec:
+def expect_spec(value: object) -> Spec:
     """The value, if it is a spec. Errors: `TypeError` that says how to read one."""
-    if isinstance(value, UnitSpec):
+    if isinstance(value, Spec):
         return value
     if isinstance(value, str | Path):
         raise TypeError(f"expected a spec, not the name of its file: read it with gj.read_spec({str(value)!r})")
     raise TypeError(f"expected a spec as gj.read_spec or gj.parse_spec give it, not {type(value).__name__}")
 
 
-def expect_whole(spec: UnitSpec, what: str) -> None:
+def expect_whole(spec: Spec, what: str) -> None:
     """Errors: `ValueError` where a plan continues an executed part, which `what` does not support."""
     if expect_spec(spec).done:
         raise goes_on(what)
@@ -37,7 +35,7 @@ def goes_on(what: str) -> ValueError:
     return ValueError(f"{what} is of a plan that begins a run, and this one goes on with what was done: [[done]]")
 
 
-def read_spec(path: str | Path) -> UnitSpec:
+def read_spec(path: str | Path) -> Spec:
     """Read a spec file: TOML, quantities as text with units ("0.1 deg/sqrt(h)"), SI (°C) inside.
 
     Names of mission files are seen from the spec's folder. Errors: `SpecError` that lists everything wrong with it,
@@ -47,7 +45,7 @@ def read_spec(path: str | Path) -> UnitSpec:
         return parse_spec(read_text(path), str(path))
 
 
-def parse_spec(text: str, source: str = "") -> UnitSpec:
+def parse_spec(text: str, source: str = "") -> Spec:
     """A spec from the text of a TOML file (quantities with units, SI inside); `source` names it in messages. Names of
     mission files are seen from the working directory.
 
@@ -56,13 +54,13 @@ def parse_spec(text: str, source: str = "") -> UnitSpec:
     return from_text(spec_of, text, source)
 
 
-def spec_of(document: Mapping[str, Any], source: str = "") -> UnitSpec:
+def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
     """A spec from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
     if not is_of_axis(document) or (isinstance(document.get("format"), str) and document["format"] != FORMAT):
-        return model_of(UnitSpec, document, FORMAT, source, lambda found: hidden_problems(document, found))
+        return model_of(Spec, document, FORMAT, source, lambda found: hidden_problems(document, found))
     tables, problems = convert(document)
     try:
-        spec = model_of(UnitSpec, tables, FORMAT, source, lambda found: hidden_problems(tables, found))
+        spec = model_of(Spec, tables, FORMAT, source, lambda found: hidden_problems(tables, found))
         refuse(*problems)
     except SpecError as error:
         # What has no counterpart in the general form is not said twice.

@@ -38,7 +38,7 @@ from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Count, Text, Whole
 from gradcal_jax.files.recipe import spec_or_recipes_of
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 FORMAT: Final = "gradcal-sweep/1"
 MOST_POINTS: Final = 1_000_000
@@ -272,7 +272,7 @@ class Sweep:
 
     file: SweepFile
     text: str
-    base: UnitSpec
+    base: Spec
 
     __repr__ = summary
 
@@ -299,7 +299,7 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     return Sweep(file, text, base)
 
 
-def named_spec(name: str, folder: Path, source: str = "") -> UnitSpec:
+def named_spec(name: str, folder: Path, source: str = "") -> Spec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
     tables, place = _named(name, folder, source)
     with missions_from(Path(place).parent):
@@ -315,7 +315,7 @@ def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str
     raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal new --list')], source)
 
 
-def _known(axis: Axis, base: UnitSpec) -> None:
+def _known(axis: Axis, base: Spec) -> None:
     """A key that no spec has is a slip, and is said at once, not a thousand times."""
     trial = {key: axis.at(0.0) for key in axis.changes}
     try:

@@ -39,7 +39,7 @@ from gradcal_jax.files.rig import Name
 from gradcal_jax.files.schedule import Stretch, TemperatureSegment
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.unit_plan import UnitSchedule
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.units import dimension_of
 
 Begins = Literal["at its time", "when stable"]
@@ -143,7 +143,7 @@ class ChamberTrack(Section):
     """Segments, in order."""
 
 
-def tracks_of(spec: UnitSpec, acceleration_step: float | None = None) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
+def tracks_of(spec: Spec, acceleration_step: float | None = None) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:
     """The two tracks of a spec's plan. `acceleration_step` of the table's controller, rad/s²; None: it makes any."""
     axes = spec.rig.table.axis
     if isinstance(spec.plan, StandardPlan):

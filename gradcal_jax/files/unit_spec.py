@@ -37,7 +37,7 @@ class ExecutedPart(Section):
     """Time until the next part or the plan begins; the device stays switched on. Absent: 30 min."""
 
 
-class UnitSpec(TitledFile):
+class Spec(TitledFile):
     """A spec of a whole unit; read-only. Quantities behave as numbers in SI (°C) and keep their text.
 
     `schedule` is the plan resolved for the rig. From `read_spec` or `parse_spec`. Errors: their `SpecError`.
@@ -131,7 +131,7 @@ def _sections() -> Mapping[str, TypeAdapter[Any]]:
     """The readers of the sections, one by one."""
     return {
         name: TypeAdapter[Any](cast("Any", Annotated)[(field.annotation, Field(), *field.metadata)])
-        for name, field in UnitSpec.model_fields.items()
+        for name, field in Spec.model_fields.items()
         if name not in TitledFile.model_fields
     }
 
@@ -144,7 +144,7 @@ def hidden_problems(document: Mapping[str, Any], problems: Sequence[Problem]) ->
         with contextlib.suppress(ValidationError):
             sections[name] = _sections()[name].validate_python(kept[name])
     reported = {problem.key for problem in problems}
-    return [p for p in problems_between(UnitSpec.model_construct(**sections)) if p.key not in reported]
+    return [p for p in problems_between(Spec.model_construct(**sections)) if p.key not in reported]
 
 
 def _without_unknown_keys(document: Mapping[str, Any], problems: Sequence[Problem]) -> dict[str, Any]:

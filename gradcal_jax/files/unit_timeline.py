@@ -53,8 +53,8 @@ class TableAxisRow(Section):
     """Standard deviation of a reading (rad)."""
     standstill_offset: Size
     """Standard deviation of what a standstill's readings share (rad)."""
-    read_every: Size
-    """Spacing of readings (s)."""
+    read_every: Size | None = None
+    """Spacing of readings (s); absent: one reading in each standstill."""
     harmonics: tuple[HarmonicRow, ...] = ()
     """Errors that repeat with the angle."""
 

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.unit_spec import UnitSpec
+from ..files.unit_spec import Spec
 
 Numbers = NDArray[np.float64]
 
@@ -15,7 +15,7 @@ _NAMED: Final = np.sin(np.radians(22.5))
 _WORLD: Final = {"up": (0.0, 0.0, 1.0), "east": (1.0, 0.0, 0.0), "north": (0.0, 1.0, 0.0)}
 
 
-def drawn(spec: UnitSpec, angles_deg: Mapping[str, float], mounting: int) -> str:
+def drawn(spec: Spec, angles_deg: Mapping[str, float], mounting: int) -> str:
     """A unit at these angles of its table's axes, by name, in a mounting (its number, from 1), seen from the south:
 
     ``  up: body +z``

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.files import changed, spec_of, to_toml
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.jobs.results import PointResult, Residual, one_line
 
 _HEADER = "Made by gradcal recipes; `gradcal show` prints it as a table."
@@ -37,14 +37,14 @@ def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> lis
     return results
 
 
-def _predicted(index: int, spec: UnitSpec) -> PointResult:
+def _predicted(index: int, spec: Spec) -> PointResult:
     rows = requirement_rows(spec)
     axes = len(rows) // max(len(spec.requirement), 1)
     residuals = tuple(
         # A unit's requirement has one value for all axes, stored under the first channel.
         Residual(
             k // axes,
-            "x" if isinstance(spec, UnitSpec) else row.axis,
+            "x" if isinstance(spec, Spec) else row.axis,
             (row.mean_of_max, row.max, row.mean, row.rms),
             row.verdict or "",
         )
@@ -53,7 +53,7 @@ def _predicted(index: int, spec: UnitSpec) -> PointResult:
     return PointResult(index, "", spec.schedule.duration, spec.schedule.soak, spec.schedule.motion, residuals)
 
 
-def _optimised(index: int, spec: UnitSpec) -> PointResult:
+def _optimised(index: int, spec: Spec) -> PointResult:
     from gradcal_jax.api.flow import optimise
 
     best = optimise(spec)
@@ -88,7 +88,7 @@ def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def least_possible(spec: UnitSpec) -> float | None:
+def least_possible(spec: Spec) -> float | None:
     """The proven lower limit for any plan on this rig in this time, in the objective's unit; None without a proof."""
     from gradcal_jax.api.limit import limits
 

@@ -11,7 +11,7 @@ from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
 from gradcal_jax.files.calibration import Calibration, Covariance
 from gradcal_jax.files.contracts import Prediction
 from gradcal_jax.files.recipe import Predicted
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.model import TEMPERATURE_GRADIENT
 from gradcal_jax.pages.numbers import figures
 
@@ -61,7 +61,7 @@ def coefficient_table(facts: Sequence[ParameterFact]) -> tuple[list[tuple[str, .
     return _each(facts, len(channels) > 1) if len(channels) <= _MOST_CHANNELS else (_by_axis(facts), (1, 2, 3))
 
 
-def symbols(spec: UnitSpec | None, calibration: Calibration | None) -> str:
+def symbols(spec: Spec | None, calibration: Calibration | None) -> str:
     """What the names of coefficients mean, and T′ and ω′."""
     terms: list[Any] = [] if calibration is None else [term for c in calibration.channel for term in c.term]
     if spec is not None:

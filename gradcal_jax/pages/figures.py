@@ -18,7 +18,7 @@ from gradcal_jax import plots
 from gradcal_jax.api.ieee_terms import Box
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.pages.run_history import RunHistory
@@ -104,7 +104,7 @@ def _maps(fact: MapFact, key: str, where: str) -> Iterator[Picture]:
             yield _map(box, label, f"{key}-{label}", words, norm)
 
 
-def pose_picture(spec: UnitSpec) -> Picture:
+def pose_picture(spec: Spec) -> Picture:
     """The vertical in the device's frame at every rest."""
     words = "Which way is up, seen from the device, at every rest; the colour is the time, the size how long it rests."
     return picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), _LOW, projection="mollweide")

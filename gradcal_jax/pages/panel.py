@@ -18,7 +18,7 @@ from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.unit_plan import UnitPlan
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.units import time_text
 
@@ -27,7 +27,7 @@ RAMPS: Final = (1, 2, 3)
 ANGLES: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
 
 
-def panel_of(spec: UnitSpec) -> dict[str, Any]:
+def panel_of(spec: Spec) -> dict[str, Any]:
     """The panel's numbers: `choices` by slider, and by grid point (slopes slow, angles fast) the time in hours and the
     requirements' values and verdicts; null where the plan does not fit or a requirement is not observable.
 
@@ -66,7 +66,7 @@ def panel_of(spec: UnitSpec) -> dict[str, Any]:
 
 
 def _point(
-    spec: UnitSpec, plan: UnitPlan, slope: float, ramps: int, angle: float
+    spec: Spec, plan: UnitPlan, slope: float, ramps: int, angle: float
 ) -> tuple[float, list[RequirementRow]] | None:
     """Hours of the whole plan, and every requirement; None where the plan does not fit."""
     try:
@@ -96,7 +96,7 @@ def _course(plan: UnitPlan, slope: float, ramps: int) -> Mapping[str, object]:
     return {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": items}
 
 
-def _angles(spec: UnitSpec, factor: float) -> Mapping[str, object]:
+def _angles(spec: Spec, factor: float) -> Mapping[str, object]:
     """Every figure of the axes' angles, times a factor."""
     return {
         f"rig.table.axis[{k}].angle.{key}": Quantity.of(factor * size, "urad").text
@@ -114,7 +114,7 @@ def _figures(angle: AxisEncoder) -> Iterator[tuple[str, float]]:
         yield f"harmonics[{k}].amplitude", float(harmonic.amplitude)
 
 
-def _angle_label(spec: UnitSpec, factor: float) -> str:
+def _angle_label(spec: Spec, factor: float) -> str:
     """The label of an encoder, by its largest figure."""
     sizes = (size for axis in spec.rig.table.axis for _, size in _figures(axis.angle))
     shown = factor * math.degrees(max(sizes, default=0.0))

@@ -9,11 +9,11 @@ from gradcal_jax.files.absent import absent_terms
 from gradcal_jax.files.bench import UnitRig
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.sensor import UnitSensor
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.pages.sources import Sources
 
 
-def assumptions(spec: UnitSpec | None, calibration: Calibration | None) -> list[tuple[str, str]]:
+def assumptions(spec: Spec | None, calibration: Calibration | None) -> list[tuple[str, str]]:
     """The figures behind the numbers: those of a plan's spec, with what it leaves out, or of a calibration."""
     if spec is not None:
         left_out = "not stated, and so counted as is typical of its class: "
@@ -24,7 +24,7 @@ def assumptions(spec: UnitSpec | None, calibration: Calibration | None) -> list[
     return _stated((name.replace("_", " "), getattr(noise, name)) for name in names)
 
 
-def stated_figures(spec: UnitSpec) -> list[tuple[str, str]]:
+def stated_figures(spec: Spec) -> list[tuple[str, str]]:
     """The figures that a spec states, by the names that error budgets have for them."""
     return [*_of_sensor(spec.sensor), *_of_rig(spec.rig)]
 

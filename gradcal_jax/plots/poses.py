@@ -6,11 +6,11 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
 from gradcal_jax.api.unit_build import assemble_unit, rest_poses
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.plots.style import COLOUR_MAP
 
 
-def draw_poses(spec: UnitSpec, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
+def draw_poses(spec: Spec, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
     """The vertical in the device's frame at every rest: longitude about z, colour by time, area by duration."""
     if ax is None:
         ax = Figure(figsize=(6.4, 3.6), layout="constrained").add_subplot(projection="mollweide")

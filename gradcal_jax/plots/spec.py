@@ -14,7 +14,7 @@ from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.api.verdicts import target_of
 from gradcal_jax.files.requirement import MissionHeadingRequirement, UnitRequirement
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import Posterior
 from gradcal_jax.plots.poses import draw_poses
 from gradcal_jax.plots.residual import boxes_of, draw_curves, draw_map
@@ -49,7 +49,7 @@ def draw_heading(
     return ax, drawn
 
 
-def draw_prediction(spec: UnitSpec) -> Figure:
+def draw_prediction(spec: Spec) -> Figure:
     """The residual of each requirement: a map of a single scale factor, curves of the elements of all else; and where
     attitudes count, the poses on the sphere.
 
@@ -94,7 +94,7 @@ def _label(words: str, curves: Sequence[tuple[str, ErrorCurve]], axis: str, curv
     return words + (f", {axis}" if several_axes else "") + (f", {curve.file}" if several else "")
 
 
-def draw_comparison(specs: Sequence[tuple[str, UnitSpec]]) -> Figure:
+def draw_comparison(specs: Sequence[tuple[str, Spec]]) -> Figure:
     """Plans side by side: for each requirement's name, one curve a plan and element. Errors: `ValueError` without
     requirements."""
     plans = [(label, assemble_unit(expect_spec(spec))) for label, spec in specs]

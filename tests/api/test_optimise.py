@@ -25,13 +25,13 @@ from gradcal_jax.design import ProgrammeCoordinates, polish, search
 from gradcal_jax.design.search import _program
 from gradcal_jax.files import SpecError, changed, tables_of
 from gradcal_jax.files.rounding import rounded
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 DEG = math.pi / 180.0
 
 
 @pytest.fixture(scope="module")
-def spec() -> UnitSpec:
+def spec() -> Spec:
     return files.parse_spec(SPEC)
 
 
@@ -43,11 +43,11 @@ def best(spec) -> Optimised:
     return found
 
 
-def cycles_of(spec: UnitSpec) -> int:
+def cycles_of(spec: Spec) -> int:
     return sum(stretch.cycles for stretch in spec.gradient_schedule.stretches)
 
 
-def residual(spec: UnitSpec) -> float:
+def residual(spec: Spec) -> float:
     value = predict(spec).requirements[0].mean_of_max
     assert value is not None
     return value
@@ -113,7 +113,7 @@ def test_any_point_is_written_feasible_with_whole_turns(spec, seed):
     assert sum(m.repeat * m.duration for m in moves if m.other_axes) == pytest.approx(3 * 780.0)
 
 
-def limited(spec: UnitSpec, travel: float, shape: str, cycles: str, **design) -> UnitSpec:
+def limited(spec: Spec, travel: float, shape: str, cycles: str, **design) -> Spec:
     moves = [
         {"rest": "5 s", "read_every": "1 s"},
         {"turn": "20 deg", "duration": "12 s", "shape": shape},
@@ -125,7 +125,7 @@ def limited(spec: UnitSpec, travel: float, shape: str, cycles: str, **design) ->
     return changed(spec, keys | {f"design.{key}": value for key, value in design.items()})
 
 
-def check_executable(spec: UnitSpec, plan: UnitSpec) -> None:
+def check_executable(spec: Spec, plan: Spec) -> None:
     """Nothing is left to round, and the cable is where it was after every cycle, within the travel in between."""
     assert not [change for change in rounded(plan).changes if not change.endswith("cosine ramps -> linear ramps")]
     moves = cycle_of(plan).moves
@@ -204,7 +204,7 @@ def test_an_optimum_that_rounds_to_nothing_observed_is_a_sentence(spec):
     assert "observes too little" in best.sentence or "cannot be rounded" in best.sentence
 
 
-def paper(name: str) -> UnitSpec:
+def paper(name: str) -> Spec:
     return files.read_spec(f"experiments/paper/{name}.toml")
 
 
@@ -212,7 +212,7 @@ def a_point(structure) -> np.ndarray:
     return np.random.default_rng(1).standard_normal(structure.coordinates.size)
 
 
-def static(**design) -> UnitSpec:
+def static(**design) -> Spec:
     base = paper("static_gradient")
     return changed(base, {"design": {"minimise": "full range", "free": ["programme"], "starts": 2} | design})
 
@@ -312,7 +312,7 @@ def test_assembled_sources_of_the_spec_are_the_figures(spec):
     assert set(assemble(spec).sources) == {"bias instability"}
 
 
-def with_targets(spec, own: str, bias: str = "") -> UnitSpec:
+def with_targets(spec, own: str, bias: str = "") -> Spec:
     """The spec with a target for what is minimised, as a file would have it, and one for another statistic."""
     (row,) = spec.requirement
     rows = [row.model_dump(mode="json", exclude_unset=True) | {"target": own}]

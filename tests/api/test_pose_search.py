@@ -25,7 +25,7 @@ EXPERIMENTS = Path(__file__).parents[2] / "experiments" / "imu"
 QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 
 
-def small(**changes) -> gj.UnitSpec:
+def small(**changes) -> gj.Spec:
     return gj.changed(gj.parse_spec(gj.presets.text("accelerometer-six-positions-toured")), changes)
 
 
@@ -42,7 +42,7 @@ def left_by(plan: CyclePlan, cycle: RepeatedCycle) -> tuple[np.ndarray, Repeated
 
 
 @pytest.fixture(scope="module")
-def searched() -> tuple[gj.UnitSpec, list[SearchStep], Optimised]:
+def searched() -> tuple[gj.Spec, list[SearchStep], Optimised]:
     spec = small()
     *states, best = optimise(spec, steps=300)
     return spec, states, best

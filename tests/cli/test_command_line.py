@@ -94,7 +94,6 @@ def test_new_prints_and_lists(capsys):
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(" ")[0] for line in lines if not line.startswith(" ")] == [
         *presets.names(),
-        *presets.names(),
         "column-map",
         "point-map",
     ]

@@ -186,8 +186,8 @@ def test_what_instability_writes_is_accepted_by_check(size, tmp_path, capsys):
     block = told.out[told.out.index("# angle_random_walk") :]
     walk = block.splitlines()[0].removeprefix("# ")
     spec = tomllib.loads(presets.text("paper-static-gradient"))
-    (drift,) = tomllib.loads(block)["sensor"]["drift"]
-    spec["sensor"] |= {**tomllib.loads(walk), "drift": [drift]}
+    (drift,) = tomllib.loads(block)["sensor"]["gyro"]["drift"]
+    spec["sensor"]["gyro"] |= {**tomllib.loads(walk), "drift": [drift]}
     written = tmp_path / "spec.toml"
     written.write_text(tomlkit.dumps(spec), encoding="utf-8")
     status, told = printed(capsys, "check", written, "--files-only")

@@ -14,14 +14,14 @@ from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin, parse_reci
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.files.tracks import Stability, tracks_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 
-def preset(name: str) -> UnitSpec:
+def preset(name: str) -> Spec:
     return parse_spec(presets.text(name))
 
 
-def recipe_of_unit(spec: UnitSpec) -> Recipe:
+def recipe_of_unit(spec: Spec) -> Recipe:
     made = rounded(spec).spec
     chamber, motion = tracks_of(made, float(steps_of(spec).acceleration))
     return Recipe(
@@ -37,7 +37,7 @@ def recipe_of_unit(spec: UnitSpec) -> Recipe:
     )
 
 
-def ends(spec: UnitSpec) -> list[float]:
+def ends(spec: Spec) -> list[float]:
     """Where a cycle leaves the axes, rad."""
     at = list(spec.schedule.start)
     for step in spec.schedule.steps:
@@ -52,7 +52,7 @@ def test_every_preset_is_rounded_and_read_back(name: str) -> None:
     recipe = recipe_of_unit(spec)
     again = parse_recipe(to_toml(recipe))
     assert again.fingerprint == recipe.fingerprint
-    assert isinstance(again.spec, UnitSpec)
+    assert isinstance(again.spec, Spec)
     # What is on the grids stays as it is.
     twice = rounded(again.spec)
     assert twice.changes == ()

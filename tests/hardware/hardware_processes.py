@@ -17,7 +17,7 @@ from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.rig import read_rig
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.files.writing import write_toml, write_whole
 from gradcal_jax.hardware import guard as watching
 from gradcal_jax.hardware.clock import RealClock
@@ -28,7 +28,7 @@ from gradcal_jax.hardware.session import run_session
 
 def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: float) -> None:
     clock, spec = RealClock(speed=speed), read_recipe(folder / "recipe.toml").spec
-    if isinstance(spec, UnitSpec):
+    if isinstance(spec, Spec):
         burst_s = 0.016 if speed == 1.0 else 0.5
         made = SimulatedLab(
             spec, clock, seed=seed, units=units, sample_rate_hz=sample_rate_hz, burst_s=burst_s, room_c=20.0

@@ -16,13 +16,13 @@ from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import changed, presets
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.hardware import execute
 
 RUNS, UNITS = 20, 2
 
 
-def three_axes() -> UnitSpec:
+def three_axes() -> Spec:
     """The same plan on the inner axes of a three-axis table, with two poses of the outer one."""
     table = tomllib.loads(presets.text("standard-three-axes"))["rig"]["table"]
     inner = {"tilt": "middle", "spin": "inner"}
@@ -40,7 +40,7 @@ def three_axes() -> UnitSpec:
 
 @pytest.mark.evidence
 @pytest.mark.parametrize(("axes", "spec"), [("two", short(3)), ("three", three_axes())])
-def test_forty_units_err_as_predicted(tmp_path: Path, axes: str, spec: UnitSpec) -> None:
+def test_forty_units_err_as_predicted(tmp_path: Path, axes: str, spec: Spec) -> None:
     """Runs through devices, journal and log: every quantity's residual over its prediction, χ² of the data, and the
     errors of each unit's own parameters in their covariance."""
     built = assemble_unit(spec)

@@ -18,7 +18,7 @@ from gradcal_jax.decoding import run_log
 from gradcal_jax.files import SpecError, changed, presets, tables_of
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.spec import parse_spec
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError
 from gradcal_jax.hardware.stretches import adopt, stretches_of
 from gradcal_jax.information import unit_system, whiten
@@ -26,23 +26,23 @@ from gradcal_jax.trajectory import TableMotion, TablePart, body_nodes
 
 
 @pytest.fixture(scope="module")
-def spec() -> UnitSpec:
+def spec() -> Spec:
     return short(4)
 
 
-def gram(spec: UnitSpec, motion: TableMotion) -> np.ndarray:
+def gram(spec: Spec, motion: TableMotion) -> np.ndarray:
     built = assemble_unit(spec)
     rows = np.asarray(whiten(*unit_system(motion, built.model, body_nodes(motion, built.points))))
     return rows.T @ rows
 
 
-def executed(spec: UnitSpec, start_s: float, end_s: float) -> TablePart | None:
+def executed(spec: Spec, start_s: float, end_s: float) -> TablePart | None:
     plan = tables_of(spec)["plan"]
     done = [{"plan": plan, "start": f"{start_s} s", "end": f"{end_s} s"}]
     return next((part for part, _ in executed_parts(changed(spec, {"done": done}))), None)
 
 
-def test_of_a_table_that_is_held_whole_moves_count_and_parts_of_rests(spec: UnitSpec) -> None:
+def test_of_a_table_that_is_held_whole_moves_count_and_parts_of_rests(spec: Spec) -> None:
     plan = spec.schedule
     begins, period = plan.stretches[0].start, plan.period
     whole = executed(spec, 0.0, plan.duration)
@@ -71,7 +71,7 @@ def test_of_a_table_that_is_held_whole_moves_count_and_parts_of_rests(spec: Unit
     assert executed(spec, float(times[of_turn[0]]), float(times[of_turn[0]]) + 0.01) is None
 
 
-def test_in_a_pause_every_axis_returns_and_nothing_is_read(spec: UnitSpec) -> None:
+def test_in_a_pause_every_axis_returns_and_nothing_is_read(spec: Spec) -> None:
     both = rest_of(spec, [(0.0, spec.schedule.stretches[0].start + 1.4 * spec.schedule.period)], pause_s=600.0)
     motion, done = assemble_unit(both).motion, executed_motion(assemble_unit(both))
     assert done is not None
@@ -84,7 +84,7 @@ def test_in_a_pause_every_axis_returns_and_nothing_is_read(spec: UnitSpec) -> No
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
 
 
-def test_a_prediction_counts_what_was_done(spec: UnitSpec) -> None:
+def test_a_prediction_counts_what_was_done(spec: Spec) -> None:
     """After a pause in which all drifts are forgotten, the information of the parts and of the priors adds up."""
     plan = spec.schedule
     half = plan.stretches[0].start + 2.0 * plan.period
@@ -110,7 +110,7 @@ def test_a_prediction_counts_what_was_done(spec: UnitSpec) -> None:
         assert a.decisive == pytest.approx(b.decisive, rel=0.1), a.name
 
 
-def test_what_is_known_by_now_and_at_the_end(spec: UnitSpec) -> None:
+def test_what_is_known_by_now_and_at_the_end(spec: Spec) -> None:
     plan = spec.schedule
     starts, whole = plan.stretches[0].start, api.predict(spec).requirements
     # Nothing was done, a cycle is under way, three are done and the fourth is made again.
@@ -133,7 +133,7 @@ def test_what_is_known_by_now_and_at_the_end(spec: UnitSpec) -> None:
         assert first.now is None or first.now > second.now
 
 
-def test_what_cannot_be_planned_anew_is_a_sentence(spec: UnitSpec) -> None:
+def test_what_cannot_be_planned_anew_is_a_sentence(spec: Spec) -> None:
     with pytest.raises(ValueError, match="nothing of the ramp is left"):
         rest_of(spec, [(0.0, spec.schedule.duration)])
     several = parse_spec(presets.text("one-axis-table"))
@@ -165,7 +165,7 @@ def test_a_run_goes_on_by_the_plan_of_its_rest(
     said = json.loads(capsys.readouterr().out)
     assert said["gain"] >= 1.0
     again = read_recipe(tmp_path / "rest.toml")
-    assert isinstance(again.spec, UnitSpec)
+    assert isinstance(again.spec, Spec)
     assert "times better in the geometric mean" in again.status
     for row in said["requirements"]:
         # Before: the same cycle, on a ramp of the time that is left.

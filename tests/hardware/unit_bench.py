@@ -14,7 +14,7 @@ from gradcal_jax.files import changed
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.spec import parse_spec, read_spec
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.information import segments_of, unit_system, whiten
@@ -38,7 +38,7 @@ MOVES: list[dict[str, Any]] = [
 ]
 
 
-def hand(minutes: float, **changes: Any) -> UnitSpec:
+def hand(minutes: float, **changes: Any) -> Spec:
     """The plan by hand in a ramp of so many minutes.
 
     Its scale factors are such that their square, which the estimate leaves out, is below what three cycles tell.
@@ -52,7 +52,7 @@ def hand(minutes: float, **changes: Any) -> UnitSpec:
     return changed(read_spec(HAND), keys | changes)
 
 
-def short(cycles: int = 1) -> UnitSpec:
+def short(cycles: int = 1) -> Spec:
     """A plan of `cycles` cycles of less than a minute, 20 to 30 degC, of a simpler unit."""
     minutes = 0.9 * cycles
     temperature = {"basis": "polynomial", "degree": 1, "centre": "25 degC", "scale": "5 K"}
@@ -69,7 +69,7 @@ def short(cycles: int = 1) -> UnitSpec:
     return changed(parse_spec(text), keys | {"rig.chamber.max_heating": "60 K/min"})
 
 
-def made(spec: UnitSpec) -> Recipe:
+def made(spec: Spec) -> Recipe:
     """Its recipe, without a prediction."""
     return unpredicted(spec)
 
@@ -86,7 +86,7 @@ def stopped_in_its_second_cycle(recipe: Recipe, folder: Path) -> None:
     assert (result.exit_status, result.steps_done) == ("stopped", 1)
 
 
-def estimated(log: Log, spec: UnitSpec, truth: dict[str, float]) -> tuple[float, int, float, int]:
+def estimated(log: Log, spec: Spec, truth: dict[str, float]) -> tuple[float, int, float, int]:
     """χ² of a log and its degrees of freedom, and the normalised square of all errors of the estimate and theirs."""
     built = assemble_unit(spec)
     model = built.model

@@ -186,6 +186,8 @@ def test_coverage_and_risk_that_cannot_be_are_refused(keys):
 def test_files_of_before_keep_their_meaning_and_presets_for_users_cover_two():
     for name in gj.presets.names():
         spec = gj.parse_spec(gj.presets.text(name))
+        if not (spec.is_one_axis and spec.sensor.gyro):
+            continue
         wanted = 1.0 if name.startswith("paper") else 2.0
         assert all(r.coverage == wanted for r in spec.requirement if r.target is not None)
     text = gj.presets.text("tactical-mems").replace("coverage    = 2 ", "# ")

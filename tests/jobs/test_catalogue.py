@@ -37,7 +37,7 @@ base     = "small.toml"
 [[plan]]
 name = "10 min"
 base = "small.toml"
-"""
+"""  # noqa: E501
 
 
 def catalogue(tmp_path, text=CATALOGUE):

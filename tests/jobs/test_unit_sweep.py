@@ -20,7 +20,7 @@ values = ["10 urad", "1 mrad", "a lot"]
 
 def test_a_sweep_predicts_the_points_of_a_unit_and_says_which_cannot_be():
     job = parse_sweep(FILE)
-    assert isinstance(job.base, gj.UnitSpec)
+    assert isinstance(job.base, gj.Spec)
     points = Points(job)
     results = predict_points(gj.tables_of(job.base), [(i, points.changes(i)) for i in range(len(points))])
     assert "rig.table.tilt" in results[2].failure

@@ -19,11 +19,11 @@ from simulated_log import simulate_log
 from gradcal_jax.api.estimate import estimate_log, estimate_sensors
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.structure_tests import discrepancies
-from gradcal_jax.files import Spec, changed
+from gradcal_jax.files import changed
 from gradcal_jax.files import spec as specs
 from gradcal_jax.files.changes import tables_of
 from gradcal_jax.files.log import LogError
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 UNWEIGHTED = STANDARD.replace('"standard"', '"standard"\nestimator = "least squares"')
 STATIC = GRADIENT[: GRADIENT.index("[plan.cycle]")] + 'read_every = "2 s"\n'
@@ -37,7 +37,7 @@ CASES = {
 }
 
 
-def as_imu(spec: Spec) -> UnitSpec:
+def as_imu(spec: Spec) -> Spec:
     return spec
 
 

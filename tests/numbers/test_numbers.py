@@ -10,7 +10,16 @@ import recorded
 
 KEPT = {
     kind: recorded.read(kind)
-    for kind in ("predictions", "executed", "judged", "elasticities", "units", "calibrations", "estimates", "axis_estimates")
+    for kind in (
+        "predictions",
+        "executed",
+        "judged",
+        "elasticities",
+        "units",
+        "calibrations",
+        "estimates",
+        "axis_estimates",
+    )
 }
 # Apart by 2e-12: two programs shifted the edges of bins in rate by a hundred rounding errors; and unweighted least
 # squares with a nearly singular fit move by as much where a noise figure changes in its last digit.

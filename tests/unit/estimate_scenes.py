@@ -11,7 +11,7 @@ from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.files import presets
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.formulas import runs
 
 PLANS = ("two axes", "one axis, three mountings", "three axes", "by hand")
@@ -24,7 +24,7 @@ _PRESETS = {
 _TWO_CYCLES = {"three axes": 20.0, "by hand": 27.0}
 
 
-def scene(plan: str, installation_mrad: float, minutes: float = 8.0) -> UnitSpec:
+def scene(plan: str, installation_mrad: float, minutes: float = 8.0) -> Spec:
     """A spec whose table is uncertain by so much; its ramp is made quick, so that one recording costs little."""
     document = shipped("hand2") if plan == "two axes" else tomllib.loads(presets.text(_PRESETS[plan]))
     accuracy = f"{installation_mrad} mrad"
@@ -60,7 +60,7 @@ def _list(value: Any) -> list[dict[str, Any]]:
     return [value] if isinstance(value, dict) else list(value)
 
 
-def draw_truth(spec: UnitSpec, rng: np.random.Generator) -> dict[str, float]:
+def draw_truth(spec: Spec, rng: np.random.Generator) -> dict[str, float]:
     """Every parameter, drawn from what the spec knows of it before."""
     model = assemble_unit(spec).model
     rows = model.prior_rows()
@@ -71,7 +71,7 @@ def draw_truth(spec: UnitSpec, rng: np.random.Generator) -> dict[str, float]:
 
 
 def record(
-    spec: UnitSpec, truth: dict[str, float], rng: np.random.Generator, name: str = "SN7", **options: Any
+    spec: Spec, truth: dict[str, float], rng: np.random.Generator, name: str = "SN7", **options: Any
 ) -> list[Log]:
     """Logs of a simulated unit, one for each mounting."""
     logs = []

@@ -12,7 +12,7 @@ from gradcal_jax.cli.predict import omitted_lines
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.requirement import GyroBiasRequirement
 from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 HOUR = np.pi / 180.0 / 3600.0
 NONE: dict[str, Any] = {
@@ -24,7 +24,7 @@ TWO_WAY = [*ONE_WAY, {"ramp_to": "0 degC", "rate": "3 K/min"}]
 PLAY = [{"width": "5 K", "prior": "4 deg/h/K"}]
 
 
-def required(programme, gyro: dict[str, Any], **requirement: Any) -> UnitSpec:
+def required(programme, gyro: dict[str, Any], **requirement: Any) -> Spec:
     """A standing gyro, read every 5 s, with a requirement on its bias from 10 to 50 degC."""
     temperature = {"basis": "polynomial", "degree": 1, "centre": "30 degC", "scale": "30 K"}
     own = {"axes": ["z"], "angle_random_walk": "0.2 deg/sqrt(h)", "grade": None}
@@ -52,7 +52,7 @@ def required(programme, gyro: dict[str, Any], **requirement: Any) -> UnitSpec:
     })  # fmt: skip
 
 
-def deviations(spec: UnitSpec, sign: float, slope: float = 0.0) -> np.ndarray:
+def deviations(spec: Spec, sign: float, slope: float = 0.0) -> np.ndarray:
     """Standard deviations (deg/h) over the requirement's temperatures in one state, from the posterior alone."""
     built = assemble_unit(spec)
     names, rows = built.model.names(), np.zeros((5, built.model.size))
@@ -71,7 +71,7 @@ GRADIENT = {"bias_temperature_gradient": {"prior": "5 deg/h/(K/min)"}}
 KNOWN_GRADIENT = {"bias_temperature_gradient": "0 deg/h/(K/min)"}
 
 
-def left(spec: UnitSpec, statistic: str = "max") -> float:
+def left(spec: Spec, statistic: str = "max") -> float:
     (row,) = gj.predict(spec).requirements
     return getattr(row, statistic)
 

@@ -16,7 +16,7 @@ from gradcal_jax.estimation.unit_executed import turning_points
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.schemas import schema
 from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.model import play_states
 from gradcal_jax.trajectory import TableMotion, body_nodes
 
@@ -52,7 +52,7 @@ COURSE = [
 ]
 
 
-def spec_with(sensor: dict[str, Any], plan: dict[str, Any] | None = None, standing: str = "held") -> UnitSpec:
+def spec_with(sensor: dict[str, Any], plan: dict[str, Any] | None = None, standing: str = "held") -> Spec:
     axis = {"name": "turn", "direction": [1.0, 0.0, 0.0], "max_rate": "400 deg/s", "max_acceleration": "400 deg/s^2"}
     angle = {"reading_noise": "5 arcsec", "standstill_offset": "5 arcsec", "read_every": "5 s"}
     course = {"method": "gradient", "programme": COURSE, "cycle": {"moves": MOVES}}

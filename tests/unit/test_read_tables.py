@@ -10,12 +10,12 @@ from scipy.stats import chi2
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 
 ANGLE = {"reading_noise": "20 arcsec", "standstill_offset": "10 arcsec", "read_every": "1 s"}
 
 
-def read_scene(plan: str) -> UnitSpec:
+def read_scene(plan: str) -> Spec:
     document: dict[str, Any] = scene(plan, 1.0).model_dump(mode="json", exclude_unset=True)
     document["rig"]["table"]["standing"] = "read"
     for axis in document["rig"]["table"]["axis"]:
@@ -23,7 +23,7 @@ def read_scene(plan: str) -> UnitSpec:
     return spec_of(document)
 
 
-def estimated(spec: UnitSpec, seed: int) -> tuple[SensorEstimate, float]:
+def estimated(spec: Spec, seed: int) -> tuple[SensorEstimate, float]:
     """The estimate of a simulated log, and the χ² of its error (NEES)."""
     rng = np.random.default_rng(seed)
     truth = draw_truth(spec, rng)

@@ -19,7 +19,7 @@ from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.recorded_rows import unit_rows
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import Hysteresis
 
@@ -53,7 +53,7 @@ def log_of(first: int, end: int) -> Log:
     return Log(time[first:end] - time[first], kept[None], ("unit",), ("x", "y", "z"), at, *table, None, standstill)
 
 
-def spec_with(*, plays: bool, branch: str = "both") -> UnitSpec:
+def spec_with(*, plays: bool, branch: str = "both") -> Spec:
     plain = {"basis": "polynomial", "degree": 3, "centre": "30 degC", "scale": "50 K"}
     gyro = {
         "angle_random_walk": "0.6 deg/sqrt(h)", "rate_random_walk": "0 deg/h/sqrt(h)", "turn_on_bias": "0 deg/h",

@@ -14,14 +14,14 @@ from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.estimation.unit_executed import UnitRows, across_stops, executed_unit
 from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.formulas import runs
 from gradcal_jax.trajectory import frames
 
 UNITS = 300
 
 
-def estimated(spec: UnitSpec, seed: int) -> tuple[SensorEstimate, np.ndarray]:
+def estimated(spec: Spec, seed: int) -> tuple[SensorEstimate, np.ndarray]:
     """One unit drawn, simulated and estimated; and its true reported parameters."""
     rng = np.random.default_rng(seed)
     truth = draw_truth(spec, rng)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
 from ...files.sensor import AccelerometerTriad, GyroTriad, TemperatureError
-from ...files.unit_spec import UnitSpec
+from ...files.unit_spec import Spec
 from ...units import to_unit
 from ..pose import turn_by
 from .loops import LAWS, Law, LoopTruth
@@ -183,7 +183,7 @@ def _three(values: Vectors) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
 
 
-def draw_truth(spec: UnitSpec, seed: int, number: int, law: Law | None = None) -> UnitTruth:
+def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> UnitTruth:
     """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI. `law`: of
     loops over the temperature; None: drawn."""
     draws = _Draws(np.random.default_rng([seed, number, 20261]))
@@ -200,7 +200,7 @@ def draw_truth(spec: UnitSpec, seed: int, number: int, law: Law | None = None) -
     return UnitTruth(triads, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, draws.values)
 
 
-def draw_table(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:
+def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:
     """The table's attitude and encoders, and those of its parameters that are in the calibration, by name, SI."""
     random = np.random.default_rng([seed, 20262])
     rig, named = spec.rig, dict[str, float]()

@@ -15,7 +15,7 @@ import numpy as np
 from ...files.bench import TableAxis
 from ...files.rig import RigFile, rig_of
 from ...files.tracks import read_at_rest, tracks_of
-from ...files.unit_spec import UnitSpec
+from ...files.unit_spec import Spec
 from ...units import to_unit
 from ..clock import Clock
 from ..drivers.stim300 import Stim300Config
@@ -45,7 +45,7 @@ class SimulatedLab:
 
     def __init__(
         self,
-        spec: UnitSpec,
+        spec: Spec,
         clock: Clock,
         *,
         seed: int = 0,
@@ -82,7 +82,7 @@ class SimulatedLab:
         }
         self._connect(spec, clock, seed, sample_rate_hz, burst_s)
 
-    def _connect(self, spec: UnitSpec, clock: Clock, seed: int, sample_rate_hz: float, burst_s: float) -> None:
+    def _connect(self, spec: Spec, clock: Clock, seed: int, sample_rate_hz: float, burst_s: float) -> None:
         """Make the devices. Axes may be turned by hand, their angles typed or read from an encoder."""
         axes, by_hand = spec.rig.table.axis, spec.rig.table.drive == "hand"
         typed = not read_at_rest(tracks_of(spec)[1])

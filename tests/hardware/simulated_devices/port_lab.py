@@ -12,7 +12,7 @@ from simulated_devices.zaber import SimulatedZaber
 
 from gradcal_jax.files.bench import TableAxis
 from gradcal_jax.files.rig import rig_of
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate import lab
 from gradcal_jax.hardware.simulate.datagrams import RATES_HZ
@@ -22,7 +22,7 @@ from gradcal_jax.hardware.simulate.plants import AxisPlant
 class SimulatedLab(lab.SimulatedLab):
     """Each device on a port of its own. A context manager."""
 
-    def _connect(self, spec: UnitSpec, clock: Clock, seed: int, sample_rate_hz: float, burst_s: float) -> None:
+    def _connect(self, spec: Spec, clock: Clock, seed: int, sample_rate_hz: float, burst_s: float) -> None:
         drawn, by_hand = spec.rig.table, spec.rig.table.drive == "hand"
         axes = {axis.name: axis for axis in drawn.axis}
         low_c, high_c = (float(end) for end in spec.rig.chamber.range)

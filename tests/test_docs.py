@@ -153,13 +153,13 @@ def test_the_known_answers_are_those_of_the_table():
 # -------------------------------------------------------------------------------------------------- what is shown runs
 
 SMALL = {
-    "sensor.scale_factor.temperature.degree": 1,
-    "sensor.scale_factor.rate.degree": 1,
-    "rig.table.max_acceleration": "300 deg/s^2",
+    "sensor.gyro.scale_factor.temperature.degree": 1,
+    "sensor.gyro.scale_factor.rate.degree": 1,
+    "rig.table.axis[0].max_acceleration": "300 deg/s^2",
     "requirement": [
         {
             "name": "all rates",
-            "quantity": "scale_factor",
+            "quantity": "gyro_scale_factor",
             "temperature": ["20 degC", "26 degC"],
             "rate": ["-200 deg/s", "200 deg/s"],
             "grid": [11, 21],
@@ -189,8 +189,8 @@ ELSEWHERE = {
     "run rest.toml --resume run1": "tests/hardware/test_unit_replanned.py",
     "allan bench.csv --columns columns.toml": "tests/cli/test_instability_cli.py",
     "estimate warm-up.ulg -o cal.toml --parameters tc.params": "tests/estimation/test_warm_up.py",
-    "optimise unit.toml -o better.toml": "tests/api/test_pose_search.py",
-    'estimate recording.npz --columns columns.toml --gravity "9.81744 m/s^2" --temperature "23 degC" -o unit.toml': (
+    "optimise imu.toml -o better.toml": "tests/api/test_pose_search.py",
+    'estimate recording.npz --columns columns.toml --gravity "9.81744 m/s^2" --temperature "23 degC" -o imu.toml': (
         "tests/unit/test_hand_recording.py"
     ),
     "estimate run/log.nc --recipe recipe.toml -o calibration.toml --plot fit.png": (

@@ -27,12 +27,12 @@ def hidden(each: str) -> dict[str, object]:
 FREE = ["duration", "peak_rate", "ramp"]
 BIAS = {"temperature": {"basis": "polynomial", "degree": 3, "centre": "20 degC", "scale": "50 K"}}
 REALISTIC = {
-    "rig.table.angle.reading_noise": "0 deg",
-    "rig.table.angle.standstill_offset": "0.05 deg",
-    "sensor.scale_factor_instability": [{"standard_deviation": "20 ppm", "correlation_time": "20 min"}],
+    "rig.table.axis[0].angle.reading_noise": "0 deg",
+    "rig.table.axis[0].angle.standstill_offset": "0.05 deg",
+    "sensor.gyro.scale_factor_instability": [{"standard_deviation": "20 ppm", "correlation_time": "20 min"}],
     "sensor.thermal_lag": "5 min",
     # The map's slope is a draw, too: 20 ppm/K is a usual figure of such gyros.
-    "sensor.temperature_error": {"standard_deviation": "0.1 K", "scale_factor_slope": "20 ppm/K"},
+    "sensor.gyro.temperature_error": {"standard_deviation": "0.1 K", "scale_factor_slope": "20 ppm/K"},
 }
 HARMONICS = [{"order": 1, "amplitude": "0.05 deg"}, {"order": 2, "amplitude": "0.02 deg"}]
 STATIC = {
@@ -43,12 +43,12 @@ MOVING: dict[str, dict[str, object]] = {
     "headline": {},
     # More starts and another seed where those found better: there are many local optima.
     "cycle-length-free": {"design.free": [*FREE, "cycle"], "design.starts": 64},
-    "bias-unknown": {"sensor.bias": BIAS, "design.seed": 1},
+    "bias-unknown": {"sensor.gyro.bias": BIAS, "design.seed": 1},
     "notices-5ppm": {"design.notice": hidden("5 ppm") | {"power": "99 %"}, "design.starts": 64},
-    "whole-turns": {"design.whole_turns": True, "rig.table.angle.harmonics": HARMONICS},
+    "whole-turns": {"design.whole_turns": True, "rig.table.axis[0].angle.harmonics": HARMONICS},
     "realistic-budget": REALISTIC,
-    "headline_discrepancy": {"sensor.scale_factor.discrepancy": hidden("5 ppm")},
-    "headline_discrepancy_10ppm": {"sensor.scale_factor.discrepancy": hidden("10 ppm")},
+    "headline_discrepancy": {"sensor.gyro.scale_factor.discrepancy": hidden("5 ppm")},
+    "headline_discrepancy_10ppm": {"sensor.gyro.scale_factor.discrepancy": hidden("10 ppm")},
     "shortest-for-77ppm": {
         "requirement[0].target": "77 ppm",
         "design.minimise": "motion time",

@@ -111,12 +111,12 @@ def variants() -> dict[str, dict]:
         },
         "raised-cosine turns: cycle lengthened to 418 s": {"plan.cycle.moves": raised, "rig.table.drive": "hand"},
         "0.05° per standstill, not per reading": {
-            "rig.table.angle.reading_noise": "0 deg",
-            "rig.table.angle.standstill_offset": "0.05 deg",
+            "rig.table.axis[0].angle.reading_noise": "0 deg",
+            "rig.table.axis[0].angle.standstill_offset": "0.05 deg",
         },
-        "B(T) unknown": {"sensor.bias": bias},
-        "prior of 10 000 ppm on each coefficient": {"sensor.scale_factor.prior": "10000 ppm"},
-        "prior of 100 ppm on each coefficient": {"sensor.scale_factor.prior": "100 ppm"},
+        "B(T) unknown": {"sensor.gyro.bias": bias},
+        "prior of 10 000 ppm on each coefficient": {"sensor.gyro.scale_factor.prior": "10000 ppm"},
+        "prior of 100 ppm on each coefficient": {"sensor.gyro.scale_factor.prior": "100 ppm"},
     }
 
 

@@ -23,7 +23,7 @@ from gradcal_jax.files.calibration import Calibration, read_calibration
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.log_file import write_log
 from gradcal_jax.files.recipe import Recipe, read_recipe
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate import lab
@@ -237,12 +237,12 @@ def test_with_hardly_any_noise_the_standard_method_leaves_nothing(
     A sensor without any noise repeats its value, as one that hangs: a three-hundredth of its noise is one step.
     """
 
-    def still(spec: UnitSpec, seed: int, number: int) -> UnitTruth:
+    def still(spec: Spec, seed: int, number: int) -> UnitTruth:
         drawn = draw_truth(spec, seed, number)
         quiet = {kind: replace(t, white=t.white / 300.0, drifts=()) for kind, t in drawn.triads.items()}
         return replace(drawn, triads=quiet)
 
-    def exact(spec: UnitSpec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:
+    def exact(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:
         table, encoders, named = draw_table(spec, seed)
         return table, [replace(encoder, rate_accuracy=0.0) for encoder in encoders], named
 

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from gradcal_jax import estimation
 from gradcal_jax.api.build import assemble
 from gradcal_jax.files import changed, parse_spec, presets
-from gradcal_jax.files.unit_spec import UnitSpec
+from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.simulate.unit import SimulatedUnit, TableTruth
@@ -24,7 +24,7 @@ SETTLED_S, SPINNING_S = 1800.0, 2.0
 EAST = TableTruth(((1.0, 0.0, 0.0),), np.radians(45.0), 9.8)
 
 
-def recorded(spec: UnitSpec, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, float]]:
+def recorded(spec: Spec, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, float]]:
     """Of every set point temperature (°C), the gyro's integral and the encoder's angle (deg); and the truth."""
     plan, truth, (_, encoders, _) = spec.schedule, draw_truth(spec, seed, 1), draw_table(spec, seed)
     chamber = ChamberPlant(ChamberTruth(start_c=float(plan.temperatures[0]), load_time_constant_s=1.0))

@@ -112,7 +112,7 @@ def test_a_prediction_counts_what_was_done(spec: Spec) -> None:
 
 
 @pytest.mark.parametrize("limit", ["max_motion", "max_total"])
-def test_limits_of_the_whole_runs_time_do_not_stretch_the_rest(spec: UnitSpec, limit: str) -> None:
+def test_limits_of_the_whole_runs_time_do_not_stretch_the_rest(spec: Spec, limit: str) -> None:
     """[design]'s time is that of the run; the search of the rest has the time that is left."""
     limited = changed(spec, {"design": {"minimise": "worst ratio", limit: f"{spec.schedule.duration:.9g} s"}})
     half = spec.schedule.stretches[0].start + 2.0 * spec.schedule.period
@@ -123,7 +123,7 @@ def test_limits_of_the_whole_runs_time_do_not_stretch_the_rest(spec: UnitSpec, l
     assert motion_time(rest, rest.design) == rest.schedule.motion
 
 
-def test_what_is_known_by_now_and_at_the_end(spec: UnitSpec) -> None:
+def test_what_is_known_by_now_and_at_the_end(spec: Spec) -> None:
     plan = spec.schedule
     starts, whole = plan.stretches[0].start, api.predict(spec).requirements
     # Nothing was done, a cycle is under way, three are done and the fourth is made again.
@@ -160,7 +160,7 @@ def test_what_is_known_of_a_plan_with_several_mountings() -> None:
         assert found.now > found.at_end, found.name
 
 
-def test_what_cannot_be_planned_anew_is_a_sentence(spec: UnitSpec) -> None:
+def test_what_cannot_be_planned_anew_is_a_sentence(spec: Spec) -> None:
     with pytest.raises(ValueError, match="nothing of the ramp is left"):
         rest_of(spec, [(0.0, spec.schedule.duration)])
     several = parse_spec(presets.text("one-axis-table"))

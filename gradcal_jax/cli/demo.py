@@ -81,7 +81,7 @@ def demo(
 ) -> int:
     """Do the whole job in about two minutes, from a spec to a calibrated sensor on simulated devices and a page of it.
 
-    Each step says which command does it alone. With --imu it is a whole unit on a two-axis table: a better plan, the
+    Each step says which command does it alone. With --imu it is an IMU on a two-axis table: a better plan, the
     run, the calibration of all axes, in some minutes. With --data the sensor is a recorded one: its drift is found in
     a thermal cycle at rest, and a plan is designed for it. The exit status is 1 where a target is missed in the end.
 
@@ -92,14 +92,14 @@ def demo(
     data
         A folder with the recorded thermal cycle, tofupilot_imu_thermal_cycle.npz.
     imu
-        A whole unit, three gyros and three accelerometers.
+        An IMU, three gyros and three accelerometers, in the place of one gyro.
     seed
         What the simulated devices' hidden errors are drawn by.
     json
         Print every number as JSON, as demo.json in the folder has it.
     """
     if data is not None and imu:
-        raise ValueError("--data is of a recorded gyro, --imu of a whole unit: take one of them")
+        raise ValueError("--data is of a recorded gyro, --imu of an IMU: take one of them")
     if data is not None and not (data / RECORDING).is_file():
         raise ValueError(f"{data} has no {RECORDING}: name the folder with the recorded thermal cycle")
     if output.exists() and not (output.is_dir() and not any(output.iterdir())):
@@ -317,7 +317,7 @@ class _Sitting:
 
     def agreement(self, page: dict[str, Any], digits: int) -> None:
         """Print how well the estimate agrees with the hidden truth."""
-        if (agreement := page["axes"][0]["agreement"]) is not None:
+        if (agreement := page["agreement"]) is not None:
             chi, degrees, likely = agreement
             self.say(
                 f"against the hidden truth: χ² {chi:.{digits}g} of {degrees} degrees for all coefficients together "

@@ -113,7 +113,7 @@ def test_the_demos_numbers_are_one_and_the_same(tmp_path, monkeypatch):
     # What is worth showing: far below the paper's plan, above what no plan can beat, and the truth within reach.
     assert limit < row.decisive < 4.0 < 80.0 < paper
     assert achieved == pytest.approx(row.decisive, rel=0.1)
-    chi_squared, degrees, chance = numbers["report"]["axes"][0]["agreement"]
+    chi_squared, degrees, chance = numbers["report"]["agreement"]
     assert degrees == 16
     assert chi_squared > 1.0
     assert chance > 1e-4
@@ -139,7 +139,7 @@ def test_the_demo_of_an_imu_finds_what_was_hidden(tmp_path):
         assert f"{row['achieved']:.4g}\N{NO-BREAK SPACE}" in page
         assert row["achieved"] == pytest.approx(row["predicted"], rel=0.25)
     assert numbers["optimisation"]["gain"] > 1.05
-    chi_squared, degrees, chance = numbers["report"]["axes"][0]["agreement"]
+    chi_squared, degrees, chance = numbers["report"]["agreement"]
     assert degrees == 120
     assert chi_squared > 60.0
     assert chance > 1e-4

@@ -83,14 +83,8 @@ def write_tables() -> None:
             lines = ["time (s), rate (deg/s), temperature (degC)"]
             lines += [f"{t:g}, {rate:.3f}, {temperature:.3f}" for t, rate, temperature in MISSIONS[name]()]
             (HERE / f"{name}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-<<<<<<< HEAD
-            requirement = (
-                f'name     = "{name}"\nquantity = "mission_heading"\naxis     = "x"\nmission  = "{name}.csv"\n'
-            )
-=======
             requirement = f'name     = "{name}"\nquantity = "mission_heading"\naxis     = "x"\n'
             requirement += f'mission  = "{name}.csv"\n'
->>>>>>> one-docs
         own = text.replace("For the scale factor over all temperatures and rates", title)
         own = own.replace("[plan]\n", f"[[requirement]]\n{requirement}\n[plan]\n", 1)
         own = own.replace('minimise = "scale factor"', f'minimise = "{name}"')

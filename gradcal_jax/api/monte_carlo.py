@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit, unweighted_estimator
-from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.api.unit_residual import quantity_of
 from gradcal_jax.display import summary
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.unit_spec import Spec
@@ -54,7 +54,8 @@ def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], di
     found = Posterior(twin.left.T / np.sqrt(len(twin.left)), np.zeros((model.size, 0)))
     rows: list[TwinRow] = []
     for requirement in spec.requirement:
-        one, other = (unit_residual(built, of, requirement) for of in (known, found))
+        quantity = quantity_of(built, requirement)
+        one, other = quantity.residual(known), quantity.residual(found, whole=True)
         values = (of.finite_statistic() for of in (one, other))
         rows.append(TwinRow(requirement.name, requirement.axis, one.unit, *values))
     own = model.calibrated if plain is not None else model.size

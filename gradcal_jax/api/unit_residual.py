@@ -119,9 +119,11 @@ class QuantityElement(NamedTuple):
     of: Contrasts | tuple[SensorModel, Any, np.ndarray, np.ndarray]
     path: np.ndarray | None = None
 
-    def deviations(self, known: Posterior) -> np.ndarray:
-        """Standard deviation on the points."""
+    def deviations(self, known: Posterior, *, whole: bool = False) -> np.ndarray:
+        """Standard deviation on the points. `whole`: of errors that include what a calibration does not carry."""
         part = Posterior(known.spread[self.where], known.hidden[self.where])
+        if whole:
+            return np.max([part.deviations(np.asarray(state.rows)) for state in self.states()], axis=0)
         if self.path is None and not isinstance(self.of, Contrasts):
             return residual(part, *self.of).ravel()
         return np.max([state.left(part) for state in self.states()], axis=0)
@@ -151,10 +153,10 @@ class RequiredQuantity(NamedTuple):
     elements: tuple[QuantityElement, ...]
     beside: float
 
-    def residual(self, known: Posterior) -> UnitResidual:
-        """The residual of the quantity for a posterior."""
+    def residual(self, known: Posterior, *, whole: bool = False) -> UnitResidual:
+        """The residual of the quantity for a posterior; `whole` as of `QuantityElement.deviations`."""
         shape = len(self.elements), len(self.temperatures), len(self.rates)
-        deviations = np.stack([element.deviations(known) for element in self.elements]).reshape(shape)
+        deviations = np.stack([element.deviations(known, whole=whole) for element in self.elements]).reshape(shape)
         if self.beside:
             deviations = np.hypot(deviations, self.beside)
         unit, factor = UNIT_OF[self.requirement.quantity]

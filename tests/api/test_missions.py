@@ -122,9 +122,10 @@ def test_the_limit_of_the_bias_holds_for_a_plan_that_does_nothing_else(drift):
     """An axis that stands and is read all the time, nearly without noise of the angle, comes near it from above."""
     tables = tables_of(read_spec(FOLDER / "ppm.toml"))
     tables["requirement"] = [NORTH]
-    del tables["sensor"]["scale_factor"]
-    tables["sensor"]["drift"] = [{"standard_deviation": drift, "correlation_time": "300 s"}]
-    tables["rig"]["table"]["angle"] = {"reading_noise": "0.001 arcsec"}
+    del tables["sensor"]["gyro"]["scale_factor"]
+    tables["sensor"]["gyro"]["drift"] = [{"standard_deviation": drift, "correlation_time": "300 s"}]
+    angle = tables["rig"]["table"]["axis"][0]["angle"]
+    tables["rig"]["table"]["axis"][0]["angle"] = {"reading_noise": "0.001 arcsec", "read_every": angle["read_every"]}
     tables["design"] = {"minimise": "n", "free": ["duration"]}
     (row,) = limits(spec_of(tables))
     assert row.certified < row.value

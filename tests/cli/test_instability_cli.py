@@ -48,8 +48,8 @@ def test_the_direct_bound_is_a_block_for_the_spec(record, capsys, tmp_path):
     assert status == 0
     assert "SIMULATED" in told.out
     assert picture.stat().st_size > 10_000
-    block = told.out[told.out.index("[[sensor.drift]]") :].split("wrote")[0]
-    (drift,) = tomllib.loads(block)["sensor"]["drift"]
+    block = told.out[told.out.index("[[sensor.gyro.drift]]") :].split("wrote")[0]
+    (drift,) = tomllib.loads(block)["sensor"]["gyro"]["drift"]
     sigma = units.parse(drift["standard_deviation"], "angular rate") / DEG_PER_H
     tau = units.parse(drift["correlation_time"], "time")
     # The bound is of the largest of many draws against 2.5 standard deviations: above the truth, but not by much.

@@ -103,7 +103,7 @@ def test_results_carry_their_units_their_file_and_their_failures(done):
     assert gj.parse_spec(results.attrs["base"]) == job.base
     assert swept.failed == 4
     failed = results["failure"].sel(peak_rate=110.0).values
-    assert all("exceeds rig.table.max_rate" in reason for reason in failed)
+    assert all("exceeds max_rate of axis" in reason for reason in failed)
     assert np.all(results["failure"].sel(peak_rate=[60.0, 80.0]).values == "")
     assert np.isnan(results["scale_max"].sel(peak_rate=110.0).values).all()
     assert np.isfinite(results["scale_max"].sel(peak_rate=[60.0, 80.0]).values).all()
@@ -258,7 +258,7 @@ def test_a_dry_run_counts_times_and_writes_nothing(done, pool):
     before = sorted(folder.iterdir())
     found = dry_run(job, runner=pool)
     assert (found.points, found.failing, found.workers, found.chunks) == (12, 4, 1, 1)
-    assert "exceeds rig.table.max_rate" in found.first_failure
+    assert "exceeds max_rate of axis" in found.first_failure
     assert found.next_chunk_s > 0.0
     assert 0.0 < found.first_chunk_s <= found.seconds
     assert sorted(folder.iterdir()) == before
@@ -266,7 +266,7 @@ def test_a_dry_run_counts_times_and_writes_nothing(done, pool):
 
 def test_a_sweep_of_which_no_point_is_a_spec_says_why(tmp_path, pool):
     path = written(tmp_path, GRID.replace('"60 deg/s", "80 deg/s", "110 deg/s"', '"110 deg/s"'))
-    with pytest.raises(ValueError, match=r"not one of the 4 points has a result.*exceeds rig\.table\.max_rate"):
+    with pytest.raises(ValueError, match=r"not one of the 4 points has a result.*exceeds max_rate of axis"):
         sweep(read_sweep(path), tmp_path / "results.nc", runner=pool)
     assert not (tmp_path / "results.nc.parts").exists()
 

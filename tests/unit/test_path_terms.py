@@ -256,7 +256,8 @@ def test_a_plan_that_goes_on_keeps_the_state_of_the_play():
     built = assemble_unit(spec_of(tables))
     line, names = built.motion.line, built.model.names()
     columns = built.model.own_columns(built.body_nodes())[0] / line.duration[:, None]
-    used = ~line.gap
+    # The plan's own pieces, behind the executed part and the pause.
+    used = np.arange(len(line.gap)) > np.flatnonzero(line.gap)[-1]
     # The state was 24 degC, and is left at 18 degC: h rises from −6 K to +6 K on the way down, and stays.
     begin, end = line.ends()
     expected = np.minimum(24.0 - 0.5 * (begin + end), 6.0)

@@ -137,6 +137,9 @@ def change_of_imu(tables: Mapping[str, Any], key: Key, value: object) -> tuple[K
             "accelerometer",
         }:
             return ("sensor", "gyro", name, *rest), value
+        case ("rig", "table") if _is_table(value) and "axis" not in _table(value) and len(table.get("axis", ())) == 1:
+            (axis,) = table["axis"]
+            return key, _table_of(_table(value), axis["name"], axis.get("angle", {}).get("read_every", "1 s"))
         case ("rig", "earth_rate"):
             return ("rig", "site", "latitude"), value if value is None else _latitude(value)
         case ("rig", "table", "mounting_accuracy"):

@@ -17,7 +17,7 @@ def simulated(name, units, seed=0):
     """Spec, model, observations and the truth that made them: typical maps, noise drawn from the plan's own system."""
     spec = parse_spec(presets.text(name))
     built = assemble(spec)
-    line = built.trajectory("x")
+    line = built.trajectory()
     rng = np.random.default_rng(seed)
     observations = on_trajectory(line, built.model, np.zeros((line.piece_count, units)))
     size = 1e-3 if built.model.bias is None else 1e-4
@@ -59,7 +59,7 @@ def test_a_thousand_units_err_as_predicted(name):
     for requirement in built.spec.requirement:
         temperatures, rates, promised = residual_map(built, predicted, requirement)
         grid_t, grid_w = np.meshgrid(temperatures, rates / DEG_PER_S, indexing="ij")
-        quantity = requirement.quantity
+        quantity = requirement.quantity.removeprefix("gyro_")
         rows = contrasts(built.model, quantity, grid_t.ravel(), grid_w.ravel())[0]
         achieved = np.sqrt(np.mean((errors @ rows.T) ** 2, axis=0)).reshape(grid_t.shape) * UNIT_OF[quantity][1]
         want = statistic(requirement.statistic, promised)

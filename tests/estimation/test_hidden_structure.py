@@ -22,7 +22,7 @@ def spec():
 
 def logs_of(spec, hidden_ppm: float):
     """Maps two degrees higher than the spec's in temperature and in rate; its own functions as large as ever."""
-    own = spec.sensor.scale_factor
+    own = spec.sensor.gyro.scale_factor
     degrees = own.temperature.degree, own.rate.degree
     higher = changed(
         spec,

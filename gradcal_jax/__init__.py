@@ -89,8 +89,12 @@ _HOME_OF_NAME: dict[str, str] = {
 
 __all__ = list(_HOME_OF_NAME)
 
-# For one release: names of the time when an axis and an IMU had calibrations of their own.
+# For one release: names of the time when an axis and an IMU had specs and calibrations of their own.
 _OLD_NAMES: dict[str, str] = {
+    "UnitSpec": "Spec",
+    "read_unit_spec": "read_spec",
+    "parse_unit_spec": "parse_spec",
+    "estimate_units": "estimate",
     "UnitCalibration": "Calibration",
     "read_any_calibration": "read_calibration",
     "write_unit_calibration": "write_calibration",

@@ -1,4 +1,4 @@
-"""gradcal-spec/1 of a whole unit: `[sensor.gyro]` and `[sensor.accelerometer]` on a table of one to three axes."""
+"""gradcal-spec/1: `[sensor.gyro]` and `[sensor.accelerometer]` on a table of one to three axes."""
 
 import contextlib
 import math
@@ -38,7 +38,7 @@ class ExecutedPart(Section):
 
 
 class Spec(TitledFile):
-    """A spec of a whole unit; read-only. Quantities behave as numbers in SI (°C) and keep their text.
+    """Sensor, rig, requirements, plan, and what `optimise` may change; read-only. Quantities behave as numbers in SI (°C) and keep their text.
 
     `schedule` is the plan resolved for the rig. From `read_spec` or `parse_spec`. Errors: their `SpecError`.
     """
@@ -47,7 +47,7 @@ class Spec(TitledFile):
     title: Text | None = None
     """A name for people; it heads tables and pages."""
     sensor: UnitSensor
-    """The unit that is calibrated."""
+    """The device that is calibrated."""
     rig: UnitRig
     """Site, table and chamber."""
     requirement: UnitRequirements = ()

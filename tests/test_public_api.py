@@ -102,6 +102,10 @@ def test_whatever_public_names_give_tells_the_shapes_of_its_arrays():
 @pytest.mark.parametrize(
     ("old", "new"),
     [
+        ("UnitSpec", "Spec"),
+        ("read_unit_spec", "read_spec"),
+        ("parse_unit_spec", "parse_spec"),
+        ("estimate_units", "estimate"),
         ("UnitCalibration", "Calibration"),
         ("read_any_calibration", "read_calibration"),
         ("write_unit_calibration", "write_calibration"),

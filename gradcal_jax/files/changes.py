@@ -62,7 +62,7 @@ def along_axis(spec: Spec, axis: Axis) -> Spec:
     table, turned = tables["rig"]["table"], AXES.index(axis) - AXES.index(own)
     tables["sensor"]["gyro"]["axes"] = [axis]
     hung: Any = table["mounting"]
-    mountings: list[dict[str, Any]] = hung if isinstance(hung, list) else [hung]
+    mountings = cast("list[dict[str, Any]]", hung if isinstance(hung, list) else [hung])
     for mounting in mountings:
         # In the same cyclic order, so that the body's axes stay right-handed.
         mounting |= {AXES[(k + turned) % 3]: mounting[a] for k, a in enumerate(AXES)}

@@ -38,7 +38,8 @@ class ExecutedPart(Section):
 
 
 class Spec(TitledFile):
-    """Sensor, rig, requirements, plan, and what `optimise` may change; read-only. Quantities behave as numbers in SI (°C) and keep their text.
+    """Sensor, rig, requirements, plan, and what `optimise` may change; read-only. Quantities behave as numbers in SI
+    (°C) and keep their text.
 
     `schedule` is the plan resolved for the rig. From `read_spec` or `parse_spec`. Errors: their `SpecError`.
     """

@@ -8,18 +8,22 @@ import pytest
 
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.timeline import timeline
-from gradcal_jax.files import changed, presets, spec_of
+from gradcal_jax.files import presets, spec_of
+from gradcal_jax.files.unit_plan import row_count
 
 TABLES = tomllib.loads(presets.text("paper-dynamic-gradient"))
 TABLES["requirement"][0]["grid"] = [5, 5]
 del TABLES["requirement"][1]
-TABLES["sensor"]["scale_factor"]["prior"] = "10000 ppm"
+TABLES["sensor"]["gyro"]["scale_factor"]["prior"] = "10000 ppm"
 TURN = {"turn": "360 deg", "duration": "10 s", "shape": "linear ramps"}
 
 
 def spec_with(rests, turns=({},), **plan):
-    """A small plan whose rests of 6 s and turns have the given keys."""
+    """A small plan whose rests of 6 s and turns have the given keys; a rest without any is read at its end."""
     tables = copy.deepcopy(TABLES)
+    every = next((rest["read_every"] for rest in rests if "read_every" in rest), "rest")
+    tables["rig"]["table"]["axis"][0]["angle"]["read_every"] = every
+    rests = [rest if {"read", "read_every"} & set(rest) else {**rest, "read": "end"} for rest in rests]
     moves = []
     for k, (rest, turn) in enumerate(zip(rests, [*turns] * len(rests), strict=False)):
         moves += [{"rest": "6 s", **rest}, {**TURN, "turn": f"{(-1) ** k * 360} deg", **turn}]
@@ -40,30 +44,25 @@ def spec_with(rests, turns=({},), **plan):
 )
 def test_every_reading_that_is_counted_is_in_the_timeline(rests, turns):
     spec = spec_with(rests, turns)
-    written = timeline(spec)
-    assert sum(not r.origin for r in written.readings) == spec.schedule.readings
-    cycle, schedule = spec.gradient_schedule.cycle, spec.gradient_schedule
-    own = sum(m.repeat * m.readings for m in cycle.moves)
+    written, schedule = timeline(spec), spec.gradient_schedule
+    count = row_count(schedule, spec.rig.table)
+    assert sum(not r.origin for r in written.readings) == count
+
+    def readings(move, lasts):
+        if move.get("read") == "none":
+            return 0
+        return int(lasts // float(move["read_every"].split()[0])) if "read_every" in move else 1
+
+    pairs = [(rest, turns[k % len(turns)]) for k, rest in enumerate(rests)]
+    own = sum(rest.get("repeat", 1) * readings(rest, 6.0) + readings(turn, 10.0) for rest, turn in pairs)
     # The rest that no cycle fills is read as the cycle's own rests are, or else once, at its end.
     every = next((float(rest["read_every"].split()[0]) for rest in rests if "read_every" in rest), None)
     (stretch,) = schedule.stretches
     left = stretch.leftover > 0.0 if every is None else stretch.leftover // every
-    assert schedule.readings == schedule.cycles * own + left
+    assert count == stretch.cycles * own + left
     for segment in written.segments:
         end = segment.start + segment.duration
         assert segment.read == any(segment.start + 1e-9 < r.time <= end + 1e-9 for r in written.readings)
-
-
-@pytest.mark.parametrize("read", [True, False])
-def test_of_several_axes_every_one_is_counted(read):
-    """Each reads at rest, at the end of its own turns and, where others are read, while the other one turns."""
-    base = spec_with(({},))
-    moves = [{"rest": "6 s", "read_every": "2 s"}, {**TURN, "axis": "x"}, {**TURN, "turn": "-360 deg", "axis": "z"}]
-    other = {"duration": "5 s", "read": read, **({"read_every": "1 s"} if read else {})}
-    spec = changed(base, {"plan.cycle": {"moves": moves, "other_axes": other}})
-    written = timeline(spec)
-    assert {r.axis for r in written.readings} == {"x", "z"}
-    assert sum(not r.origin for r in written.readings) == spec.schedule.readings
 
 
 def test_a_rest_read_at_its_end_is_one_read_so_often_that_this_is_its_only_reading():
@@ -95,15 +94,6 @@ def test_unused_stretches_end_with_a_new_origin():
     assert written.points is None
 
 
-def test_axes_that_stand_while_the_table_turns_another_say_which():
-    written = timeline(spec_with([{"read_every": "2 s"}, {"read_every": "3 s"}], ({"axis": "y"}, {"axis": "z"})))
-    for axis, other in (("y", "z"), ("z", "y")):
-        mine = [s for s in written.segments if s.axis == axis]
-        assert {s.table_axis for s in mine if s.shape != "rest"} == {axis}
-        assert {s.table_axis for s in mine if s.shape == "rest"} == {None, other}
-        assert not any(s.read for s in mine if s.table_axis == other)
-
-
 def test_standard_points_say_what_they_share_and_how_they_are_weighed():
     tables = tomllib.loads(presets.text("paper-dynamic-standard"))
     tables["plan"]["estimator"] = "least squares"
@@ -117,8 +107,9 @@ def test_standard_points_say_what_they_share_and_how_they_are_weighed():
 
 def test_starts_and_functions_of_priors_are_named():
     tables = copy.deepcopy(TABLES)
-    sensor = tables["sensor"]
-    sensor |= {"rate_random_walk": "1 deg/h/sqrt(h)", "turn_on_bias": "1 deg/h", "sample_clock_error": "5 ppm"}
+    tables["sensor"] |= {"sample_clock_error": "5 ppm"}
+    sensor = tables["sensor"]["gyro"]
+    sensor |= {"rate_random_walk": "1 deg/h/sqrt(h)", "turn_on_bias": "1 deg/h"}
     sensor["temperature_error"] = {"standard_deviation": "0.1 K", "scale_factor_slope": "1 ppm/K"}
     sensor["scale_factor"] |= {
         "rate": {"basis": "bins", "edges": ["-300 deg/s", "0 deg/s", "300 deg/s"]},

@@ -62,7 +62,7 @@ def test_a_missing_key_is_said_with_its_meaning(tmp_path, capsys):
     text = spec.read_text(encoding="utf-8")
     spec.write_text(re.sub(r"(?m)^max_rate .*\n", "", text), encoding="utf-8")
     assert main(["check", str(spec)]) == 2
-    assert "rig.table.max_rate: this key is missing (largest rate of the axis)" in capsys.readouterr().err
+    assert "rig.table.axis[0].max_rate: this key is missing (largest rate)" in capsys.readouterr().err
 
 
 def test_the_command_prints_the_page(made, capsys):

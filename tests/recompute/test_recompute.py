@@ -20,7 +20,8 @@ from random_specs import random_spec
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.timeline import timeline
 from gradcal_jax.files import presets, spec_of
-from gradcal_jax.files.schedule import GradientSchedule
+from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
+from gradcal_jax.files.unit_plan import UnitSchedule, row_count
 
 TOLERANCE = 1e-9
 # Quick ones, among them every family, both estimators, all bases, a lag, gaps, harmonics and two axes.
@@ -47,14 +48,16 @@ def difference(found, expected) -> float:
     "seed", [pytest.param(k, marks=[] if k in ALWAYS else pytest.mark.evidence) for k in range(212)]
 )
 def test_a_program_that_has_the_timeline_alone_finds_the_same_standard_deviations(seed):
-    spec = spec_of(random_spec(np.random.default_rng(seed)))
-    prediction = predict(spec)
-    axes = dict.fromkeys(p.axis for p in prediction.parameters)
-    expected = {axis: [p.std for p in prediction.parameters if p.axis == axis] for axis in axes}
-    written = json.loads(timeline_text(spec))
-    if isinstance(spec.schedule, GradientSchedule) and len(axes) == 1:
-        assert sum(not r.get("origin", False) for r in written["readings"]) == spec.schedule.readings
-    assert difference(recompute.sigmas(written), expected) < TOLERANCE
+    tables = random_spec(np.random.default_rng(seed))
+    for axis in turned_axes(tables):
+        # A plan of several axes is none of a table, and is read for each alone.
+        spec = spec_of(axis_as_imu(tables, axis))
+        expected = {axis: [p.std for p in predict(spec).parameters]}
+        written = json.loads(timeline_text(spec))
+        if isinstance(spec.schedule, UnitSchedule):
+            counted = sum(not r.get("origin", False) for r in written["readings"])
+            assert counted == row_count(spec.schedule, spec.rig.table)
+        assert difference(recompute.sigmas(written), expected) < TOLERANCE
 
 
 def test_the_recomputation_shares_nothing_with_the_package():

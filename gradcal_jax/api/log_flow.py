@@ -117,6 +117,4 @@ def estimate(
         temperature_c=temperature_c,
     )
     logs = [log] if isinstance(log, Log) else log
-    return estimate_log(
-        spec if isinstance(spec, Spec) else expect_spec(spec), logs, axis=axis, units=units, options=options
-    )
+    return estimate_log(expect_spec(spec), logs, axis=axis, units=units, options=options)

@@ -90,38 +90,24 @@ def systematic_figures(spec: Spec) -> SystematicFigures:
     """The figures that a spec names; what it does not name is zero."""
     sensor = spec.sensor
     common = {"offset": float(sensor.temperature_offset or 0.0), "lag": float(sensor.temperature_lag or 0.0)}
-    if isinstance(spec, Spec):
-        gyro, table = spec.sensor.gyro, spec.rig.table
-        scales = [float(axis.angle.scale_error or 0.0) for axis in table.axis]
-        triads = {"gyro": gyro, "accelerometer": spec.sensor.accelerometer}
-        # A table of several axes sees the directions of the input axes.
-        seen = len(table.axis) > 1 or (gyro is not None and gyro.misalignment is not None)
-        mounting = 0.0 if seen else float(table.mounting[0].accuracy)
-        return SystematicFigures(
-            scale={BESIDE_THE_AXIS: 2.0**0.5 * mounting**2, "scale of the table's angle": max(scales)},
-            bias={"Earth's rate": UNKNOWN_EARTH_RATE if spec.rig.site.is_unknown else 0.0},
-            gradient={kind: triad.gradient_std for kind, triad in triads.items() if triad is not None},
-            turn_on={kind: float(triad.turn_on_bias or 0.0) for kind, triad in triads.items() if triad is not None},
-            slopes={kind: slopes_of(spec.sensor, kind) for kind, triad in triads.items() if triad is not None},
-            hysteresis={
-                (kind, name): float(np.hypot.reduce([float(p.prior) * float(p.width) for p in plays], initial=0.0))
-                for kind, triad in triads.items()
-                if triad is not None
-                for name, plays in ((BIAS, triad.hysteresis), (SCALE_FACTOR, triad.scale_factor_hysteresis))
-            },
-            **common,
-        )
-    table = spec.rig.table
+    gyro, table = spec.sensor.gyro, spec.rig.table
+    scales = [float(axis.angle.scale_error or 0.0) for axis in table.axis]
+    triads = {"gyro": gyro, "accelerometer": spec.sensor.accelerometer}
+    # A table of several axes sees the directions of the input axes.
+    seen = len(table.axis) > 1 or (gyro is not None and gyro.misalignment is not None)
+    mounting = 0.0 if seen else float(table.mounting[0].accuracy)
     return SystematicFigures(
-        scale={
-            BESIDE_THE_AXIS: 2.0**0.5 * float(table.mounting_accuracy or 0.0) ** 2,
-            "scale of the table's angle": float(table.angle.scale_error or 0.0),
+        scale={BESIDE_THE_AXIS: 2.0**0.5 * mounting**2, "scale of the table's angle": max(scales)},
+        bias={"Earth's rate": UNKNOWN_EARTH_RATE if spec.rig.site.is_unknown else 0.0},
+        gradient={kind: triad.gradient_std for kind, triad in triads.items() if triad is not None},
+        turn_on={kind: float(triad.turn_on_bias or 0.0) for kind, triad in triads.items() if triad is not None},
+        slopes={kind: slopes_of(spec.sensor, kind) for kind, triad in triads.items() if triad is not None},
+        hysteresis={
+            (kind, name): float(np.hypot.reduce([float(p.prior) * float(p.width) for p in plays], initial=0.0))
+            for kind, triad in triads.items()
+            if triad is not None
+            for name, plays in ((BIAS, triad.hysteresis), (SCALE_FACTOR, triad.scale_factor_hysteresis))
         },
-        bias={"Earth's rate": UNKNOWN_EARTH_RATE if spec.rig.earth_rate == np.inf else 0.0},
-        gradient={"gyro": spec.sensor.gradient_std},
-        turn_on={"gyro": float(spec.sensor.turn_on_bias or 0.0)},
-        slopes={"gyro": slopes_of(spec.sensor)},
-        hysteresis={},
         **common,
     )
 

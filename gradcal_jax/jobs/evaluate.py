@@ -39,15 +39,9 @@ def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> lis
 
 def _predicted(index: int, spec: Spec) -> PointResult:
     rows = requirement_rows(spec)
-    axes = len(rows) // max(len(spec.requirement), 1)
     residuals = tuple(
-        # A unit's requirement has one value for all axes, stored under the first channel.
-        Residual(
-            k // axes,
-            "x" if isinstance(spec, Spec) else row.axis,
-            (row.mean_of_max, row.max, row.mean, row.rms),
-            row.verdict or "",
-        )
+        # One value for all elements, stored under the first axis.
+        Residual(k, "x", (row.mean_of_max, row.max, row.mean, row.rms), row.verdict or "")
         for k, row in enumerate(rows)
     )
     return PointResult(index, "", spec.schedule.duration, spec.schedule.soak, spec.schedule.motion, residuals)

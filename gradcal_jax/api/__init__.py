@@ -6,7 +6,7 @@ programs read.
 
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.monte_carlo import monte_carlo
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, limit_of, posterior_of_plan, residual_map
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.recipe import recipe
 from gradcal_jax.api.timeline import timeline
+from gradcal_jax.api.verdicts import UNIT_OF, limit_of

@@ -10,8 +10,8 @@ import numpy as np
 
 from gradcal_jax import trajectory
 from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.criteria import box, criterion_of
 from gradcal_jax.api.measure import design_of
-from gradcal_jax.api.posterior_of_plan import box, criterion_of
 from gradcal_jax.api.structures import LEAST_TURN, ResolvedCycle, cycle_of, largest_rate, motion_time, ramp_ends
 from gradcal_jax.design import (
     PRIOR_OF_WALK,

@@ -7,8 +7,8 @@ import numpy as np
 from gradcal_jax.api.contract_rows import coefficient_rows, finite, requirement_fields
 from gradcal_jax.api.estimate import EstimateReport, SensorEstimate
 from gradcal_jax.api.path_dependence import PathDependence
-from gradcal_jax.api.posterior_of_plan import DEG_PER_S, PPM
 from gradcal_jax.estimation import Group, Smoothness
+from gradcal_jax.units import DEG_PER_S, PPM
 
 
 def estimate_rows(report: EstimateReport) -> dict[str, Any]:

@@ -9,11 +9,10 @@ import numpy as np
 
 from gradcal_jax import identify
 from gradcal_jax.api.contract_rows import finite
-from gradcal_jax.api.posterior_of_plan import DEG_PER_H
 from gradcal_jax.display import summary
 from gradcal_jax.files.log import EvenSeries, Log, LogError
 from gradcal_jax.files.signal_faults import FAR, far_from_neighbours, refuse_repeated
-from gradcal_jax.units import ARCSEC, DEG_PER_SQRT_H
+from gradcal_jax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H
 
 # A fitted lag is used where it reduces the rms residual to less than this share.
 _LAG_PAYS = 0.9

@@ -6,11 +6,11 @@ import numpy as np
 
 from gradcal_jax.api.axis_limit import proofs_of_axis
 from gradcal_jax.api.imu_limit import proofs_of_imu
-from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.api.structures import with_motion
 from gradcal_jax.api.systematic import floor_of_unit_plan
 from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.display import summary
 from gradcal_jax.files.absent import with_typical
 from gradcal_jax.files.spec import expect_spec, goes_on

@@ -6,11 +6,12 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, criterion_of, limit_of
+from gradcal_jax.api.criteria import criterion_of
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.structures import gyro_of
 from gradcal_jax.api.systematic import counted_criterion
 from gradcal_jax.api.tested_maps import tested_maps, with_hidden
+from gradcal_jax.api.verdicts import UNIT_OF, limit_of
 from gradcal_jax.design import AnyCoordinates, Case, Compiled, Coordinates, Criterion, Missed, Objective, Optimality
 from gradcal_jax.files import changed
 from gradcal_jax.files.design import ALL, OPTIMALITIES, TIMES, Design, Notice

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from gradcal_jax.api.limit import limits
-from gradcal_jax.api.posterior_of_plan import limit_of
 from gradcal_jax.api.search_results import Optimised, Price, SearchStep
 from gradcal_jax.api.structures import motion_time
+from gradcal_jax.api.verdicts import limit_of
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.unit_plan import duration_of
 from gradcal_jax.files.unit_spec import Spec

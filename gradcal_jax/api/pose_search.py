@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, limit_of
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.search_results import MARGIN, MET, NO_TARGET, Optimised, RequirementChange, SearchStep
 from gradcal_jax.api.unit_build import (
@@ -28,6 +27,7 @@ from gradcal_jax.api.unit_build import (
     waves_of,
 )
 from gradcal_jax.api.unit_residual import RequiredQuantity, UnitResidual, quantity_of
+from gradcal_jax.api.verdicts import UNIT_OF, limit_of
 from gradcal_jax.design.cycle_moves import Cycle, Neighbourhood
 from gradcal_jax.design.descent import Descent
 from gradcal_jax.design.pose_cycle import (

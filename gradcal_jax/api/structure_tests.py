@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.tested_maps import hidden_maps, tested_maps
+from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.estimation import StructureTest, UnitEstimate, UnitReadings, size_of, structure_test
 from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.model import BIAS

@@ -8,8 +8,8 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.api.build import basis
-from gradcal_jax.api.posterior_of_plan import UNIT_OF
 from gradcal_jax.api.unit_build import AssembledUnit
+from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.contracts import NoticeRow
 from gradcal_jax.files.sensor import GyroTriad, ScaleFactor

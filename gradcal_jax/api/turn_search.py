@@ -11,13 +11,13 @@ from gradcal_jax.api.build import assemble
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.measure import Measure, design_of, measure
 from gradcal_jax.api.plan_to_spec import plan_to_spec
-from gradcal_jax.api.posterior_of_plan import UNIT_OF, limit_of
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.search_results import MARGIN, MET, NO_TARGET, Optimised, Price, RequirementChange, SearchStep
 from gradcal_jax.api.structures import Structure, structures
 from gradcal_jax.api.systematic import own_of_unit
 from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.api.unit_residual import UnitResidual, unit_residual
+from gradcal_jax.api.verdicts import UNIT_OF, limit_of
 from gradcal_jax.design import (
     KEPT,
     AnyCoordinates,

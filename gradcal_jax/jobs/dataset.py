@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from gradcal_jax.api import UNIT_OF
+from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.files import to_toml
 from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.sweep import Sweep

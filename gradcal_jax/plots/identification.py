@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gradcal_jax.api.instability import Instability, RestRecord
-from gradcal_jax.api.posterior_of_plan import DEG_PER_H
 from gradcal_jax.identify import AllanDeviation, AllanFit
 from gradcal_jax.plots.style import PALETTE, new_axes, new_panels, style_of
+from gradcal_jax.units import DEG_PER_H
 
 
 def draw_drift(instability: Instability, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:

@@ -9,7 +9,7 @@ from expected_errors import nees_band
 from logs_zoo import GRADIENT, STANDARD, estimated, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api import assemble, posterior_of_plan
+from gradcal_jax.api import assemble
 from gradcal_jax.api.estimate import estimate_log
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fitted_lag import fitted_lag
@@ -17,6 +17,7 @@ from gradcal_jax.api.log_rows import host_time
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.calibration.correction import followed, term_values
 from gradcal_jax.files.log import Log, LogError, Reason
+from gradcal_jax.information import information, posterior
 from gradcal_jax.model import BIAS, SCALE_FACTOR
 
 
@@ -50,7 +51,8 @@ def test_raw_samples_of_many_units_err_as_they_say(many):
     for channel in channels:
         assert sum(channel.counts.values()) == made.log.rows_read
     # What was executed is what was planned, so what is known is what was predicted, within how readings are spaced.
-    predicted = posterior_of_plan(assemble(spec))
+    built = assemble(spec)
+    predicted = posterior(information(built.trajectory(), built.model))
     rows = channels[0].built.model.to_reported
     ratio = channels[0].solution.known.deviations(rows) / predicted.deviations(rows)
     assert np.all(np.abs(ratio - 1.0) < 0.005)  # of rows instead of instants
@@ -103,7 +105,9 @@ def test_a_log_of_the_standard_method_errs_as_it_says(points):
     told = simulate_log(spec, sample_rate_hz=20.0, noiseless=True)
     (channel,) = estimated(spec, told.log)
     rows = channel.built.model.to_reported
-    ratio = channel.solution.known.deviations(rows) / posterior_of_plan(assemble(spec)).deviations(rows)
+    built = assemble(spec)
+    predicted = posterior(information(built.trajectory(), built.model))
+    ratio = channel.solution.known.deviations(rows) / predicted.deviations(rows)
     np.testing.assert_allclose(ratio, 1.0, rtol=1e-9 if points == "independent" else 2.5e-5)
 
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from expected_errors import nees_band, normalised_errors, on_trajectory, whitened
 
-from gradcal_jax.api import assemble, posterior_of_plan, residual_map
-from gradcal_jax.api.posterior_of_plan import DEG_PER_S, UNIT_OF
+from gradcal_jax.api import assemble
+from gradcal_jax.api.criteria import box
+from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.estimation import solve
 from gradcal_jax.files import parse_spec, presets
-from gradcal_jax.information import contrasts, simulate_noise, statistic
+from gradcal_jax.information import contrasts, information, posterior, residual, simulate_noise, statistic
 
 UNITS = 1000
 
@@ -41,7 +42,7 @@ def test_a_thousand_units_err_as_predicted(name):
     result = solve(whitened(observations, built.model))
 
     # The covariance is the prediction's own, to rounding.
-    predicted = posterior_of_plan(built)
+    predicted = posterior(information(built.trajectory(), built.model))
     reported = built.model.to_reported
     ours, theirs = result.known[0].covariance(reported), predicted.covariance(reported)
     scale = np.sqrt(np.outer(np.diag(theirs), np.diag(theirs)))
@@ -57,9 +58,10 @@ def test_a_thousand_units_err_as_predicted(name):
     # What is left of the maps is what was promised.
     errors = result.parameters - truth
     for requirement in built.spec.requirement:
-        temperatures, rates, promised = residual_map(built, predicted, requirement)
-        grid_t, grid_w = np.meshgrid(temperatures, rates / DEG_PER_S, indexing="ij")
+        temperatures, rates = box(requirement)
+        grid_t, grid_w = np.meshgrid(temperatures, rates, indexing="ij")
         quantity = requirement.quantity.removeprefix("gyro_")
+        promised = residual(predicted, built.model, quantity, temperatures, rates) * UNIT_OF[quantity][1]
         rows = contrasts(built.model, quantity, grid_t.ravel(), grid_w.ravel())[0]
         achieved = np.sqrt(np.mean((errors @ rows.T) ** 2, axis=0)).reshape(grid_t.shape) * UNIT_OF[quantity][1]
         want = statistic(requirement.statistic, promised)

@@ -7,8 +7,9 @@ import pytest
 from logs_zoo import GRADIENT, estimated, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api import assemble, posterior_of_plan
+from gradcal_jax.api import assemble
 from gradcal_jax.estimation import column_readings, smoothed_temperature
+from gradcal_jax.information import information, posterior
 from gradcal_jax.model import TEMPERATURE_GRADIENT
 
 # Up and down, so that a bias from dT/dt is not a constant one; the die lags, as dies do.
@@ -33,7 +34,7 @@ def test_a_coarse_thermometer_is_no_information_about_the_gradient():
     channels = estimated(spec, coarse)
     built = assemble(spec)
     row = built.model.to_reported[built.model.where(TEMPERATURE_GRADIENT)]
-    (predicted,) = posterior_of_plan(built).deviations(row)
+    (predicted,) = posterior(information(built.trajectory(), built.model)).deviations(row)
     errors = np.array(
         [
             float((row @ (c.solution.parameters[: len(t)] - t))[0])

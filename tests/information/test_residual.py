@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from gradcal_jax.api import assemble, posterior_of_plan
+from gradcal_jax.api import assemble
 from gradcal_jax.files import parse_spec, presets
-from gradcal_jax.information import contrasts, residual
+from gradcal_jax.information import contrasts, information, posterior, residual
 
 
 @pytest.mark.parametrize("name", ["paper-dynamic-gradient", "paper-static-gradient"])
 def test_the_residual_by_small_tables_is_the_residual_by_rows(name):
     built = assemble(parse_spec(presets.text(name)))
-    known = posterior_of_plan(built)
+    known = posterior(information(built.trajectory(), built.model))
     assert known.hidden.shape[1] == 0
     for requirement in built.spec.requirement:
         low, high = (float(t) for t in requirement.temperature)

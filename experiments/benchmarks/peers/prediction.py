@@ -6,11 +6,11 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from gradcal_jax.api import assemble, posterior_of_plan
+from gradcal_jax.api import assemble
 from gradcal_jax.api import predict as predict_spec
 from gradcal_jax.api.sensitivity import sensitivity
 from gradcal_jax.files.spec import read_spec
-from gradcal_jax.information import contrasts, information
+from gradcal_jax.information import contrasts, information, posterior
 
 _SPEC = Path(__file__).resolve().parents[2] / "paper" / "dynamic_gradient.toml"
 _REPEATS = 15
@@ -54,7 +54,7 @@ def predict(asked: dict) -> dict:
             "plan → information → residual map → statistic": _seconds(mean_of_max),
             "compiled: derivatives in all figures of sensor, rig and plan": _seconds(lambda: sensitivity(spec)),
             "`assemble(spec)`": _seconds(lambda: assemble(spec)),
-            "`posterior_of_plan(built)`": _seconds(lambda: posterior_of_plan(built)),
+            "`posterior(information(…))`": _seconds(lambda: posterior(information(built.trajectory(), built.model))),
             "`predict(spec)` as called": _seconds(lambda: predict_spec(spec)),
         },
     }

@@ -34,7 +34,7 @@ _HOME_OF_NAME: dict[str, str] = {
     "compare": "api.flow",
     "timeline": "api",
     "monte_carlo": "api",
-    "unobservable": "api.unit_sentences",
+    "unobservable": "api.plan_sentences",
     # design
     "optimise": "api.flow",
     "limit": "api.flow",

@@ -16,9 +16,9 @@ from gradcal_jax.api.hand_estimate import estimate_by_hand as estimate_by_hand
 from gradcal_jax.api.log_flow import allan as allan
 from gradcal_jax.api.log_flow import estimate as estimate
 from gradcal_jax.api.log_flow import instability as instability
+from gradcal_jax.api.plan_sentences import unobservable as unobservable
 from gradcal_jax.api.replan import replan as replan
 from gradcal_jax.api.sensitivity import sensitivity as sensitivity
-from gradcal_jax.api.unit_sentences import unobservable as unobservable
 from gradcal_jax.api.validation import validate as validate
 from gradcal_jax.decoding.run_log import log as log
 from gradcal_jax.files import Spec as Spec

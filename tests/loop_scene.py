@@ -7,10 +7,10 @@ import numpy as np
 
 from gradcal_jax.files import spec as specs
 from gradcal_jax.files.log import Log
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.hardware.simulate.draws import draw_table
+from gradcal_jax.hardware.simulate.imu import ImuTruth, SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.unit import SimulatedUnit, UnitTruth
 
 COLD, WARM, LASTING_S = -20.0, 60.0, 4800.0
 SIZE, WIDTHS = 10.0, (3.0, 10.0, 30.0)
@@ -75,9 +75,9 @@ def spec_of(*, back: bool, size: float = SIZE, plays: bool = True) -> Spec:
     })  # fmt: skip
 
 
-def recorded(truth: UnitTruth, spec: Spec, *, back: bool, seed: int) -> Log:
+def recorded(truth: ImuTruth, spec: Spec, *, back: bool, seed: int) -> Log:
     table, _, _ = draw_table(spec, seed)
-    unit = SimulatedUnit(truth, table, Course(back=back), [AxisPlant()], sample_rate_hz=1.0, seed=seed)
+    unit = SimulatedImu(truth, table, Course(back=back), [AxisPlant()], sample_rate_hz=1.0, seed=seed)
     kept = unit.take(int(LASTING_S))
     rate, count = np.radians(kept.rate_dps), int(LASTING_S)
     rate[count // 2] = np.nan

@@ -185,16 +185,16 @@ SMALL = {
 """A ramp of minutes, for which searches and runs are short."""
 ELSEWHERE = {
     "run --resume run1": "tests/cli/test_run_cli.py",
-    "replan run1 -o rest.toml": "tests/hardware/test_unit_replanned.py",
-    "run rest.toml --resume run1": "tests/hardware/test_unit_replanned.py",
+    "replan run1 -o rest.toml": "tests/hardware/test_imu_replanned.py",
+    "run rest.toml --resume run1": "tests/hardware/test_imu_replanned.py",
     "allan bench.csv --columns columns.toml": "tests/cli/test_instability_cli.py",
     "estimate warm-up.ulg -o cal.toml --parameters tc.params": "tests/estimation/test_warm_up.py",
     "optimise imu.toml -o better.toml": "tests/api/test_pose_search.py",
     'estimate recording.npz --columns columns.toml --gravity "9.81744 m/s^2" --temperature "23 degC" -o imu.toml': (
-        "tests/unit/test_hand_recording.py"
+        "tests/imu/test_hand_recording.py"
     ),
     "estimate run/log.nc --recipe recipe.toml -o calibration.toml --plot fit.png": (
-        "tests/cli/test_unit_estimate_cli.py"
+        "tests/cli/test_imu_estimate_cli.py"
     ),
     "sensitivity mine/spec.toml": "tests/cli/test_design_cli.py",
     "sweep experiments/sweeps/tactical_bench.toml -o results.nc --plot results.png": "tests/cli/test_sweep_cli.py",

@@ -6,8 +6,8 @@ from random_specs import BASES, FAMILIES, MOST_READINGS, SHAPES, random_spec
 
 from gradcal_jax.files import spec_of
 from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
+from gradcal_jax.files.motion_plan import row_count
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.unit_plan import row_count
 
 
 def as_read(tables):

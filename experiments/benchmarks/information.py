@@ -269,9 +269,7 @@ def whole_unit(record: dict, quick: bool) -> list[str]:
     workers, found = {}, {}
     for method, name in UNIT_METHODS.items():
         worker = Worker(1)
-        opened = worker.ask(
-            do="unit", method="unit_methods", what="open", of=method, count=count, parameters=parameters
-        )
+        opened = worker.ask(do="unit", method="imu_methods", what="open", of=method, count=count, parameters=parameters)
         if "absent" in opened:
             print(f"{name}: left out, {opened['absent']}", file=sys.stderr)
             worker.close()
@@ -280,7 +278,7 @@ def whole_unit(record: dict, quick: bool) -> list[str]:
     for number in range(rounds + 1):
         for method, worker in workers.items():
             for task in ("forward", "gradient") if method != "filterpy" else ("forward",):
-                seconds = worker.ask(do="unit", method="unit_methods", what="time", task=task, repeats=1)["seconds"]
+                seconds = worker.ask(do="unit", method="imu_methods", what="time", task=task, repeats=1)["seconds"]
                 if number:  # The first one compiles.
                     found[method][task].append(seconds)
     for worker in workers.values():
@@ -318,7 +316,7 @@ def whole_unit(record: dict, quick: bool) -> list[str]:
 def hand2(record: dict, quick: bool) -> list[str]:
     """The plan `hand2`, compiled from its numbers to the standard deviations: processor time on one core."""
     worker = Worker(1)
-    answer = worker.ask(do="hand2", method="unit_methods", repeats=2 if quick else 40)
+    answer = worker.ask(do="hand2", method="imu_methods", repeats=2 if quick else 40)
     worker.close()
     record["hand2"] = answer
     rows = [(name, summary([answer[name]])) for name in ("forward", "gradient")]

@@ -26,8 +26,8 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.design.noise_floor import Course
 from gradcal_jax.files.design import TIMES
-from gradcal_jax.files.requirement import UnitRequirement
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import information, statistic
 from gradcal_jax.model import BIAS, SCALE_FACTOR, Map, Processes, SensorModel, gyro_model
 from gradcal_jax.trajectory import Programme, programme
@@ -49,7 +49,7 @@ class Proof(NamedTuple):
     """A requirement's limit in SI: `certified`, and the optimum of the relaxed problem, `reached`. `relaxed`: limits of
     the rig that the proof leaves out; `kept`: what all plans of the proof have in common; both in words."""
 
-    requirement: UnitRequirement
+    requirement: Requirement
     certified: float
     reached: float
     relaxed: tuple[str, ...]
@@ -88,7 +88,7 @@ class _Window(NamedTuple):
     relaxed: tuple[str, ...]
     kept: tuple[str, ...]
 
-    def proof(self, requirement: UnitRequirement) -> Proof:
+    def proof(self, requirement: Requirement) -> Proof:
         model = self.built.model
         criterion = criterion_of(model, requirement)
         if requirement.quantity.endswith("scale_factor"):

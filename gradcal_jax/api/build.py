@@ -8,12 +8,12 @@ import numpy as np
 
 from gradcal_jax import model, trajectory
 from gradcal_jax.files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
+from gradcal_jax.files.motion_plan import PlanSchedule, plan_schedule
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_plan import UnitSchedule, unit_schedule
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.model import Map, PathTerm, Processes, Reference, SensorModel, SignalMap
 from gradcal_jax.trajectory import Move, Past, Schedule
 
@@ -67,13 +67,13 @@ def assemble(spec: Spec) -> Assembled:
     schedule, moves = table_schedule(spec.schedule, spec)
     past: Past | None = None
     for part in spec.done:
-        plan, _ = table_schedule(unit_schedule(part.plan, spec.rig), spec)
+        plan, _ = table_schedule(plan_schedule(part.plan, spec.rig), spec)
         line = plan.trajectory(lag).between(float(part.start), float(part.end))
         past = Past(line if past is None else past.then(line), np.asarray(float(part.pause)))
     return Assembled(spec, channel, schedule, moves, lag, sources, past)
 
 
-def table_schedule(plan: UnitSchedule | StandardSchedule, spec: Spec) -> tuple[Schedule, tuple[Move, ...]]:
+def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[Schedule, tuple[Move, ...]]:
     """The schedule of a plan as a channel sees it that every axis turns, and the moves of its cycle."""
     if isinstance(plan, StandardSchedule):
         return held_rates(plan), ()
@@ -195,7 +195,7 @@ def held_rates(schedule: StandardSchedule) -> Schedule:
 
 
 def chamber_programme(
-    plan: UnitSchedule,
+    plan: PlanSchedule,
 ) -> tuple[trajectory.Programme, tuple[tuple[int, int], ...]]:
     """The chamber's programme, and the pairs of its knots between which data are used."""
     segments = plan.segments

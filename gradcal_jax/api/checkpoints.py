@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gradcal_jax.files import to_toml
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.writing import whole
 
 _FORMAT = "gradcal-search/1"

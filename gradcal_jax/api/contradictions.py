@@ -9,8 +9,8 @@ import numpy as np
 from gradcal_jax.estimation import CoarseFit, diagnosis
 from gradcal_jax.files.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
 from gradcal_jax.files.log import LogError
-from gradcal_jax.files.requirement import UnitRequirement
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.model import AXIS_NAMES, Channel
 
 # K by which a die may be colder or warmer than the chamber's limits, self-heating included.
@@ -56,7 +56,7 @@ def refuse_other_units(spec: Spec, temperature: np.ndarray, unit: str) -> None:
         )
 
 
-def beyond_the_data(requirement: UnitRequirement, temperature_c: Sequence[float], rate: Sequence[float]) -> str | None:
+def beyond_the_data(requirement: Requirement, temperature_c: Sequence[float], rate: Sequence[float]) -> str | None:
     """A sentence where a requirement asks for temperatures (°C) or rates (rad/s) that the data do not cover."""
     parts = []
     low, high = (float(t) for t in requirement.temperature)

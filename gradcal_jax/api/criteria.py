@@ -11,7 +11,7 @@ from gradcal_jax.files.requirement import (
     GyroScaleFactorRequirement,
     MissionHeadingRequirement,
     NorthRequirement,
-    UnitRequirement,
+    Requirement,
 )
 from gradcal_jax.information import contrasts
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
@@ -19,7 +19,7 @@ from gradcal_jax.information.residual import Contrasts, Statistic, map_of
 from gradcal_jax.model import BIAS, SCALE_FACTOR, HigherPolynomials, Map, Polynomial, SensorModel
 
 
-def box(requirement: UnitRequirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side; for missions
     their indices."""
     if isinstance(requirement, MissionHeadingRequirement):
@@ -34,7 +34,7 @@ def box(requirement: UnitRequirement, most: int | None = None) -> tuple[np.ndarr
 
 def contrasts_of(
     model: SensorModel,
-    requirement: UnitRequirement,
+    requirement: Requirement,
     name: Statistic,
     at: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Contrasts:
@@ -49,7 +49,7 @@ def contrasts_of(
 
 def criterion_of(
     model: SensorModel,
-    requirement: UnitRequirement,
+    requirement: Requirement,
     name: Statistic | None = None,
     most: int | None = None,
 ) -> Criterion:
@@ -76,9 +76,9 @@ def _few_places(of: Map, temperatures: np.ndarray, rates: np.ndarray):
     return (few_t, few_w), (by_t, by_w)
 
 
-def _map_of(requirement: UnitRequirement) -> Literal["bias", "scale_factor"]:
+def _map_of(requirement: Requirement) -> Literal["bias", "scale_factor"]:
     return SCALE_FACTOR if requirement.quantity.endswith("scale_factor") else BIAS
 
 
-def _gain(requirement: UnitRequirement) -> float:
+def _gain(requirement: Requirement) -> float:
     return earth_gain(requirement) if isinstance(requirement, NorthRequirement) else 1.0

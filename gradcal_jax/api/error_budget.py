@@ -7,15 +7,15 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.api.unit_build import AssembledUnit, unweighted_estimator
-from gradcal_jax.api.unit_residual import RequiredQuantity, quantity_of
+from gradcal_jax.api.imu_build import BuiltImu, unweighted_estimator
+from gradcal_jax.api.imu_residual import RequiredQuantity, quantity_of
 from gradcal_jax.api.verdicts import mission_weights
-from gradcal_jax.files.requirement import MisalignmentRequirement, UnitRequirement
-from gradcal_jax.information import Posterior, estimator_of_means, noise_parts, statistic, unit_system
+from gradcal_jax.files.requirement import MisalignmentRequirement, Requirement
+from gradcal_jax.information import Posterior, estimator_of_means, imu_system, noise_parts, statistic
 from gradcal_jax.information.budget import Sensitivity, information_lost, sensitivity_of, weights_of
 from gradcal_jax.information.posterior import noise_of_sums
 from gradcal_jax.information.residual import Contrasts
-from gradcal_jax.model import ChannelKind, Discrepancy, UnitModel
+from gradcal_jax.model import ChannelKind, Discrepancy, ImuModel
 
 PRIOR: Final = "prior knowledge"
 DISCREPANCY: Final = "model discrepancy"
@@ -30,7 +30,7 @@ _INSTALLATION: Final[Mapping[str, str]] = {
     "mounting": "mounting",
 }
 _WHITE: Final[Mapping[ChannelKind, str]] = {"gyro": "angle random walk", "accelerometer": "velocity random walk"}
-_ENCODER: Final[Mapping[str, Callable[[UnitModel], Any]]] = {
+_ENCODER: Final[Mapping[str, Callable[[ImuModel], Any]]] = {
     "rate accuracy": lambda m: m.encoder.rate,
     "reading noise": lambda m: m.encoder.reading,
     "standstill offset": lambda m: m.encoder.offset,
@@ -43,10 +43,10 @@ _ROUNDING = 5e-3
 class ErrorBudget:
     """The error sources of a plan; `shares` of a requirement are `∂ ln s / ∂ ln σ` of its statistic s."""
 
-    def __init__(self, built: AssembledUnit, known: Posterior) -> None:
+    def __init__(self, built: BuiltImu, known: Posterior) -> None:
         self.built, self.known = built, known
         motion, model, nodes = built.motion, built.model, built.body_nodes()
-        steps, columns = unit_system(motion, model, nodes)
+        steps, columns = imu_system(motion, model, nodes)
         models = {name: _only(built, name) for name in _active_sources(built)}
         parts = noise_parts(motion, models, nodes, steps) if models else {}
         own, names = model.calibrated, model.names()
@@ -78,7 +78,7 @@ class ErrorBudget:
     def _add(self, name: str, part: Float[np.ndarray, "p p"]) -> None:
         self._sources[name] = self._sources.get(name, 0.0) + part
 
-    def shares(self, requirement: UnitRequirement) -> dict[str, float] | None:
+    def shares(self, requirement: Requirement) -> dict[str, float] | None:
         """The share of every source in a requirement's statistic, the largest first; None where the plan cannot observe
         it. The residual is homogeneous of degree one in all standard deviations together, so the shares add up to one;
         the rest after all sources is that of the priors."""
@@ -151,7 +151,7 @@ def source_name(kind: ChannelKind, process: str) -> str:
     return process if kind == "gyro" else f"accelerometer {process}"
 
 
-def _active_sources(built: AssembledUnit) -> list[str]:
+def _active_sources(built: BuiltImu) -> list[str]:
     """Names of the noise sources that are not zero and act on this plan."""
     model, line = built.model, built.motion.line
     white = {c.kind for c in model.channels if _is_there(c.model.angle_random_walk)}
@@ -167,7 +167,7 @@ def _is_there(figure: Any) -> bool:
     return bool(np.any(np.asarray(figure) > 0.0))
 
 
-def _only(built: AssembledUnit, source: str) -> UnitModel:
+def _only(built: BuiltImu, source: str) -> ImuModel:
     """The model with one noise source alone."""
     model = built.model
     for k, c in enumerate(model.channels):

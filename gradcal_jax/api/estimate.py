@@ -27,6 +27,8 @@ from gradcal_jax.api.estimated_calibration import calibration_of, tests_by_name
 from gradcal_jax.api.executed_part import lacks_of
 from gradcal_jax.api.fit_of_log import fitted_twice, lag_of_maps, points_of, with_chosen_smoothness
 from gradcal_jax.api.fitted_lag import Lag
+from gradcal_jax.api.imu_build import BuiltImu, build_imu
+from gradcal_jax.api.imu_residual import internal_misalignments
 from gradcal_jax.api.log_rows import count_rows, with_options
 from gradcal_jax.api.path_dependence import (
     HEATING_AGAINST_COOLING,
@@ -35,32 +37,30 @@ from gradcal_jax.api.path_dependence import (
     bias_curves,
     path_dependence,
 )
+from gradcal_jax.api.plan_sentences import one_way_sentences
 from gradcal_jax.api.prediction import requirement_row
 from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
-from gradcal_jax.api.recorded_rows import unit_rows
+from gradcal_jax.api.recorded_rows import imu_rows
 from gradcal_jax.api.structure_tests import MeasuredDiscrepancy, discrepancies, structure_in_words, structure_tests
 from gradcal_jax.api.systematic import (
     EstimatedRun,
     budget_of_estimate,
-    omitted_noise_of_unit,
+    omitted_noise_of_imu,
     ramp_of_record,
     unseen_errors,
 )
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
-from gradcal_jax.api.unit_residual import internal_misalignments
-from gradcal_jax.api.unit_sentences import one_way_sentences
 from gradcal_jax.display import html, summary
 from gradcal_jax.estimation import (
     Consistency,
-    ExecutedUnit,
+    ExecutedImu,
     Group,
+    ImuEstimate,
+    ImuReadings,
+    ImuRows,
     Smoothness,
     StructureTest,
     TablePoints,
     Test,
-    UnitEstimate,
-    UnitReadings,
-    UnitRows,
 )
 from gradcal_jax.files.absent import branch_sentences
 from gradcal_jax.files.calibration import (
@@ -75,7 +75,7 @@ from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.information import Posterior, segments_of
 from gradcal_jax.model import AXIS_NAMES, KINDS
@@ -105,9 +105,9 @@ class SensorEstimate(NamedTuple):
     rows; `gravity`: rms of |f| − g over the rests, m/s², before the calibration and after it."""
 
     unit: str
-    built: AssembledUnit
-    executed: ExecutedUnit
-    solution: UnitEstimate
+    built: BuiltImu
+    executed: ExecutedImu
+    solution: ImuEstimate
     calibration: Calibration
     requirements: tuple[RequirementRow, ...]
     consistency: Consistency
@@ -243,13 +243,13 @@ def estimate_sensors(
     for log, name in itertools.product(logs, names):
         if log.temperature_c is not None:
             refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
-    built = assemble_unit(spec)
+    built = build_imu(spec)
     logs, faults = without_bad_rows(spec, logs, [c.name.replace("_", " ") for c in built.model.channels])
-    noise = omitted_noise_of_unit(built)
+    noise = omitted_noise_of_imu(built)
     reports = list[SensorEstimate]()
     for name in names:
         try:
-            recorded = Recorded(*unit_rows(built, logs, name, options))
+            recorded = Recorded(*imu_rows(built, logs, name, options))
             report = report_of(built, logs, name, recorded, options, sources or {}, noise, faults[name])
         except LogError as error:
             raise LogError(f"{error}{faults[name].also}") from None
@@ -263,7 +263,7 @@ def estimate_sensors(
 class Recorded(NamedTuple):
     """The rows of one sensor, and messages on them. `points`: they are those of a table of points."""
 
-    rows: UnitRows
+    rows: ImuRows
     messages: tuple[str, ...]
     points: TablePoints | None = None
 
@@ -285,7 +285,7 @@ def with_earth(spec: Spec, earth_rate: float) -> Spec:
 
 
 def report_of(
-    built: AssembledUnit,
+    built: BuiltImu,
     logs: Sequence[Log],
     name: str,
     recorded: Recorded,
@@ -396,7 +396,7 @@ def report_of(
 
 
 def _covered(
-    done: ExecutedUnit, rates: np.ndarray, temperature: np.ndarray
+    done: ExecutedImu, rates: np.ndarray, temperature: np.ndarray
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """The ranges of temperature (°C) and rate (rad/s) of the pieces used, from those of the rows; rest included."""
     line, whole = done.motion.line, ~np.asarray(done.motion.line.gap)
@@ -415,7 +415,7 @@ def _outwards(values: np.ndarray, step: float) -> tuple[float, float]:
     return float(np.floor(low + 1e-6) * step), float(np.ceil(high - 1e-6) * step)
 
 
-def _counts(logs: Sequence[Log], name: str, done: ExecutedUnit) -> dict[str, int]:
+def _counts(logs: Sequence[Log], name: str, done: ExecutedImu) -> dict[str, int]:
     """Numbers of rows of all logs: used, without a reference, and left out, by reason."""
     whole = ~np.asarray(done.motion.line.gap)
     used = estimation.within(done.rows, whole, sum(len(log.time_s) for log in logs))
@@ -430,7 +430,7 @@ def _counts(logs: Sequence[Log], name: str, done: ExecutedUnit) -> dict[str, int
 # --- findings --------------------------------------------------------------------------------------------------------
 
 
-def _internal(built: AssembledUnit, solution: UnitEstimate, covered: tuple[float, float]):
+def _internal(built: BuiltImu, solution: ImuEstimate, covered: tuple[float, float]):
     """Internal misalignments at the middle of the temperatures."""
     middle = np.array([0.5 * (covered[0] + covered[1])])
     for kind in KINDS:
@@ -441,7 +441,7 @@ def _internal(built: AssembledUnit, solution: UnitEstimate, covered: tuple[float
                 yield InternalMisalignment(f"{kind} {label}", value, std)
 
 
-def _gravity(readings: UnitReadings, calibration: Calibration, temperature: np.ndarray) -> tuple[float, float] | None:
+def _gravity(readings: ImuReadings, calibration: Calibration, temperature: np.ndarray) -> tuple[float, float] | None:
     """Rms of |f| − g over the rests: as measured, and corrected. None without three accelerometers."""
     done, rows, model = readings.done, readings.log, readings.model
     if sum(c.kind == "accelerometer" for c in model.channels) < 3:
@@ -462,7 +462,7 @@ def _gravity(readings: UnitReadings, calibration: Calibration, temperature: np.n
     return before, after
 
 
-def _words(report: SensorEstimate, solution: UnitEstimate) -> list[str]:
+def _words(report: SensorEstimate, solution: ImuEstimate) -> list[str]:
     """Where the data contradict the model or do not observe it, in sentences."""
     tests, failed = report.consistency, report.calibration.contradicted
     sentences = not_valid([name.replace("_", " ") for name in failed])

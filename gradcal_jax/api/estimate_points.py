@@ -5,17 +5,17 @@ import numpy as np
 from gradcal_jax import estimation, trajectory
 from gradcal_jax.api.estimate import Recorded, SensorEstimate, report_of, with_earth
 from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.record_faults import RecordFaults
-from gradcal_jax.api.recorded_rows import unit_rows
-from gradcal_jax.api.systematic import omitted_noise_of_unit
-from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.recorded_rows import imu_rows
+from gradcal_jax.api.systematic import omitted_noise_of_imu
 from gradcal_jax.estimation import TablePoints
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.points import RatePoints
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 
 def estimate_points(
@@ -33,9 +33,9 @@ def estimate_points(
     count = len(points.output_rad_per_s)
     if count < 2:
         raise LogError(f"{points.source}: {count} points are too few")
-    omitted = omitted_noise_of_unit(assemble_unit(spec))
+    omitted = omitted_noise_of_imu(build_imu(spec))
     spec, options = changed(spec, {"plan.points": "independent"}), options or Options()
-    built = assemble_unit(spec if options.earth_rate is None else with_earth(spec, options.earth_rate))
+    built = build_imu(spec if options.earth_rate is None else with_earth(spec, options.earth_rate))
     schedule = spec.schedule
     assert isinstance(schedule, StandardSchedule)
     # A point is two rows, of its begin and its end, at one temperature; as much time lies between two points.
@@ -53,7 +53,7 @@ def estimate_points(
         time[:-1], np.diff(time), np.where(between, 0.0, both(points.reference_rad_per_s)[:-1]), warm[:-1], warm[1:],
         read=~between, at_rest=between, moving=~between, gap=between, rates=True, points="independent",
     )  # fmt: skip
-    rows, _ = unit_rows(built, [log], points.unit, options)
+    rows, _ = imu_rows(built, [log], points.unit, options)
     own = (
         "the points' order and times are not known: each has independent noise by the spec, and errors that they share "
         "(the clock, the turn-on bias) are not in the covariance"

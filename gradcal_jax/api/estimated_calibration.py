@@ -8,9 +8,9 @@ import numpy as np
 from gradcal_jax.api.contract_rows import fit_rows, provenance_of, random_walks, result_of_requirement, section_of
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fitted_lag import Lag
-from gradcal_jax.api.unit_build import AssembledUnit
-from gradcal_jax.api.unit_sentences import prior_deviations, unobserved_parameters
-from gradcal_jax.estimation import Consistency, Test, UnitEstimate
+from gradcal_jax.api.imu_build import BuiltImu
+from gradcal_jax.api.plan_sentences import prior_deviations, unobserved_parameters
+from gradcal_jax.estimation import Consistency, ImuEstimate, Test
 from gradcal_jax.files.calibration import (
     FORMAT,
     ORDER,
@@ -27,7 +27,7 @@ from gradcal_jax.files.calibration import (
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, GradientOfBias, Hysteresis, Map, PathTerm, SignalMap
 
 
@@ -42,10 +42,10 @@ def tests_by_name(tests: Consistency, channels: dict[str, tuple[Test, Test]]) ->
 
 
 def calibration_of(
-    built: AssembledUnit,
+    built: BuiltImu,
     logs: Sequence[Log],
     name: str,
-    solution: UnitEstimate,
+    solution: ImuEstimate,
     tests: Consistency,
     channels: dict[str, tuple[Test, Test]],
     requirements: tuple[RequirementRow, ...],
@@ -106,7 +106,7 @@ def calibration_of(
     return Calibration(**section)
 
 
-def _estimator(solution: UnitEstimate, lag: Lag, options: Options) -> str:
+def _estimator(solution: ImuEstimate, lag: Lag, options: Options) -> str:
     parts = [f"Gauss-Newton through the finite geometry, {solution.rounds} rounds"]
     if np.any(solution.weights < 1.0):
         parts.append("robust (Huber)")
@@ -127,7 +127,7 @@ def residuals_of(white: np.ndarray) -> Residuals:
 
 
 def calibrated_channels(
-    built: AssembledUnit, values: np.ndarray, covered: tuple[tuple[float, float], tuple[float, float]], lag: Any = None
+    built: BuiltImu, values: np.ndarray, covered: tuple[tuple[float, float], tuple[float, float]], lag: Any = None
 ) -> Iterator[CalibratedChannel]:
     """The calibrated channels, from all reported parameters `(p,)`; `covered`: temperatures (°C) and rates (rad/s)."""
     begin = 0
@@ -158,7 +158,7 @@ def _terms(spec: Spec, channel: Channel, values: np.ndarray) -> Iterator[Calibra
         yield build_term(term.name, term.unit, signals, coefficients, **bases)
 
 
-def _path_coefficients(built: AssembledUnit, values: np.ndarray, deviations: np.ndarray) -> Iterator[PathCoefficient]:
+def _path_coefficients(built: BuiltImu, values: np.ndarray, deviations: np.ndarray) -> Iterator[PathCoefficient]:
     """What depends on the path of temperature and was estimated beside the maps, from all reported parameters."""
     begin = 0
     for c in built.model.channels:

@@ -8,7 +8,7 @@ from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 # A log that is shorter than its plan by less than this, s and as a share, is whole: runs end with their last reading.
 _SHORT_S, _SHORT = 2.0, 0.01

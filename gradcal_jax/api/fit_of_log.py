@@ -14,18 +14,18 @@ from gradcal_jax.api.build import move_of
 from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible
 from gradcal_jax.api.estimated_calibration import calibrated_channels
 from gradcal_jax.api.fitted_lag import Lag, fitted_lag
+from gradcal_jax.api.imu_build import BuiltImu, course_before
+from gradcal_jax.api.plan_sentences import prior_deviations
 from gradcal_jax.api.recorded_rows import read_by_events
-from gradcal_jax.api.unit_build import AssembledUnit, course_before
-from gradcal_jax.api.unit_sentences import prior_deviations
 from gradcal_jax.estimation import (
-    ExecutedUnit,
+    ExecutedImu,
+    ImuEstimate,
+    ImuReadings,
+    ImuRows,
     PlannedMove,
     Plateaus,
     Smoothness,
     TablePoints,
-    UnitEstimate,
-    UnitReadings,
-    UnitRows,
 )
 from gradcal_jax.files.calibration.correction import correct_triads
 from gradcal_jax.files.log import LogError
@@ -45,13 +45,13 @@ _PROFILE = 512
 class Fit(NamedTuple):
     """The executed motion, the readings of it, and the estimate. `rates` `(n, 3)`: the gyros', corrected, rad/s."""
 
-    executed: ExecutedUnit
-    readings: UnitReadings
-    solution: UnitEstimate
+    executed: ExecutedImu
+    readings: ImuReadings
+    solution: ImuEstimate
     rates: np.ndarray
 
 
-def _refuse_the_implausible(built: AssembledUnit, name: str, solution: UnitEstimate) -> None:
+def _refuse_the_implausible(built: BuiltImu, name: str, solution: ImuEstimate) -> None:
     """Raise `LogError` for the first channel with coefficients that no device has."""
     model, priors = built.model, prior_deviations(built)
     values, begin = model.to_reported @ solution.parameters, 0
@@ -64,21 +64,21 @@ def _refuse_the_implausible(built: AssembledUnit, name: str, solution: UnitEstim
         refuse_implausible(f"{name}, {c.name.replace('_', ' ')}", c.model.names(), values[own], priors[own])
 
 
-def lag_of_maps(built: AssembledUnit, name: str, rows: UnitRows, temperature_of: Callable[[float], np.ndarray]) -> Lag:
+def lag_of_maps(built: BuiltImu, name: str, rows: ImuRows, temperature_of: Callable[[float], np.ndarray]) -> Lag:
     """The lag of the maps of all channels, at the motion that is found without one."""
     _, readings, solution, _ = fitted_twice(built, name, rows, temperature_of(0.0))
 
     def chi_squared(lag: float) -> float:
         of = readings._replace(temperature_c=temperature_of(lag))
-        return float(estimation.estimate_unit(of, solution.parameters).estimate.chi_squared[0])
+        return float(estimation.solve_imu(of, solution.parameters).estimate.chi_squared[0])
 
     return fitted_lag(chi_squared)
 
 
 def fitted_twice(
-    built: AssembledUnit,
+    built: BuiltImu,
     name: str,
-    rows: UnitRows,
+    rows: ImuRows,
     temperature: np.ndarray,
     threshold: float | None = None,
     points: TablePoints | None = None,
@@ -97,22 +97,20 @@ def fitted_twice(
     return _read(built, name, rows, seen, temperature, threshold, points, felt, first.parameters)
 
 
-def with_chosen_smoothness(
-    built: AssembledUnit, fit: Fit, threshold: float | None
-) -> tuple[AssembledUnit, Fit, Smoothness]:
+def with_chosen_smoothness(built: BuiltImu, fit: Fit, threshold: float | None) -> tuple[BuiltImu, Fit, Smoothness]:
     """The fit with those smoothness priors at which its data are most probable. Errors: `ValueError` without any."""
     chosen = estimation.choose_smoothness(fit.solution.white, built.model)
     model = estimation.with_smoothness(built.model, list(chosen.stds.values()))
     readings = fit.readings._replace(model=model)
-    solution = estimation.estimate_unit(readings, fit.solution.parameters, threshold=threshold)
+    solution = estimation.solve_imu(readings, fit.solution.parameters, threshold=threshold)
     return built._replace(model=model), fit._replace(readings=readings, solution=solution), chosen
 
 
 def _read(
-    built: AssembledUnit,
+    built: BuiltImu,
     name: str,
-    rows: UnitRows,
-    seen: UnitRows,
+    rows: ImuRows,
+    seen: ImuRows,
     temperature: np.ndarray,
     threshold: float | None,
     points: TablePoints | None,
@@ -134,7 +132,7 @@ def _read(
     if isinstance(plan, StandardPlan) and plan.estimator == "least squares" and own is None:
         solution = estimation.estimate_unweighted(readings)
     else:
-        solution = estimation.estimate_unit(readings, about, threshold=threshold)
+        solution = estimation.solve_imu(readings, about, threshold=threshold)
     _refuse_the_implausible(built, name, solution)
     scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
     if scale > _ABSURD:
@@ -145,7 +143,7 @@ def _read(
     return Fit(done, readings, solution, seen.rates)
 
 
-def _executed(built: AssembledUnit, seen: UnitRows, points: TablePoints | None) -> ExecutedUnit:
+def _executed(built: BuiltImu, seen: ImuRows, points: TablePoints | None) -> ExecutedImu:
     """The executed motion by the rates of `seen`. Raises `ValueError`."""
     encoder, geometry = built.model.encoder, built.motion.geometry
     if points is not None:
@@ -155,10 +153,10 @@ def _executed(built: AssembledUnit, seen: UnitRows, points: TablePoints | None) 
     if read_by_events(built.spec):
         return estimation.motion_by_readings(seen, geometry)
     spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
-    return estimation.executed_unit(seen, geometry, planned=planned_moves(built), **spacing)
+    return estimation.executed_imu(seen, geometry, planned=planned_moves(built), **spacing)
 
 
-def points_of(built: AssembledUnit, rows: UnitRows) -> Plateaus:
+def points_of(built: BuiltImu, rows: ImuRows) -> Plateaus:
     """The points of the standard method in a log's rows. Raises `ValueError` where there are none."""
     plan = built.spec.schedule
     assert isinstance(plan, StandardSchedule)
@@ -168,7 +166,7 @@ def points_of(built: AssembledUnit, rows: UnitRows) -> Plateaus:
     return estimation.plateaus(rows.time_s, *reference, *planned, plan.integration, points=plan.shared)
 
 
-def planned_moves(built: AssembledUnit) -> list[list[PlannedMove]]:
+def planned_moves(built: BuiltImu) -> list[list[PlannedMove]]:
     """The moves of a plan's cycle between its rests."""
     groups: list[list[PlannedMove]] = [[]]
     places = np.linspace(0.0, 1.0, _PROFILE + 1)

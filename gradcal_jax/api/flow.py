@@ -7,15 +7,15 @@ They wrap functions that yield progress or take their input in parts. Steps that
 from collections.abc import Callable, Sequence
 
 from gradcal_jax.api import frontier as frontiers
+from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.limit import PlanLimit, limits
 from gradcal_jax.api.optimise import optimise as searched
+from gradcal_jax.api.plan_sentences import plan_warnings
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.search_results import Optimised, SearchStep
-from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_sentences import unit_warnings
 from gradcal_jax.files import Prediction
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 
 def check(spec: Spec) -> list[str]:
@@ -24,8 +24,8 @@ def check(spec: Spec) -> list[str]:
 
     Errors: none; `read_spec` has validated the spec.
     """
-    built = assemble_unit(expect_spec(spec))
-    return unit_warnings(built, posterior_of_unit(built))
+    built = build_imu(expect_spec(spec))
+    return plan_warnings(built, imu_posterior(built))
 
 
 def compare(*specs: Spec) -> list[Prediction]:

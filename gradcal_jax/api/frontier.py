@@ -8,7 +8,7 @@ import numpy as np
 from gradcal_jax.api.optimise import optimise
 from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.display import summary
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 _BLIND: Final = (
     "no plan found for this duration observes all that is required: try more moves at each turn at the table"

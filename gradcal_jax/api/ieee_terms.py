@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.files.calibration import CalibratedChannel, CalibratedTerm, Calibration
 from gradcal_jax.files.calibration.correction import basis_values
 from gradcal_jax.information import Posterior
-from gradcal_jax.model import UnitModel
+from gradcal_jax.model import ImuModel
 from gradcal_jax.units import DEG_PER_S
 
 Floats = NDArray[np.float64]
@@ -113,7 +113,7 @@ def grid_of(channel: CalibratedChannel, name: str) -> tuple[Floats, Floats]:
     return temperatures, np.linspace(float(slow), float(fast), _RATES) * DEG_PER_S
 
 
-def calibrated_posterior(model: UnitModel, calibration: Calibration) -> Posterior:
+def calibrated_posterior(model: ImuModel, calibration: Calibration) -> Posterior:
     """The posterior of a model's parameters by a calibration file: the covariance of its coefficients, and the errors
     that no residual shows. Coefficients without a variance are hidden; what the file does not carry has no error."""
     names, carried, known = model.names(), calibration.values(), calibration.covariance

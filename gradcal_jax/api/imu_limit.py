@@ -34,12 +34,12 @@ from gradcal_jax.api.axis_limit import (
     windows_between_knots,
 )
 from gradcal_jax.api.build import chamber_programme
+from gradcal_jax.api.imu_build import MISALIGNMENT, SECOND_ORDER, BuiltImu, build_imu
 from gradcal_jax.api.structures import LEAST_TURN
-from gradcal_jax.api.unit_build import MISALIGNMENT, SECOND_ORDER, AssembledUnit, assemble_unit
 from gradcal_jax.design import PRIOR_OF_WALK, criterion, limit, scale_factor_floor
 from gradcal_jax.design.noise_floor import Course
-from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, UnitRequirement
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, Requirement
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import square_root, statistic
 from gradcal_jax.model import AXIS_NAMES, Channel, Map, Polynomial, SignalMap
 from gradcal_jax.trajectory import EARTH_RATE
@@ -58,7 +58,7 @@ _RELAXED = (
 
 def proofs_of_imu(spec: Spec) -> list[Proof]:
     """The limit of every requirement of a gradient plan for which there is a proof. Errors: `ValueError` for none."""
-    window = _window(assemble_unit(spec))
+    window = _window(build_imu(spec))
     kept = kept_in_words(window.time)
     proven = [(r, *bound) for r in spec.requirement if (bound := _certified(window, r)) is not None]
     if not proven:
@@ -73,14 +73,14 @@ class _Window(NamedTuple):
     """The used data of a plan, `time` s in all: `spans`, and `windows`, divided where the chamber's slope changes (s);
     the sensor's `course` of temperature."""
 
-    built: AssembledUnit
+    built: BuiltImu
     time: float
     spans: Windows
     windows: Windows
     course: Course
 
 
-def _window(built: AssembledUnit) -> _Window:
+def _window(built: BuiltImu) -> _Window:
     spec, schedule = built.spec, built.spec.gradient_schedule
     chamber, _ = chamber_programme(schedule)
     spans = [(s.start, s.start + s.duration) for s in schedule.stretches]
@@ -93,7 +93,7 @@ def _window(built: AssembledUnit) -> _Window:
 _Proof = tuple[tuple[float, float], tuple[str, ...]]
 
 
-def _certified(window: _Window, requirement: UnitRequirement) -> _Proof | None:
+def _certified(window: _Window, requirement: Requirement) -> _Proof | None:
     """A requirement's limit; None without a proof."""
     cold, warm = (float(t) for t in requirement.temperature)
     temperatures = np.linspace(cold, warm, requirement.grid[0])
@@ -143,7 +143,7 @@ def _of_scale_factor(
     return (result.certified, result.reached), tuple(relaxed) if alone else _RELAXED
 
 
-def _has_the_table_alone(built: AssembledUnit, channel: Channel) -> bool:
+def _has_the_table_alone(built: BuiltImu, channel: Channel) -> bool:
     """Whether the unit is one gyro along the table's only axis, as a spec of one axis has it."""
     one = len(built.model.channels) == 1 and built.motion.geometry.axis_count == 1
     if not one or len(built.motion.geometry.mountings) > 1:
@@ -152,13 +152,13 @@ def _has_the_table_alone(built: AssembledUnit, channel: Channel) -> bool:
     return bool(abs(along) > 1.0 - _ALONG)
 
 
-def _spacing(built: AssembledUnit) -> tuple[float, float]:
+def _spacing(built: BuiltImu) -> tuple[float, float]:
     """The least time between readings, and between standstills (s), of this plan and of any plan in a search."""
     apart = min([LEAST_TURN, *(step.move.duration for step in built.spec.gradient_schedule.steps if step.axis >= 0)])
     return min([*np.asarray(built.model.encoder.every), apart, between_readings(built.motion.line)]), apart
 
 
-def _of_bias(window: _Window, requirement: UnitRequirement, temperatures: np.ndarray) -> np.ndarray | None:
+def _of_bias(window: _Window, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
     """Standard deviations of a bias under white noise and drift, seen continuously."""
     channel = _channel(window.built, requirement.quantity.removesuffix("_bias"), requirement.axis)
     term = channel.model.term("bias")
@@ -173,7 +173,7 @@ def _of_bias(window: _Window, requirement: UnitRequirement, temperatures: np.nda
     return bias_seen_continuously(bias, white, channel.model.processes, window.windows, window.course, rows)
 
 
-def _of_signal(window: _Window, requirement: UnitRequirement, temperatures: np.ndarray) -> np.ndarray | None:
+def _of_signal(window: _Window, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
     """Standard deviations from the mean information of all elements."""
     built = window.built
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
@@ -198,7 +198,7 @@ def _of_signal(window: _Window, requirement: UnitRequirement, temperatures: np.n
     return square_root(rows).deviations(term.temperature(temperatures))
 
 
-def _most(built: AssembledUnit, requirement: UnitRequirement, channels: list[Channel]) -> tuple[str, float] | None:
+def _most(built: BuiltImu, requirement: Requirement, channels: list[Channel]) -> tuple[str, float] | None:
     """The quantity's term, and the largest possible mean square of its elements' signals."""
     gravity = float(built.motion.geometry.gravity)
     fastest = _fastest(built)
@@ -213,17 +213,17 @@ def _most(built: AssembledUnit, requirement: UnitRequirement, channels: list[Cha
     }.get(requirement.quantity)
 
 
-def _fastest(built: AssembledUnit) -> float:
+def _fastest(built: BuiltImu) -> float:
     """The unit's largest rate, rad/s."""
     return max(float(axis.max_rate) for axis in built.spec.rig.table.axis) + EARTH_RATE
 
 
-def _fastest_along(built: AssembledUnit, channel: Channel) -> float:
+def _fastest_along(built: BuiltImu, channel: Channel) -> float:
     """The largest rate (rad/s) of the gyro along the table's only axis, the Earth's share included."""
     of = built.motion.geometry
     return float(built.spec.rig.table.axis[0].max_rate) + abs(float(of.base @ of.axes[0] @ of.earth_rate()))
 
 
-def _channel(built: AssembledUnit, kind: str, axis: str) -> Channel:
+def _channel(built: BuiltImu, kind: str, axis: str) -> Channel:
     """The channel of that kind and axis; for "worst" and "all" the first, since all are alike."""
     return next(c for c in built.model.channels if c.kind == kind and axis in ("worst", "all", AXIS_NAMES[c.axis]))

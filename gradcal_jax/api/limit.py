@@ -6,15 +6,15 @@ import numpy as np
 
 from gradcal_jax.api.axis_limit import proofs_of_axis
 from gradcal_jax.api.imu_limit import proofs_of_imu
+from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.api.structures import with_motion
-from gradcal_jax.api.systematic import floor_of_unit_plan
-from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.api.systematic import floor_of_plan
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.display import summary
 from gradcal_jax.files.absent import with_typical
 from gradcal_jax.files.spec import expect_spec, goes_on
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 
 class PlanLimit(NamedTuple):
@@ -58,13 +58,13 @@ def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
         proofs = proofs_of_imu(spec if motion is None else with_motion(spec, motion))
     rows = {row.name: row for row in requirement_rows(spec)}
     # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value in the box.
-    floors = [floor_of_unit_plan(one) for one in (spec, with_typical(spec))]
+    floors = [floor_of_plan(one) for one in (spec, with_typical(spec))]
     proven: list[PlanLimit] = []
     for r, certified, reached, relaxed, kept in proofs:
         unit, factor = UNIT_OF[r.quantity]
         row, named, every = rows[r.name], 0.0, 0.0
         if r.quantity != "heading":
-            named, every = (float(np.min(unit_residual(of, floor, r).values)) for of, floor in floors)
+            named, every = (float(np.min(imu_residual(of, floor, r).values)) for of, floor in floors)
         found, best, counted = (
             float(np.hypot(factor * value, floor))
             for value, floor in ((certified, named), (reached, named), (certified, every))

@@ -9,7 +9,7 @@ from gradcal_jax.api.estimate import EstimateReport, estimate_log
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.identify.allan import TERMS
 
 

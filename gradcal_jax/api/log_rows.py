@@ -11,7 +11,7 @@ from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.sensor import HOST_CLOCK
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 # A comparison of clocks that is no better than this, a ratio, is worth less than a quartz.
 _POOR_CLOCK = 2e-5

@@ -16,8 +16,8 @@ from gradcal_jax.design import AnyCoordinates, Case, Compiled, Coordinates, Crit
 from gradcal_jax.files import changed
 from gradcal_jax.files.design import ALL, OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.requirement import UnitRequirement
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import begin_filter, noise_states, quantiles, where_hidden
 from gradcal_jax.model import BIAS, SCALE_FACTOR
 from gradcal_jax.trajectory import Schedule, rule_of
@@ -151,14 +151,14 @@ def _noticing(scenarios: list[tuple[Spec, Assembled, float]], notice: Notice):
     return models, missing, believed
 
 
-def _limit(requirement: UnitRequirement) -> float:
+def _limit(requirement: Requirement) -> float:
     """The largest allowed value of the limiting statistic, in SI."""
     limit = limit_of(requirement)
     assert limit is not None  # only requirements with a target limit a search
     return limit[1] / UNIT_OF[requirement.quantity][1]
 
 
-def _criterion(built: Assembled, requirement: UnitRequirement, *, limited: bool = False) -> Criterion:
+def _criterion(built: Assembled, requirement: Requirement, *, limited: bool = False) -> Criterion:
     """The criterion of a requirement's own statistic or, if `limited`, of the one that its target limits."""
     limit = limit_of(requirement) if limited else None
     criterion = criterion_of(built.model, requirement, None if limit is None else limit[0], _GRID)

@@ -9,9 +9,9 @@ from gradcal_jax.api.limit import limits
 from gradcal_jax.api.search_results import Optimised, Price, SearchStep
 from gradcal_jax.api.structures import motion_time
 from gradcal_jax.api.verdicts import limit_of
+from gradcal_jax.files.motion_plan import duration_of
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.unit_plan import duration_of
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 # Relative accuracy of the time; the largest number of durations that are tried.
 _NEAR = 1.02

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.api.contract_rows import finite
-from gradcal_jax.api.unit_build import AssembledUnit
+from gradcal_jax.api.imu_build import BuiltImu
 from gradcal_jax.files.contracts import MissionRow
-from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, UnitRequirement
+from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, Requirement
 from gradcal_jax.information import Posterior
 from gradcal_jax.information.missions import Flight, mission_contrasts, mission_rows, own_variance
 from gradcal_jax.model import AXIS_NAMES, Channel
@@ -33,7 +33,7 @@ def flights_of(requirement: MissionHeadingRequirement) -> list[tuple[Flight, flo
     return flights
 
 
-def own_noise(built: AssembledUnit, channel: Channel, flight: Flight, time: float) -> dict[str, float]:
+def own_noise(built: BuiltImu, channel: Channel, flight: Flight, time: float) -> dict[str, float]:
     """Standard deviation of a gyro's integrated rate (rad) at `time` (s) in a mission, by source of its own noise.
 
     Where a calibration estimates the bias, two turn-on biases count: that of its run, which is in the map, and that
@@ -58,7 +58,7 @@ class OwnNoise(NamedTuple):
     missions: tuple[float, ...]
 
 
-def own_noise_of(built: AssembledUnit, requirement: UnitRequirement) -> OwnNoise | None:
+def own_noise_of(built: BuiltImu, requirement: Requirement) -> OwnNoise | None:
     """The noise in a heading or north (deg) that no calibration removes, the same for every gyro; over several missions
     the weighted root mean square, or the maximum. None for a requirement on anything else."""
     gyro = next((c for c in built.model.channels if c.kind == "gyro"), None)
@@ -102,7 +102,7 @@ class ErrorCurve(NamedTuple):
 
 
 def error_curves(
-    built: AssembledUnit, known: Posterior, requirement: MissionHeadingRequirement
+    built: BuiltImu, known: Posterior, requirement: MissionHeadingRequirement
 ) -> list[tuple[str, ErrorCurve]]:
     """The error of each mission over time for each required gyro, by the name of its axis."""
     curves: list[tuple[str, ErrorCurve]] = []

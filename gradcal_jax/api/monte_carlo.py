@@ -4,17 +4,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit, unweighted_estimator
-from gradcal_jax.api.unit_residual import quantity_of
+from gradcal_jax.api.imu_build import build_imu, imu_posterior, unweighted_estimator
+from gradcal_jax.api.imu_residual import quantity_of
 from gradcal_jax.display import summary
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import (
     Posterior,
     WishartTest,
     estimator_of_means,
+    imu_system,
     simulated_errors,
-    unit_system,
     wishart_test,
 )
 from gradcal_jax.model import Discrepancy
@@ -40,14 +40,14 @@ def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], di
     Errors: `ValueError` for fewer runs than parameters, and where the plan leaves something unobservable.
     """
     spec = expect_spec(spec)
-    built = assemble_unit(spec)
+    built = build_imu(spec)
     model, motion, nodes = built.model, built.motion, built.body_nodes()
     _enough(runs, model.size)
-    steps, columns = unit_system(motion, model, nodes)
+    steps, columns = imu_system(motion, model, nodes)
     terms = [term for c in model.channels for term in c.model.terms]
     carried = np.concatenate([np.full(t.size, not isinstance(t, Discrepancy)) for t in terms])
     carried = np.pad(carried, (0, model.size - len(carried)), constant_values=True)
-    known, plain = posterior_of_unit(built), None
+    known, plain = imu_posterior(built), None
     if unweighted_estimator(spec):
         plain = estimator_of_means(motion, model, steps, columns), known
     twin = simulated_errors(steps, np.asarray(columns), model.prior_rows(), carried, runs, seed, plain=plain)

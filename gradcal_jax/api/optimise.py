@@ -13,7 +13,7 @@ from gradcal_jax.api.turn_search import STEPS, search_turns
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 BY_HAND = (
     'rig.table.drive is "hand": the search makes turns of a motor. Search the plan with drive = "motor" and moves '

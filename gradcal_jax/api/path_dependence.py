@@ -11,13 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.display import summary
-from gradcal_jax.estimation import UnitEstimate, UnitReadings, Whitened, solve, split
+from gradcal_jax.estimation import ImuEstimate, ImuReadings, Whitened, solve, split
 from gradcal_jax.files.absent import path_terms_of
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import segments_of, whiten
-from gradcal_jax.model import BIAS, BSpline, Channel, HalfDifference, Hysteresis, PathTerm, UnitModel
+from gradcal_jax.model import BIAS, BSpline, Channel, HalfDifference, Hysteresis, ImuModel, PathTerm
 from gradcal_jax.units import parse
 
 HEATING_AGAINST_COOLING = "heating against cooling"
@@ -68,7 +68,7 @@ class BiasCurve(NamedTuple):
     map: np.ndarray
 
 
-def bias_curves(readings: UnitReadings, solution: UnitEstimate) -> tuple[BiasCurve, ...]:
+def bias_curves(readings: ImuReadings, solution: ImuEstimate) -> tuple[BiasCurve, ...]:
     """The bias of every channel with a bias term, over the path of the temperature. Errors: none."""
     model, motion = readings.model, readings.done.motion
     at, line = segments_of(motion, model), motion.line
@@ -107,7 +107,7 @@ class PathDependence(NamedTuple):
 
 
 def path_dependence(
-    spec: Spec, readings: UnitReadings, solution: UnitEstimate, temperature: np.ndarray, heating: np.ndarray
+    spec: Spec, readings: ImuReadings, solution: ImuEstimate, temperature: np.ndarray, heating: np.ndarray
 ) -> PathDependence:
     """The half-differences of all channels and the play that explains them best. `temperature` (°C) and `heating` of
     every row that is used. Errors: none."""
@@ -143,8 +143,8 @@ def _half_difference(spec: Spec, channel: Channel, knots: tuple[float, ...]) -> 
 
 
 def _with_terms(
-    readings: UnitReadings, solution: UnitEstimate, terms_of: Callable[[Channel], Sequence[PathTerm]]
-) -> tuple[Whitened, UnitModel, list[list[slice]]]:
+    readings: ImuReadings, solution: ImuEstimate, terms_of: Callable[[Channel], Sequence[PathTerm]]
+) -> tuple[Whitened, ImuModel, list[list[slice]]]:
     """The whitened rows with further terms of every channel, their model, and the places of these terms."""
     model, begin = readings.model, 0
     channels: list[Channel] = []
@@ -170,7 +170,7 @@ def _with_terms(
 
 
 def _offered(
-    spec: Spec, readings: UnitReadings, solution: UnitEstimate, temperature: np.ndarray, heating: np.ndarray
+    spec: Spec, readings: ImuReadings, solution: ImuEstimate, temperature: np.ndarray, heating: np.ndarray
 ) -> OfferedPlay | None:
     """The play that reduces χ² most, if it does so beyond chance."""
     span = float(np.ptp(temperature))

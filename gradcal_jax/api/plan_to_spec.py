@@ -19,7 +19,7 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.files import changed
 from gradcal_jax.files.rounding import ControllerSteps, steps_of
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 DEG = math.pi / 180.0
 # A stretch of fewer steps of slope becomes a soak: rounding would change its duration too much.

@@ -16,17 +16,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.api.scenarios import scenario_specs
-from gradcal_jax.api.search_results import MARGIN, MET, NO_TARGET, Optimised, RequirementChange, SearchStep
-from gradcal_jax.api.unit_build import (
-    AssembledUnit,
-    assemble_unit,
+from gradcal_jax.api.imu_build import (
+    BuiltImu,
+    build_imu,
     course_before,
     executed_motion,
     geometry,
     waves_of,
 )
-from gradcal_jax.api.unit_residual import RequiredQuantity, UnitResidual, quantity_of
+from gradcal_jax.api.imu_residual import ImuResidual, RequiredQuantity, quantity_of
+from gradcal_jax.api.scenarios import scenario_specs
+from gradcal_jax.api.search_results import MARGIN, MET, NO_TARGET, Optimised, RequirementChange, SearchStep
 from gradcal_jax.api.verdicts import UNIT_OF, limit_of
 from gradcal_jax.design.cycle_moves import Cycle, Neighbourhood
 from gradcal_jax.design.descent import Descent
@@ -45,15 +45,15 @@ from gradcal_jax.design.pose_cycle import (
     structure_of,
 )
 from gradcal_jax.files.design import ALL, TIMES, WORST, Design
+from gradcal_jax.files.motion_plan import PlanSchedule, quickest_turn
 from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.requirement import UnitRequirement
+from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.rounding import rounded
 from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.unit_plan import UnitSchedule, quickest_turn
-from gradcal_jax.files.unit_spec import Spec
-from gradcal_jax.information import Posterior, unit_system, whiten
+from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.information import Posterior, imu_system, whiten
 from gradcal_jax.information.residual import Statistic
-from gradcal_jax.model import PathTerm, UnitModel
+from gradcal_jax.model import ImuModel, PathTerm
 
 EVALUATIONS, QUICK_EVALUATIONS = 12000, 800
 # Cycles that descend side by side.
@@ -274,11 +274,11 @@ class CyclePlan:
 
     def __init__(self, spec: Spec) -> None:
         self.spec, self.design = spec, spec.design or Design()
-        self.built = assemble_unit(spec)
+        self.built = build_imu(spec)
         self._fine = tuple(quantity_of(self.built, r) for r in spec.requirement)
         self._aims = tuple(_aim_of(r, self.design) for r in spec.requirement)
         scenarios = scenario_specs(spec)
-        models = [assemble_unit(one).model if one is not spec else self.built.model for one, _ in scenarios]
+        models = [build_imu(one).model if one is not spec else self.built.model for one, _ in scenarios]
         self._models = models
         prior = self.built.model.prior_rows()
         self._prior = prior.T @ prior
@@ -319,7 +319,7 @@ class CyclePlan:
         )
         self.descent = Descent(self._value)
 
-    def _past(self, model: UnitModel) -> np.ndarray:
+    def _past(self, model: ImuModel) -> np.ndarray:
         """The information of what was executed before; a search takes its drifts as independent of the plan's."""
         if self._executed is None:
             return np.zeros((model.size, model.size))
@@ -328,7 +328,7 @@ class CyclePlan:
     def _value(self, z: Any, args: tuple[CycleStructure, Ramp, Any]) -> Any:
         return self.objective.value(jnp.reshape(z, (3, self.slots)), *args)
 
-    def _cycles_together(self, models: Sequence[UnitModel]) -> int:
+    def _cycles_together(self, models: Sequence[ImuModel]) -> int:
         """How many cycles are filtered together."""
         stretches = self.spec.plain_schedule.stretches
         if not self.closed and len(_parts(self.spec.plain_schedule, (1,) * len(stretches), 0.0)) == 1:
@@ -390,12 +390,12 @@ class CyclePlan:
         ramps = [r._replace(further=np.pad(r.further, ((0, most - len(r.further)), (0, 0), (0, 0)))) for r in ramps]
         return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
 
-    def residuals(self, spec: Spec) -> list[list[UnitResidual]]:
+    def residuals(self, spec: Spec) -> list[list[ImuResidual]]:
         """What a spec's plan leaves by each model of the noise, in the order of its requirements."""
-        built = assemble_unit(spec)
+        built = build_imu(spec)
         return [_residuals(self._prior + _gram_of(built._replace(model=model)), self._fine) for model in self._models]
 
-    def value_of(self, residuals: Sequence[Sequence[UnitResidual]]) -> float:
+    def value_of(self, residuals: Sequence[Sequence[ImuResidual]]) -> float:
         """The objective of a plan that leaves these residuals."""
         together, over_models = max if self.worst else fmean, max if self.design.robust == "worst" else fmean
         counted = [
@@ -413,7 +413,7 @@ class CyclePlan:
         name, limit = _aim_of(r, self.design)
         return f"{r.name} ({name})", UNIT_OF[r.quantity][0], limit
 
-    def met(self, residuals: Sequence[Sequence[UnitResidual]]) -> bool:
+    def met(self, residuals: Sequence[Sequence[ImuResidual]]) -> bool:
         """Whether every target is met by its rule with `MARGIN`, by every model."""
         limited = [_log(r, aim) for of in residuals for r in of if (aim := limit_of(r.requirement)) is not None]
         return max(limited) <= math.log(1.0 - MARGIN)
@@ -501,7 +501,7 @@ class _Part(NamedTuple):
     history: tuple[float, ...]
 
 
-def _parts(schedule: UnitSchedule, counts: Sequence[int], period: float) -> list[_Part]:
+def _parts(schedule: PlanSchedule, counts: Sequence[int], period: float) -> list[_Part]:
     """The parts of a plan whose cycles differ in temperature alone; a cycle counts where it begins."""
     parts = []
     for number, stretch in enumerate(schedule.stretches):
@@ -558,7 +558,7 @@ def _limits(spec: Spec, design: Design, start: Cycle) -> TableLimits:
     )
 
 
-def _aim_of(requirement: UnitRequirement, design: Design) -> tuple[Statistic, float]:
+def _aim_of(requirement: Requirement, design: Design) -> tuple[Statistic, float]:
     """The statistic of a requirement that counts, and what it is divided by (`UNIT_OF`): its target by its rule, or 1.
     Of a requirement that alone is minimised its own statistic counts."""
     limit = None if requirement.name == design.minimise else limit_of(requirement)
@@ -577,19 +577,19 @@ def _statistics_of(quantity: RequiredQuantity, aim: tuple[Statistic, float]) -> 
     return Statistics(tuple(elements), shape, aim[0], requirement.axis == "all", factor)
 
 
-def _log(residual: UnitResidual, aim: tuple[Statistic, float]) -> float:
+def _log(residual: ImuResidual, aim: tuple[Statistic, float]) -> float:
     """The logarithm of a statistic over its limit."""
     value = residual.statistic(aim[0])
     return math.log(value / aim[1]) if value else math.inf
 
 
-def _gram_of(built: AssembledUnit) -> np.ndarray:
+def _gram_of(built: BuiltImu) -> np.ndarray:
     """The information (Gram matrix) of the whitened rows of a plan."""
-    rows = whiten(*unit_system(built.motion, built.model, built.body_nodes()))
+    rows = whiten(*imu_system(built.motion, built.model, built.body_nodes()))
     return rows.T @ rows
 
 
-def _residuals(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[UnitResidual]:
+def _residuals(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[ImuResidual]:
     """Every requirement's residual from the Gram matrix: its scaled columns are far from parallel where everything is
     observable."""
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))

@@ -7,19 +7,19 @@ import numpy as np
 
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.error_budget import ErrorBudget, limited_by
-from gradcal_jax.api.missions import mission_table, own_noise_of
-from gradcal_jax.api.scenarios import extremes
-from gradcal_jax.api.systematic import CountedPosteriors, budget_of_unit, shares_of_variance
-from gradcal_jax.api.tested_maps import noticing
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_residual import (
-    UnitResidual,
+from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.api.imu_residual import (
+    ImuResidual,
     errors_of,
+    imu_residual,
     quantity_of,
     together,
-    unit_residual,
 )
-from gradcal_jax.api.unit_sentences import unit_warnings
+from gradcal_jax.api.missions import mission_table, own_noise_of
+from gradcal_jax.api.plan_sentences import plan_warnings
+from gradcal_jax.api.scenarios import extremes
+from gradcal_jax.api.systematic import CountedPosteriors, budget_of_imu, shares_of_variance
+from gradcal_jax.api.tested_maps import noticing
 from gradcal_jax.api.verdicts import UNIT_OF, decision_rule, mission_weights, run_of, target_of, verdict_of
 from gradcal_jax.files import Prediction
 from gradcal_jax.files.absent import absent_terms, with_typical
@@ -27,10 +27,10 @@ from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, Requi
 from gradcal_jax.files.requirement import (
     GyroScaleFactorRequirement,
     MissionHeadingRequirement,
-    UnitRequirement,
+    Requirement,
 )
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import STATISTICS, Posterior
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
 from gradcal_jax.information.residual import Statistic, statistic_of_each
@@ -52,8 +52,8 @@ def predict(spec: Spec, *, limits: bool = False, notices: bool = False, outlook:
     """
     spec = expect_spec(spec)
     omitted = tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent_terms(spec))
-    built = assemble_unit(spec)
-    known = posterior_of_unit(built)
+    built = build_imu(spec)
+    known = imu_posterior(built)
     budget = counted_posteriors(built, known)
     sources = ErrorBudget(budget.built, budget.fit) if limits and spec.requirement else None
     rows: list[RequirementRow] = []
@@ -67,7 +67,7 @@ def predict(spec: Spec, *, limits: bool = False, notices: bool = False, outlook:
     return Prediction(
         requirements=tuple(_between(rows, extremes(spec) if limits else [])),
         notices=noticing(built) if notices else (),
-        warnings=tuple(unit_warnings(built, known)),
+        warnings=tuple(plan_warnings(built, known)),
         omitted=omitted,
         **_of_plan(built, known),
     )
@@ -76,15 +76,15 @@ def predict(spec: Spec, *, limits: bool = False, notices: bool = False, outlook:
 def requirement_rows(spec: Spec, until_s: float = np.inf) -> list[RequirementRow]:
     """The residual of every requirement after a spec's plan, and nothing else of its prediction. `until_s`: where the
     plan is broken off, on its clock."""
-    built = assemble_unit(expect_spec(spec), until_s)
-    budget = counted_posteriors(built, posterior_of_unit(built))
+    built = build_imu(expect_spec(spec), until_s)
+    budget = counted_posteriors(built, imu_posterior(built))
     return [requirement_row(built, budget, requirement) for requirement in built.spec.requirement]
 
 
-def counted_posteriors(built: AssembledUnit, known: Posterior) -> CountedPosteriors:
+def counted_posteriors(built: BuiltImu, known: Posterior) -> CountedPosteriors:
     """The posteriors that decide on every requirement."""
     full = with_typical(built.spec)
-    return budget_of_unit(built, known, built if full is built.spec else assemble_unit(full, built.until_s))
+    return budget_of_imu(built, known, built if full is built.spec else build_imu(full, built.until_s))
 
 
 def _between(rows: Sequence[RequirementRow], others: Sequence[Spec]) -> Sequence[RequirementRow]:
@@ -98,7 +98,7 @@ def _between(rows: Sequence[RequirementRow], others: Sequence[Spec]) -> Sequence
     return ranges
 
 
-def _of_plan(built: AssembledUnit, known: Posterior) -> dict[str, Any]:
+def _of_plan(built: BuiltImu, known: Posterior) -> dict[str, Any]:
     """The part of a prediction that is common to all plans: title, times, the reported parameters and their
     covariance."""
     spec, model = built.spec, built.model
@@ -121,9 +121,9 @@ def _of_plan(built: AssembledUnit, known: Posterior) -> dict[str, Any]:
     }
 
 
-def requirement_row(built: AssembledUnit, budget: CountedPosteriors, requirement: UnitRequirement) -> RequirementRow:
+def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Requirement) -> RequirementRow:
     """The residual and the verdict of one requirement."""
-    left = unit_residual(built, budget.own, requirement)
+    left = imu_residual(built, budget.own, requirement)
     judged, more = _judged(budget, requirement)
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)
     flown = requirement if isinstance(requirement, MissionHeadingRequirement) else None
@@ -148,19 +148,19 @@ def requirement_row(built: AssembledUnit, budget: CountedPosteriors, requirement
     )
 
 
-def _judged(budget: CountedPosteriors, requirement: UnitRequirement) -> tuple[UnitResidual, dict[str, Any]]:
+def _judged(budget: CountedPosteriors, requirement: Requirement) -> tuple[ImuResidual, dict[str, Any]]:
     """The residual that the verdict judges, and its fields in the row: with omitted terms, and with another run."""
     fields: dict[str, Any] = {}
-    judged = unit_residual(budget.built, budget.whole, requirement)
+    judged = imu_residual(budget.built, budget.whole, requirement)
     if budget.whole is not budget.own:
         fields["with_typical"] = judged.statistic()
     if run_of(requirement) == "any run" and budget.any_run is not budget.whole:
-        judged = unit_residual(budget.built, budget.any_run, requirement)
+        judged = imu_residual(budget.built, budget.any_run, requirement)
         fields["another_run"] = judged.statistic()
     return judged, fields
 
 
-def decided(requirement: UnitRequirement, of: Callable[[Statistic], float]) -> dict[str, Any]:
+def decided(requirement: Requirement, of: Callable[[Statistic], float]) -> dict[str, Any]:
     """Target, verdict, rule and risk, by the statistics of what is judged."""
     target, worst = target_of(requirement), finite(of("max"))
     return {
@@ -178,22 +178,22 @@ def decided(requirement: UnitRequirement, of: Callable[[Statistic], float]) -> d
 def counted_shares(spec: Spec) -> dict[str, dict[str, float]]:
     """For each requirement (by name) the share of every error in the variance of what the verdict judges: noise, what
     no residual shows, and what the spec omits; requirements that the plan cannot observe are left out."""
-    built = assemble_unit(expect_spec(spec))
-    budget = counted_posteriors(built, posterior_of_unit(built))
+    built = build_imu(expect_spec(spec))
+    budget = counted_posteriors(built, imu_posterior(built))
     sources = ErrorBudget(budget.built, budget.fit)
     shares = {r.name: _shares(budget, r, sources.shares(r)) for r in built.spec.requirement}
     return {name: of for name, of in shares.items() if of is not None}
 
 
 def _shares(
-    budget: CountedPosteriors, requirement: UnitRequirement, of_fit: Mapping[str, float] | None
+    budget: CountedPosteriors, requirement: Requirement, of_fit: Mapping[str, float] | None
 ) -> dict[str, float] | None:
     """The shares of all errors in what the verdict judges, the largest first."""
     if of_fit is None:
         return None
 
     def value(of: Posterior) -> float:
-        return unit_residual(budget.built, of, requirement).finite_statistic()
+        return imu_residual(budget.built, of, requirement).finite_statistic()
 
     fit, unseen = shares_of_variance(budget, run_of(requirement), value)
     shares = {name: share * fit for name, share in of_fit.items()}
@@ -202,7 +202,7 @@ def _shares(
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 
-def _risks(budget: CountedPosteriors, requirement: UnitRequirement, row: RequirementRow) -> dict[str, Any]:
+def _risks(budget: CountedPosteriors, requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
     """The chances that a sensor keeps the target (on a grid of at most 41 a side), and the risks of a second run.
 
     That run is as uncertain as the first and independent of it. Errors that both runs share (the sensor's clock, the
@@ -221,7 +221,7 @@ def _risks(budget: CountedPosteriors, requirement: UnitRequirement, row: Require
     return _checked(requirement, row) | dict(zip(("chance", "chance_everywhere"), chances, strict=True))
 
 
-def _checked(requirement: UnitRequirement, row: RequirementRow) -> dict[str, Any]:
+def _checked(requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
     """The risks of a second run that checks the first one: as uncertain as that and independent of it."""
     assert row.target is not None
     assert row.worst is not None

@@ -9,8 +9,8 @@ from gradcal_jax.api.prediction import predict
 from gradcal_jax.files.recipe import FORMAT, Predicted, Recipe, RecipeOrigin
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.files.spec import expect_spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.tracks import Stability, tracks_of
-from gradcal_jax.files.unit_spec import Spec
 
 if TYPE_CHECKING:
     from gradcal_jax.api.search_results import Optimised

@@ -10,7 +10,7 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.signal_faults import without_faults
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 # An angle within a standstill is no chance at this many standard deviations, and matters at this many of a reading.
 _NO_CHANCE, _MATTERS = 6.0, 2.0

@@ -7,13 +7,13 @@ import numpy as np
 
 from gradcal_jax import estimation
 from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.imu_build import BuiltImu
 from gradcal_jax.api.log_rows import bridged_temperature, table_readings, time_of, usable_rows
-from gradcal_jax.api.unit_build import AssembledUnit
-from gradcal_jax.estimation import UnitRows
+from gradcal_jax.estimation import ImuRows
 from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.model import PathTerm
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
@@ -22,9 +22,7 @@ _REHUNG_S = 6 * 3600.0
 _READ_EVERY_S = 1.0
 
 
-def unit_rows(
-    built: AssembledUnit, logs: Sequence[Log], name: str, options: Options
-) -> tuple[UnitRows, tuple[str, ...]]:
+def imu_rows(built: BuiltImu, logs: Sequence[Log], name: str, options: Options) -> tuple[ImuRows, tuple[str, ...]]:
     """The rows of one unit in all its logs, in order, and messages on what was inferred or left out."""
     parts, messages, end = [], [], None
     for k, log in enumerate(logs):
@@ -44,13 +42,13 @@ def unit_rows(
             "between the logs the course of the temperature is not known: plays go straight from one to the next, and "
             "power-on is at the beginning of the first"
         )
-    fields = ([getattr(part, field) for part in parts] for field in UnitRows._fields)
+    fields = ([getattr(part, field) for part in parts] for field in ImuRows._fields)
     whole: Any = (None if any(x is None for x in field) else np.concatenate(field) for field in fields)
-    whole = UnitRows(*whole)
+    whole = ImuRows(*whole)
     return whole, tuple(dict.fromkeys(messages))
 
 
-def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) -> tuple[UnitRows, list[str]]:
+def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tuple[ImuRows, list[str]]:
     number, (time, messages) = log.unit_index(name), time_of(log, options)
     rates, force = log.triads(number)
     usable, gyros, missing = usable_rows(log, number), np.zeros(3, bool), []
@@ -112,12 +110,12 @@ def _rows_of_log(built: AssembledUnit, log: Log, name: str, options: Options) ->
         angles[read.rows, 0] = read.angle
     else:
         angles, at_a_stop = _table_angles(built, log, options.table_axis)
-    return UnitRows(
+    return ImuRows(
         time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop, worth, rate, at_end
     ), messages
 
 
-def _spacing(built: AssembledUnit, options: Options) -> float:
+def _spacing(built: BuiltImu, options: Options) -> float:
     """The spacing of readings at rest, s."""
     every = float(built.model.encoder.every[0])
     return options.read_every or (every if np.isfinite(every) else _READ_EVERY_S)
@@ -128,7 +126,7 @@ def read_by_events(spec: Spec) -> bool:
     return len(spec.rig.table.axis) == 1 and spec.rig.table.standing == "read"
 
 
-def _table_rate(built: AssembledUnit, log: Log, chosen: str | None) -> np.ndarray:
+def _table_rate(built: BuiltImu, log: Log, chosen: str | None) -> np.ndarray:
     """The rate held by the table's only axis, rad/s. Raises `LogError`."""
     place = _places_of(built, log, chosen)[0] if log.table_axes else None
     if place is not None and log.table_rate_rad_per_s is not None:
@@ -142,7 +140,7 @@ def _table_rate(built: AssembledUnit, log: Log, chosen: str | None) -> np.ndarra
     return np.zeros(len(log.time_s))
 
 
-def _places_of(built: AssembledUnit, log: Log, chosen: str | None) -> list[int]:
+def _places_of(built: BuiltImu, log: Log, chosen: str | None) -> list[int]:
     """Where the axes of the spec's table stand among the log's; `chosen`: the log's name of the only one."""
     names = [axis.name for axis in built.spec.rig.table.axis]
     if chosen is not None:
@@ -159,7 +157,7 @@ def _places_of(built: AssembledUnit, log: Log, chosen: str | None) -> list[int]:
     return [log.table_axes.index(name) for name in names]
 
 
-def _table_angles(built: AssembledUnit, log: Log, chosen: str | None) -> tuple[np.ndarray, np.ndarray]:
+def _table_angles(built: BuiltImu, log: Log, chosen: str | None) -> tuple[np.ndarray, np.ndarray]:
     """The table's angles `(n, L)` about the spec's axes, in its order, NaN where not read, and whether a row's are
     readings of standing axes."""
     count = len(log.time_s)

@@ -12,15 +12,15 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from gradcal_jax.api.flow import optimise
+from gradcal_jax.api.imu_build import build_imu, executed_motion
+from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.api.measure import design_block
 from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.api.structures import ResolvedCycle, cycle_of, ramped_shape, read_spacing, visit_times
-from gradcal_jax.api.unit_build import assemble_unit, executed_motion
-from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.files import changed, tables_of
 from gradcal_jax.files.rounding import steps_of
-from gradcal_jax.files.unit_spec import Spec
-from gradcal_jax.information import posterior, unit_information
+from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.information import imu_information, posterior
 from gradcal_jax.trajectory import body_nodes
 
 PAUSE_S = 1800.0
@@ -61,11 +61,11 @@ def known_so_far(spec: Spec, done: Sequence[Span], goes_on_s: float) -> list[Kno
     rest = [(done[-1][0], ends_s)] if flows else [(goes_on_s, ends_s)] if goes_on_s < ends_s else []
     rows = []
     for spans in (done, [*done[: len(done) - flows], *rest]):
-        built = assemble_unit(with_done(spec, spans))
+        built = build_imu(with_done(spec, spans))
         motion = executed_motion(built)
         motions = [] if motion is None else [(motion, body_nodes(motion, built.points))]
-        known = posterior(unit_information(motions, built.model))
-        rows.append([unit_residual(built, known, requirement) for requirement in spec.requirement])
+        known = posterior(imu_information(motions, built.model))
+        rows.append([imu_residual(built, known, requirement) for requirement in spec.requirement])
     return [
         KnownRow(now.requirement.name, now.requirement.axis, now.unit, now.statistic(), end.statistic())
         for now, end in zip(*rows, strict=True)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from gradcal_jax.files import changed
 from gradcal_jax.files.design import Scenario
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 # With more uncertain correlation times than this, each end is tried alone, the others as they are written.
 _TOGETHER = 2

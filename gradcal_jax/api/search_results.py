@@ -8,7 +8,7 @@ import numpy as np
 
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.display import summary
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 MARGIN: Final = 0.1
 """A target is met with margin where the residual is less than the target by this share."""

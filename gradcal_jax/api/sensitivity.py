@@ -18,15 +18,15 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.api.error_budget import PRIOR, ErrorBudget
-from gradcal_jax.api.systematic import budget_of_unit, own_of_unit, shares_of_variance
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.api.imu_residual import imu_residual
+from gradcal_jax.api.systematic import budget_of_imu, own_of_imu, shares_of_variance
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.display import summary
 from gradcal_jax.files.changes import changed, tables_of
-from gradcal_jax.files.requirement import UnitRequirement
+from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.spec import expect_spec, goes_on
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import Posterior
 from gradcal_jax.trajectory import Schedule
 from gradcal_jax.units import dimension_of, format_quantity, parse, unit_of
@@ -79,7 +79,7 @@ def sensitivity(spec: Spec) -> Sensitivities:
         raise goes_on("a sensitivity")
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is nothing to be sensitive: add one")
-    built = assemble_unit(spec)
+    built = build_imu(spec)
     nominal = _residuals(built)
     hidden = [r.name for r, value in zip(spec.requirement, nominal, strict=True) if not np.isfinite(value)]
     if hidden:
@@ -95,21 +95,21 @@ def sensitivity(spec: Spec) -> Sensitivities:
     return Sensitivities(tuple(rows), shown)
 
 
-def _residuals(built: AssembledUnit) -> np.ndarray:
+def _residuals(built: BuiltImu) -> np.ndarray:
     """The value of every requirement's own statistic; infinite where it is not observable."""
-    known = own_of_unit(built, posterior_of_unit(built))
-    return np.array([unit_residual(built, known, r).finite_statistic() for r in built.spec.requirement])
+    known = own_of_imu(built, imu_posterior(built))
+    return np.array([imu_residual(built, known, r).finite_statistic() for r in built.spec.requirement])
 
 
-def _of_errors(built: AssembledUnit) -> Iterator[tuple[UnitRequirement, dict[str, float]]]:
+def _of_errors(built: BuiltImu) -> Iterator[tuple[Requirement, dict[str, float]]]:
     """The elasticity of every error's size for each requirement: its share in the error budget, with what no residual
     of a run shows, as far as the spec names it."""
-    known = posterior_of_unit(built)
-    budget, sources = budget_of_unit(built, known, built), ErrorBudget(built, known)
+    known = imu_posterior(built)
+    budget, sources = budget_of_imu(built, known, built), ErrorBudget(built, known)
     for requirement in built.spec.requirement:
 
         def value(of: Posterior, requirement=requirement) -> float:
-            return unit_residual(built, of, requirement).finite_statistic()
+            return imu_residual(built, of, requirement).finite_statistic()
 
         fit, unseen = shares_of_variance(budget, "this run", value)
         shares = {n: fit * share for n, share in (sources.shares(requirement) or {}).items() if n != PRIOR}
@@ -127,28 +127,28 @@ def sensitive_figures(spec: Spec) -> dict[str, list[str]]:
     return figures
 
 
-def _with_keys(spec: Spec, keys: list[str], factor: float) -> AssembledUnit:
+def _with_keys(spec: Spec, keys: list[str], factor: float) -> BuiltImu:
     """The spec with keys multiplied by a factor."""
     texts = dict(_texts(tables_of(spec), ""))
     scaled = {key: format_quantity(_number(texts[key]) * factor, unit_of(texts[key])) for key in keys}
-    return assemble_unit(changed(spec, scaled))
+    return build_imu(changed(spec, scaled))
 
 
-def _of_plan(built: AssembledUnit) -> dict[str, tuple[Callable[[float], AssembledUnit], float]]:
+def _of_plan(built: BuiltImu) -> dict[str, tuple[Callable[[float], BuiltImu], float]]:
     """The plan's figures by name: what they build for a factor, and the step of the differences."""
     line, spec = built.motion.line, built.spec
     if line.rates:
-        return {INTEGRATION: (lambda factor: assemble_unit(spec, change=partial(_integrated, factor)), _STEP)}
+        return {INTEGRATION: (lambda factor: build_imu(spec, change=partial(_integrated, factor)), _STEP)}
     # Where attitudes count, longer turns are slower, and faster ones shorter.
     kept = not spec.is_one_axis
 
-    def longer(factor: float) -> AssembledUnit:
-        of = assemble_unit(spec, change=partial(_timed, factor, 1.0 / factor if kept else 1.0))
+    def longer(factor: float) -> BuiltImu:
+        of = build_imu(spec, change=partial(_timed, factor, 1.0 / factor if kept else 1.0))
         every = of.model.encoder.every * factor
         return of._replace(model=eqx.tree_at(lambda m: m.encoder.every, of.model, every))
 
-    def faster(factor: float) -> AssembledUnit:
-        return assemble_unit(spec, change=partial(_turned, factor, 1.0 / factor if kept else 1.0))
+    def faster(factor: float) -> BuiltImu:
+        return build_imu(spec, change=partial(_turned, factor, 1.0 / factor if kept else 1.0))
 
     before, after = built.motion.angles()
     waves = max((h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics), default=0)

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 from gradcal_jax.api.tested_maps import hidden_maps, tested_maps
 from gradcal_jax.api.verdicts import UNIT_OF
-from gradcal_jax.estimation import StructureTest, UnitEstimate, UnitReadings, size_of, structure_test
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.estimation import ImuEstimate, ImuReadings, StructureTest, size_of, structure_test
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.model import BIAS
 
 
@@ -24,7 +24,7 @@ class MeasuredDiscrepancy(NamedTuple):
     block: str
 
 
-def structure_tests(spec: Spec, readings: UnitReadings, solution: UnitEstimate) -> Iterator[tuple[str, StructureTest]]:
+def structure_tests(spec: Spec, readings: ImuReadings, solution: ImuEstimate) -> Iterator[tuple[str, StructureTest]]:
     """The test of each polynomial map of each gyro of an estimate, with the name of its channel."""
     model = readings.model
     for number, channel in enumerate(model.channels):

@@ -25,12 +25,12 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.design import Design
+from gradcal_jax.files.motion_plan import MotionPlan
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import RampItem, StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import GyroTriad
-from gradcal_jax.files.unit_plan import UnitPlan
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.formulas import RAMPED_SHAPES, repetitions
 
 # Shortest useful turn; s.
@@ -129,7 +129,7 @@ def with_motion(spec: Spec, time: float) -> Spec:
         return f"{60.0 * slope * ramps / left:.12g} K/min"
 
     plan = spec.plan
-    assert isinstance(plan, UnitPlan)
+    assert isinstance(plan, MotionPlan)
     if plan.programme is not None:
         keys: dict[str, Any] = {
             f"plan.programme[{k}].rate": slower(item.rate)

@@ -18,22 +18,22 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.api.build import Assembled
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
+from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.design import Criterion
 from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
 from gradcal_jax.files.calibration import UnseenError
 from gradcal_jax.files.changes import changed
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import Posterior
 from gradcal_jax.model import (
     BIAS,
     SCALE_FACTOR,
     TEMPERATURE_GRADIENT,
     Hysteresis,
+    ImuModel,
     Map,
     SensorModel,
     SignalMap,
-    UnitModel,
 )
 from gradcal_jax.trajectory import EARTH_RATE, Trajectory
 
@@ -214,7 +214,7 @@ def terms_of_axis(model: SensorModel) -> list[ChannelTerms]:
     return [ChannelTerms("gyro", tuple((model.where(m.name), m) for m in maps if m is not None))]
 
 
-def terms_of_unit(built: AssembledUnit) -> list[ChannelTerms]:
+def terms_of_imu(built: BuiltImu) -> list[ChannelTerms]:
     """The maps and terms of every channel of a unit."""
     model, channels = built.model, []
     for c in model.channels:
@@ -241,19 +241,19 @@ class CountedPosteriors(NamedTuple):
         return self.any_run if run == "any run" else self.whole
 
 
-def budget_of_unit(built: AssembledUnit, known: Posterior, complete: AssembledUnit) -> CountedPosteriors:
+def budget_of_imu(built: BuiltImu, known: Posterior, complete: BuiltImu) -> CountedPosteriors:
     """The posteriors of a unit's plan."""
-    fit = known if complete is built else posterior_of_unit(complete)
-    turn_on = another_run(systematic_figures(complete.spec), terms_of_unit(complete), complete.model.size)
-    every = columns_of_unit_plan(complete)
-    own = own_of_unit(built, known)
+    fit = known if complete is built else imu_posterior(complete)
+    turn_on = another_run(systematic_figures(complete.spec), terms_of_imu(complete), complete.model.size)
+    every = columns_of_imu(complete)
+    own = own_of_imu(built, known)
     whole = own if fit is known else widened(fit, every)
     return CountedPosteriors(own, whole, widened(whole, turn_on), complete, fit, every | turn_on)
 
 
-def own_of_unit(built: AssembledUnit, known: Posterior) -> Posterior:
+def own_of_imu(built: BuiltImu, known: Posterior) -> Posterior:
     """The posterior of a unit's plan with what the spec names."""
-    return widened(known, columns_of_unit_plan(built))
+    return widened(known, columns_of_imu(built))
 
 
 def columns_of_plan(built: Assembled) -> dict[str, np.ndarray]:
@@ -262,11 +262,11 @@ def columns_of_plan(built: Assembled) -> dict[str, np.ndarray]:
     return columns_of(figures, terms_of_axis(built.model), built.model.size, ramp_of([built.trajectory()]))
 
 
-def columns_of_unit_plan(built: AssembledUnit) -> dict[str, np.ndarray]:
+def columns_of_imu(built: BuiltImu) -> dict[str, np.ndarray]:
     """The same of a whole unit."""
     ramp = ramp_of([built.motion.line])
     figures = _without_fitted(systematic_figures(built.spec), _fitted(built.model))
-    return columns_of(figures, terms_of_unit(built), built.model.size, ramp)
+    return columns_of(figures, terms_of_imu(built), built.model.size, ramp)
 
 
 def _without_fitted(figures: SystematicFigures, fitted: Container[Any]) -> SystematicFigures:
@@ -276,7 +276,7 @@ def _without_fitted(figures: SystematicFigures, fitted: Container[Any]) -> Syste
     return figures._replace(gradient=gradient, hysteresis=hysteresis)
 
 
-def _fitted(of: SensorModel | UnitModel) -> set[Any]:
+def _fitted(of: SensorModel | ImuModel) -> set[Any]:
     """The kinds of channels whose sensitivity to dT/dt is estimated, and the kinds and maps whose hysteresis is."""
     channels = [("gyro", of)] if isinstance(of, SensorModel) else [(c.kind, c.model) for c in of.channels]
     fitted: set[Any] = {kind for kind, model in channels if model.term(TEMPERATURE_GRADIENT) is not None}
@@ -287,13 +287,13 @@ def _fitted(of: SensorModel | UnitModel) -> set[Any]:
 
 
 def budget_of_estimate(
-    built: AssembledUnit, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
+    built: BuiltImu, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
 ) -> CountedPosteriors:
-    """The posteriors of an estimate. `noise`: of `omitted_noise_of_unit`."""
+    """The posteriors of an estimate. `noise`: of `omitted_noise_of_imu`."""
     figures = (
         _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
     )
-    return _estimated(built, known, done, noise, terms_of_unit(built), *figures)
+    return _estimated(built, known, done, noise, terms_of_imu(built), *figures)
 
 
 def _estimated(
@@ -319,10 +319,10 @@ def counted_criterion(criterion: Criterion, built: Assembled) -> Criterion:
     return eqx.tree_at(lambda c: c.beyond, criterion, criterion.beyond + more)
 
 
-def floor_of_unit_plan(spec: Spec) -> tuple[AssembledUnit, Posterior]:
+def floor_of_plan(spec: Spec) -> tuple[BuiltImu, Posterior]:
     """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
-    built = assemble_unit(spec)
-    return built, _alone(built.model.size, columns_of_unit_plan(built))
+    built = build_imu(spec)
+    return built, _alone(built.model.size, columns_of_imu(built))
 
 
 def _alone(size: int, columns: Mapping[str, np.ndarray]) -> Posterior:
@@ -359,13 +359,13 @@ def unseen_errors(budget: CountedPosteriors, names: Sequence[str], reported: np.
     return tuple(rows)
 
 
-def omitted_noise_of_unit(built: AssembledUnit) -> dict[str, np.ndarray]:
+def omitted_noise_of_imu(built: BuiltImu) -> dict[str, np.ndarray]:
     """Columns of what the noise that a spec omits adds to the covariance of the sensor's own parameters after the
     spec's own plan."""
     noisy = noise_completed(built.spec)
     if noisy is built.spec:
         return {}
-    plan, more = (posterior_of_unit(of) for of in (built, assemble_unit(noisy)))
+    plan, more = (imu_posterior(of) for of in (built, build_imu(noisy)))
     return {"omitted noise": _excess(plan, more, built.model.size, built.model.calibrated)}
 
 

@@ -8,20 +8,20 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.api.build import basis
-from gradcal_jax.api.unit_build import AssembledUnit
+from gradcal_jax.api.imu_build import BuiltImu
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.contracts import NoticeRow
 from gradcal_jax.files.sensor import GyroTriad, ScaleFactor
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import (
     SquareRootInformation,
     gains_of_shares,
+    imu_information,
     kept,
     noticed_from,
     power,
     square_root,
-    unit_information,
     where_hidden,
 )
 from gradcal_jax.model import (
@@ -30,8 +30,8 @@ from gradcal_jax.model import (
     DISCREPANCY,
     SCALE_FACTOR,
     Discrepancy,
+    ImuModel,
     SensorModel,
-    UnitModel,
     make_map,
 )
 
@@ -130,7 +130,7 @@ def _knowing(info: SquareRootInformation, own: slice, others: Sequence[slice]) -
     return slice(begin, begin + own.stop - own.start), square_root(rows)
 
 
-def noticing(unit: AssembledUnit) -> tuple[NoticeRow, ...]:
+def noticing(unit: BuiltImu) -> tuple[NoticeRow, ...]:
     """The power of the plan's tests for hidden structure, for each gyro and each polynomial map."""
     tested, spec = tested_maps(unit.spec), unit.spec
     gyros = [c for c in unit.model.channels if c.kind == "gyro"]
@@ -146,8 +146,8 @@ def noticing(unit: AssembledUnit) -> tuple[NoticeRow, ...]:
             place = next(k for k, t in enumerate(of.terms) if t.name == DISCREPANCY.format(quantity))
             of = eqx.tree_at(lambda m, k=place: m.terms[k].std, of, np.asarray(NOTIONAL[quantity]))
         channels[number] = replace(channel, model=of)
-    model = UnitModel(tuple(channels), unit.model.installation, unit.model.encoder)
-    info = unit_information([(unit.motion, unit.body_nodes())], model)
+    model = ImuModel(tuple(channels), unit.model.installation, unit.model.encoder)
+    info = imu_information([(unit.motion, unit.body_nodes())], model)
     where = lambda axis, quantity: model.where("gyro", axis, DISCREPANCY.format(quantity))  # noqa: E731
     rows: list[NoticeRow] = []
     for channel in gyros:

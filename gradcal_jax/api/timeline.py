@@ -9,10 +9,10 @@ import numpy as np
 from gradcal_jax import model
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.contract_rows import finite, section_of
+from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.structures import gyro_of
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit
 from gradcal_jax.files import Timeline
-from gradcal_jax.files import unit_timeline as unit_rows
+from gradcal_jax.files import imu_timeline as imu_rows
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.contracts import (
     BasisRow,
@@ -29,6 +29,7 @@ from gradcal_jax.files.contracts import (
     TemperatureErrorRow,
 )
 from gradcal_jax.files.memory import too_large
+from gradcal_jax.files.motion_plan import PlanSchedule, PlanStep
 from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
@@ -38,11 +39,10 @@ from gradcal_jax.files.sensor import (
     GyroTriad,
     ScaleFactor,
     ScaleFactorDiscrepancy,
-    UnitSensor,
+    Sensor,
 )
 from gradcal_jax.files.spec import expect_whole
-from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import AXIS_NAMES, Channel, Hysteresis, Map, PathTerm, SignalMap, TurnOnTransient
 from gradcal_jax.trajectory import Move, frames
@@ -50,7 +50,7 @@ from gradcal_jax.trajectory import Move, frames
 _CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_functions="monomial")
 
 
-def timeline(spec: Spec) -> Timeline | unit_rows.UnitTimeline:
+def timeline(spec: Spec) -> Timeline | imu_rows.ImuTimeline:
     """Every segment and reading of a spec's plan in SI; temperatures (°C) are the chamber's.
 
     Another program can compute the covariance from it alone. Of one gyro that the only axis of a table turns: contract
@@ -171,7 +171,7 @@ def _standard_rows(
     return segments, readings
 
 
-def _sensor_row(sensor: UnitSensor, gyro: GyroTriad) -> SensorRow:
+def _sensor_row(sensor: Sensor, gyro: GyroTriad) -> SensorRow:
     return SensorRow(
         arw=gyro.angle_random_walk,
         rate_random_walk=gyro.rate_random_walk or 0.0,
@@ -203,7 +203,7 @@ def _of_temperature(sensor: GyroTriad | AccelerometerTriad) -> dict[str, Any]:
     }
 
 
-def _starts_row(sensor: UnitSensor, gyro: GyroTriad) -> StartsRow:
+def _starts_row(sensor: Sensor, gyro: GyroTriad) -> StartsRow:
     error = gyro.thermometer_noise
     return StartsRow(
         drift="stationary" if gyro.drift else None,
@@ -218,20 +218,20 @@ def _starts_row(sensor: UnitSensor, gyro: GyroTriad) -> StartsRow:
 # --- an IMU -----------------------------------------------------------------------------------------------------------
 
 
-def _of_imu(spec: Spec) -> unit_rows.UnitTimeline:
+def _of_imu(spec: Spec) -> imu_rows.ImuTimeline:
     """Every segment with attitudes, the terms of each channel, and all priors."""
-    built, plan = assemble_unit(spec), spec.plain_schedule
+    built, plan = build_imu(spec), spec.plain_schedule
     geometry, sensor, table = built.motion.geometry, spec.sensor, spec.rig.table
-    return unit_rows.UnitTimeline(
+    return imu_rows.ImuTimeline(
         title=spec.title,
         frame="table axes" if sensor.frame is None else sensor.frame.fixed_by,
-        site=unit_rows.SiteRow(
+        site=imu_rows.SiteRow(
             latitude=float(geometry.latitude),
             gravity=float(geometry.gravity),
             earth_rate=_vector(geometry.earth_rate()),
         ),
         table=tuple(
-            unit_rows.TableAxisRow(
+            imu_rows.TableAxisRow(
                 name=axis.name,
                 direction=_vector(axis.unit_vector),
                 reading_noise=axis.angle.reading_noise,
@@ -243,7 +243,7 @@ def _of_imu(spec: Spec) -> unit_rows.UnitTimeline:
         ),
         standing=table.standing,
         mountings=tuple(
-            unit_rows.MountingRow(name=m.name, rotation=_matrix(rotation))
+            imu_rows.MountingRow(name=m.name, rotation=_matrix(rotation))
             for m, rotation in zip(table.mounting, np.asarray(geometry.mountings), strict=True)
         ),
         thermal_lag=sensor.lag,
@@ -255,15 +255,15 @@ def _of_imu(spec: Spec) -> unit_rows.UnitTimeline:
     )
 
 
-def _vector(values) -> unit_rows.Vector3:
-    return cast("unit_rows.Vector3", tuple(float(v) for v in values))
+def _vector(values) -> imu_rows.Vector3:
+    return cast("imu_rows.Vector3", tuple(float(v) for v in values))
 
 
-def _matrix(values) -> unit_rows.Matrix3:
-    return cast("unit_rows.Matrix3", tuple(_vector(row) for row in values))
+def _matrix(values) -> imu_rows.Matrix3:
+    return cast("imu_rows.Matrix3", tuple(_vector(row) for row in values))
 
 
-def _channel_row(channel: Channel, triad: GyroTriad | AccelerometerTriad | None) -> unit_rows.ChannelRow:
+def _channel_row(channel: Channel, triad: GyroTriad | AccelerometerTriad | None) -> imu_rows.ChannelRow:
     assert triad is not None
     own: dict[str, Any] = {
         "white": float(channel.model.angle_random_walk),
@@ -277,10 +277,10 @@ def _channel_row(channel: Channel, triad: GyroTriad | AccelerometerTriad | None)
     terms = [_term_row(channel, term, triad) for term in channel.model.terms if isinstance(term, Map | SignalMap)]
     own["path"] = tuple(_path_row(channel, term) for term in channel.model.terms if isinstance(term, PathTerm))
     axis = AXIS_NAMES[channel.axis]
-    return unit_rows.ChannelRow(name=channel.name, kind=channel.kind, axis=cast("Any", axis), terms=tuple(terms), **own)
+    return imu_rows.ChannelRow(name=channel.name, kind=channel.kind, axis=cast("Any", axis), terms=tuple(terms), **own)
 
 
-def _path_row(channel: Channel, term: PathTerm) -> unit_rows.PathTermRow:
+def _path_row(channel: Channel, term: PathTerm) -> imu_rows.PathTermRow:
     kind: Any = "temperature gradient"
     own: dict[str, float] = {}
     if isinstance(term, Hysteresis):
@@ -289,10 +289,10 @@ def _path_row(channel: Channel, term: PathTerm) -> unit_rows.PathTermRow:
         kind, own = "transient", {"time_constant": float(term.time_constant)}
     names = tuple(f"{channel.name}.{name}" for name in term.names())
     stds = tuple((1.0 / np.diagonal(term.prior_rows())).tolist())
-    return unit_rows.PathTermRow(kind=kind, signals=term.signals, parameters=names, stds=stds, unit=term.unit, **own)
+    return imu_rows.PathTermRow(kind=kind, signals=term.signals, parameters=names, stds=stds, unit=term.unit, **own)
 
 
-def _term_row(channel: Channel, term: Map | SignalMap, triad: GyroTriad | AccelerometerTriad) -> unit_rows.UnitTermRow:
+def _term_row(channel: Channel, term: Map | SignalMap, triad: GyroTriad | AccelerometerTriad) -> imu_rows.ImuTermRow:
     section = getattr(triad, section_of(triad, term.name))
     if isinstance(section, Bias | ScaleFactor):
         row = _map_row(section)
@@ -304,7 +304,7 @@ def _term_row(channel: Channel, term: Map | SignalMap, triad: GyroTriad | Accele
         row, signals = MapRow(temperature=over, prior=section.prior), term.signals
     names = tuple(f"{channel.name}.{name}" for name in term.names())
     fields = {name: getattr(row, name) for name in MapRow.model_fields}
-    return unit_rows.UnitTermRow(name=term.name, signals=signals, parameters=names, unit=term.unit, **fields)
+    return imu_rows.ImuTermRow(name=term.name, signals=signals, parameters=names, unit=term.unit, **fields)
 
 
 _KINDS = {
@@ -315,9 +315,9 @@ _KINDS = {
 }
 
 
-def _installation_row(term: model.InstallationTerm) -> unit_rows.InstallationRow:
+def _installation_row(term: model.InstallationTerm) -> imu_rows.InstallationRow:
     harmonics = isinstance(term, model.AxisHarmonics)
-    return unit_rows.InstallationRow(
+    return imu_rows.InstallationRow(
         kind=cast("Any", term.of if isinstance(term, model.CommonScale) else _KINDS[type(term)]),
         parameters=tuple(term.names()),
         stds=tuple(float(s) for s in term.stds),
@@ -328,7 +328,7 @@ def _installation_row(term: model.InstallationTerm) -> unit_rows.InstallationRow
     )
 
 
-def _unit_rows(built: AssembledUnit, plan: UnitSchedule) -> list[unit_rows.UnitSegmentRow]:
+def _unit_rows(built: BuiltImu, plan: PlanSchedule) -> list[imu_rows.ImuSegmentRow]:
     motion = built.motion
     line, at = motion.line, segments_of(motion, built.model)
     before, after = (np.asarray(a) for a in motion.angles())
@@ -338,10 +338,10 @@ def _unit_rows(built: AssembledUnit, plan: UnitSchedule) -> list[unit_rows.UnitS
     chamber = [s.temperature_start for s in plan.segments] + [plan.segments[-1].temperature_end]
     steps = [step for step in plan.steps for _ in range(step.move.repeat)]
     axes = [axis.name for axis in built.spec.rig.table.axis]
-    rows: list[unit_rows.UnitSegmentRow] = []
+    rows: list[imu_rows.ImuSegmentRow] = []
     stands = [0] * len(axes)
 
-    def add(start: float, duration: float, step: UnitStep | None, k: int | None, **more: Any) -> None:
+    def add(start: float, duration: float, step: PlanStep | None, k: int | None, **more: Any) -> None:
         moving = -1 if step is None else step.axis
         shape = {"shape": "rest"} if step is None or moving < 0 else _shape_row(step.move, float(step.move.angle))
         if moving >= 0:
@@ -349,7 +349,7 @@ def _unit_rows(built: AssembledUnit, plan: UnitSchedule) -> list[unit_rows.UnitS
         first = at.first[0] if k is None else at.first[k]
         last = first if k is None else at.last[k]
         rows.append(
-            unit_rows.UnitSegmentRow(
+            imu_rows.ImuSegmentRow(
                 start=start,
                 duration=duration,
                 axis=None if moving < 0 else axes[moving],
@@ -367,7 +367,7 @@ def _unit_rows(built: AssembledUnit, plan: UnitSchedule) -> list[unit_rows.UnitS
     if begin[0] > 0.0:
         add(0.0, float(begin[0]), None, None, read=(), used=False)
     number, stretch, move = 0, 0, np.asarray(line.segment)[at.first]
-    step: UnitStep | None = None
+    step: PlanStep | None = None
     names = [c.name for c in built.model.channels]
     for k in range(len(at.first)):
         read = tuple(names[c] for c in at.row_channel[(at.row_segment == k) & at.used])

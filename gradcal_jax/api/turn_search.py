@@ -9,14 +9,14 @@ import numpy as np
 
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.contract_rows import finite
+from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.api.imu_residual import ImuResidual, imu_residual
 from gradcal_jax.api.measure import Measure, design_of, measure
 from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.search_results import MARGIN, MET, NO_TARGET, Optimised, Price, RequirementChange, SearchStep
 from gradcal_jax.api.structures import Structure, structures
-from gradcal_jax.api.systematic import own_of_unit
-from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_residual import UnitResidual, unit_residual
+from gradcal_jax.api.systematic import own_of_imu
 from gradcal_jax.api.verdicts import UNIT_OF, limit_of
 from gradcal_jax.design import (
     KEPT,
@@ -35,7 +35,7 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.files import SpecError
 from gradcal_jax.files.rounding import rounded, steps_of
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information.residual import Statistic
 
 STEPS: Final = 240
@@ -106,11 +106,11 @@ def exact(spec: Spec, of: Measure) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def residuals_of_plan(spec: Spec) -> dict[str, UnitResidual]:
+def residuals_of_plan(spec: Spec) -> dict[str, ImuResidual]:
     """What a spec's own plan leaves of every requirement, by the terms that the spec names."""
-    built = assemble_unit(spec)
-    known = own_of_unit(built, posterior_of_unit(built))
-    return {r.name: unit_residual(built, known, r) for r in spec.requirement}
+    built = build_imu(spec)
+    known = own_of_imu(built, imu_posterior(built))
+    return {r.name: imu_residual(built, known, r) for r in spec.requirement}
 
 
 def requirement_changes(spec: Spec, plan: Spec) -> tuple[RequirementChange, ...]:

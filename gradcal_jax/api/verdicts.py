@@ -5,13 +5,13 @@ from typing import Final, Literal
 
 import numpy as np
 
-from gradcal_jax.files.requirement import MissionHeadingRequirement, UnitRequirement
+from gradcal_jax.files.requirement import MissionHeadingRequirement, Requirement
 from gradcal_jax.information.conformity import coverage_of_risk
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
-UnitForPeople = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
-UNIT_OF: Final[dict[str, tuple[UnitForPeople, float]]] = {
+PrintedUnit = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
+UNIT_OF: Final[dict[str, tuple[PrintedUnit, float]]] = {
     "scale_factor": ("ppm", PPM),
     "bias": ("deg/h", DEG_PER_H),
     "north": ("deg", float(np.degrees(1.0))),
@@ -31,7 +31,7 @@ UNIT_OF: Final[dict[str, tuple[UnitForPeople, float]]] = {
 """For each quantity its unit for people, and how many of it are one in SI."""
 
 
-def mission_weights(requirement: UnitRequirement, name: Statistic) -> np.ndarray:
+def mission_weights(requirement: Requirement, name: Statistic) -> np.ndarray:
     """Factors `(n, 1)` of the residuals of missions that make a plain statistic the weighted one."""
     if not isinstance(requirement, MissionHeadingRequirement) or name not in ("rms", "mean"):
         return np.ones((1, 1))
@@ -40,12 +40,12 @@ def mission_weights(requirement: UnitRequirement, name: Statistic) -> np.ndarray
     return np.sqrt(share) if name == "rms" else share
 
 
-def target_of(requirement: UnitRequirement) -> float | None:
+def target_of(requirement: Requirement) -> float | None:
     """The target in the unit of `UNIT_OF`."""
     return None if requirement.target is None else float(requirement.target) * UNIT_OF[requirement.quantity][1]
 
 
-def limit_of(requirement: UnitRequirement) -> tuple[Statistic, float] | None:
+def limit_of(requirement: Requirement) -> tuple[Statistic, float] | None:
     """The limit that a target sets to the residual map (1σ): a statistic, and its largest allowed value (`UNIT_OF`).
 
     Simple acceptance: the requirement's own statistic, `target / coverage`. Guarded: the maximum, by the risk.
@@ -58,7 +58,7 @@ def limit_of(requirement: UnitRequirement) -> tuple[Statistic, float] | None:
     return "max", target / coverage_of_risk(float(requirement.risk))
 
 
-def decision_rule(requirement: UnitRequirement) -> str:
+def decision_rule(requirement: Requirement) -> str:
     """The decision rule of a target, in words. Empty without one."""
     if requirement.target is None:
         return ""
@@ -69,7 +69,7 @@ def decision_rule(requirement: UnitRequirement) -> str:
 
 
 def verdict_of(
-    requirement: UnitRequirement, statistic_named: Callable[[Statistic], float]
+    requirement: Requirement, statistic_named: Callable[[Statistic], float]
 ) -> Literal["met", "missed", "unobservable"] | None:
     """The verdict by a requirement's decision rule; None without a target. `statistic_named`: the residual's statistics
     by name (in `UNIT_OF`, 1σ), infinite where it is not observable."""
@@ -81,6 +81,6 @@ def verdict_of(
     return "met" if statistic_named(limit[0]) <= limit[1] else "missed"
 
 
-def run_of(requirement: UnitRequirement) -> Literal["any run", "this run"]:
+def run_of(requirement: Requirement) -> Literal["any run", "this run"]:
     """Whether the bias of another power-on counts."""
     return getattr(requirement, "of", "this run")

@@ -14,11 +14,11 @@ from gradcal_jax.units import time_text
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from gradcal_jax.files.motion_plan import PlanSchedule
     from gradcal_jax.files.moves import ResolvedMove
-    from gradcal_jax.files.requirement import UnitRequirement
+    from gradcal_jax.files.requirement import Requirement
     from gradcal_jax.files.schedule import StandardSchedule
-    from gradcal_jax.files.unit_plan import UnitSchedule
-    from gradcal_jax.files.unit_spec import Spec
+    from gradcal_jax.files.spec_sections import Spec
 
 _MOST_ROWS, _MOST_MOVES = 24, 60
 
@@ -107,7 +107,7 @@ def _sensors(spec: "Spec") -> "Iterator[str]":
             yield f"to be found: {name} {', '.join(triad.axes)}: {', '.join(own)}"
 
 
-def _required(requirement: "UnitRequirement") -> str:
+def _required(requirement: "Requirement") -> str:
     r: Any = requirement
     over = f"{r.temperature[0]} to {r.temperature[1]}"
     if hasattr(r, "mission"):
@@ -133,8 +133,8 @@ def _standard(schedule: "StandardSchedule") -> list[str]:
     return lines
 
 
-def _gradient(spec: "Spec", schedule: "UnitSchedule") -> list[str]:
-    from gradcal_jax.files.unit_plan import duration_of, row_count
+def _gradient(spec: "Spec", schedule: "PlanSchedule") -> list[str]:
+    from gradcal_jax.files.motion_plan import duration_of, row_count
 
     total = times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion")
     table = spec.rig.table

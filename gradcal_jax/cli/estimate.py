@@ -27,7 +27,7 @@ from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 if TYPE_CHECKING:
     from gradcal_jax.files.calibration import Calibration
     from gradcal_jax.files.log import Log
-    from gradcal_jax.files.unit_spec import Spec
+    from gradcal_jax.files.spec_sections import Spec
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
 Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]

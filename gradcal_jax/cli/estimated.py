@@ -50,7 +50,7 @@ def requirement_lines(rows: "Sequence[RequirementRow]") -> list[str]:
 
 
 def text_of_estimate(report: "SensorEstimate") -> str:
-    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+    from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
     from gradcal_jax.model import SCALE_FACTOR
     from gradcal_jax.pages.coefficients import estimated_coefficients
 
@@ -125,7 +125,7 @@ def discrepancy_lines(row: "MeasuredDiscrepancy") -> list[str]:
 
 def _sizes(report: "SensorEstimate") -> list[tuple[str, ...]]:
     """The largest value of every channel's terms over temperature (and rate)."""
-    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+    from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 
     calibration = report.calibration
     low, high = (float(t) for t in calibration.valid_temperature)
@@ -144,7 +144,7 @@ def _sizes(report: "SensorEstimate") -> list[tuple[str, ...]]:
 
 def text_of_held(report: "HandReport") -> str:
     from gradcal_jax.api.contract_rows import deviations_of
-    from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+    from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 
     calibration = report.calibration
     lines = _head(report, f"{len(report.solution.positions.duration)} positions, {report.solution.turns} turns")

@@ -16,7 +16,7 @@ from gradcal_jax.pages.plain_text import amount, columns
 
 if TYPE_CHECKING:
     from gradcal_jax.api.search_results import Optimised, SearchStep
-    from gradcal_jax.files.unit_spec import Spec
+    from gradcal_jax.files.spec_sections import Spec
 
 
 def optimise(

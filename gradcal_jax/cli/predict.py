@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gradcal_jax.api.monte_carlo import TwinRow
     from gradcal_jax.files import Prediction
     from gradcal_jax.files.contracts import RequirementRow
-    from gradcal_jax.files.unit_spec import Spec
+    from gradcal_jax.files.spec_sections import Spec
 
 
 def predict(

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from gradcal_jax.files import Timeline
+    from gradcal_jax.files.imu_timeline import ImuTimeline
     from gradcal_jax.files.section import Section
-    from gradcal_jax.files.unit_timeline import UnitTimeline
 
 _MOST_ROWS = 60
 
@@ -107,7 +107,7 @@ def _table(plan: "Timeline", rows: str) -> str:
     return "\n".join(lines)
 
 
-def _table_of_imu(unit: "UnitTimeline") -> str:
+def _table_of_imu(unit: "ImuTimeline") -> str:
     axes = [f"{axis.name}, deg" for axis in unit.table]
     table: list[tuple[str, ...]] = [("start", "what", "lasts", *axes, "up, from the unit", "chamber, degC", "read")]
     for s in unit.segments[:_MOST_ROWS]:

@@ -27,11 +27,11 @@ from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray
 from gradcal_jax.design.criteria import largest
-from gradcal_jax.information import segments_of, unit_system
+from gradcal_jax.information import imu_system, segments_of
 from gradcal_jax.information.adjoint import gram
+from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.information.noise_steps import NoiseSteps
-from gradcal_jax.information.unit_rows import Segments
-from gradcal_jax.model import UnitModel
+from gradcal_jax.model import ImuModel
 from gradcal_jax.trajectory import Geometry, Schedule, TableMotion, body_nodes, gradient_plan, programme
 from gradcal_jax.trajectory.motion import rest, turn
 from gradcal_jax.trajectory.table_motion import largest_turn, nodes_of_turn
@@ -286,7 +286,7 @@ class CycleObjective:
         self,
         coordinates: CycleCoordinates,
         geometry: Geometry,
-        models: Sequence[UnitModel],
+        models: Sequence[ImuModel],
         known: Sequence[Float[np.ndarray, "p p"]],
         statistics: Sequence[Statistics],
         *,
@@ -318,10 +318,10 @@ class CycleObjective:
             all_logs.append(jnp.log(jnp.stack([s(covariance, sharpness) for s in self.statistics])))
         return jnp.stack(all_logs)
 
-    def information(self, model: UnitModel, decoded: Decoded, of: CycleStructure, ramp: Ramp) -> Float[AnyArray, "p p"]:
+    def information(self, model: ImuModel, decoded: Decoded, of: CycleStructure, ramp: Ramp) -> Float[AnyArray, "p p"]:
         """The information of all cycles on one ramp."""
         motion, at = self._motion(ramp, decoded, of, model)
-        steps, columns = unit_system(motion, model, body_nodes(motion, self.points), at)
+        steps, columns = imu_system(motion, model, body_nodes(motion, self.points), at)
         if self.window == 1:
             return gram(steps, columns)
         rows = columns.shape[0] // self.window * (self.window - 1)
@@ -331,7 +331,7 @@ class CycleObjective:
         return ramp.first * first + jnp.sum(jnp.swapaxes(ramp.further, 1, 2) @ (added @ ramp.further), axis=0)
 
     def _motion(
-        self, ramp: Ramp, decoded: Decoded, of: CycleStructure, model: UnitModel
+        self, ramp: Ramp, decoded: Decoded, of: CycleStructure, model: ImuModel
     ) -> tuple[TableMotion, Segments]:
         k, window = self.coordinates.slots, self.window
         limits = self.coordinates.limits
@@ -378,7 +378,7 @@ class CycleObjective:
         ramps, flat = (nodes_for(turned, self.waves) for turned in (in_ramp, limits.largest))
         return np.where(~turns, 1, np.where(varying, ramps, flat))
 
-    def _segments(self, line: Schedule, turns: np.ndarray, of: CycleStructure, model: UnitModel) -> Segments:
+    def _segments(self, line: Schedule, turns: np.ndarray, of: CycleStructure, model: ImuModel) -> Segments:
         """The segments and rows of the cycles; those of empty slots are not used."""
         moving = replace(line, peak_rate=np.where(np.asarray(line.peak_rate) > 0.0, self.coordinates.limits.slow, 0.0))
         still = moving.trajectory(None)

@@ -12,6 +12,14 @@ from gradcal_jax.estimation.consistency import (
 )
 from gradcal_jax.estimation.diagnosis import diagnosis as diagnosis
 from gradcal_jax.estimation.executed import Executed, column_readings, executed, standing_with, within
+from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, executed_imu
+from gradcal_jax.estimation.imu_solve import (
+    ImuEstimate,
+    ImuReadings,
+    estimate_unweighted,
+    readings_of,
+    solve_imu,
+)
 from gradcal_jax.estimation.neighbours import Group, closest_neighbours, like_rates, moves_between_rests, neighbours_of
 from gradcal_jax.estimation.planned_moves import PlannedMove
 from gradcal_jax.estimation.plateaus import Plateaus, TablePoints, plateaus
@@ -23,11 +31,3 @@ from gradcal_jax.estimation.solve import Estimate, Whitened, solve
 from gradcal_jax.estimation.standstill import find_standstills
 from gradcal_jax.estimation.structure import StructureTest, chi_squared, components, size_of, structure_test
 from gradcal_jax.estimation.temperature import smoothed_temperature
-from gradcal_jax.estimation.unit_executed import ExecutedUnit, UnitRows, executed_unit
-from gradcal_jax.estimation.unit_solve import (
-    UnitEstimate,
-    UnitReadings,
-    estimate_unit,
-    estimate_unweighted,
-    readings_of,
-)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.estimation.unit_executed import UnitRows, mean_angles
+from gradcal_jax.estimation.imu_executed import ImuRows, mean_angles
 from gradcal_jax.formulas import runs
 from gradcal_jax.trajectory import Geometry, frames
 
@@ -27,7 +27,7 @@ class CoarseFit(NamedTuple):
     seen: np.ndarray
 
 
-def coarse_fits(rows: UnitRows, geometry: Geometry) -> dict[str, CoarseFit]:
+def coarse_fits(rows: ImuRows, geometry: Geometry) -> dict[str, CoarseFit]:
     """The matrices of gyros and accelerometers by kind; zero rows for channels that the log lacks."""
     rests = [(int(a), int(b)) for a, b in runs(rows.standing) if b - a > 2]
     if len(rests) < 2 or not np.isfinite(rows.angles).any():

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.estimation.unit_solve import UnitEstimate, UnitReadings
+from gradcal_jax.estimation.imu_solve import ImuEstimate, ImuReadings
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import SCALE_FACTOR
 
@@ -126,7 +126,7 @@ def like_rates(rates: np.ndarray, share: float) -> np.ndarray:
     return like
 
 
-def neighbours_of(readings: UnitReadings, solution: UnitEstimate, width_k: float) -> dict[str, tuple[Group, ...]]:
+def neighbours_of(readings: ImuReadings, solution: ImuEstimate, width_k: float) -> dict[str, tuple[Group, ...]]:
     """The groups of every gyro with a scale factor, by its name, of moves about its own axis; gyros without such moves
     are left out. Errors: `ValueError` for a width that is not positive."""
     motion, model, result = readings.done.motion, readings.model, dict[str, tuple[Group, ...]]()

@@ -12,7 +12,7 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.estimation.executed import Executed
-from gradcal_jax.estimation.unit_executed import PIECE_S, SEEN, ExecutedUnit, UnitRows, nodes_of_way
+from gradcal_jax.estimation.imu_executed import PIECE_S, SEEN, ExecutedImu, ImuRows, nodes_of_way
 from gradcal_jax.formulas import runs
 from gradcal_jax.trajectory import Geometry, TableMotion, frames, held
 
@@ -21,7 +21,7 @@ from gradcal_jax.trajectory import Geometry, TableMotion, frames, held
 _STANDS_S, _GUARD_S = 1.0, 0.1
 
 
-def motion_by_readings(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
+def motion_by_readings(log: ImuRows, geometry: Geometry) -> ExecutedImu:
     """The motion in a log's rows of a table of one axis, whose angles count where `log.at_a_stop`.
 
     Where none is known, nothing is read of the moves. Errors: `ValueError` where there are fewer than two readings.
@@ -80,7 +80,7 @@ def motion_by_readings(log: UnitRows, geometry: Geometry) -> ExecutedUnit:
     return _executed(line, log, geometry, at, np.array(axes), np.array([stands[0]]), tuple(ways))
 
 
-def motion_at_points(done: Executed, log: UnitRows, geometry: Geometry) -> ExecutedUnit:
+def motion_at_points(done: Executed, log: ImuRows, geometry: Geometry) -> ExecutedImu:
     """The motion of the points of the standard method, each at a held rate of the only axis."""
     line = done.line
     moving = np.asarray(line.moving) & ~done.broken
@@ -89,12 +89,12 @@ def motion_at_points(done: Executed, log: UnitRows, geometry: Geometry) -> Execu
     return _executed(line, log, geometry, done.rows, np.where(moving, 0, -1), np.zeros(1), ways)
 
 
-def _executed(line, log: UnitRows, geometry: Geometry, rows: np.ndarray, axis: np.ndarray, start: np.ndarray, ways):
+def _executed(line, log: ImuRows, geometry: Geometry, rows: np.ndarray, axis: np.ndarray, start: np.ndarray, ways):
     each = np.arange(len(axis))
-    return ExecutedUnit(TableMotion(line, axis, log.mounting[rows[1:]], geometry, start, each, each, each), rows, ways)
+    return ExecutedImu(TableMotion(line, axis, log.mounting[rows[1:]], geometry, start, each, each, each), rows, ways)
 
 
-def _held(log: UnitRows, rows: np.ndarray, turned: np.ndarray, moving: np.ndarray, read: np.ndarray, lost: np.ndarray):
+def _held(log: ImuRows, rows: np.ndarray, turned: np.ndarray, moving: np.ndarray, read: np.ndarray, lost: np.ndarray):
     duration, at = np.diff(log.time_s[rows]), log.temperature_c[rows]
     mean = turned / np.where(duration > 0.0, duration, 1.0)
     ends = np.ones(len(moving), bool)
@@ -103,7 +103,7 @@ def _held(log: UnitRows, rows: np.ndarray, turned: np.ndarray, moving: np.ndarra
     )
 
 
-def _speed(log: UnitRows, geometry: Geometry) -> np.ndarray:
+def _speed(log: ImuRows, geometry: Geometry) -> np.ndarray:
     """The axis's rate by the gyros `(n,)`, rad/s, less what they show at rest; constant where they do not see it."""
     axes = frames(geometry, np.zeros((len(geometry.mountings), 1)), np.arange(len(geometry.mountings))).axes[:, 0]
     still, known = log.standing & log.usable, np.isfinite(log.rates)
@@ -114,7 +114,7 @@ def _speed(log: UnitRows, geometry: Geometry) -> np.ndarray:
     return np.where(size > SEEN**2, along / np.maximum(size, SEEN**2), 1.0)
 
 
-def _still(log: UnitRows, last: int, first: int) -> list[tuple[int, int]]:
+def _still(log: ImuRows, last: int, first: int) -> list[tuple[int, int]]:
     """First and last row of the standstills between two readings, those at the readings themselves included."""
     result: list[tuple[int, int]] = []
     for a, b in runs(log.standing[last : first + 1]).tolist():
@@ -129,7 +129,7 @@ def _still(log: UnitRows, last: int, first: int) -> list[tuple[int, int]]:
 
 
 def _turned(
-    log: UnitRows, speed: np.ndarray, last: int, first: int, still: list[tuple[int, int]], angle: float
+    log: ImuRows, speed: np.ndarray, last: int, first: int, still: list[tuple[int, int]], angle: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """What the axis has turned since row `last` by every row up to `first`, and its path (rad): by the gyros where it
     moves, adjusted to the `angle` by the readings in proportion to the path."""

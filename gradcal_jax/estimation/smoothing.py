@@ -17,7 +17,7 @@ import numpy as np
 from scipy import optimize
 
 from gradcal_jax.estimation.solve import Whitened
-from gradcal_jax.model import Map, UnitModel
+from gradcal_jax.model import ImuModel, Map
 
 _GRID = 13
 _DECADES = 3.0
@@ -33,7 +33,7 @@ class Smoothness(NamedTuple):
     at_edge: bool
 
 
-def smooth_maps(model: UnitModel) -> list[tuple[int, int]]:
+def smooth_maps(model: ImuModel) -> list[tuple[int, int]]:
     """The maps with a smoothness prior, as numbers of their channel and of their term."""
     return [
         (i, k)
@@ -43,7 +43,7 @@ def smooth_maps(model: UnitModel) -> list[tuple[int, int]]:
     ]
 
 
-def with_smoothness(model: UnitModel, stds: Sequence[float]) -> UnitModel:
+def with_smoothness(model: ImuModel, stds: Sequence[float]) -> ImuModel:
     """The model with other standard deviations of its smoothness priors, in the order of `smooth_maps`."""
     places = smooth_maps(model)
     return eqx.tree_at(
@@ -53,7 +53,7 @@ def with_smoothness(model: UnitModel, stds: Sequence[float]) -> UnitModel:
     )
 
 
-def choose_smoothness(white: Whitened, model: UnitModel, unit: int = 0) -> Smoothness:
+def choose_smoothness(white: Whitened, model: ImuModel, unit: int = 0) -> Smoothness:
     """The strengths at which one unit's data are most probable.
 
     Searched within three decades about the strengths of the model. Errors: `ValueError` for a model without a

@@ -12,12 +12,12 @@ from importlib import resources
 from typing import Any, Final, NamedTuple, cast
 
 from gradcal_jax import units
-from gradcal_jax.files.bench import UnitTable
+from gradcal_jax.files.bench import RigTable
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.sensor import HOST_CLOCK, GyroTriad, UnitSensor
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.sensor import HOST_CLOCK, GyroTriad, Sensor
+from gradcal_jax.files.spec_sections import Spec
 
 # Terms that act through one of the maps alone, or through motion or temperature.
 _OF_BIAS: Final = frozenset({"turn_on_bias", "bias_temperature_gradient"})
@@ -88,7 +88,7 @@ def _of_axis(spec: Spec) -> Iterator[AbsentTerm]:
         yield AbsentTerm(EARTH, "unknown", reason)
 
 
-def _unhung(table: UnitTable, term: AbsentTerm) -> Iterator[AbsentTerm]:
+def _unhung(table: RigTable, term: AbsentTerm) -> Iterator[AbsentTerm]:
     """The accuracy of the only mounting, which the file may not name at all."""
     if "mounting" not in table.model_fields_set:
         yield term._replace(key="rig.table.mounting", value=[{"accuracy": term.value}])
@@ -143,7 +143,7 @@ def _of_branches(spec: Spec) -> Iterator[AbsentTerm]:
             yield from _unnamed(section, f"sensor.{kind}", of_path)
 
 
-def path_terms_of(sensor: UnitSensor, kind: str) -> list[AbsentTerm]:
+def path_terms_of(sensor: Sensor, kind: str) -> list[AbsentTerm]:
     """What depends on the path of temperature in channels of the kind's class, its key within the triad's table."""
     grade = sensor_grade(sensor) if kind == "gyro" else accelerometer_grade(sensor)
     row = _row("sensor" if kind == "gyro" else "accelerometer", grade.name)
@@ -187,7 +187,7 @@ def with_typical(spec: Spec) -> Spec:
     return changed(spec, {term.key: term.value for term in absent}) if absent else spec
 
 
-def sensor_grade(sensor: UnitSensor) -> Grade:
+def sensor_grade(sensor: Sensor) -> Grade:
     """The class of a gyro: `sensor.grade`, or else by its drift, or else by its angle random walk; of a unit without
     gyros that of its accelerometers."""
     if (gyro := sensor.gyro) is None:
@@ -198,7 +198,7 @@ def sensor_grade(sensor: UnitSensor) -> Grade:
     return _by_noise("sensor", gyro.drift, "angular rate", walk)
 
 
-def accelerometer_grade(sensor: UnitSensor) -> Grade:
+def accelerometer_grade(sensor: Sensor) -> Grade:
     """The class of a unit's accelerometers, by their drift, or else by their velocity random walk; without any that of
     its gyros."""
     if (force := sensor.accelerometer) is None:
@@ -212,7 +212,7 @@ def _by_noise(kind: str, drift: Any, dimension: str, walk: tuple[float, str, str
     return _grade(kind, size, "drift", dimension, "its drift") if size else _grade(kind, walk[0], "walk", *walk[1:])
 
 
-def slopes_of(sensor: UnitSensor, kind: str = "gyro") -> tuple[float, float]:
+def slopes_of(sensor: Sensor, kind: str = "gyro") -> tuple[float, float]:
     """Typical slopes over temperature of a channel's bias (rad/s/K or m/s^2/K) and of its scale factor (1/K): the
     spec's own, where it states them, or those of the class."""
     if kind == "accelerometer":
@@ -290,7 +290,7 @@ def _of_the_maps(term: AbsentTerm, sensor: GyroTriad) -> AbsentTerm:
     return term._replace(value={name: value for name, value in term.value.items() if name not in without})
 
 
-def _of_clock(term: AbsentTerm, sensor: UnitSensor) -> AbsentTerm:
+def _of_clock(term: AbsentTerm, sensor: Sensor) -> AbsentTerm:
     """The computer's clock counts, with which a run compares the sensor's, unless the spec takes the sensor's."""
     if term.key != "sample_clock_error" or sensor.clock == "sensor":
         return term

@@ -187,7 +187,7 @@ class TableAxis(Section):
         return tuple(c / length for c in self.direction)
 
 
-class UnitMounting(Section):
+class Mounting(Section):
     """How the unit hangs on the innermost axis."""
 
     name: Text | None = None
@@ -220,14 +220,14 @@ class UnitMounting(Section):
         return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-_Mountings = Annotated[tuple[UnitMounting, ...], Field(min_length=1, max_length=12)]
+_Mountings = Annotated[tuple[Mounting, ...], Field(min_length=1, max_length=12)]
 
 
 def _one_or_more(value: object) -> object:
     return (cast("object", value),) if isinstance(value, Mapping) else value
 
 
-class UnitTable(Section):
+class RigTable(Section):
     """The table."""
 
     standing: Literal["held", "read"] = "held"
@@ -244,8 +244,8 @@ class UnitTable(Section):
     """Standard deviation of the reference rate of the standard method, a ratio; absent: exact."""
     axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
     """Axes, outermost first."""
-    mounting: Annotated[_Mountings, BeforeValidator(_one_or_more, json_schema_input_type=UnitMounting | _Mountings)] = (
-        UnitMounting(),
+    mounting: Annotated[_Mountings, BeforeValidator(_one_or_more, json_schema_input_type=Mounting | _Mountings)] = (
+        Mounting(),
     )
     """One mounting, or several that are used one after the other."""
 
@@ -266,14 +266,14 @@ class UnitTable(Section):
             yield Problem(("axis", k, "angle", "read_every"), message, str(every[k]))
 
 
-class UnitRig(Section):
+class Rig(Section):
     """The bench of a whole unit."""
 
     name: Text | None = None
     """A name for people."""
     site: Site = Site()
     """Where the rig stands."""
-    table: UnitTable
+    table: RigTable
     """The table."""
     chamber: Chamber
     """The climatic chamber."""

@@ -41,8 +41,8 @@ from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Text
 from gradcal_jax.files.section import Section
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.sweep import named_spec
-from gradcal_jax.files.unit_spec import Spec
 
 FORMAT: Final = "gradcal-catalogue/1"
 MOST_CASES: Final = 10_000

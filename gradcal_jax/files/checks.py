@@ -8,8 +8,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from gradcal_jax.files.bench import Chamber, UnitMounting, UnitTable
+from gradcal_jax.files.bench import Chamber, Mounting, RigTable
 from gradcal_jax.files.design import design_problems, notice_problems
+from gradcal_jax.files.motion_plan import PlanSchedule, PlanStep, plan_schedule, resolve_steps, row_count
 from gradcal_jax.files.plan import ChamberCourse, RampItem, StandardPlan
 from gradcal_jax.files.problems import Key, Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Quantity
@@ -18,16 +19,15 @@ from gradcal_jax.files.requirement import (
     MisalignmentRequirement,
     MissionHeadingRequirement,
     PositionRequirement,
+    Requirement,
     TiltRequirement,
     TurnRequirement,
-    UnitRequirement,
 )
 from gradcal_jax.files.schedule import TemperatureSegment
 from gradcal_jax.files.sensor import GyroTriad
-from gradcal_jax.files.unit_plan import UnitSchedule, UnitStep, resolve_steps, row_count, unit_schedule
 
 if TYPE_CHECKING:
-    from gradcal_jax.files.unit_spec import Spec
+    from gradcal_jax.files.spec_sections import Spec
 
 # Rounded figures (a ramp rounded to hundredths of a second) may exceed a limit by this share.
 _SLACK: Final = 1e-6
@@ -43,14 +43,14 @@ def problems_between(spec: "Spec") -> Iterator[Problem]:
             yield from check(spec)
 
 
-def _schedule(spec: "Spec") -> UnitSchedule | None:
+def _schedule(spec: "Spec") -> PlanSchedule | None:
     """The schedule of a gradient plan without problems."""
     with contextlib.suppress(SpecError):
         return None if isinstance(spec.plan, StandardPlan) else spec.gradient_schedule
     return None
 
 
-def _steps(spec: "Spec") -> tuple[UnitStep, ...]:
+def _steps(spec: "Spec") -> tuple[PlanStep, ...]:
     """The steps of the cycle that have no problems themselves."""
     if isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None:
         return ()
@@ -103,7 +103,7 @@ def _full_scale(spec: "Spec") -> Iterator[Problem]:
             yield Problem(key, message, text)
 
 
-def _part_along(gyro: GyroTriad, table: UnitTable, turning: int, angles: Sequence[float]) -> float:
+def _part_along(gyro: GyroTriad, table: RigTable, turning: int, angles: Sequence[float]) -> float:
     """The largest part of a table axis's rate that any gyro measures, for angles (rad) of the axes inside."""
     direction = table.axis[turning].unit_vector
     for inner, angle in zip(table.axis[turning + 1 :], angles[turning + 1 :], strict=True):
@@ -111,7 +111,7 @@ def _part_along(gyro: GyroTriad, table: UnitTable, turning: int, angles: Sequenc
     return max(abs(_in_body(direction, mounting)["xyz".index(a)]) for mounting in table.mounting for a in gyro.axes)
 
 
-def _in_body(vector: Sequence[float], mounting: UnitMounting) -> Sequence[float]:
+def _in_body(vector: Sequence[float], mounting: Mounting) -> Sequence[float]:
     """A vector of the innermost axis's frame in the body's."""
     body = [sum(c * v for c, v in zip(column, vector, strict=True)) for column in mounting.columns]
     size = math.hypot(*(mounting.rotation or ()))
@@ -142,7 +142,7 @@ def _missions_on_plan(spec: "Spec") -> Iterator[Problem]:
 
 
 def _missions(
-    i: int, requirement: UnitRequirement, span: tuple[float, float] | None, whose: str, column: str = "temperature"
+    i: int, requirement: Requirement, span: tuple[float, float] | None, whose: str, column: str = "temperature"
 ) -> Iterator[Problem]:
     """Where the i-th requirement's missions leave the calibrated range (°C, or rad/s)."""
     if span is None or not isinstance(requirement, MissionHeadingRequirement):
@@ -223,7 +223,7 @@ def _table_of(spec: "Spec", dotted: str) -> Any:
     return value
 
 
-def _needed_axes(requirement: UnitRequirement) -> list[tuple[str, str]]:
+def _needed_axes(requirement: Requirement) -> list[tuple[str, str]]:
     """Sensors without which a requirement's quantity would count as known exactly."""
     if isinstance(requirement, TurnRequirement):
         return [("gyro", "z")]
@@ -247,7 +247,7 @@ def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, ke
     ]
 
 
-def _standard(plan: StandardPlan, table: UnitTable, chamber: Chamber) -> Iterator[Problem]:
+def _standard(plan: StandardPlan, table: RigTable, chamber: Chamber) -> Iterator[Problem]:
     """Where a standard plan exceeds chamber or table; keys relative to the plan."""
     axis, *others = table.axis
     if others:
@@ -347,7 +347,7 @@ def _done(spec: "Spec") -> Iterator[Problem]:
     for number, part in enumerate(spec.done):
         segments = None
         try:
-            segments = unit_schedule(part.plan, spec.rig).segments
+            segments = plan_schedule(part.plan, spec.rig).segments
         except SpecError as error:
             yield from (p.under("done", number, "plan") for p in error.problems)
         yield from (p.under("done", number, "plan") for p in _course(part.plan, spec.rig.chamber, segments))

@@ -15,7 +15,7 @@ from gradcal_jax.units import times_text
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Size = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Axis = Literal["x", "y", "z"]
-UnitQuantity = Literal[
+ImuQuantity = Literal[
     "gyro_bias", "gyro_scale_factor", "gyro_misalignment", "g_sensitivity", "accelerometer_bias",
     "accelerometer_scale_factor", "accelerometer_misalignment", "second_order", "position", "tilt", "heading",
     "mission_heading", "north",
@@ -289,7 +289,7 @@ class RequirementRow(Section):
 
     name: str
     """Of the requirement."""
-    quantity: Literal["scale_factor", "bias"] | UnitQuantity
+    quantity: Literal["scale_factor", "bias"] | ImuQuantity
     """Which quantity."""
     unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
     """Unit of all figures."""

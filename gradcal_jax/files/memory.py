@@ -4,9 +4,9 @@ import contextlib
 import os
 from typing import Final
 
+from gradcal_jax.files.motion_plan import row_count
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.unit_plan import row_count
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 # For the whitened rows and their computation, by reading and column; measured: 2.6 kB a reading with 39 columns.
 _BYTES: Final = 68.0

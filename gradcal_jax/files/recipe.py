@@ -26,8 +26,8 @@ from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.rounding import ControllerSteps
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
-from gradcal_jax.files.unit_spec import Spec
 
 FORMAT: Final = "gradcal-recipe/1"
 

@@ -294,7 +294,7 @@ _CLASSES: Final[Mapping[str, type[Section]]] = {
     "mission_heading": MissionHeadingRequirement,
     "north": NorthRequirement,
 }
-UnitRequirement = Annotated[
+Requirement = Annotated[
     GyroBiasRequirement
     | GyroScaleFactorRequirement
     | MisalignmentRequirement
@@ -309,5 +309,4 @@ UnitRequirement = Annotated[
     | NorthRequirement,
     chosen_by("quantity", _CLASSES),
 ]
-Requirement = UnitRequirement
-UnitRequirements = Annotated[tuple[UnitRequirement, ...], Field(max_length=100)]
+Requirements = Annotated[tuple[Requirement, ...], Field(max_length=100)]

@@ -16,6 +16,7 @@ from typing import Any, Final, cast
 from gradcal_jax import units
 from gradcal_jax.files.bench import Resolution
 from gradcal_jax.files.changes import differences, tables_of
+from gradcal_jax.files.motion_plan import PlanSchedule, duration_of
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.problems import ABSENT, dotted
@@ -31,9 +32,8 @@ from gradcal_jax.files.quantity import (
 from gradcal_jax.files.schedule import Stretch
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.tracks import makeable_acceleration, trapezoid_acceleration
-from gradcal_jax.files.unit_plan import UnitSchedule, duration_of
-from gradcal_jax.files.unit_spec import Spec
 from gradcal_jax.formulas import repetitions
 
 _HAIR: Final = Decimal("1e-6")  # of a step: rounding of the arithmetic, never of the plan
@@ -207,7 +207,7 @@ def _temperatures(plan: Table, rounder: _Rounder) -> None:
         rounder.entries(item, **kinds)
 
 
-def _cycle(spec: Spec, schedule: UnitSchedule, cycle: Table, rounder: _Rounder) -> None:
+def _cycle(spec: Spec, schedule: PlanSchedule, cycle: Table, rounder: _Rounder) -> None:
     """Every rest and turn of a cycle in full, and the axes' first angles."""
     axes = spec.rig.table.axis
     gyro = spec.sensor.gyro

@@ -12,13 +12,13 @@ from gradcal_jax.files.section import Section
 
 # By module and class, so that a program that reads specs does not load the importers of logs.
 _MODELS: Final[Mapping[str, tuple[str, str]]] = {
-    "spec": ("unit_spec", "Spec"),
+    "spec": ("spec_sections", "Spec"),
     "rig": ("rig", "RigFile"),
     "lines": ("line_protocol", "LineProtocol"),
     "registers": ("register_protocol", "RegisterProtocol"),
     "text": ("text_unit", "TextUnit"),
     "timeline": ("contracts", "Timeline"),
-    "unit-timeline": ("unit_timeline", "UnitTimeline"),
+    "unit-timeline": ("imu_timeline", "ImuTimeline"),
     "prediction": ("contracts", "Prediction"),
     "columns": ("importers", "ColumnMap"),
     "points": ("points", "PointMap"),

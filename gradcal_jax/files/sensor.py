@@ -525,7 +525,7 @@ class AccelerometerTriad(_Channel, _PathOfTemperature):
         return self
 
 
-class UnitFrame(Section):
+class BodyFrame(Section):
     """The reference of the misalignments."""
 
     fixed_by: Literal["table axes", "case"] = "table axes"
@@ -533,7 +533,7 @@ class UnitFrame(Section):
     accuracy."""
 
 
-class UnitSensor(UncertainSection, _Instrument):
+class Sensor(UncertainSection, _Instrument):
     """A whole unit: gyros, accelerometers, or both."""
 
     FIGURES: ClassVar[tuple[str, ...]] = ("sample_clock_error",)
@@ -546,7 +546,7 @@ class UnitSensor(UncertainSection, _Instrument):
     """Common properties of the gyros."""
     accelerometer: AccelerometerTriad | None = None
     """Common properties of the accelerometers."""
-    frame: UnitFrame | None = None
+    frame: BodyFrame | None = None
     """What the misalignments count from."""
 
     def _problems(self) -> Iterator[Problem]:

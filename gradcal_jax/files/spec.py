@@ -12,7 +12,7 @@ from gradcal_jax.files.document import from_text, model_of, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.section import refuse
-from gradcal_jax.files.unit_spec import FORMAT, Spec, hidden_problems
+from gradcal_jax.files.spec_sections import FORMAT, Spec, hidden_problems
 
 
 def expect_spec(value: object) -> Spec:

@@ -38,7 +38,7 @@ from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Count, Text, Whole
 from gradcal_jax.files.recipe import spec_or_recipes_of
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 FORMAT: Final = "gradcal-sweep/1"
 MOST_POINTS: Final = 1_000_000

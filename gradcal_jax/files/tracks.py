@@ -18,7 +18,8 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
-from gradcal_jax.files.bench import UnitMounting, UnitRig
+from gradcal_jax.files.bench import Mounting, Rig
+from gradcal_jax.files.motion_plan import PlanSchedule
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import (
@@ -38,8 +39,7 @@ from gradcal_jax.files.quantity import (
 from gradcal_jax.files.rig import Name
 from gradcal_jax.files.schedule import Stretch, TemperatureSegment
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.unit_plan import UnitSchedule
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.units import dimension_of
 
 Begins = Literal["at its time", "when stable"]
@@ -221,7 +221,7 @@ def _first(stretch: Stretch, segments: list[ChamberSegment]) -> str:
     return min(segments, key=lambda segment: abs(segment.start - stretch.start)).name
 
 
-def _blocks(schedule: UnitSchedule, rig: UnitRig, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
+def _blocks(schedule: PlanSchedule, rig: Rig, segments: list[ChamberSegment]) -> tuple[MotionBlock, ...]:
     axes, hung = rig.table.axis, rig.table.mounting
     spacing = min(float(axis.angle.read_every) for axis in axes)
     held, once = rig.table.standing == "held", math.isinf(spacing)
@@ -268,7 +268,7 @@ def _readings(every: float | None, *, at_end: bool) -> dict[str, Any]:
     return {"read_every": _in("s", every)}
 
 
-def hanging(mounting: UnitMounting, number: int) -> str:
+def hanging(mounting: Mounting, number: int) -> str:
     """The mounting of a unit in words, for the operator; directions are the innermost axis's while all are at zero.
 
     ``mounting 2 (on its side): x along +y, y along -x, z along +z``

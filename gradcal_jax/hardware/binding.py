@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from ..files.recipe import Recipe
-from ..files.sensor import UnitSensor
+from ..files.sensor import Sensor
 from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove, read_at_rest
 from ..formulas import reading_times
 from ..units import to_unit
@@ -49,7 +49,7 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
     return Track(tuple(steps), _gyro_errors(recipe.spec.sensor), read_at_rest(recipe.motion))
 
 
-def _gyro_errors(sensor: UnitSensor) -> GyroErrors | None:
+def _gyro_errors(sensor: Sensor) -> GyroErrors | None:
     """Three standard deviations of what the spec says before the calibration, where that is more than usual."""
     if (gyro := sensor.gyro) is None:
         return None

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.unit_spec import Spec
+from ..files.spec_sections import Spec
 
 Numbers = NDArray[np.float64]
 

@@ -1,6 +1,16 @@
 """From a timeline and an error model to square-root information, the residual map and its Monte Carlo twin."""
 
 from gradcal_jax.information.adjoint import gram, whitened_factor
+from gradcal_jax.information.imu_rows import (
+    encoder_rows,
+    estimator_of_means,
+    imu_information,
+    imu_system,
+    imu_unweighted,
+    noise_parts,
+    row_of_steps,
+    segments_of,
+)
 from gradcal_jax.information.montecarlo import (
     WishartTest,
     monte_carlo_errors,
@@ -32,14 +42,4 @@ from gradcal_jax.information.posterior import (
 )
 from gradcal_jax.information.regressors import at_readings, since_origin
 from gradcal_jax.information.residual import STATISTICS, contrasts, residual, statistic
-from gradcal_jax.information.unit_rows import (
-    encoder_rows,
-    estimator_of_means,
-    noise_parts,
-    row_of_steps,
-    segments_of,
-    unit_information,
-    unit_system,
-    unweighted_of_unit,
-)
 from gradcal_jax.information.whitening import FilterState, whiten, whiten_from

@@ -3,10 +3,10 @@
 import numpy as np
 
 from gradcal_jax.information.posterior import Posterior
-from gradcal_jax.model import SensorModel, UnitModel
+from gradcal_jax.model import ImuModel, SensorModel
 
 
-def unobservable_combinations(known: Posterior, model: SensorModel | UnitModel) -> list[str]:
+def unobservable_combinations(known: Posterior, model: SensorModel | ImuModel) -> list[str]:
     """Each unobservable combination of reported parameters as text: "a0 - 0.5·a2"."""
     if not known.hidden.shape[1]:
         return []

@@ -1,7 +1,7 @@
 """Models of a sensor: bases, terms with priors, and the noise of sensor and reference."""
 
 from gradcal_jax.model.bases import Basis, Bins, BSpline, HigherPolynomials, Polynomial
-from gradcal_jax.model.imu import KINDS, Channel, ChannelKind, EncoderNoise, UnitModel
+from gradcal_jax.model.imu import KINDS, Channel, ChannelKind, EncoderNoise, ImuModel
 from gradcal_jax.model.installation import (
     AxisHarmonics,
     BaseTilt,

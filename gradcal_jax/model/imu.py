@@ -69,7 +69,7 @@ class EncoderNoise(PytreeModule):
     has_offset: bool = eqx.field(static=True, default=True)
 
 
-class UnitModel(PytreeModule):
+class ImuModel(PytreeModule):
     """A whole unit on its table: `channels`, `installation` terms, and the encoders' noise."""
 
     channels: tuple[Channel, ...]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 import gradcal_jax
-from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.pages.certificate import NOT_STATED, Certificate, Correction, ResultRow

@@ -7,11 +7,11 @@ from importlib import resources
 from typing import Any, Final
 
 import gradcal_jax
-from gradcal_jax.api.unit_residual import UNITS_OF_TERMS
+from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.files.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, symbols
 from gradcal_jax.pages.figures import calibration_pictures, map_pictures, pose_picture, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD

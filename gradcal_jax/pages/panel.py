@@ -15,10 +15,10 @@ from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.files.bench import AxisEncoder
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.contracts import RequirementRow
+from gradcal_jax.files.motion_plan import MotionPlan
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.unit_plan import UnitPlan
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.units import time_text
 
@@ -34,7 +34,7 @@ def panel_of(spec: Spec) -> dict[str, Any]:
     Errors: `ValueError` for a plan that is not one ramp from start to end, or without requirements.
     """
     plan = spec.plan
-    if not isinstance(plan, UnitPlan) or plan.temperature is None or not isinstance(plan.gradient, Quantity):
+    if not isinstance(plan, MotionPlan) or plan.temperature is None or not isinstance(plan.gradient, Quantity):
         raise ValueError("the panel varies the slope of one ramp, and this plan is not one ramp: leave --panel out")
     if not spec.requirement:
         raise ValueError("the panel shows requirements, and this spec has none: leave --panel out")
@@ -66,7 +66,7 @@ def panel_of(spec: Spec) -> dict[str, Any]:
 
 
 def _point(
-    spec: Spec, plan: UnitPlan, slope: float, ramps: int, angle: float
+    spec: Spec, plan: MotionPlan, slope: float, ramps: int, angle: float
 ) -> tuple[float, list[RequirementRow]] | None:
     """Hours of the whole plan, and every requirement; None where the plan does not fit."""
     try:
@@ -81,7 +81,7 @@ def _short(value: float | None) -> float | None:
     return None if value is None else float(f"{value:.6g}")
 
 
-def _course(plan: UnitPlan, slope: float, ramps: int) -> Mapping[str, object]:
+def _course(plan: MotionPlan, slope: float, ramps: int) -> Mapping[str, object]:
     assert plan.temperature is not None
     assert isinstance(plan.gradient, Quantity)
     rate = f"{60.0 * float(plan.gradient) * slope:.9g} K/min"

@@ -6,10 +6,10 @@ from typing import Any
 from gradcal_jax.api.contract_rows import versions_of
 from gradcal_jax.api.systematic import BESIDE_THE_AXIS
 from gradcal_jax.files.absent import absent_terms
-from gradcal_jax.files.bench import UnitRig
+from gradcal_jax.files.bench import Rig
 from gradcal_jax.files.calibration import Calibration
-from gradcal_jax.files.sensor import UnitSensor
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.sensor import Sensor
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.pages.sources import Sources
 
 
@@ -29,7 +29,7 @@ def stated_figures(spec: Spec) -> list[tuple[str, str]]:
     return [*_of_sensor(spec.sensor), *_of_rig(spec.rig)]
 
 
-def _of_sensor(sensor: UnitSensor) -> list[tuple[str, str]]:
+def _of_sensor(sensor: Sensor) -> list[tuple[str, str]]:
     """The figures of every channel, and those of all channels."""
     rows: list[tuple[str, Any]] = []
     for kind, triad in (("gyro", sensor.gyro), ("accelerometer", sensor.accelerometer)):
@@ -61,7 +61,7 @@ def _of_sensor(sensor: UnitSensor) -> list[tuple[str, str]]:
     return _stated(rows)
 
 
-def _of_rig(rig: UnitRig) -> list[tuple[str, str]]:
+def _of_rig(rig: Rig) -> list[tuple[str, str]]:
     """The figures of site and table; of each axis, where there are several."""
     table = rig.table
     rows: list[tuple[str, Any]] = [

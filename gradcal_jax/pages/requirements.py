@@ -7,15 +7,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from gradcal_jax.api.ieee_terms import Box, calibrated_posterior, calibration_map, grid_of
+from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.api.imu_residual import ImuResidual, quantity_of
 from gradcal_jax.api.missions import ErrorCurve, error_curves
 from gradcal_jax.api.prediction import counted_posteriors
 from gradcal_jax.api.systematic import TURN_ON, CountedPosteriors, widened
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_residual import UnitResidual, quantity_of
 from gradcal_jax.api.verdicts import run_of
 from gradcal_jax.files.calibration import Calibration, Result
 from gradcal_jax.files.contracts import RequirementRow
-from gradcal_jax.files.requirement import MissionHeadingRequirement, UnitRequirement
+from gradcal_jax.files.requirement import MissionHeadingRequirement, Requirement
 from gradcal_jax.files.spec import Spec
 from gradcal_jax.information import Posterior, posterior
 from gradcal_jax.information.posterior import square_root
@@ -131,27 +131,27 @@ class _Plan:
     """A spec's model and posteriors before and after its plan."""
 
     def __init__(self, spec: Spec) -> None:
-        self.built = assemble_unit(spec)
-        self.known = posterior_of_unit(self.built)
+        self.built = build_imu(spec)
+        self.known = imu_posterior(self.built)
         self.counted: CountedPosteriors = counted_posteriors(self.built, self.known)
         self._prior = posterior(square_root(np.asarray(self.counted.built.model.prior_rows())))
 
-    def left(self, requirement: UnitRequirement) -> UnitResidual | None:
+    def left(self, requirement: Requirement) -> ImuResidual | None:
         """The residual that a verdict judges."""
         return _residual(self.counted.built, self.counted.judged(run_of(requirement)), requirement)
 
-    def prior(self, requirement: UnitRequirement) -> UnitResidual | None:
+    def prior(self, requirement: Requirement) -> ImuResidual | None:
         """The residual by what is known before any calibration; None for directions, of which it may be many turns."""
         left = _residual(self.counted.built, self._prior, requirement)
         return None if left is None or left.unit == "deg" else left
 
-    def left_by(self, achieved: Posterior, requirement: UnitRequirement) -> UnitResidual | None:
+    def left_by(self, achieved: Posterior, requirement: Requirement) -> ImuResidual | None:
         """The residual after a calibration; in any run with the bias of another power-on."""
         if run_of(requirement) == "any run" and (turn_on := self.counted.columns.get(TURN_ON)) is not None:
             achieved = widened(achieved, {TURN_ON: turn_on})
         return _residual(self.counted.built, achieved, requirement)
 
-    def has_several(self, requirement: UnitRequirement) -> bool:
+    def has_several(self, requirement: Requirement) -> bool:
         """Whether a requirement's quantity has several elements."""
         return len(quantity_of(self.built, requirement).elements) > 1
 
@@ -165,13 +165,13 @@ class _Plan:
         return MapFact(requirement.name, requirement.axis, requirement.quantity, (), curves)
 
 
-def _residual(built: AssembledUnit, known: Posterior, requirement: UnitRequirement) -> UnitResidual | None:
+def _residual(built: BuiltImu, known: Posterior, requirement: Requirement) -> ImuResidual | None:
     """A requirement's residual; None where another sensor does not have its quantity."""
     quantity = quantity_of(built, requirement)
     return quantity.residual(known) if quantity.elements else None
 
 
-def _maps_of(requirement: UnitRequirement, stages: dict[str, UnitResidual]) -> list[MapFact]:
+def _maps_of(requirement: Requirement, stages: dict[str, ImuResidual]) -> list[MapFact]:
     """The maps of every element of a quantity at each stage."""
     maps: dict[str, list[tuple[str, Box]]] = {}
     for stage, left in stages.items():

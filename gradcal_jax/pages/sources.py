@@ -14,7 +14,7 @@ from gradcal_jax.files.contracts import Prediction
 from gradcal_jax.files.document import read_text, read_toml
 from gradcal_jax.files.recipe import Predicted, Recipe, is_recipe, recipe_of, spec_in
 from gradcal_jax.files.spec import Spec, spec_of
-from gradcal_jax.files.unit_spec import FORMAT
+from gradcal_jax.files.spec_sections import FORMAT
 from gradcal_jax.hardware.run_folder import RunFolder
 
 CALIBRATION_IN_RUN = "calibration.toml"

@@ -5,8 +5,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
-from gradcal_jax.api.unit_build import assemble_unit, rest_poses
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.api.imu_build import build_imu, rest_poses
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.plots.style import COLOUR_MAP
 
 
@@ -14,7 +14,7 @@ def draw_poses(spec: Spec, *, ax: Axes | None = None) -> tuple[Axes, PathCollect
     """The vertical in the device's frame at every rest: longitude about z, colour by time, area by duration."""
     if ax is None:
         ax = Figure(figsize=(6.4, 3.6), layout="constrained").add_subplot(projection="mollweide")
-    poses = rest_poses(assemble_unit(spec))
+    poses = rest_poses(build_imu(spec))
     up = poses.up
     longitude, latitude = np.arctan2(up[:, 1], up[:, 0]), np.arcsin(np.clip(up[:, 2], -1.0, 1.0))
     # Points of one direction are slightly spread in order of time, so that none hides all others.

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from gradcal_jax.api.ieee_terms import Box
-from gradcal_jax.api.unit_residual import UnitResidual
+from gradcal_jax.api.imu_residual import ImuResidual
 from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, style_of
 
 # Residuals that differ by more than this are shown on logarithmic scales.
@@ -112,7 +112,7 @@ def draw_curves(
     return ax, lines
 
 
-def boxes_of(left: UnitResidual, label: str = "") -> list[tuple[str, Box]]:
+def boxes_of(left: ImuResidual, label: str = "") -> list[tuple[str, Box]]:
     """The elements of a residual with their names, after a label of them all."""
     several = len(left.labels) > 1
     return [

@@ -8,13 +8,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gradcal_jax.api.ieee_terms import Box
+from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.api.missions import ErrorCurve, error_curves
-from gradcal_jax.api.unit_build import AssembledUnit, assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_residual import unit_residual
 from gradcal_jax.api.verdicts import target_of
-from gradcal_jax.files.requirement import MissionHeadingRequirement, UnitRequirement
+from gradcal_jax.files.requirement import MissionHeadingRequirement, Requirement
 from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import Posterior
 from gradcal_jax.plots.poses import draw_poses
 from gradcal_jax.plots.residual import boxes_of, draw_curves, draw_map
@@ -58,8 +58,8 @@ def draw_prediction(spec: Spec) -> Figure:
     spec = expect_spec(spec)
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is no residual to draw: add one")
-    built = assemble_unit(spec)
-    known = posterior_of_unit(built)
+    built = build_imu(spec)
+    known = imu_posterior(built)
     count, across = len(spec.requirement) + (not spec.is_one_axis), 1 if spec.is_one_axis else _COLUMNS
     rows = -(-count // across)
     figure = Figure(figsize=(_PANEL[0] * across, _PANEL[1] * rows), layout="constrained")
@@ -72,14 +72,14 @@ def draw_prediction(spec: Spec) -> Figure:
     return figure
 
 
-def _draw_requirement(built: AssembledUnit, known: Posterior, requirement: UnitRequirement, ax: Axes) -> None:
+def _draw_requirement(built: BuiltImu, known: Posterior, requirement: Requirement, ax: Axes) -> None:
     """The residual of one requirement."""
     if isinstance(requirement, MissionHeadingRequirement):
         curves = error_curves(built, known, requirement)
         draw_heading([(_label("calibration", curves, *of), of[1]) for of in curves], ax=ax)
         ax.set_title(requirement.name)
         return
-    left = unit_residual(built, known, requirement)
+    left = imu_residual(built, known, requirement)
     if len(left.labels) == 1 and len(left.rates) > 1:
         draw_map(left.temperatures, np.degrees(left.rates), left.values[0], left.unit, ax=ax)
     else:
@@ -97,12 +97,12 @@ def _label(words: str, curves: Sequence[tuple[str, ErrorCurve]], axis: str, curv
 def draw_comparison(specs: Sequence[tuple[str, Spec]]) -> Figure:
     """Plans side by side: for each requirement's name, one curve a plan and element. Errors: `ValueError` without
     requirements."""
-    plans = [(label, assemble_unit(expect_spec(spec))) for label, spec in specs]
+    plans = [(label, build_imu(expect_spec(spec))) for label, spec in specs]
     names = list(dict.fromkeys((r.name, r.quantity) for _, built in plans for r in built.spec.requirement))
     if not names:
         raise ValueError("none of the specs has a [[requirement]], so there is no residual to draw: add one")
     figure, all_axes = new_panels(len(names), 1, (6.8, 4.0))
-    known = [posterior_of_unit(built) for _, built in plans]
+    known = [imu_posterior(built) for _, built in plans]
     for axes, of_name in zip(all_axes[:, 0], names, strict=True):
         drawn: list[tuple[str, Box]] = []
         headings: list[tuple[str, ErrorCurve]] = []
@@ -111,7 +111,7 @@ def draw_comparison(specs: Sequence[tuple[str, Spec]]) -> Figure:
                 if isinstance(requirement, MissionHeadingRequirement):
                     headings += [(label, curve) for _, curve in error_curves(built, of, requirement)]
                 else:
-                    drawn += boxes_of(unit_residual(built, of, requirement), label)
+                    drawn += boxes_of(imu_residual(built, of, requirement), label)
         if headings:
             draw_heading(headings, own=False, ax=axes)
         if drawn:

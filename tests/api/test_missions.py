@@ -9,10 +9,10 @@ import pytest
 import gradcal_jax as gj
 from gradcal_jax import api
 from gradcal_jax.api.error_budget import ErrorBudget
+from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.limit import limits
 from gradcal_jax.api.measure import measure
 from gradcal_jax.api.sensitivity import sensitivity
-from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
 from gradcal_jax.files import changed, read_spec, tables_of, to_toml
 from gradcal_jax.files.recipe import parse_recipe
 from gradcal_jax.files.spec import spec_of
@@ -82,8 +82,8 @@ def test_a_mission_is_asked_for_at_its_time():
 
 def test_shares_and_elasticities_add_up():
     spec = with_requirements(heading(hover(weight=2.0), spin()), NORTH)
-    built = assemble_unit(spec)
-    sources = ErrorBudget(built, posterior_of_unit(built))
+    built = build_imu(spec)
+    sources = ErrorBudget(built, imu_posterior(built))
     for requirement in built.spec.requirement:
         shares = sources.shares(requirement)
         assert sum(shares.values()) == pytest.approx(1.0, abs=0.01)

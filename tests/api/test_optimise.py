@@ -25,7 +25,7 @@ from gradcal_jax.design import ProgrammeCoordinates, polish, search
 from gradcal_jax.design.search import _program
 from gradcal_jax.files import SpecError, changed, tables_of
 from gradcal_jax.files.rounding import rounded
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 DEG = math.pi / 180.0
 

@@ -7,9 +7,9 @@ import pytest
 from search_problem import SPEC
 
 import gradcal_jax as gj
-from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.files import changed, parse_spec
-from gradcal_jax.information import unit_system, whiten
+from gradcal_jax.information import imu_system, whiten
 
 UNIT = gj.changed(
     gj.parse_spec(gj.presets.text("gradient-three-axes")),
@@ -58,8 +58,8 @@ def test_a_gradient_waits_for_the_root_of_the_readings(blocks):
 
 
 def test_a_whole_unit_waits_for_the_root_of_its_rows(blocks):
-    built = assemble_unit(UNIT)
-    steps, columns = unit_system(built.motion, built.model, built.body_nodes())
+    built = build_imu(UNIT)
+    steps, columns = imu_system(built.motion, built.model, built.body_nodes())
     steps, columns = jax.tree.map(jax.numpy.asarray, (steps, columns))
     rows = columns.shape[0]
     assert rows > 500

@@ -9,7 +9,7 @@ import pytest
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.timeline import timeline
 from gradcal_jax.files import presets, spec_of
-from gradcal_jax.files.unit_plan import row_count
+from gradcal_jax.files.motion_plan import row_count
 
 TABLES = tomllib.loads(presets.text("paper-dynamic-gradient"))
 TABLES["requirement"][0]["grid"] = [5, 5]

@@ -231,7 +231,7 @@ def test_memory_that_ends_in_the_work_is_a_sentence(folder, capsys, monkeypatch)
     def nothing_left(*_, **__):
         raise MemoryError("Unable to allocate 7.45 TiB for an array")
 
-    monkeypatch.setattr("gradcal_jax.api.prediction.assemble_unit", nothing_left)
+    monkeypatch.setattr("gradcal_jax.api.prediction.build_imu", nothing_left)
     assert main(["predict", "good.toml"]) == 2
     assert capsys.readouterr().err.startswith("gradcal: out of memory (Unable to allocate 7.45 TiB for an array): ")
 

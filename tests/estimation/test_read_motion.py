@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gradcal_jax.estimation import UnitRows, column_readings, motion_by_readings
+from gradcal_jax.estimation import ImuRows, column_readings, motion_by_readings
 from gradcal_jax.trajectory import Geometry
 
 STEP = 0.01
@@ -18,7 +18,7 @@ def geometry() -> Geometry:
     return Geometry(*numbers, np.zeros(()), np.array(9.8))
 
 
-def log(**changes) -> UnitRows:
+def log(**changes) -> ImuRows:
     time = STEP * np.arange(1, round(KNOTS[-1][0] / STEP) + 1)
     at, angle = np.array(KNOTS).T
     course = np.radians(np.interp(time, at, angle))
@@ -29,7 +29,7 @@ def log(**changes) -> UnitRows:
     angles[rows, 0], reads[rows] = course[rows], True
     standing = np.abs(rates[:, 2] - BIAS) < 1e-9
     none = np.zeros(len(time))
-    made = UnitRows(
+    made = ImuRows(
         time,
         rates,
         np.full((len(time), 3), np.nan),

@@ -9,7 +9,7 @@ from scipy import stats
 from simulated_log import simulate_log
 
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.unit_build import unit_model
+from gradcal_jax.api.imu_build import unit_model
 from gradcal_jax.estimation import (
     Whitened,
     choose_smoothness,

@@ -14,11 +14,11 @@ from loop_scene import SIZE, recorded, spec_of
 
 from gradcal_jax.api import predict
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.api.unit_residual import quantity_of
+from gradcal_jax.api.imu_residual import quantity_of
 from gradcal_jax.files.changes import changed
 from gradcal_jax.hardware.simulate.draws import draw_truth
+from gradcal_jax.hardware.simulate.imu import ImuTruth
 from gradcal_jax.hardware.simulate.loops import LAWS, Law
-from gradcal_jax.hardware.simulate.unit import UnitTruth
 
 pytestmark = pytest.mark.evidence
 
@@ -29,7 +29,7 @@ COLDEST, WARMEST = -60.0, 110.0
 AT = np.linspace(0.0, 45.0, 10)
 
 
-def on_branches(truth: UnitTruth) -> np.ndarray:
+def on_branches(truth: ImuTruth) -> np.ndarray:
     """`(2, n, 3)`: the true bias at `AT` on a heating and on a cooling leg at 2 K/min, rad/s."""
     triad = truth.triads["gyro"]
     (bias,) = (error for error in triad.errors if getattr(error, "factors", "") == "one")
@@ -45,7 +45,7 @@ def on_branches(truth: UnitTruth) -> np.ndarray:
     return np.stack([both[2], both[1]])
 
 
-def apart(report: SensorEstimate, truth: UnitTruth) -> tuple[np.ndarray, np.ndarray]:
+def apart(report: SensorEstimate, truth: ImuTruth) -> tuple[np.ndarray, np.ndarray]:
     """Error of the estimate on both branches, and its predicted standard deviation, `(2, n, 3)`, deg/h."""
     built, solution = report.built, report.solution
     true, errors, stds = on_branches(truth), np.zeros((2, len(AT), 3)), np.zeros((2, len(AT), 3))

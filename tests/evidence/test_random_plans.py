@@ -110,7 +110,7 @@ def axis_plan(rng: np.random.Generator) -> Tables:
     }
 
 
-def unit_plan(rng: np.random.Generator) -> Tables:
+def motion_plan(rng: np.random.Generator) -> Tables:
     """A plan of three gyros, often with accelerometers, on one axis that points up or on two."""
     two = bool(rng.integers(2))
     standing = _one(rng, ["held", "read"])
@@ -179,7 +179,7 @@ def unit_plan(rng: np.random.Generator) -> Tables:
     }
 
 
-PLANS = {"axis": axis_plan, "unit": unit_plan}
+PLANS = {"axis": axis_plan, "unit": motion_plan}
 
 
 def executed(kind: str, number: int, folder: Path) -> Chain:

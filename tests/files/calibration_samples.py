@@ -1,8 +1,8 @@
 """Calibrations with any bases, and of an IMU with known errors, for the tests of this folder. The texts of axes are in
 the form of version 1."""
 
+import imu_twin
 import numpy as np
-import unit_twin
 
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.calibration.correction import channel_error
@@ -111,8 +111,8 @@ def readings(truth: dict[str, float], count: int = 400) -> tuple[Log, np.ndarray
     force = rng.uniform(-G, G, (count, 3))
     temperature = rng.uniform(-29.0, 69.0, count)
     warm = (temperature - 20.0) / 50.0
-    said = np.stack([unit_twin._gyro(truth, a, rate, force, warm, np.radians(300.0)) for a in range(3)], axis=1)
-    felt = np.stack([unit_twin._accelerometer(truth, a, force, warm) for a in range(3)], axis=1)
+    said = np.stack([imu_twin._gyro(truth, a, rate, force, warm, np.radians(300.0)) for a in range(3)], axis=1)
+    felt = np.stack([imu_twin._accelerometer(truth, a, force, warm) for a in range(3)], axis=1)
     log = Log(
         np.arange(count) * 0.01, said[None], ("SN 1",), tuple("xyz"), temperature[None],
         specific_force_m_per_s2=felt[None], force_axes=tuple("xyz"),

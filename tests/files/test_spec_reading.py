@@ -9,7 +9,7 @@ import pytest
 from gradcal_jax import files
 from gradcal_jax.files import Quantity, SpecError, presets
 from gradcal_jax.files.document import read_toml
-from gradcal_jax.files.unit_plan import row_count
+from gradcal_jax.files.motion_plan import row_count
 
 DEG = math.pi / 180.0
 PAPER = presets.text("paper-dynamic-gradient")

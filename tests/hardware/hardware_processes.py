@@ -17,7 +17,7 @@ from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.rig import read_rig
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.writing import write_toml, write_whole
 from gradcal_jax.hardware import guard as watching
 from gradcal_jax.hardware.clock import RealClock

@@ -23,13 +23,13 @@ from gradcal_jax.files.calibration import Calibration, read_calibration
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.log_file import write_log
 from gradcal_jax.files.recipe import Recipe, read_recipe
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate import lab
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
+from gradcal_jax.hardware.simulate.imu import ImuTruth, TableTruth
 from gradcal_jax.hardware.simulate.plants import AxisTruth, ChamberTruth
-from gradcal_jax.hardware.simulate.unit import TableTruth, UnitTruth
 
 SMALL = {
     "sensor.scale_factor.temperature.degree": 1,
@@ -237,7 +237,7 @@ def test_with_hardly_any_noise_the_standard_method_leaves_nothing(
     A sensor without any noise repeats its value, as one that hangs: a three-hundredth of its noise is one step.
     """
 
-    def still(spec: Spec, seed: int, number: int) -> UnitTruth:
+    def still(spec: Spec, seed: int, number: int) -> ImuTruth:
         drawn = draw_truth(spec, seed, number)
         quiet = {kind: replace(t, white=t.white / 300.0, drifts=()) for kind, t in drawn.triads.items()}
         return replace(drawn, triads=quiet)

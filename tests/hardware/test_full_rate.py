@@ -22,12 +22,12 @@ import pytest
 from hardware_bench import sensor_on_table
 from hardware_evidence import record
 from hardware_processes import laboratory, start_run
+from imu_bench import estimated, made, short
 from scipy.stats import chi2
 from simulated_devices.espec import SimulatedEspec
 from simulated_devices.odrive import SimulatedODrive
 from simulated_devices.port import SimulatedPort
 from simulated_devices.stim300 import SimulatedStim300, Stim300Options
-from unit_bench import estimated, made, short
 
 from gradcal_jax.decoding.run_log import log as log_of_run
 from gradcal_jax.files.recipe import Recipe

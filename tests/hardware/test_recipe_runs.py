@@ -14,12 +14,12 @@ from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 from simulated_devices.port_lab import SimulatedLab
 
-from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import changed, parse_spec, presets
+from gradcal_jax.files.motion_plan import PlanSchedule, row_count
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.tracks import tracks_of
-from gradcal_jax.files.unit_plan import UnitSchedule, row_count
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.errors import HardwareError
@@ -51,7 +51,7 @@ def test_every_preset_becomes_a_track_that_takes_as_long_as_its_plan(name: str) 
     assert track.duration_s == pytest.approx(made.duration_s, rel=1e-9)
     readings = sum(len(step.read_at_s) for step in track.steps)
     schedule = made.spec.schedule
-    if isinstance(schedule, UnitSchedule) and table.standing == "read":
+    if isinstance(schedule, PlanSchedule) and table.standing == "read":
         # The first reading of each stretch is not among the plan's.
         assert readings == pytest.approx(row_count(schedule, table) + len(schedule.stretches), abs=2)
     assert track.steps[0].ready is not None
@@ -88,7 +88,7 @@ def test_a_prediction_reads_what_the_recipe_reads(drive: str, standing: str) -> 
     spec = unpredicted(changed(parse_spec(presets.text("rig-hand")), keys)).spec
     short, ramp = spec.gradient_schedule.stretches
     assert (short.cycles, ramp.cycles > 10, ramp.leftover > 1.0) == (0, True, True)
-    built = assemble_unit(spec)
+    built = build_imu(spec)
     rows = segments_of(built.motion, built.model)
     begins = np.asarray(built.motion.line.start)[rows.first][rows.row_segment[rows.used]]
     last_ends = ramp.start + ramp.cycles * spec.gradient_schedule.period

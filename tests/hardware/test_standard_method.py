@@ -11,10 +11,10 @@ from scipy.stats import chi2
 from gradcal_jax import estimation
 from gradcal_jax.api.build import assemble
 from gradcal_jax.files import changed, parse_spec, presets
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
+from gradcal_jax.hardware.simulate.imu import SimulatedImu, TableTruth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.unit import SimulatedUnit, TableTruth
 from gradcal_jax.information import noise_steps
 from gradcal_jax.trajectory import gauss_nodes, held
 
@@ -29,7 +29,7 @@ def recorded(spec: Spec, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     plan, truth, (_, encoders, _) = spec.schedule, draw_truth(spec, seed, 1), draw_table(spec, seed)
     chamber = ChamberPlant(ChamberTruth(start_c=float(plan.temperatures[0]), load_time_constant_s=1.0))
     axis = AxisPlant(encoders[0])
-    sensor = SimulatedUnit(truth, EAST, chamber, [axis], sample_rate_hz=RATE_HZ, seed=seed + 1)
+    sensor = SimulatedImu(truth, EAST, chamber, [axis], sample_rate_hz=RATE_HZ, seed=seed + 1)
     now, rows = 0.0, []
 
     def last(time_s: float):

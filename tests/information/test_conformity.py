@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm
 
 import gradcal_jax as gj
-from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_residual import errors_of, quantity_of
+from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.api.imu_residual import errors_of, quantity_of
 from gradcal_jax.api.verdicts import decision_rule, limit_of, verdict_of
 from gradcal_jax.information.conformity import (
     acceptance_limit,
@@ -87,8 +87,8 @@ def test_a_hundred_thousand_simulated_units_are_falsely_accepted_as_often_as_is_
 
 def test_the_chance_of_a_sensor_is_that_of_errors_drawn_from_the_dense_covariance():
     spec = gj.changed(gj.parse_spec(gj.presets.text("paper-dynamic-gradient")), {"requirement[0].grid": [11, 13]})
-    built = assemble_unit(spec)
-    root = errors_of(built.model, posterior_of_unit(built), quantity_of(built, built.spec.requirement[0]))
+    built = build_imu(spec)
+    root = errors_of(built.model, imu_posterior(built), quantity_of(built, built.spec.requirement[0]))
     assert root.shape[:4] == (1, 1, 11, 13)
     said = chance_of_keeping(root, lambda of: statistic_of_each("mean of max", of[0]), 150e-6, draws=20_000)
     # The same by hand: monomials of the file, the reported covariance, Cholesky.
@@ -108,8 +108,8 @@ def test_errors_that_a_structure_hides_take_part_in_the_chance():
     spec = gj.parse_spec(gj.presets.text("paper-static-gradient"))
     hidden = {"standard_deviation": "0.5 deg/h", "temperature_degree": 5}
     spec = gj.changed(spec, {"sensor.bias.discrepancy": hidden, "requirement[0].statistic": "max"})
-    built = assemble_unit(spec)
-    known, quantity = posterior_of_unit(built), quantity_of(built, built.spec.requirement[0])
+    built = build_imu(spec)
+    known, quantity = imu_posterior(built), quantity_of(built, built.spec.requirement[0])
     # At one place the chance is the normal distribution's.
     values = quantity.residual(known).values[0] / quantity.residual(known).si
     worst = int(np.argmax(values))
@@ -124,10 +124,10 @@ def test_errors_that_a_structure_hides_take_part_in_the_chance():
 def test_the_chance_of_several_gyros_is_that_each_keeps_the_target():
     """Of gyros with independent errors of one size, the product; and for "all" that of the root mean square."""
     spec = gj.parse_spec(gj.presets.text("ferraris"))
-    built = assemble_unit(spec)
+    built = build_imu(spec)
     requirement = next(r for r in spec.requirement if r.quantity == "gyro_bias")
     quantity = quantity_of(built, requirement)
-    root = errors_of(built.model, posterior_of_unit(built), quantity)[:, :, :1]
+    root = errors_of(built.model, imu_posterior(built), quantity)[:, :, :1]
     sizes = np.linalg.norm(root[:, 0, 0, 0], axis=1)
     assert len(sizes) == 3
     _, everywhere = chance_of_keeping(root, lambda of: of[:, 0, 0].max(axis=0), float(sizes[0]), draws=40_000)

@@ -10,8 +10,8 @@ from numpy.polynomial.legendre import leggauss, legvander
 from scipy import stats
 
 from gradcal_jax.api import assemble, monte_carlo, predict
+from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.tested_maps import noticing, with_hidden
-from gradcal_jax.api.unit_build import assemble_unit
 from gradcal_jax.estimation import Whitened, chi_squared, components, size_of, structure_test
 from gradcal_jax.files import changed, read_spec
 from gradcal_jax.files.recipe import read_recipe
@@ -133,7 +133,7 @@ def detected(bench: Bench, count: int, std: float, seed: int) -> tuple[float, np
     sized = changed(
         bench.spec, {"sensor.scale_factor.discrepancy": HIDDEN | {"standard_deviation": f"{std / PPM} ppm"}}
     )
-    (row,) = noticing(assemble_unit(sized))
+    (row,) = noticing(build_imu(sized))
     assert row.components == len(result.gains)
     return float(np.mean(probability < row.false_alarm)), probability, row.power
 
@@ -141,7 +141,7 @@ def detected(bench: Bench, count: int, std: float, seed: int) -> tuple[float, np
 @pytest.mark.parametrize("name", ["written", "recipes/headline_discrepancy.toml"])
 def test_simulated_units_are_noticed_as_often_as_predicted(name):
     bench = Bench(name)
-    (row,) = noticing(assemble_unit(bench.spec))
+    (row,) = noticing(build_imu(bench.spec))
     share, _, predicted = detected(bench, 400, row.sure_from * PPM, 5)
     assert predicted == pytest.approx(0.9, abs=1e-6)
     assert share == pytest.approx(0.9, abs=4.0 * np.sqrt(0.09 / 400))
@@ -196,7 +196,7 @@ PLANS = ["written", "recipes/headline.toml", "recipes/headline_discrepancy.toml"
 def test_a_thousand_units_with_hidden_maps(name):
     """Predicted over achieved within 5 %, power within 3 points, false alarms at their rate."""
     bench = Bench(name)
-    (row,) = noticing(assemble_unit(bench.spec))
+    (row,) = noticing(build_imu(bench.spec))
     share, _, predicted = detected(bench, 1000, row.sure_from * PPM, 15)
     assert abs(share - predicted) < 0.03
     alarms, probability, _ = detected(bench, 1000, 1e-6 * PPM, 16)

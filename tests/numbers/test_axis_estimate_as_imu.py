@@ -23,7 +23,7 @@ from gradcal_jax.files import changed
 from gradcal_jax.files import spec as specs
 from gradcal_jax.files.changes import tables_of
 from gradcal_jax.files.log import LogError
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 
 UNWEIGHTED = STANDARD.replace('"standard"', '"standard"\nestimator = "least squares"')
 STATIC = GRADIENT[: GRADIENT.index("[plan.cycle]")] + 'read_every = "2 s"\n'

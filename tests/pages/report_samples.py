@@ -9,7 +9,7 @@ import numpy as np
 from gradcal_jax import api
 from gradcal_jax.api.contract_rows import result_of_requirement
 from gradcal_jax.api.estimated_calibration import calibrated_channels
-from gradcal_jax.api.unit_build import assemble_unit
+from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.files import Spec, changed, parse_spec, presets
 from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration, Covariance
 from gradcal_jax.files.recipe import Recipe
@@ -140,7 +140,7 @@ def calibration(made: Recipe, seed: int = 7) -> Calibration:
 
 def calibration_of_plan(planned: Spec, seed: int = 1) -> Calibration:
     """Drawn coefficients of all channels of a plan, with its own covariance and what it leaves of the requirements."""
-    built, prediction = assemble_unit(planned), api.predict(planned)
+    built, prediction = build_imu(planned), api.predict(planned)
     values = np.random.default_rng(seed).standard_normal(built.model.size)
     return Calibration(
         format=FORMAT,

@@ -6,13 +6,13 @@ from html import unescape
 
 import numpy as np
 import pytest
+from imu_bench import short
 from report_samples import calibration_of_plan
-from unit_bench import short
 
 import gradcal_jax as gj
 from gradcal_jax.api.ieee_terms import calibrated_posterior
-from gradcal_jax.api.unit_build import assemble_unit, posterior_of_unit
-from gradcal_jax.api.unit_residual import unit_residual
+from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets
 from gradcal_jax.files.calibration import Covariance, UnseenError
@@ -41,8 +41,8 @@ def written(tmp_path_factory):
 @pytest.fixture(scope="module")
 def found():
     """A plan's own covariance as a calibration, with the model and the posterior behind it."""
-    built = assemble_unit(SPEC)
-    return built, posterior_of_unit(built), calibration_of_plan(SPEC)
+    built = build_imu(SPEC)
+    return built, imu_posterior(built), calibration_of_plan(SPEC)
 
 
 def test_every_number_is_the_prediction_s_and_every_warning_is_on_the_page(written):
@@ -128,7 +128,7 @@ def test_a_calibration_s_covariance_leaves_what_the_posterior_behind_it_does(fou
     built, known, calibration = found
     again = calibrated_posterior(built.model, calibration)
     for requirement in SPEC.requirement:
-        expected, left = (unit_residual(built, of, requirement) for of in (known, again))
+        expected, left = (imu_residual(built, of, requirement) for of in (known, again))
         assert left.labels == expected.labels
         np.testing.assert_allclose(left.values, expected.values, rtol=1e-6)
 
@@ -136,10 +136,10 @@ def test_a_calibration_s_covariance_leaves_what_the_posterior_behind_it_does(fou
 def test_what_no_residual_shows_counts_and_what_has_no_variance_is_not_observable(found):
     built, _, calibration = found
     of_bias = next(r for r in SPEC.requirement if r.quantity == "accelerometer_bias")
-    plain = unit_residual(built, calibrated_posterior(built.model, calibration), of_bias)
+    plain = imu_residual(built, calibrated_posterior(built.model, calibration), of_bias)
     unseen = UnseenError(name="offset of the temperature", coefficients={"accelerometer_y.a0": 1e-3})
     more = calibration.model_copy(update={"unseen": (unseen,)})
-    left = unit_residual(built, calibrated_posterior(built.model, more), of_bias)
+    left = imu_residual(built, calibrated_posterior(built.model, more), of_bias)
     expected = plain.values.copy()
     expected[1] = np.hypot(expected[1], 1e-3 / 9.80665e-6)
     np.testing.assert_allclose(left.values, expected, rtol=1e-9)
@@ -150,7 +150,7 @@ def test_what_no_residual_shows_counts_and_what_has_no_variance_is_not_observabl
         names=tuple(known.names[k] for k in rows),
         matrix=tuple(tuple(known.matrix[k][i] for i in rows) for k in rows),
     )
-    left = unit_residual(
+    left = imu_residual(
         built, calibrated_posterior(built.model, calibration.model_copy(update={"covariance": less})), of_bias
     )
     at = np.linspace(-30.0, 70.0, left.values.shape[1])
@@ -208,8 +208,8 @@ def test_the_panel_of_an_imu_varies_the_angles_of_all_axes():
 
 def test_the_prior_alone_hides_what_has_none():
     flat = gj.changed(SPEC, {"sensor.gyro.g_sensitivity": {}})
-    built = assemble_unit(flat)
+    built = build_imu(flat)
     prior = posterior(square_root(np.asarray(built.model.prior_rows())))
-    by_name = {r.quantity: unit_residual(built, prior, r) for r in flat.requirement}
+    by_name = {r.quantity: imu_residual(built, prior, r) for r in flat.requirement}
     assert np.isinf(by_name["g_sensitivity"].values).all()
     assert np.isfinite(by_name["gyro_bias"].values).all()

@@ -2,8 +2,8 @@
 
 import pytest
 from headless_chromium import BOXES, Chromium, browser, overlaps
+from imu_bench import short
 from report_samples import calibration, recipe, rehearse
-from unit_bench import short
 
 from gradcal_jax import api
 from gradcal_jax.api.estimate import estimate_sensors

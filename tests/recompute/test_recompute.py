@@ -21,7 +21,7 @@ from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.timeline import timeline
 from gradcal_jax.files import presets, spec_of
 from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
-from gradcal_jax.files.unit_plan import UnitSchedule, row_count
+from gradcal_jax.files.motion_plan import PlanSchedule, row_count
 
 TOLERANCE = 1e-9
 # Quick ones, among them every family, both estimators, all bases, a lag, gaps, harmonics and two axes.
@@ -54,7 +54,7 @@ def test_a_program_that_has_the_timeline_alone_finds_the_same_standard_deviation
         spec = spec_of(axis_as_imu(tables, axis))
         expected = {axis: [p.std for p in predict(spec).parameters]}
         written = json.loads(timeline_text(spec))
-        if isinstance(spec.schedule, UnitSchedule):
+        if isinstance(spec.schedule, PlanSchedule):
             counted = sum(not r.get("origin", False) for r in written["readings"])
             assert counted == row_count(spec.schedule, spec.rig.table)
         assert difference(recompute.sigmas(written), expected) < TOLERANCE

@@ -14,13 +14,13 @@ import numpy as np
 
 from ...files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
 from ...files.sensor import AccelerometerTriad, GyroTriad, TemperatureError
-from ...files.unit_spec import Spec
+from ...files.spec_sections import Spec
 from ...units import to_unit
 from ..pose import turn_by
+from .imu import ErrorTerm, ImuTruth, Kind, Matrix, ScaleFactors, TableTruth, TriadTruth
 from .loops import LAWS, Law, LoopTruth
 from .plants import AxisTruth
 from .sensor import Process, TruthBasis, Vectors
-from .unit import ErrorTerm, Kind, Matrix, ScaleFactors, TableTruth, TriadTruth, UnitTruth
 
 # A plan may use all of its allowed travel: the cable's hard end is this far beyond.
 _BEYOND_DEG: Final = 2.0
@@ -183,7 +183,7 @@ def _three(values: Vectors) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
 
 
-def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> UnitTruth:
+def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> ImuTruth:
     """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI. `law`: of
     loops over the temperature; None: drawn."""
     draws = _Draws(np.random.default_rng([seed, number, 20261]))
@@ -197,7 +197,7 @@ def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> Un
     if sensor.sample_clock_error:
         clock = draws.values["sample_clock"] = float(sensor.sample_clock_error) * float(draws.random.standard_normal())
     of_gyros = lever + _APART_M * draws.random.standard_normal(3)
-    return UnitTruth(triads, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, draws.values)
+    return ImuTruth(triads, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, draws.values)
 
 
 def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:

@@ -14,8 +14,8 @@ import numpy as np
 
 from ...files.bench import TableAxis
 from ...files.rig import RigFile, rig_of
+from ...files.spec_sections import Spec
 from ...files.tracks import read_at_rest, tracks_of
-from ...files.unit_spec import Spec
 from ...units import to_unit
 from ..clock import Clock
 from ..drivers.stim300 import Stim300Config
@@ -24,8 +24,8 @@ from ..setup import Bench
 from .datagrams import RATES_HZ
 from .devices import HandTurnedAxis, HangingOperator, SimulatedAxis, SimulatedChamber, SimulatedPerson, SimulatedStream
 from .draws import draw_table, draw_truth
+from .imu import SimulatedImu
 from .plants import AxisPlant, ChamberPlant, ChamberTruth
-from .unit import SimulatedUnit
 
 # Bits/s. 2000 datagrams/s of rates, forces and temperatures leave no margin on the usual line.
 _BAUDRATE: Final = 921_600
@@ -67,8 +67,8 @@ class SimulatedLab:
         self.chamber_plant = ChamberPlant(physics, now)
         truth, encoders, self._installation = draw_table(spec, seed)
         self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
-        self.units: dict[str, SimulatedUnit] = {
-            f"unit{number}": SimulatedUnit(
+        self.units: dict[str, SimulatedImu] = {
+            f"unit{number}": SimulatedImu(
                 draw_truth(spec, seed, number),
                 truth,
                 self.chamber_plant,

@@ -12,7 +12,7 @@ from simulated_devices.zaber import SimulatedZaber
 
 from gradcal_jax.files.bench import TableAxis
 from gradcal_jax.files.rig import rig_of
-from gradcal_jax.files.unit_spec import Spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate import lab
 from gradcal_jax.hardware.simulate.datagrams import RATES_HZ

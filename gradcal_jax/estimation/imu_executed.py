@@ -1,0 +1,576 @@
+"""The executed motion of a unit on a table of several axes: a log's standstills and moves as a `TableMotion`.
+
+Between two standstills of the whole table one axis after the other turns. Where the log has the readings of the
+encoders, those of an instant between two moves show which one. Otherwise the gyros do: their rate has a minimum at such
+an instant, and their integral between two minima points along the axis that turned; two moves of one axis are then one.
+The angle of an axis at rest is the mean of its readings between two of its own moves. Within a move
+the gyros give the angle, adjusted to the encoder's angles at its ends.
+
+Row `i` of a log represents the time from row `i − 1` to itself.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from gradcal_jax.estimation.planned_moves import SLOW_S, PlannedMove, TimedMove, timed_moves
+from gradcal_jax.formulas import runs
+from gradcal_jax.model import BodyGroup, BodyNodes
+from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, held, lagrange, quadrature
+
+# A rest is one row of each channel, as in a plan, but its temperature is followed in pieces of this duration.
+PIECE_S = 60.0
+# Time after and before, over which dT/dt is measured, s.
+_AROUND_S = 30.0
+# Equal parts of a piece of rest in which functions of temperature with jumps are summed.
+_PARTS = 64
+_GUARD_S = 0.1
+# The speed at a stop is this many times below that on both sides; speeds below this share of the fastest are noise.
+_DIP, _SLOWEST = 10.0, 1e-3
+# A stop is read within this time of where the gyros see it.
+_LATE_S = 0.5
+# Least change of an axis's angle (rad) that counts as a turn.
+_LEAST_TURN = np.radians(0.05)
+# ... and that of two single readings, which have their own noise.
+_TURNED = np.radians(1.0)
+# The gyros' integral over a move differs from the table's angle by at most this share and this angle (rad).
+_FOLLOWS, _BIAS = 0.05, np.radians(3.0)
+# Largest angle between nodes of a move (rad).
+_NODE = np.radians(3.0)
+_FEWEST_NODES = 16
+# Least share of an axis's rate along the gyros at which it is observable.
+SEEN = 0.3
+
+
+class ImuRows(NamedTuple):
+    """One unit's rows of a log, `(n,)` unless stated. `rates` `(n, 3)` rad/s and `force` `(n, 3)` m/s² along the body's
+    axes, NaN for missing ones; `angles` `(n, L)` rad of the table's axes, NaN where not read; `standing`: all of them
+    stand; `usable`: the row may be integrated; `mounting`: its number; `at_a_stop`: the row's angles are readings of
+    axes that stand there, if only for an instant. `worth`: the readings of the spec's noise that a row's are worth
+    (None: one); `at_end`: whether they are of the row's end, not of an instant near it (None: they are not);
+    `table_rate`: the rate held by the table's only axis, rad/s.
+    """
+
+    time_s: np.ndarray
+    rates: np.ndarray
+    force: np.ndarray
+    temperature_c: np.ndarray
+    angles: np.ndarray
+    standing: np.ndarray
+    usable: np.ndarray
+    mounting: np.ndarray
+    at_a_stop: np.ndarray
+    worth: np.ndarray | None = None
+    table_rate: np.ndarray | None = None
+    at_end: np.ndarray | None = None
+
+
+class ExecutedImu(NamedTuple):
+    """`motion` of `P` pieces, a rest or a move each; `rows` `(P + 1,)`: piece k is the log's rows `rows[k] + 1 …
+    rows[k+1]`; `travelled`: of every move the angle (rad) since its beginning, at the edges of equal parts of its time.
+    """
+
+    motion: TableMotion
+    rows: np.ndarray
+    travelled: tuple[np.ndarray | None, ...]
+
+
+def executed_imu(
+    log: ImuRows,
+    geometry: Geometry,
+    read_every: float = PIECE_S,
+    planned: Sequence[Sequence[PlannedMove]] = (),
+) -> ExecutedImu:
+    """The motion in a log's rows. `read_every` s: the spacing of readings of a table that is read while it stands;
+    `planned`: the moves of the plan between its rests, for logs that are too slow to show the motion themselves.
+
+    Errors: `ValueError` where the table never stands, where its angles are not known there, or where the gyros'
+    integral over a move is not a sequence of turns of single axes.
+    """
+    stands = [(int(a), int(b) - 1) for a, b in runs(log.standing) if b - a > 1]
+    # Standstills of a run, whose readings are events, have margins already.
+    spans = stands if log.at_a_stop.any() else [_inner(log.time_s, *stand) for stand in stands]
+    if len(spans) < 2:
+        raise ValueError("the table stands still less than twice in the log, so there is no pose to compare")
+    if read_every < PIECE_S and log.at_a_stop.any():
+        # Every reading is a reference: a standstill is that from its first to its last.
+        read = [np.flatnonzero(log.at_a_stop[a : b + 1]) + a for a, b in stands]
+        spans = [(int(rows[0]), int(rows[-1])) for rows in read if len(rows)]
+    # A reading has the row at which its axis stands; of an angle at every row those at the ends do not count.
+    means = mean_angles(log, spans)
+    slow = np.median(np.diff(log.time_s)) > SLOW_S
+    legs = _legs(log, geometry, spans, means, planned if slow else ())
+    angles = _own_angles(log, spans, legs)
+    return _pieces(log, geometry, spans, legs, angles, read_every)
+
+
+class _Leg(NamedTuple):
+    """A move of one axis (−1: unknown or none), rows `begin + 1 … end`, after standstill `span`. `timed`: its motion
+    where the plan tells it."""
+
+    span: int
+    axis: int
+    begin: int
+    end: int
+    timed: TimedMove | None = None
+
+
+def mean_angles(log: ImuRows, spans: list[tuple[int, int]]) -> list[np.ndarray]:
+    """The mean angles (rad) of all axes in every standstill; an axis that is not read there stands as before."""
+    result: list[np.ndarray] = []
+    for first, last in spans:
+        read = log.angles[first : last + 1]
+        known = np.isfinite(read)
+        mean = np.sum(np.where(known, read, 0.0), axis=0) / np.maximum(known.sum(axis=0), 1)
+        if not known.any(axis=0).all() and not (result and log.at_a_stop.any()):
+            raise ValueError(
+                f"the table's angles are not known where it stands, {log.time_s[first]:.6g} s into the log"
+            )
+        result.append(np.where(known.any(axis=0), mean, result[-1] if result else mean))
+    return result
+
+
+def _inner(time: np.ndarray, first: int, last: int) -> tuple[int, int]:
+    """A standstill without its ends: a row marked as standing may contain the begin of a move, some µrad at 25 rows/s,
+    which the encoder counts to the move. Rows of rest that are counted to a move do no harm.
+    """
+    rows = last - first
+    guard = min(max(1, int(np.searchsorted(time[first : last + 1] - time[first], _GUARD_S))), rows // 10)
+    return first + guard, last - guard
+
+
+def _legs(
+    log: ImuRows,
+    geometry: Geometry,
+    spans: list[tuple[int, int]],
+    means: list[np.ndarray],
+    planned: Sequence[Sequence[PlannedMove]],
+) -> list[_Leg]:
+    """Every move between standstills."""
+    step = np.diff(log.time_s, prepend=log.time_s[0])
+    seen = np.flatnonzero(np.isfinite(log.rates).any(axis=0))
+    quiet = np.array([_mean_rates(log.rates[a : b + 1]) for a, b in spans]) if len(seen) else None
+    stops = np.isfinite(log.angles) & log.at_a_stop[:, None]
+    result: list[_Leg] = []
+    for k, ((_, last), (first, _)) in enumerate(itertools.pairwise(spans)):
+        at, legs = means[k].copy(), [_Leg(k, -1, last, last)]
+        if not (log.usable[last + 1 : first + 1].all() and log.mounting[last] == log.mounting[first]):
+            # This move is not read; only its final angles count. Where rows are missing, as in a resumed run, an axis
+            # at its former angle may have moved.
+            result.append(_Leg(k, -1, last, first))
+            continue
+        rows = np.arange(last, first + 1)
+        if planned and quiet is not None:
+
+            def directions_of(group, k: int = k, mounting: np.ndarray = log.mounting[[last]]) -> np.ndarray:
+                at, result = means[k].copy(), []
+                for move in group:
+                    result.append(frames(geometry, at[None], mounting).axes[0][move.axis, seen])
+                    at[move.axis] += move.angle
+                return np.array(result)
+
+            rates = (log.rates[rows[1:]] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen]
+            moved, change = rates * step[rows[1:], None], means[k + 1] - means[k]
+            if timed := timed_moves(planned, change, log.time_s[rows], moved, directions_of):
+                begins = (rows[np.argmin(np.abs(log.time_s[rows] - t.begin))] for t in timed[1:])
+                pairs = itertools.pairwise([last, *map(int, begins), first])
+                result += [_Leg(k, t.move.axis, a, b, t) for t, (a, b) in zip(timed, pairs, strict=True)]
+                continue
+        still = None
+        for since, axis in np.argwhere(stops[last + 1 : first]):
+            row = int(since) + last + 1
+            if abs(log.angles[row, axis] - at[axis]) > _TURNED:
+                if still is None and quiet is not None:
+                    speed = np.linalg.norm((log.rates[rows[1:]] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen], axis=1)
+                    still = last + 1 + np.array(_valleys(speed), int)
+                legs.append(_Leg(k, int(axis), legs[-1].end, _stop_near(log.time_s, row, legs[-1].end, still)))
+                at[axis] = log.angles[row, axis]
+        rest, turned = _Leg(k, -1, legs[-1].end, first), np.flatnonzero(np.abs(means[k + 1] - at) > _LEAST_TURN)
+        if len(turned) == 1 or quiet is None:
+            legs.append(rest._replace(axis=int(turned[0]) if len(turned) == 1 else -1))
+        elif len(turned) == 0 and len(legs) > 1:
+            legs[-1] = legs[-1]._replace(end=first)
+        else:
+            rates = (log.rates[rest.begin + 1 : first + 1] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen]
+            legs += _felt_legs(log, geometry, rest, rates, at, means[k + 1], seen)
+            size = max(float(step[rest.begin + 1 : first + 1] @ np.linalg.norm(rates, axis=1)), 1e-9)
+            if np.max(np.abs(at - means[k + 1])) > _FOLLOWS * size + _BIAS:
+                raise ValueError(
+                    f"between {log.time_s[last]:.6g} and {log.time_s[first]:.6g} s the gyros and the table's angles do "
+                    "not agree: one axis after the other must turn; is the table of the spec the one of the log, with "
+                    "its axes in that order, and the unit mounted as in the spec?"
+                )
+        result += legs[1:]
+    return result
+
+
+def _stop_near(time_s: np.ndarray, row: int, after: int, still: np.ndarray | None) -> int:
+    """The row at which the gyros see the stop that was read at `row`: stamps of readings and of samples are late by
+    different times. `still`: rows at which the gyros see a stop."""
+    if still is None or not len(near := still[(still > after) & (np.abs(time_s[still] - time_s[row]) < _LATE_S)]):
+        return row
+    return int(near[np.argmin(np.abs(near - row))])
+
+
+def _felt_legs(
+    log: ImuRows,
+    geometry: Geometry,
+    whole: _Leg,
+    rates: np.ndarray,
+    at: np.ndarray,
+    goal: np.ndarray,
+    seen: np.ndarray,
+) -> list[_Leg]:
+    """The moves that the gyros feel in the rows of `whole`, with their `rates` (rad/s): from the angles `at` (rad),
+    which are set to those at the end, to the angles `goal`."""
+    step = np.diff(log.time_s[whole.begin : whole.end + 1])
+    legs: list[_Leg] = []
+    edges = [0, *(1 + w for w in _valleys(np.linalg.norm(rates, axis=1))), len(rates)]
+    for a, b in itertools.pairwise(edges):
+        axis, angle = _which(geometry, at, goal - at, int(log.mounting[whole.begin]), step[a:b] @ rates[a:b], seen)
+        at[axis] += angle
+        if legs and legs[-1].axis == axis:
+            legs[-1] = legs[-1]._replace(end=whole.begin + b)
+        else:
+            legs.append(_Leg(whole.span, axis, whole.begin + a, whole.begin + b))
+    return legs
+
+
+def _mean_rates(rates: np.ndarray) -> np.ndarray:
+    """The mean of each column; NaN where no row is finite."""
+    known = np.isfinite(rates)
+    count = np.sum(known, axis=0)
+    return np.where(count > 0, np.sum(np.where(known, rates, 0.0), axis=0) / np.maximum(count, 1), np.nan)
+
+
+def _valleys(speed: np.ndarray) -> list[int]:
+    """Rows at which the table stops for an instant."""
+    top = float(np.max(speed, initial=0.0))
+    if top == 0.0:
+        return []
+    # Noise at a minimum must not divide it into two.
+    width = max(len(speed) // 400, 1)
+    smooth = np.convolve(np.pad(speed, width, mode="edge"), np.ones(2 * width + 1) / (2 * width + 1), mode="valid")
+    # Imported where it is used: it imports all of SciPy's statistics.
+    from scipy.signal import find_peaks
+
+    prominence = np.log(_DIP)
+    stops = find_peaks(-np.log(np.maximum(smooth, _SLOWEST * top)), prominence=prominence)[0]
+    # The mean over several rows is least beside the stop, towards the slower move.
+    around = [np.arange(max(stop - width, 0), min(stop + width + 1, len(speed))) for stop in stops]
+    return [int(rows[np.argmin(speed[rows])]) for rows in around]
+
+
+def _which(
+    geometry: Geometry, at: np.ndarray, left: np.ndarray, mounting: int, total: np.ndarray, seen: np.ndarray
+) -> tuple[int, float]:
+    """Axis (and angle, rad) along which the gyros' integral points; of several the one with the angle `left`."""
+    axes = frames(geometry, at[None], np.array([mounting])).axes[0][:, seen]
+    angle = (axes @ total) / np.maximum(np.sum(axes**2, axis=1), SEEN**2)
+    missed = np.linalg.norm(total[None] - angle[:, None] * axes, axis=1)
+    along = missed <= np.min(missed) + _FOLLOWS * np.linalg.norm(total)
+    best = int(np.argmin(np.where(along, np.abs(angle - left), np.inf)))
+    return best, float(angle[best])
+
+
+def _own_angles(log: ImuRows, spans: list[tuple[int, int]], legs: list[_Leg]) -> list[np.ndarray]:
+    """Angles (rad) of each axis before its first move and after each of its moves: means of its readings from the end
+    of one to the begin of the next, also while other axes move.
+
+    Time stamps of a busy computer are late, so that rows next to another axis's move may belong to this axis's own
+    move: readings count between the first and the last row at which all axes stand, or else in the middle half.
+    """
+    standing = np.zeros(len(log.time_s), bool)
+    for first, last in spans:
+        standing[first : last + 1] = True
+    result: list[np.ndarray] = []
+    for axis in range(log.angles.shape[1]):
+        own = [leg for leg in legs if leg.axis in (axis, -1)]
+        begins = [spans[0][0], *(leg.end for leg in own)]
+        ends = [*(leg.begin for leg in own), spans[-1][1]]
+        values = []
+        for a, b in zip(begins, ends, strict=True):
+            rows, quarter = np.arange(a, max(b, a) + 1), max(b - a, 0) // 4
+            rest = rows[standing[rows]]
+            rows = np.arange(rest[0], rest[-1] + 1) if len(rest) else rows[quarter : len(rows) - quarter]
+            read = log.angles[rows, axis]
+            known = np.isfinite(read)
+            values.append(float(np.mean(read[known] if known.any() else _nearest(log.angles[:, axis], int(rows[0])))))
+        result.append(np.array(values))
+    return result
+
+
+def _nearest(angles: np.ndarray, row: int) -> np.ndarray:
+    """The known angle nearest to a row."""
+    known = np.flatnonzero(np.isfinite(angles))
+    return angles[known[[int(np.argmin(np.abs(known - row)))]]]
+
+
+def _pieces(
+    log: ImuRows,
+    geometry: Geometry,
+    spans: list[tuple[int, int]],
+    legs: list[_Leg],
+    angles: list[np.ndarray],
+    longest: float,
+) -> ExecutedImu:
+    rows, axes, lost, travelled = [spans[0][0]], list[int](), list[bool](), list[np.ndarray | None]()
+    # Where the plan tells when a move began, that is not at a row.
+    timed = (leg for before, leg in itertools.pairwise(legs) if before.span == leg.span)
+    times = {leg.begin: leg.timed.begin for leg in timed if leg.timed is not None}
+    time_s = log.time_s.copy()
+    time_s[list(times)] = list(times.values())
+    goals = [iter(own[1:]) for own in angles]
+    start = np.array([own[0] for own in angles])
+    # Between two rows of equal counts every row may be integrated.
+    at, unusable = start.copy(), np.cumsum(~log.usable)
+
+    def add(row: int, axis: int = -1, way: np.ndarray | None = None, *, read: bool = True) -> None:
+        """The piece up to a row, in which one axis moves."""
+        whole = all(of[rows[-1]] == of[row] for of in (unusable, log.mounting))
+        lost.append(not (read and whole))
+        rows.append(row)
+        axes.append(axis)
+        travelled.append(way)
+
+    def next_angle(axis: int) -> float:
+        """The angle (rad) of an axis's next move."""
+        return float(next(goals[axis]) - at[axis])
+
+    of_span: dict[int, list[_Leg]] = {}
+    for leg in legs:
+        of_span.setdefault(leg.span, []).append(leg)
+    for k, (first, last) in enumerate(spans):
+        parts = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / longest - 1e-9)))
+        times = np.linspace(log.time_s[first], log.time_s[last], parts + 1)[1:-1]
+        for row in [*np.searchsorted(log.time_s[:last], times - 1e-9).tolist(), last]:
+            if row > rows[-1]:
+                add(row)
+        for leg in of_span.get(k, []):
+            if leg.axis >= 0:
+                angle = next_angle(leg.axis)
+                add(leg.end, leg.axis, _way(log, geometry, at, leg, angle, time_s))
+                at[leg.axis] += angle
+                continue
+            # Several axes, or none: the move is not read; every axis goes to its next angle.
+            ends = np.linspace(leg.begin, leg.end, len(angles) + 1).round().astype(int).tolist()[1:]
+            for l, row in enumerate(ends):
+                angle = next_angle(l)
+                add(row, l, np.linspace(0.0, angle, _FEWEST_NODES + 1), read=False)
+                at[l] += angle
+    turned = np.array([0.0 if way is None else way[-1] for way in travelled])
+    as_moved = log._replace(time_s=time_s)
+    motion = _motion(as_moved, geometry, np.array(rows), np.array(axes), np.array(lost), turned, start)
+    return ExecutedImu(motion, np.array(rows), tuple(travelled))
+
+
+def _way(log: ImuRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float, time_s: np.ndarray) -> np.ndarray:
+    """The angle (rad) of a move by the gyros, adjusted to the encoder's, at the edges of equal parts of its time."""
+    time = time_s[leg.begin : leg.end + 1]
+    if leg.timed is not None:
+        count = nodes_of_way(abs(whole))
+        share = leg.timed.share(np.linspace(time[0], time[-1], count + 1))
+        return whole * (share - share[0]) / max(share[-1] - share[0], 1e-12)
+    direction = frames(geometry, at[None], log.mounting[[leg.begin]]).axes[0][leg.axis]
+    rates = log.rates[leg.begin + 1 : leg.end + 1]
+    direction = np.where(np.isfinite(rates).all(axis=0), direction, 0.0)
+    size = float(direction @ direction)
+    speed = np.nan_to_num(rates) @ direction / size if size > SEEN**2 else np.full(len(rates), whole)
+    turned = np.concatenate([[0.0], np.cumsum(speed * np.diff(time))])
+    path = np.concatenate([[0.0], np.cumsum(np.abs(speed) * np.diff(time))])
+    if path[-1] > 0.0:
+        turned = turned + (whole - turned[-1]) * path / path[-1]
+    count = nodes_of_way(path[-1])
+    return np.interp(np.linspace(time[0], time[-1], count + 1), time, turned)
+
+
+def nodes_of_way(path: float) -> int:
+    """The number of nodes of a move over a path (rad)."""
+    count = _FEWEST_NODES
+    while count * _NODE < path:
+        count *= 2
+    return count
+
+
+def across_stops(done: ExecutedImu, log: ImuRows) -> np.ndarray:
+    """Corrections of the gyros' integrals over every piece `(P, 3)`, rad, where the table stopped for an instant.
+
+    The row of the stop contains the end of one turn and the begin of the next, some tens or hundreds of µrad at 100
+    rows/s. Of two axes their different directions separate them, of one axis the slopes of the rate on both sides.
+    """
+    result, axis, rows = np.zeros((len(done.motion.axis), 3)), done.motion.axis, done.rows
+    step, seen = np.diff(log.time_s, prepend=log.time_s[0]), np.isfinite(log.rates).any(axis=0)
+    before, _ = done.motion.angles()
+    rests = np.flatnonzero(axis < 0)
+    for k in np.flatnonzero((axis[:-1] >= 0) & (axis[1:] >= 0)):
+        stop = int(rows[k + 1])
+        # Where the plan tells the stop, it may lie within a row, which is then the only one that both moves share.
+        late_s = float(done.motion.line.start[k + 1] - log.time_s[stop])
+        if log.at_end is not None and log.at_end[stop]:
+            continue
+        if axis[k] == axis[k + 1]:
+            near = slice(stop - 3, stop + 4)
+            if late_s == 0.0 and rows[k] + 3 < stop < rows[k + 2] - 3:
+                late = _too_much(log.time_s[near], log.rates[near])
+                result[k] -= late
+                result[k + 1] += late
+            continue
+        near = np.arange(max(rows[k] + 1, stop - 1), min(rows[k + 2], stop + 1) + 1)
+        near = near if late_s == 0.0 else near[near == (stop if late_s < 0.0 else stop + 1)]
+        around = [j for j in (np.searchsorted(rests, k) - 1, np.searchsorted(rests, k)) if 0 <= j < len(rests)]
+        still = [np.mean(log.rates[rows[j] + 1 : rows[j + 1] + 1], axis=0) for j in rests[around]]
+        if not still or not len(near):
+            continue
+        whole = slice(rows[k] + 1, rows[k + 2] + 1)
+        turned = (log.rates[whole] - np.mean(still, axis=0)) * step[whole, None]
+        mounting = done.motion.mounting[[k + 1]]
+        axes = frames(done.motion.geometry, before[[k + 1]], mounting).axes[0][[axis[k], axis[k + 1]]] * seen
+        both = turned[near - rows[k] - 1]
+        if not np.isfinite(both[:, seen]).all() or np.linalg.svd(axes, compute_uv=False)[-1] < SEEN:
+            continue
+        if late_s:
+            # A row of a slow log holds degrees: each move is along the direction in which the gyros sense it, not along
+            # its axis.
+            sensed = [np.nansum(turned[a:b], axis=0) for a, b in _apart(near, rows[k : k + 3])]
+            known = np.linalg.norm(sensed, axis=1) > _BIAS
+            axes = np.where(known[:, None], sensed, axes)
+        ended, begun = np.linalg.lstsq(axes.T[seen], both[:, seen].T)[0]
+        late = np.sum(begun[near <= stop]) * axes[1] - np.sum(ended[near > stop]) * axes[0]
+        # The rest of the output is divided by the time itself.
+        late -= np.nan_to_num(np.mean(still, axis=0)) * late_s
+        result[k] -= late
+        result[k + 1] += late
+    return result
+
+
+def _too_much(time_s: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Of two moves of one axis, what the rows up to a stop hold of the second, less what the rows after it hold of the
+    first, rad `(3,)`. `time_s` `(7,)`, `rates` `(7, 3)`: of the row of the stop, in the middle, and those beside it.
+
+    Controllers brake and start at constant accelerations: straight lines of the rate.
+    """
+    step = np.diff(time_s, prepend=2.0 * time_s[0] - time_s[1])
+    result, end, middle = np.zeros(3), time_s[3], time_s - 0.5 * step
+    main = int(np.nanargmax(np.nansum(np.abs(rates), axis=0))) if np.isfinite(rates).any() else 0
+    for one, other, sign in ((0, 1, -1.0), (5, 6, 1.0)):
+        slope = (rates[other] - rates[one]) / (middle[other] - middle[one])
+        if not abs(slope[main]) > 0.0:
+            continue
+        # From the row's end to where the line is zero: past it on the side of the other move.
+        beyond = (end - (middle[one] - rates[one, main] / slope[main])) * sign
+        if 0.0 < beyond < 1.5 * step[3]:
+            # Either way a part of one move is among the rows of the other.
+            result += 0.5 * np.nan_to_num(slope) * beyond**2
+    return result
+
+
+def _apart(near: np.ndarray, rows: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
+    """The rows of two neighbouring moves that are not `near` their stop, counted from the first row of the former."""
+    begin, end = int(rows[0]) + 1, int(rows[2]) + 1
+    return (0, int(near[0]) - begin), (int(near[-1]) + 1 - begin, end - begin)
+
+
+def _motion(
+    log: ImuRows, geometry: Geometry, rows: np.ndarray, axis: np.ndarray, lost: np.ndarray, turned: np.ndarray, start
+) -> TableMotion:
+    duration, at = np.diff(log.time_s[rows]), log.temperature_c[rows]
+    mean = turned / np.where(duration > 0.0, duration, 1.0)
+    # Every move ends at a standstill.
+    ends = np.ones(len(axis), bool)
+    line = held(
+        log.time_s[rows[:-1]], duration, mean, at[:-1], at[1:], read=~lost, at_rest=ends, moving=axis >= 0, gap=lost
+    )
+    # Neighbouring pieces of a rest, both read, are one segment.
+    goes_on = (axis[1:] < 0) & (axis[:-1] < 0) & ~lost[1:] & ~lost[:-1]
+    line = eqx.tree_at(lambda x: x.segment, line, np.concatenate([[0], np.cumsum(~goes_on)]))
+    each = np.arange(len(axis))
+    # The mounting changes only in pieces that are not read.
+    return TableMotion(line, axis, log.mounting[rows[1:]], geometry, start, each, each, each)
+
+
+def nodes_of_rows(
+    done: ExecutedImu,
+    log: ImuRows,
+    geometry: Geometry,
+    points: int,
+    temperature_c: np.ndarray,
+    error_of=None,
+    felt: np.ndarray | None = None,
+) -> BodyNodes:
+    """The nodes of the executed motion on a table of this `geometry`. `temperature_c` `(n,)`: temperature of the maps.
+    `points` along a piece for functions of temperature; 0: they have jumps, and are evaluated at every node.
+
+    `error_of(axis, angle) -> (error, its derivative)`, rad: angle of every axis less that of its encoder. `felt` `(P,
+    3)`: the mean specific force over every piece, m/s², NaN where unknown: away from the axes a move adds some
+    hundredths of g to gravity, and gyros are sensitive to it.
+    """
+    motion = eqx.tree_at(lambda m: m.geometry, done.motion, geometry)
+    before, after = motion.angles()
+    seen_before, seen_after = (angle + _errors(error_of, angle)[0] for angle in (before, after))
+    sizes = np.array([1 if way is None else len(way) - 1 for way in done.travelled])
+    groups = tuple(
+        _group(done, log, motion, np.flatnonzero(sizes == n), int(n), points, temperature_c, before, error_of, felt)
+        for n in np.unique(sizes)
+    )
+    begin, end = temperature_c[done.rows[:-1]], temperature_c[done.rows[1:]]
+    axes = frames(geometry, seen_before, motion.mounting).axes
+    at = groups, motion.kind, end - begin, seen_before, seen_after, axes, motion.axis, motion.mounting
+    earlier = np.zeros(0) if done.motion.history is None else np.asarray(done.motion.history)
+    return BodyNodes(*at, begin, np.concatenate([earlier, turning_points(temperature_c[: done.rows[0] + 1])]))
+
+
+def turning_points(temperature: np.ndarray) -> np.ndarray:
+    """The first, the last, and all turning points of a series of temperatures."""
+    change = np.sign(np.diff(temperature))
+    change = change[np.flatnonzero(change)] if len(change) else change
+    steps = np.flatnonzero(np.diff(temperature)) if len(temperature) > 1 else np.zeros(0, int)
+    turns = steps[1:][np.diff(change) != 0] if len(steps) else steps
+    return temperature[np.unique(np.concatenate([[0], turns, [len(temperature) - 1]]).astype(int))]
+
+
+def _errors(error_of, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of all axes (the last axis of `angle`), and their derivatives."""
+    if error_of is None:
+        return np.zeros(angle.shape), np.zeros(angle.shape)
+    both = [error_of(axis, angle[..., axis]) for axis in range(angle.shape[-1])]
+    return np.stack([b[0] for b in both], axis=-1), np.stack([b[1] for b in both], axis=-1)
+
+
+def _group(done, log, motion, kinds, count, points, temperature_c, before, error_of, felt) -> BodyGroup:
+    geometry, line = motion.geometry, motion.line
+    duration = line.duration[kinds]
+    own = motion.turns[kinds][:, None, :]
+    if count == 1:
+        since, speed = np.zeros((len(kinds), 1)), np.zeros((len(kinds), 1))
+    else:
+        ways = np.stack([done.travelled[k] for k in kinds])
+        since = 0.5 * (ways[:, 1:] + ways[:, :-1])
+        speed = np.diff(ways, axis=1) * count / np.where(duration > 0.0, duration, 1.0)[:, None]
+    angle = before[kinds][:, None, :] + np.where(own, since[..., None], 0.0)
+    error, slope = _errors(error_of, angle)
+    joint = np.where(own, speed[..., None], 0.0) * (1.0 + slope)
+    mounting = np.broadcast_to(motion.mounting[kinds][:, None], since.shape)
+    middles = (np.arange(count) + 0.5) / count
+    if points:
+        x, w = quadrature(points)
+        share = w[None] if count == 1 else lagrange(x, middles)
+    else:
+        x = (np.arange(_PARTS) + 0.5) / _PARTS if count == 1 else middles
+        share = np.full((1, _PARTS), 1.0 / _PARTS) if count == 1 else np.eye(count)
+    time = line.start[kinds][:, None] + duration[:, None] * x
+    temperature = np.interp(time, log.time_s, temperature_c)
+    after, before = (np.clip(time + by, log.time_s[0], log.time_s[-1]) for by in (_AROUND_S, -_AROUND_S))
+    change = np.interp(after, log.time_s, temperature_c) - np.interp(before, log.time_s, temperature_c)
+    slope = change / np.maximum(after - before, np.finfo(float).tiny)
+    weight = np.broadcast_to(duration[:, None] / count, since.shape)
+    own_kinds = kinds, kinds, np.arange(len(kinds))
+    group = body_group(geometry, own_kinds, temperature, share, weight, angle + error, joint, mounting)
+    group = replace(group, time=time - log.time_s[0], slope=slope)
+    if felt is None or count == 1:
+        return group
+    beyond = felt[kinds] - group.integral(group.force) / np.where(duration > 0.0, duration, 1.0)[:, None]
+    return replace(group, felt=group.force + np.where(np.isfinite(beyond), beyond, 0.0)[:, None])

@@ -1,0 +1,394 @@
+"""The estimate of a whole unit: Gauss–Newton with the constant Jacobian and noise of the prediction.
+
+The readings are not linear in all parameters: the effect of a sensor's error depends on the true attitude of the table.
+So the forward model uses finite geometry, with the estimated errors of base, axes, mounting and encoders, and evaluates
+the channels' terms at the resulting signals:
+
+    r = y − h(β),    δ = argmin |W r − W J δ|² + |P (β + δ)|²,    β ← β + δ
+
+with the whitened Jacobian `W J` at the nominal installation or at a first estimate. Each step reduces the error by a
+factor of about the installation's error: 1 mrad gains three digits a step.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, across_stops, nodes_of_rows
+from gradcal_jax.estimation.robust import reweighted
+from gradcal_jax.estimation.solve import Estimate, Whitened
+from gradcal_jax.information import (
+    NoiseSteps,
+    Posterior,
+    SquareRootInformation,
+    encoder_rows,
+    estimator_of_means,
+    imu_system,
+    imu_unweighted,
+    posterior,
+    row_of_steps,
+    segments_of,
+    whiten,
+)
+from gradcal_jax.information.posterior import OBSERVABLE
+from gradcal_jax.model import (
+    AxisHarmonics,
+    BaseTilt,
+    BodyNodes,
+    ChannelKind,
+    CommonScale,
+    ImuModel,
+    MountingError,
+    NonOrthogonality,
+    Term,
+)
+from gradcal_jax.trajectory import Geometry, rotation
+
+_ROUNDS = 12
+# The iteration ends at a step that changes no parameter by more than this share of its standard deviation.
+_SETTLED = 1e-3
+# Readings of one standstill differ by less, rad.
+_TURNS = np.radians(1.0)
+# Step of finite differences, rad.
+_SMALL_TURN = 1e-5
+# Least part of an encoder's error in the row of a gyro that is along its axis.
+_SEES_ENCODER = 0.5
+
+
+class Installed(NamedTuple):
+    """Estimated table: `error_of(axis, angle)`: encoder error and derivative, rad; `clock`: relative clock error
+    that a kind of channel sees."""
+
+    geometry: Geometry
+    error_of: Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]] | None
+    clock: dict[ChannelKind, float]
+
+
+def installed(geometry: Geometry, model: ImuModel, values: np.ndarray) -> Installed:
+    """The table with the installation's errors `values` (SI, in the model's order) as finite rotations.
+
+    A non-orthogonality between two axes rotates all stages inside it: `E·Rot(e, θ) = Rot(E e, θ)·E`.
+    """
+    base, axes, mountings, gravity = geometry.base, geometry.axes.copy(), geometry.mountings.copy(), geometry.gravity
+    waves: list[tuple[AxisHarmonics, np.ndarray]] = []
+    clock: dict[ChannelKind, float] = {"gyro": 0.0, "accelerometer": 0.0}
+    begin = 0
+    for term in model.installation:
+        own = np.asarray(values[begin : begin + term.size])
+        begin += term.size
+        if isinstance(term, BaseTilt):
+            base = _small(own) @ base
+        elif isinstance(term, NonOrthogonality):
+            inside = np.eye(3)
+            for l, angle in enumerate(own):
+                inside = inside @ _small(angle * np.cross(geometry.axes[l + 1], geometry.axes[l]))
+                axes[l + 1] = inside @ geometry.axes[l + 1]
+            mountings = inside @ mountings
+        elif isinstance(term, MountingError):
+            mountings = mountings @ np.stack([_small(own[3 * k : 3 * k + 3]) for k in range(len(mountings))])
+        elif isinstance(term, AxisHarmonics):
+            waves.append((term, own))
+        elif isinstance(term, CommonScale):
+            if term.of == "gravity":
+                gravity = gravity + own[0]
+            else:
+                clock = {"gyro": float(own[0]), "accelerometer": float(own[0]) * term.forces}
+        else:
+            raise TypeError(f"no finite form of {type(term).__name__} is known")
+
+    def error_of(axis: int, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        error, slope = np.zeros(angle.shape), np.zeros(angle.shape)
+        for term, own in waves:
+            if term.axis == axis:
+                for k, order in enumerate(term.orders):
+                    c, s = np.cos(order * angle), np.sin(order * angle)
+                    error += own[2 * k] * c + own[2 * k + 1] * s
+                    slope += order * (own[2 * k + 1] * c - own[2 * k] * s)
+        return error, slope
+
+    changed = eqx.tree_at(
+        lambda g: (g.base, g.axes, g.mountings, g.gravity), geometry, (base, axes, mountings, np.asarray(gravity))
+    )
+    return Installed(changed, error_of if waves else None, clock)
+
+
+def _small(vector: np.ndarray) -> np.ndarray:
+    size = float(np.linalg.norm(vector))
+    return np.eye(3) if size == 0.0 else rotation(vector / size, np.asarray(size))
+
+
+class ImuReadings(NamedTuple):
+    """A unit's readings, for comparison with any table: `observed` `(R,)`, integrals in rad and m/s; `felt` `(P, 3)`,
+    the mean specific force over every piece, m/s², if known; `sigma` `(R,)`: standard deviations, in the place of the
+    model's noise of the channels (None: the model's).
+    """
+
+    model: ImuModel
+    done: ExecutedImu
+    log: ImuRows
+    temperature_c: np.ndarray
+    points: int
+    observed: np.ndarray
+    felt: np.ndarray | None
+    sigma: np.ndarray | None = None
+
+    def expected(self, parameters: np.ndarray) -> np.ndarray:
+        """`h(β)` `(R,)` of the parameters in the engine's coordinates."""
+        model = self.model
+        table = installed(self.done.motion.geometry, model, parameters[model.calibrated :])
+        nodes = self._nodes(table.geometry, table.error_of)
+        at = segments_of(self.done.motion, model)
+        ideal = nodes.integrals(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
+        result, begin = np.zeros(len(at.row_segment)), 0
+        for i, (c, columns) in enumerate(zip(model.channels, model.own_columns(nodes), strict=True)):
+            own = parameters[begin : begin + c.model.size]
+            begin += c.model.size
+            output = ideal[nodes.kind, c.index] + columns @ own
+            rows = at.row_channel == i
+            result[rows] = at.sums(output)[at.row_segment[rows]] * (1.0 + table.clock[c.kind])
+        return result
+
+    def by_steps(self, values: np.ndarray) -> np.ndarray:
+        """Values of the rows in the order of the noise steps; zero for steps within a segment, which have no row."""
+        row = row_of_steps(self.done.motion, self.model)
+        return np.where(row >= 0, values[row], np.zeros((), values.dtype))
+
+    def whitened_term(self, channel: int, term: Term) -> np.ndarray:
+        """The whitened columns `(n, k)` of a term, of the rows used, if the channel of this number had it."""
+        steps, _ = self.linear(None)
+        nodes, at = self.nominal(), segments_of(self.done.motion, self.model)
+        of = self.model.channels[channel]
+        alone = eqx.tree_at(lambda m: m.terms, of.model, (term,))
+        (columns,) = ImuModel((replace(of, model=alone),), (), self.model.encoder).own_columns(nodes)
+        rows = np.zeros((len(at.row_segment), term.size))
+        own = at.row_channel == channel
+        rows[own] = at.sums(np.asarray(columns))[at.row_segment[own]]
+        row = row_of_steps(self.done.motion, self.model)
+        white = np.asarray(whiten(steps, np.where((row >= 0)[:, None], rows[row], 0.0)))
+        return white[self.by_steps(np.asarray(at.used))]
+
+    def with_noise(self, steps: NoiseSteps, variance: np.ndarray) -> NoiseSteps:
+        """The steps with more noise of their readings, `(N,)`: where the only axis of a table is read, of its encoder,
+        which the next row contains, too."""
+        line, axes = self.done.motion.line, self.done.motion.geometry.axis_count
+        if axes > 1 or self.model.encoder.held or line.rates:
+            return steps._replace(reading_variance=steps.reading_variance + variance)
+        now = sum(1 + c.model.processes.count for c in self.model.channels)
+        stays = np.zeros(len(variance), bool) if steps.stays is None else np.asarray(steps.stays)
+        along = np.asarray(steps.observation)[:, now]
+        of_encoder = ~stays & (np.abs(along) > _SEES_ENCODER)
+        covariance = np.array(steps.covariance)
+        covariance[of_encoder, now, now] += variance[of_encoder] / along[of_encoder] ** 2
+        of_row = steps.reading_variance + np.where(of_encoder, 0.0, variance)
+        return steps._replace(covariance=covariance, reading_variance=of_row)
+
+    def nominal(self) -> BodyNodes:
+        """The nodes of the nominal table."""
+        return self._nodes(self.done.motion.geometry)
+
+    def linear(self, about: np.ndarray | None) -> tuple[NoiseSteps, np.ndarray]:
+        """Noise steps, and the readings' derivatives with respect to the parameters `(R, p)` at `about`; None: nominal.
+
+        A rotation of the table reaches a channel through the channel's own errors. For a poorly known rotation (of a
+        mounting, which resembles misalignments) this effect exceeds the errors' uncertainty over temperature.
+        """
+        motion, model = self.done.motion, self.model
+        if about is None:
+            return self._system(self.nominal())
+        table = installed(motion.geometry, model, about[model.calibrated :])
+        steps, columns = self._system(self._nodes(table.geometry, table.error_of))
+        here, begin = self.expected(about), model.calibrated
+        for term in model.installation:
+            if isinstance(term, BaseTilt | NonOrthogonality | MountingError):
+                for k in range(begin, begin + term.size):
+                    there = about + _SMALL_TURN * np.eye(model.size)[k]
+                    columns[:, k] = self.by_steps((self.expected(there) - here) / _SMALL_TURN)
+            begin += term.size
+        return steps, columns
+
+    def _system(self, nodes: BodyNodes) -> tuple[NoiseSteps, np.ndarray]:
+        steps, columns = imu_system(self.done.motion, self.model, nodes)
+        if self.sigma is None:
+            return steps, columns
+        # What follows the channels' integrals and processes are errors of the reference.
+        own = slice(sum(1 + c.model.processes.count for c in self.model.channels))
+        transition, covariance, initial = (np.array(x) for x in (steps.transition, steps.covariance, steps.initial))
+        transition[:, own], covariance[:, own, own], initial[own, own] = 0.0, 0.0, 0.0
+        variance = steps.reading_variance + self.by_steps(self.sigma) ** 2
+        own_noise = {"transition": transition, "covariance": covariance, "initial": initial}
+        return steps._replace(reading_variance=variance, **own_noise), columns
+
+    def _nodes(self, geometry: Geometry, error_of=None) -> BodyNodes:
+        return nodes_of_rows(self.done, self.log, geometry, self.points, self.temperature_c, error_of, self.felt)
+
+
+def readings_of(
+    model: ImuModel,
+    done: ExecutedImu,
+    log: ImuRows,
+    temperature_c: np.ndarray,
+    points: int,
+    felt: np.ndarray | None = None,
+) -> ImuReadings:
+    """Integrals of every channel over its segments. `felt` `(n, 3)`: corrected specific force at the rows, m/s²."""
+    at = segments_of(done.motion, model)
+    step = np.diff(log.time_s, prepend=log.time_s[0])
+    if felt is not None:
+        lost = ~np.isfinite(felt)
+        total, missing = (np.cumsum(x, axis=0)[done.rows] for x in (np.where(lost, 0.0, felt) * step[:, None], lost))
+        mean = np.diff(total, axis=0) / np.diff(log.time_s[done.rows])[:, None]
+        felt = np.where(np.diff(missing, axis=0) > 0, np.nan, mean)
+    first, last = done.rows[at.first], done.rows[at.last + 1]
+    observed, shared = np.zeros(len(at.row_segment)), across_stops(done, log)
+    for i, c in enumerate(model.channels):
+        values = (log.rates if c.kind == "gyro" else log.force)[:, c.axis]
+        total = np.cumsum(np.where(np.isfinite(values), values, 0.0) * step)
+        whole = total[last] - total[first]
+        if c.kind == "gyro":
+            whole = whole + np.add.reduceat(shared[:, c.axis], at.first)
+        rows = at.row_channel == i
+        observed[rows] = whole[at.row_segment[rows]]
+    readings = ImuReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), felt)
+    if model.encoder.held or done.motion.line.rates:
+        return readings
+    # The motion is that of the mean angles; the reference is each reading.
+    before, after = done.motion.angles()
+    read = _angles_read(log, done.rows, np.concatenate([before[:1], after]))
+    apart = np.stack([read[at.last + 1] - after[at.last], read[at.first] - before[at.first]], axis=1)
+    shown = np.sum(encoder_rows(done.motion, model, readings.nominal()) * apart[at.row_segment], axis=(1, 2))
+    return readings._replace(observed=np.where(at.used, observed - shown, 0.0))
+
+
+def _angles_read(log: ImuRows, rows: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """The angles (rad) that were read at rows of the log, or nearest to them in the same standstill of the axis, of
+    which the motion has the angles `moved`, `(P + 1, L)`."""
+    result = np.empty_like(moved)
+    for axis, angles in enumerate(log.angles.T):
+        known = np.flatnonzero(np.isfinite(angles))
+        if not len(known):
+            result[:, axis] = moved[:, axis]
+            continue
+        after = np.clip(np.searchsorted(log.time_s[known], log.time_s[rows]), 0, len(known) - 1)
+        before = np.maximum(after - 1, 0)
+        nearer = log.time_s[rows] - log.time_s[known[before]] < log.time_s[known[after]] - log.time_s[rows]
+        apart = [np.abs(angles[known[place]] - moved[:, axis]) for place in (before, after)]
+        turns = np.abs(apart[0] - apart[1]) > _TURNS
+        result[:, axis] = angles[known[np.where(np.where(turns, apart[0] < apart[1], nearer), before, after)]]
+    return result
+
+
+class ImuEstimate(NamedTuple):
+    """One unit's `estimate` (`U` = 1), and its `white` rows, linearised about it, for those of the `R` rows that are
+    `used`. `taken`: the same rows of an orthonormal basis of the fitted columns. `moved`: size of the last of the
+    `rounds`, in standard deviations. `weights`: of the rows used, 1 for full weight; `channel`: of each of
+    them, its number.
+    """
+
+    estimate: Estimate
+    white: Whitened
+    used: np.ndarray
+    taken: np.ndarray
+    moved: float
+    rounds: int
+    weights: np.ndarray
+    channel: np.ndarray
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """`(p,)`, in the engine's coordinates."""
+        return self.estimate.parameters[0]
+
+    def residuals_of(self, channel: int) -> np.ndarray:
+        """The whitened residuals of one channel's rows, in standard deviations."""
+        return self.estimate.residuals[0][self.channel == channel]
+
+    @property
+    def known(self) -> Posterior:
+        """Posterior of the parameters."""
+        return self.estimate.known[0]
+
+
+def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, threshold: float | None = None) -> ImuEstimate:
+    """Parameters of a unit and its installation from its rows, with minimal norm in unobservable directions.
+
+    `about`: approximate parameters in the engine's coordinates, the point of linearisation. `threshold`: rows with
+    larger residuals, in standard deviations, get a lower weight; see `robust`. Errors: `ValueError` where no row
+    is used, or one is not finite.
+    """
+    steps, columns = readings.linear(about)
+    used = np.asarray(segments_of(readings.done.motion, readings.model).used)
+    if not used.any():
+        raise ValueError("no reading is left between two rows that may be used")
+    if not np.isfinite(readings.observed[used]).all():
+        raise ValueError("a reading that is used is not finite")
+    estimate = _solved(readings, steps, columns, used, about)
+    if threshold is None:
+        return estimate
+
+    def again(noise: NoiseSteps, last: ImuEstimate) -> ImuEstimate:
+        return _solved(readings, noise, columns, used, last.parameters)
+
+    kept = readings.by_steps(used)
+    estimate, weights = reweighted(
+        steps, kept, estimate, lambda e: e.estimate.residuals[0], again, threshold, readings.with_noise
+    )
+    return estimate._replace(weights=weights)
+
+
+def estimate_unweighted(readings: ImuReadings) -> ImuEstimate:
+    """Parameters by ordinary least squares on the mean errors of the points of a standard plan, without priors and
+    weights; the installation's errors are taken as zero, and count in the covariance."""
+    motion, model = readings.done.motion, readings.model
+    at, weighted = segments_of(motion, model), solve_imu(readings)
+    steps, columns = readings.linear(None)
+    estimator, own = estimator_of_means(motion, model, steps, columns), model.calibrated
+    nothing = np.zeros(model.size)
+    apart = readings.by_steps(np.where(at.used, readings.observed - readings.expected(nothing), 0.0))
+    beta = np.append(estimator.back @ (estimator.weights.T @ apart), nothing[own:])
+    rest = weighted.white.data[0] - weighted.white.rows[0] @ beta
+    known = imu_unweighted(motion, model, readings.nominal())
+    fitted = weighted.estimate._replace(parameters=beta[None], known=(known,), residuals=rest[None])
+    return weighted._replace(estimate=fitted)
+
+
+def _solved(
+    readings: ImuReadings, steps: NoiseSteps, columns: np.ndarray, used: np.ndarray, about: np.ndarray | None
+) -> ImuEstimate:
+    """The estimate with these noise steps and derivatives `columns`, iterated from the parameters `about`."""
+    model = readings.model
+    kept = readings.by_steps(used)
+    jacobian, prior = np.asarray(whiten(steps, columns))[kept], model.prior_rows()
+    # As many rows as columns: a log may have fewer readings than the model has parameters.
+    missing = max(0, model.size - len(jacobian) - len(prior))
+    design = np.concatenate([jacobian, prior, np.zeros((missing, model.size))])
+    norm = np.linalg.norm(design, axis=0)
+    scale = np.where(norm > 0.0, norm, 1.0)
+    orthogonal, triangle = np.linalg.qr(design / scale)
+    known = posterior(SquareRootInformation(triangle, scale))  # pyright: ignore[reportArgumentType]
+    left, spread, right = np.linalg.svd(triangle)
+    seen = spread > OBSERVABLE * spread[0]
+    deviation = known.deviations(np.eye(model.size))
+    counted = np.isfinite(deviation) & (deviation > 0.0)
+    beta, moved, rounds = np.zeros(model.size) if about is None else about.copy(), np.inf, 0
+
+    def left_over() -> np.ndarray:
+        apart = readings.by_steps(np.where(used, readings.observed - readings.expected(beta), 0.0))
+        return np.asarray(whiten(steps, apart[:, None]))[kept, 0]
+
+    rest = left_over()
+    while moved > _SETTLED and rounds < _ROUNDS:
+        rotated = left.T @ (orthogonal.T @ np.concatenate([rest, -prior @ beta, np.zeros(missing)]))
+        step = (right[seen].T @ (rotated[seen] / spread[seen])) / scale
+        beta = beta + step
+        moved = float(np.max(np.abs(step[counted]) / deviation[counted], initial=0.0))
+        rest, rounds = left_over(), rounds + 1
+    chi_squared = np.array([rest @ rest + np.sum((prior @ beta) ** 2)])
+    degrees = np.array([len(design) - missing - np.count_nonzero(seen)])
+    taken = orthogonal[: len(jacobian)] @ left[:, seen]
+    estimate = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
+    white = Whitened(jacobian[None], (rest + jacobian @ beta)[None], prior)
+    channel = segments_of(readings.done.motion, model).row_channel[used]
+    return ImuEstimate(estimate, white, used, taken, moved, rounds, np.ones(len(rest)), channel)

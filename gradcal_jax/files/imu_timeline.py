@@ -1,0 +1,236 @@
+"""gradcal-unit-timeline/1: all that another program needs to compute a whole unit's covariance by itself. SI, °C.
+
+Every channel has one row of each segment that lists it in `read`: its own integral over the segment, in the body, less
+what is known,
+
+    gyro            ∫ω̃_i dt − ∫(Rᵀω_earth)_i dt − Σ_l a_li Δθ̃_l          (rad)
+    accelerometer   ∫f̃_i dt − ∫(Rᵀ(0, 0, g))_i dt                        (m/s)
+
+with R the attitude and a_l the direction of axis l in the body. It holds ∫(terms' functions × their signals) dt; of the
+installation, for each small rotation p (body) inserted at a stage, ∫(ω_outer × p + ṗ)_i dt or ∫(f × p)_i dt, ω_outer
+being the rate of all outside that stage; of each axis's encoder, whose error e_l is one draw a standstill, the same
+with p = a_l e_l (by angle between the two errors while l turns) and a_li times its change where l itself turns; and the
+integrated noise. Estimated by generalised least squares with all priors.
+"""
+
+from typing import Literal
+
+from gradcal_jax.files.contracts import (
+    Finite,
+    GradientSensitivityRow,
+    HarmonicRow,
+    MapRow,
+    ProcessRow,
+    Size,
+    TemperatureErrorRow,
+)
+from gradcal_jax.files.section import Section
+
+Vector3 = tuple[Finite, Finite, Finite]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+
+
+class SiteRow(Section):
+    """Where the rig stands."""
+
+    latitude: Finite
+    """North positive (rad)."""
+    gravity: Size
+    """As it is used (m/s²)."""
+    earth_rate: Vector3
+    """East, North, up (rad/s)."""
+
+
+class TableAxisRow(Section):
+    """A table axis, outermost first. An encoder error at each standstill has the variance standstill_offset² +
+    reading_noise²/n, with n = 1 + the whole number of `read_every` in the standstill."""
+
+    name: str
+    """Of the axis."""
+    direction: Vector3
+    """While all stand at zero, in the frame that the axis outside carries (outermost: East, North, up)."""
+    reading_noise: Size
+    """Standard deviation of a reading (rad)."""
+    standstill_offset: Size
+    """Standard deviation of what a standstill's readings share (rad)."""
+    read_every: Size | None = None
+    """Spacing of readings (s); absent: one reading in each standstill."""
+    harmonics: tuple[HarmonicRow, ...] = ()
+    """Errors that repeat with the angle."""
+
+
+class MountingRow(Section):
+    """How the body hangs on the innermost axis."""
+
+    name: str | None = None
+    """Of the mounting."""
+    rotation: Matrix3
+    """Matrix from the body to the innermost axis's frame."""
+
+
+class ImuTermRow(MapRow):
+    """One term of a channel: a function of temperature (and the channel's own rate) times the product of `signals`."""
+
+    name: str
+    """Of the term."""
+    signals: tuple[str, ...]
+    """"rate x" (rad/s) and "force x" (m/s²) in the body, "|force x|" a magnitude; none: 1. "size ik" (1/s²) is
+    ω_i (ω + 2ω_earth)_k − δ_ik (ω + 2ω_earth)·ω, ω the rate against the Earth."""
+    parameters: tuple[str, ...]
+    """Names of the coefficients in a prediction."""
+    unit: str
+    """Of each coefficient, in SI."""
+
+
+class PathTermRow(Section):
+    """A function of the path of temperature times the product of `signals`, as of `ImuTermRow`. By `kind`:
+
+    "hysteresis": of the two extreme states of a play, `P = max(T − width, min(T + width, P⁻))` from P = T ± width at
+    the begin of the course, soaks included: the functions (high + low)/2 − T and (high − low)/(2 width). "temperature
+    gradient": dT/dt. "transient": exp(−t/time_constant), t from the begin of the plan.
+    """
+
+    kind: Literal["hysteresis", "temperature gradient", "transient"]
+    """Which function."""
+    signals: tuple[str, ...]
+    """Its factors; none: 1."""
+    parameters: tuple[str, ...]
+    """Names of the coefficients in a prediction."""
+    stds: tuple[Size, ...]
+    """Prior standard deviation of each."""
+    unit: str
+    """Of the first coefficient, in SI."""
+    width: Size | None = None
+    """Half-width of the play (K)."""
+    time_constant: Size | None = None
+    """Of the transient (s)."""
+
+
+class ChannelRow(Section):
+    """A gyro (rad) or accelerometer (m/s) along one axis of the body."""
+
+    name: str
+    """Of the channel."""
+    kind: Literal["gyro", "accelerometer"]
+    """Gyro or accelerometer."""
+    axis: Literal["x", "y", "z"]
+    """Axis of the body."""
+    white: Size
+    """White noise of the integral, for √s (rad or m/s)."""
+    rate_random_walk: Size = 0.0
+    """For s√s (rad or m/s)."""
+    drift: tuple[ProcessRow, ...] = ()
+    """In rad/s or m/s², stationary at the first used segment."""
+    scale_factor_instability: tuple[ProcessRow, ...] = ()
+    """Multiplied by the rate, or the force, along the axis."""
+    turn_on_bias: Size | None = None
+    """Of a run (rad/s or m/s²): adds to the prior of the bias's constant, or acts alone where no bias is estimated."""
+    temperature_error: TemperatureErrorRow | None = None
+    """Error of the measured temperature."""
+    bias_temperature_gradient: GradientSensitivityRow | None = None
+    """Bias in proportion to dT/dt, estimated."""
+    terms: tuple[ImuTermRow, ...]
+    """What is estimated."""
+    path: tuple[PathTermRow, ...] = ()
+    """What is estimated of the path of temperature."""
+
+
+class InstallationRow(Section):
+    """An error that all channels see, with a prior for each parameter. By `kind` the rotation p inserted (body):
+
+    "base": Rᵀ times East, North, up (tilt, tilt, azimuth); outside it turns the Earth. "orthogonality" of axes l and
+    l + 1: about e_{l+1} × e_l, carried by axis l; outside it turn the Earth and the axes up to l. "harmonics" of `axis`
+    l: a_l times cosine and sine of `orders` times its angle; outside, the axes before l; besides, a_li times their
+    change where l turns. "mounting": the body's x, y, z, of each mounting while it is used; outside, everything.
+    "gravity" (m/s²): along up, for accelerometers. "sample_clock": the rate itself and, with
+    `forces`, the force itself.
+    """
+
+    kind: Literal["base", "orthogonality", "harmonics", "mounting", "gravity", "sample_clock"]
+    """Which error."""
+    parameters: tuple[str, ...]
+    """Names of the parameters in a prediction."""
+    stds: tuple[Size, ...]
+    """Prior standard deviation of each."""
+    unit: str
+    """Of the parameters, in SI."""
+    axis: str | None = None
+    """Table axis; null where it concerns none."""
+    orders: tuple[int, ...] | None = None
+    """Periods in one turn, of harmonics."""
+    forces: bool | None = None
+    """Of "sample_clock": whether accelerometers see it, too."""
+
+
+class ImuSegmentRow(Section):
+    """A rest, or the move of one axis."""
+
+    start: Finite
+    """Beginning (s)."""
+    duration: Size
+    """Length (s)."""
+    axis: str | None = None
+    """The axis that moves; null: all stand."""
+    shape: str
+    """As of gradcal-timeline/2."""
+    peak_rate: Finite = 0.0
+    """Largest rate, signed (rad/s)."""
+    angle: Finite = 0.0
+    """Angle turned, signed (rad)."""
+    ramp: Size | None = None
+    """Time from rest to the peak rate (s); of a turn by hand, how long it stands before and after turning."""
+    unevenness: Size | None = None
+    """Of a turn by hand, as a share of the rate."""
+    angles_before: tuple[Finite, ...]
+    """Angles of all axes as it begins, outermost first (rad)."""
+    angles_after: tuple[Finite, ...]
+    """Angles of all axes as it ends (rad)."""
+    attitude: Matrix3
+    """Matrix from the body to East, North, up as it begins."""
+    mounting: int
+    """The mounting, counted from 0."""
+    standstill_ids: tuple[int | None, ...]
+    """Number of each axis's standstill; null while it moves."""
+    read: tuple[str, ...]
+    """Channels that have a row of it."""
+    used: bool = True
+    """False where the data are not part of the calibration."""
+    temperature_start: Finite
+    """The chamber's at the start (°C)."""
+    temperature_end: Finite
+    """The chamber's at the end (°C), linear in between."""
+    temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None
+    """Points (time in s, °C) through which it goes in between."""
+
+
+class ImuTimeline(Section):
+    """gradcal-unit-timeline/1: all that another program needs to compute a whole unit's covariance by itself.
+
+    With `standing` "read" every segment ends with a reading of all axes, whose error is its standstill's draw of
+    `standstill_offset` and a draw of `reading_noise`, and a rest from reading to reading is a segment; a gyro's row has
+    each axis's mean direction times its error's change, and what stands turns the attitude by the mean of the errors at
+    both ends. Processes go on through segments that are not used.
+    """
+
+    format: Literal["gradcal-unit-timeline/1"] = "gradcal-unit-timeline/1"
+    """Name and version of this contract."""
+    title: str | None = None
+    """Of the spec."""
+    frame: Literal["table axes", "case"]
+    """The reference of the misalignments."""
+    site: SiteRow
+    """Where the rig stands."""
+    table: tuple[TableAxisRow, ...]
+    """Axes of the table, outermost first."""
+    standing: Literal["held", "read"]
+    """The model of axes at rest: see above."""
+    mountings: tuple[MountingRow, ...]
+    """How the unit hangs on the innermost axis."""
+    thermal_lag: Size | None = None
+    """Time constant (s), first order, between the chamber and what all terms see; equilibrium at the start."""
+    channels: tuple[ChannelRow, ...]
+    """Gyros and accelerometers."""
+    installation: tuple[InstallationRow, ...]
+    """Errors that all channels see."""
+    segments: tuple[ImuSegmentRow, ...]
+    """Motion of the table, and course of the chamber."""

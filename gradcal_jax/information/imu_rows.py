@@ -1,0 +1,406 @@
+"""The rows of a whole unit on a table, and the one joint noise system behind them.
+
+A *segment* is a rest or one move of one axis. At its end every gyro has one row, its integral over the segment less
+the turned angle; every accelerometer has one where the table stood or turned slowly enough. A table that holds its
+position does not turn, so the encoder enters a rest only through the direction of the axes.
+
+State `x = [C integrals, the processes of every channel, the encoders' errors now, and before the last move]`. All
+channels see the error of an axis's encoder, so the channels are correlated: one filter takes their rows one after
+another (without a step between the rows of one segment). The error `e_l` of axis l at a standstill is a rotation of the
+body about `a_l`. It adds to a row
+
+    gyro i            while l turns: a_li (e_now − e_before) + ∫(ω_outer × a_l)_i e(t) dt, e(t) in between by angle;
+                      else ∫(ω_outer × a_l)_i dt · e_now
+    accelerometer i   ∫(f × a_l)_i dt · e_now
+
+and every move of its axis draws `e_now` anew. Where the angle is read while the table stands, a segment is what lies
+between two readings, at rest or on the move, and every reading has its own error: a white part, and the offset of its
+standstill (a third state) or, on the move, the rate times the error of its time. A row of gyro i then has
+`ā_li (e_now − e_before)` of every axis, ā its mean direction; for an axis that stands, the attitude error is the mean
+of both. Where the reference is a held rate, every segment's error is one draw of the reference, `ā_li e_now`.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed
+from gradcal_jax.information.noise_steps import NoiseSteps, constant_drive, drive_rates, varying_drive
+from gradcal_jax.information.posterior import (
+    LeastSquares,
+    Posterior,
+    SquareRootInformation,
+    least_squares_of_means,
+    noise_of_sums,
+    spread_of,
+    square_root,
+)
+from gradcal_jax.information.whitening import whiten
+from gradcal_jax.model import BodyGroup, BodyNodes, ImuModel
+from gradcal_jax.trajectory import TableMotion
+
+# Columns below this share of the largest one of the same unit are rounding.
+_ROUNDING = 1e-11
+# rad: in a move with a smaller net angle, the encoder's error cannot be interpolated by angle.
+_RETURNS = 1e-3
+# Points of a piece at which its largest rate is evaluated.
+_PLACES = 9
+
+
+class Segments(NamedTuple):
+    """Rests and moves of a motion, `S` of them: `first` and `last` piece, an `axis` that turns (−1: none); and the
+    rows `(R,)` in order of time, each of one channel and segment. A segment without any has one that is not `used`.
+    """
+
+    first: Int[np.ndarray, " S"]
+    last: Int[np.ndarray, " S"]
+    axis: Int[AnyArray, " S"]
+    row_segment: Int[np.ndarray, " R"]
+    row_channel: Int[np.ndarray, " R"]
+    used: Bool[AnyArray, " R"]
+
+    def sums(self, of_pieces: AnyArray) -> AnyArray:
+        """Sums over the pieces of each segment, `(P, …) -> (S, …)`."""
+        return summed(of_pieces, self.first)
+
+
+def segments_of(motion: TableMotion, model: ImuModel) -> Segments:
+    """The segments of a motion and a unit's rows of them."""
+    line, number = motion.line, np.asarray(motion.line.segment)
+    begins, gap = np.diff(number, prepend=number[0] - 1) != 0, np.asarray(line.gap)
+    if between_readings := line.rates or not model.encoder.held:
+        begins[1:] = np.asarray(line.read)[:-1] | (begins[1:] & (gap[1:] | gap[:-1]))
+    first = np.flatnonzero(begins)
+    last = np.append(first[1:], len(number)) - 1
+    axis = np.maximum.reduceat(np.asarray(motion.axis), first)
+    read, slow = ~gap[first], _fastest(motion, first, model)
+    if between_readings:
+        read &= np.asarray(line.read)[last]
+    rows = np.stack([read & (slow <= (np.inf if c.kind == "gyro" else c.read_below)) for c in model.channels], axis=1)
+    kept = np.array(rows)
+    kept[:, 0] |= ~np.any(rows, axis=1)
+    segment, channel = np.nonzero(kept)
+    return Segments(first, last, axis, segment, channel, rows[segment, channel])
+
+
+def _fastest(motion: TableMotion, first: np.ndarray, model: ImuModel) -> np.ndarray:
+    """The largest rate of every segment (rad/s); infinite for moves if no accelerometer is read on moves."""
+    fastest = np.where(np.asarray(motion.axis) < 0, 0.0, np.inf)
+    if any(c.read_below for c in model.channels):
+        moves = np.flatnonzero(fastest)
+        places = np.broadcast_to(np.linspace(0.0, 1.0, _PLACES), (len(moves), _PLACES))
+        fastest[moves] = np.max(np.abs(np.asarray(motion.line.rate(places, moves))), axis=1)
+    return np.maximum.reduceat(fastest, first)
+
+
+def imu_information(motions: Sequence[tuple[TableMotion, BodyNodes]], model: ImuModel) -> SquareRootInformation:
+    """The information of the rows of one or several motions, with independent drifts, and of the priors about the
+    parameters of the unit and its installation."""
+    rows = [whiten(*imu_system(motion, model, nodes)) for motion, nodes in motions]
+    return square_root(np.concatenate([*rows, model.prior_rows()]))
+
+
+def imu_unweighted(motion: TableMotion, model: ImuModel, nodes: BodyNodes) -> Posterior:
+    """Covariance of ordinary least squares on the mean errors of all points of a standard plan. The installation's
+    errors are noise: nothing is known of them but their priors, which such an estimate does not use."""
+    steps, columns = imu_system(motion, model, nodes)
+    own, estimator = model.calibrated, estimator_of_means(motion, model, steps, columns)
+    stds = [term.stds for term in model.installation]
+    shared = (estimator.weights.T @ columns[:, own:]) * np.concatenate([*stds, np.zeros(0)])
+    known = spread_of(estimator, noise_of_sums(steps, estimator.weights) + shared @ shared.T)
+    beyond = [(0, model.size - own), (0, 0)]
+    return Posterior(np.pad(known.spread, beyond), np.pad(known.hidden, beyond))
+
+
+def estimator_of_means(
+    motion: TableMotion, model: ImuModel, steps: NoiseSteps, columns: Float[AnyArray, "R p"]
+) -> LeastSquares:
+    """Ordinary least squares of the calibrated parameters on the mean errors of all points of a standard plan."""
+    at, row = segments_of(motion, model), row_of_steps(motion, model)
+    duration = at.sums(motion.line.duration)[at.row_segment[np.maximum(row, 0)]]
+    return least_squares_of_means(columns[:, : model.calibrated], np.asarray(steps.used), duration)
+
+
+def imu_system(
+    motion: TableMotion, model: ImuModel, nodes: BodyNodes, at: Segments | None = None
+) -> tuple[NoiseSteps, Float[AnyArray, "R p"]]:
+    """Noise steps and regressors of all rows. `at`: the segments, where the axes or the used rows are traced."""
+    at = segments_of(motion, model) if at is None else at
+    steps, row = _joint_steps(motion, model, nodes, at)
+    columns = _columns(model, nodes, at)
+    xp = namespace(columns)
+    return steps, columns if len(row) == len(columns) else xp.where((row >= 0)[:, None], columns[row], 0.0)
+
+
+def noise_parts(
+    motion: TableMotion, models: Mapping[str, ImuModel], nodes: BodyNodes, steps: NoiseSteps
+) -> dict[str, NoiseSteps]:
+    """The parts of a system's noise, by models of one structure; with the observations of `steps`, of all noise."""
+    at = segments_of(motion, next(iter(models.values())))
+    return {name: _joint_steps(motion, model, nodes, at, steps.observation)[0] for name, model in models.items()}
+
+
+def row_of_steps(motion: TableMotion, model: ImuModel) -> np.ndarray:
+    """The row that each step of `imu_system` reads (−1: none)."""
+    return _order(segments_of(motion, model), _by_pieces(model))[1]
+
+
+def _by_pieces(model: ImuModel) -> bool:
+    """Whether every piece is a step: where a rate drives a process, so that it is constant or smooth."""
+    return any(bool(np.any(np.asarray(c.model.processes.rate_gain))) for c in model.channels)
+
+
+def _columns(model: ImuModel, nodes: BodyNodes, at: Segments) -> Float[AnyArray, "R p"]:
+    """Regressors of every row."""
+    own, shared = model.columns(nodes)
+    shared = at.sums(shared[nodes.kind])
+    parts, begin, calibrated = [], 0, model.calibrated
+    for i, (c, block) in enumerate(zip(model.channels, own, strict=True)):
+        rows = np.flatnonzero(at.row_channel == i)
+        segment, end = at.row_segment[rows], begin + c.model.size
+        parts.append(((rows, slice(begin, end)), at.sums(block)[segment]))
+        parts.append(((rows, slice(calibrated, None)), shared[segment, c.index]))
+        begin = end
+    return _without_rounding(placed((len(at.row_channel), model.size), *parts), model.units())
+
+
+def _without_rounding(columns: Float[AnyArray, "R p"], units: list[str]) -> Float[AnyArray, "R p"]:
+    """The columns with zeros for those that are rounding beside others of the same unit: the information scales columns
+    to unit length, so that they would count as observable.
+    """
+    xp = namespace(columns)
+    size = xp.maximum(xp.max(columns, axis=0), -xp.min(columns, axis=0))
+    _, kind = np.unique(units, return_inverse=True)
+    largest = xp.max(xp.where(kind[:, None] == kind[None, :], size[None, :], 0.0), axis=1)
+    seen = size > _ROUNDING * largest
+    return columns if xp is np and np.all(seen) else xp.where(seen[None, :], columns, 0.0)
+
+
+def _joint_steps(
+    motion: TableMotion, model: ImuModel, nodes: BodyNodes, at: Segments, observed: AnyArray | None = None
+) -> tuple[NoiseSteps, np.ndarray]:
+    """The steps, and the row that each reads (−1: none). `observed`: the observations, if they are known."""
+    xp = namespace(motion, model, nodes)
+    line, channels = motion.line, len(model.channels)
+    m = sum(c.model.processes.count for c in model.channels)
+    errors = _encoder_errors(motion, model, at)
+    n = channels + m + len(errors.initial)
+    # One step for each segment, or for each piece.
+    by_pieces = _by_pieces(model)
+    duration = line.duration if by_pieces else at.sums(line.duration)
+    count = duration.shape[0]
+    begins = np.zeros(count, bool)
+    begins[at.first if by_pieces else slice(None)] = True
+    gap = np.asarray(line.gap)[slice(None) if by_pieces else at.first]
+    everything = slice(None)
+    transition: list[tuple] = []
+    covariance: list[tuple] = []
+    initial: list[tuple] = []
+    # The direction about which each piece turns.
+    along = xp.sum(xp.where(motion.turns[..., None], nodes.axes_before[nodes.kind], 0.0), axis=1)
+    # What a gain multiplies: the rate along a gyro, the mean force along an accelerometer.
+    drives = {"gyro": along * line.end_rate()[:, None]}
+    if by_pieces and any(c.kind == "accelerometer" for c in model.channels):
+        drives["accelerometer"] = nodes.integrals(lambda g: xp.mean(g.force, axis=1), (3,))[nodes.kind]
+    state = channels
+    for i, c in enumerate(model.channels):
+        p = c.model.processes
+        states = np.arange(state, state + p.count)
+        state += p.count
+        rates = drives[c.kind][:, c.axis] if by_pieces else xp.zeros(count)
+        to_integral, q_integral, q_cross, q_self = constant_drive(p, duration, rates)
+        if by_pieces and c.kind == "gyro" and (varying := line.varying_pieces).shape[0]:
+            driven = varying_drive(p, duration[varying], drive_rates(line, varying) * along[varying, c.axis][:, None])
+            by_rate = (p.rate_gain != 0.0)[None, :]
+            to_integral, q_integral, q_cross = (
+                put(x, varying, xp.where(by_rate, y, x[varying]))
+                for x, y in zip((to_integral, q_integral, q_cross), driven, strict=True)
+            )
+        walk = c.model.angle_random_walk**2 * duration + xp.sum(q_integral, axis=1)
+        decayed, start = xp.exp(-p.decay[None] * duration[:, None]), (p.initial_std**2)[None]
+        if gap[0]:
+            # Every process begins with the data.
+            before = np.cumprod(gap).astype(bool)[:, None]
+            decayed, q_self = xp.where(before, 1.0, decayed), xp.where(before, 0.0, q_self)
+        if line.points == "independent":
+            # The processes of a point start afresh, and drive its integral over the piece as over any other.
+            walk = walk + xp.sum(to_integral**2 * start, axis=1)
+            q_cross, q_self = q_cross + to_integral * decayed * start, q_self + decayed**2 * start
+            to_integral, decayed = np.zeros((2, count, p.count))
+        transition += [
+            ((everything, i, i), np.where(begins, 0.0, 1.0)),
+            ((everything, i, states), to_integral),
+            ((everything, states, states), decayed),
+        ]
+        covariance += [
+            ((everything, i, i), walk),
+            ((everything, i, states), q_cross),
+            ((everything, states, i), q_cross),
+            ((everything, states, states), q_self),
+        ]
+        initial.append(((states, states), p.initial_std**2))
+    end_of_segment = at.last if by_pieces else np.arange(len(at.first))
+    states = np.arange(channels + m, n)
+    pairs = (end_of_segment[:, None, None], states[:, None], states[None])
+    # Between the ends of segments the errors stay as they are.
+    transition += [((everything, states, states), 1.0), (pairs, errors.transition)]
+    covariance.append((pairs, errors.covariance))
+    initial.append(((states[:, None], states[None]), errors.initial))
+    # No step lies between rows of one segment; steps within a segment have no row.
+    source, row = _order(at, by_pieces)
+    fresh = np.flatnonzero(np.diff(source, prepend=-1))
+    through, noise = (placed((count, n, n), *parts) for parts in (transition, covariance))
+    stays = np.ones(len(row), bool)
+    stays[fresh] = False
+    if len(fresh) < len(row):
+        still = np.broadcast_to(np.eye(n), (len(row), n, n))
+        through, noise = put(still, fresh, through), put(np.zeros(still.shape), fresh, noise)
+    if observed is None:
+        of_rows = _observations(motion, nodes, at, model, n, channels + m)
+        observed = of_rows if len(row) == len(of_rows) else xp.where((row >= 0)[:, None], of_rows[row], 0.0)
+    used = at.used[row] & (row >= 0)
+    whole = placed((n, n), *initial)
+    return NoiseSteps(through, noise, observed, xp.zeros(len(row)), used, whole, stays), row
+
+
+def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:
+    """For every step of the filter its noise step and its row (−1: none)."""
+    if not by_pieces:
+        return at.row_segment, np.arange(len(at.row_segment))
+    inner = np.setdiff1d(np.arange(at.last[-1] + 1), at.last)
+    source = np.concatenate([inner, at.last[at.row_segment]])
+    row = np.concatenate([np.full(len(inner), -1), np.arange(len(at.row_segment))])
+    order = np.lexsort((row, source))
+    return source[order], row[order]
+
+
+class _EncoderErrors(NamedTuple):
+    """The step of the encoders' errors at the end of every segment, `e` states: `now` of every axis, then `before`,
+    then the offset of its standstill; a held rate has the first alone, a table without offsets no third."""
+
+    transition: AnyArray
+    covariance: AnyArray
+    initial: AnyArray
+
+
+def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> _EncoderErrors:
+    """The encoders' errors over the segments of a motion."""
+    line, of, axes = motion.line, model.encoder, motion.geometry.axis_count
+    xp, count = namespace(line.duration, of, motion.axis), len(at.first)
+    if line.rates:
+        turned = at.sums(xp.where(motion.turns, line.turned()[:, None], 0.0))
+        each = np.arange(axes)
+        spread = placed((count, axes, axes), ((slice(None), each, each), xp.square(of.rate * turned)))
+        return _EncoderErrors(np.zeros((count, axes, axes)), spread, np.zeros((axes, axes)))
+    kinds = 2 if of.held or not of.has_offset else 3
+    moves = xp.where(at.sums(xp.where(motion.turns, 1.0, 0.0)) > 0.0, 1.0, 0.0)
+    gap, read, at_rest = (np.asarray(x)[at.last] for x in (line.gap, line.read, line.at_rest))
+    start, lasting = line.start[at.first], at.sums(line.duration)
+    reads = np.ones(count) if of.held else (read | gap).astype(float)
+    parts: tuple[list, list, list] = ([], [], [])
+    for k in range(axes):
+        now, before, still = k, k + axes, k + 2 * axes
+        moved = moves[:, k]
+        fresh = moved if of.held else reads
+        transition, covariance, initial = parts
+        every = slice(None)
+        transition += [
+            ((every, now, now), 1.0 - fresh),
+            ((every, before, before), 1.0 - fresh),
+            ((every, before, now), fresh),
+        ]
+        if of.held:
+            spread, first = _standstills(of, k, moved > 0.0, start, lasting, gap)
+            covariance.append(((every, now, now), spread))
+            initial.append(((now, now), first))
+            continue
+        stands = reads * xp.where(motion.turns[at.last, k], at_rest, 1.0)
+        white, drawn = of.reading[k] ** 2, of.offset[k] ** 2
+        share = xp.asarray(line.share)[at.last]
+        timed = xp.square(line.end_rate()[at.last] * (xp.zeros(axes) + of.timing)[k]) * (reads - stands)
+        covariance.append(((every, now, now), reads * white / share + timed + stands * moved * drawn))
+        initial.append(((now, now), white + drawn))
+        if kinds == 3:
+            both = stands * moved * drawn
+            transition += [((every, now, still), stands * (1.0 - moved)), ((every, still, still), 1.0 - moved)]
+            covariance += [
+                ((every, still, still), moved * drawn),
+                ((every, now, still), both),
+                ((every, still, now), both),
+            ]
+            initial += [(at_, drawn) for at_ in ((now, still), (still, now), (still, still))]
+    size = kinds * axes
+    shapes = (count, size, size), (count, size, size), (size, size)
+    return _EncoderErrors(*(placed(shape, *of_shape) for shape, of_shape in zip(shapes, parts, strict=True)))
+
+
+def _standstills(encoder, k: int, moves: Bool[AnyArray, " S"], start, duration, gap: Bool[np.ndarray, " S"]):
+    """Variance of the encoder error that each move of axis k draws, `(S,)`, and of the first one."""
+    xp = namespace(encoder, start, duration, moves)
+    end = start[-1:] + duration[-1:]
+    # A standstill lasts until the axis moves again: of every segment, the begin of the next one that moves it.
+    # Of a move in a gap, nothing is read in the whole gap.
+    of_gap = np.maximum.accumulate(np.where(gap & ~np.append(False, gap[:-1]), np.arange(len(gap)), 0))
+    marked = xp.concatenate([xp.where(moves, xp.where(gap, start[of_gap], start), end), end])
+    stops = xp.flip(_running_least(xp.flip(marked)))
+    after = np.flatnonzero(~np.append(gap, False))
+    following = after[np.searchsorted(after, np.arange(len(gap)))]
+    ends = xp.where(gap, xp.concatenate([start, end])[following], start + duration)
+    begins = xp.concatenate([start[:1], ends])
+    readings = xp.floor((stops - begins) / encoder.every[k] * (1.0 + 1e-9) + 1e-9) + 1.0
+    variance = encoder.offset[k] ** 2 + encoder.reading[k] ** 2 / readings
+    return xp.where(moves, variance[1:], 0.0), variance[0]
+
+
+def _running_least(values: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
+    """The least value up to and including each one."""
+    return np.minimum.accumulate(values) if namespace(values) is np else jax.lax.cummin(values)
+
+
+def encoder_rows(motion: TableMotion, model: ImuModel, nodes: BodyNodes) -> Float[AnyArray, "R 2 L"]:
+    """What an encoder error of one rad adds to every row (rad, m/s): at the end of its segment, and before it."""
+    axes, at = motion.geometry.axis_count, segments_of(motion, model)
+    of_errors = _observations(motion, nodes, at, model, len(model.channels) + 2 * axes, len(model.channels))
+    return of_errors[:, len(model.channels) :].reshape(-1, 2, axes)
+
+
+def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: ImuModel, n: int, encoders: int):
+    """H of every row, `(R, n)`."""
+    xp, axes = namespace(nodes.axes_before, motion.line.duration), motion.geometry.axis_count
+    before, after = motion.angles()
+    # For an example of each kind: begin and total angle of its segment.
+    segment = np.repeat(np.arange(len(at.first)), at.last - at.first + 1)[motion.example]
+    began, whole = before[at.first[segment]], (after[at.last] - before[at.first])[segment]
+
+    def of_group(g: BodyGroup):
+        begin, span = began[g.kinds][:, None], whole[g.kinds][:, None]
+        # The share of the move that is completed interpolates the error between the two standstills.
+        turns = motion.turns[motion.example[g.kinds]][:, None, :]
+        stands = 1.0 if model.encoder.held or motion.line.rates else 0.5
+        away = turns & (abs(span) > _RETURNS)
+        gone = xp.clip((g.angle - begin) / xp.where(away, span, 1.0), 0.0, 1.0)
+        share = xp.where(turns, xp.where(away, gone, 0.5), stands)
+        shares = xp.stack([share, 1.0 - share], axis=-1) * g.weight[..., None, None]
+        parts = [xp.swapaxes(shares[:, :, k], -1, -2) @ g.turned(k) for k in range(axes)]
+        return xp.stack(parts, axis=2)
+
+    slow = at.sums(nodes.integrals(of_group, (2, axes, 6))[nodes.kind])
+    if model.encoder.held and not motion.line.rates:
+        own = at.axis[:, None] == np.arange(axes)[None, :]
+        along = xp.where(own[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0)
+    else:
+        directed = at.sums(nodes.integrals(lambda g: g.integral(g.axes), (axes, 3))[nodes.kind])
+        along = directed / at.sums(motion.line.duration)[:, None, None]
+    along = xp.concatenate([along, xp.zeros(along.shape)], axis=-1)
+    slow = slow + xp.stack([along, -along], axis=1)
+    index = np.array([c.index for c in model.channels])[at.row_channel]
+    of_encoder = slow[at.row_segment, :, :, index]
+    count = len(index)
+    parts = [
+        ((slice(None), np.arange(begin, begin + axes)), of_encoder[:, k])
+        for k, begin in enumerate(range(encoders, min(n, encoders + 2 * axes), axes))
+    ]
+    return placed((count, n), ((np.arange(count), at.row_channel), np.ones(count)), *parts)

@@ -1,0 +1,111 @@
+"""A short plan of a whole unit on a two-axis table, and its estimate from a log, for the tests of unit runs."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hardware_bench import unpredicted
+
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.fit_of_log import fitted_twice
+from gradcal_jax.api.imu_build import build_imu
+from gradcal_jax.api.recorded_rows import imu_rows
+from gradcal_jax.files import changed
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.spec import parse_spec, read_spec
+from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.hardware import execute
+from gradcal_jax.hardware.runner import Runner, RunProgress
+from gradcal_jax.information import imu_system, segments_of, whiten
+
+HAND = Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml"
+# Two axes, a stop of an instant between two of their turns, and back to where it began.
+MOVES: list[dict[str, Any]] = [
+    {"rest": "3 s"},
+    {"turn": "720 deg", "axis": "spin"},
+    {"rest": "3 s"},
+    {"turn": "-720 deg", "axis": "spin"},
+    {"turn": "90 deg", "axis": "tilt"},
+    {"rest": "4 s"},
+    {"turn": "360 deg", "axis": "tilt", "peak_rate": "150 deg/s"},
+    {"rest": "3 s"},
+    {"turn": "-360 deg", "axis": "tilt", "peak_rate": "150 deg/s"},
+    {"rest": "3 s"},
+    {"pose": {"tilt": "45 deg", "spin": "135 deg"}, "rest": "3 s"},
+    {"pose": {"tilt": "-90 deg", "spin": "180 deg"}, "rest": "3 s"},
+    {"pose": {"tilt": "0 deg", "spin": "0 deg"}},
+]
+
+
+def hand(minutes: float, **changes: Any) -> Spec:
+    """The plan by hand in a ramp of so many minutes.
+
+    Its scale factors are such that their square, which the estimate leaves out, is below what three cycles tell.
+    """
+    keys = {
+        "plan.gradient": f"{100.0 / minutes:.2f} K/min",
+        "rig.chamber.max_heating": "60 K/min",
+        "rig.chamber.max_cooling": "60 K/min",
+        "sensor.gyro.scale_factor.prior": "1000 ppm",
+    }
+    return changed(read_spec(HAND), keys | changes)
+
+
+def short(cycles: int = 1) -> Spec:
+    """A plan of `cycles` cycles of less than a minute, 20 to 30 degC, of a simpler unit."""
+    minutes = 0.9 * cycles
+    temperature = {"basis": "polynomial", "degree": 1, "centre": "25 degC", "scale": "5 K"}
+    rate = {"basis": "polynomial", "degree": 1, "scale": "300 deg/s"}
+    keys: dict[str, Any] = {f"sensor.{kind}.bias.temperature": temperature for kind in ("gyro", "accelerometer")}
+    keys |= {
+        "plan.temperature": ["20 degC", "30 degC"],
+        "plan.gradient": f"{10.0 / minutes:.3f} K/min",
+        "plan.cycle.moves": MOVES,
+        "sensor.gyro.scale_factor": {"temperature": temperature, "rate": rate, "prior": "1000 ppm"},
+        "sensor.accelerometer.scale_factor.temperature": temperature,
+    }
+    text = HAND.read_text(encoding="utf-8").replace('["-30 degC", "70 degC"]', '["20 degC", "30 degC"]')
+    return changed(parse_spec(text), keys | {"rig.chamber.max_heating": "60 K/min"})
+
+
+def made(spec: Spec) -> Recipe:
+    """Its recipe, without a prediction."""
+    return unpredicted(spec)
+
+
+def stopped_in_its_second_cycle(recipe: Recipe, folder: Path) -> None:
+    """A simulated run that somebody stops in the middle of the second cycle."""
+    runners: list[Runner] = []
+
+    def look(progress: RunProgress) -> None:
+        if progress.steps_done == 1 and progress.step_left_s is not None and progress.step_left_s < 25.0:
+            runners[0].request("stop", "enough")
+
+    result = execute.run(recipe, folder, simulate=True, seed=8, on_progress=look, with_runner=runners.append)
+    assert (result.exit_status, result.steps_done) == ("stopped", 1)
+
+
+def estimated(log: Log, spec: Spec, truth: dict[str, float]) -> tuple[float, int, float, int]:
+    """χ² of a log and its degrees of freedom, and the normalised square of all errors of the estimate and theirs."""
+    built = build_imu(spec)
+    model = built.model
+    rows, _ = imu_rows(built, [log], log.units[0], Options())
+    assert log.temperature_c is not None
+    # As it was read: what smooths a thermometer's steps in a ramp of an hour is too slow for one of a minute.
+    done, readings, found, _ = fitted_twice(built, log.units[0], rows, log.temperature_c[0])
+    steps, _ = imu_system(done.motion, model, readings.nominal())
+    used = np.asarray(steps.used)
+    apart = np.where(segments_of(done.motion, model).used, readings.observed - readings.expected(found.parameters), 0.0)
+    prior = model.prior_rows()
+    chi_squared = float(np.sum(np.asarray(whiten(steps, apart[:, None]))[used] ** 2))
+    chi_squared += float(np.sum((prior @ found.parameters) ** 2))
+    degrees = int(used.sum()) + len(prior) - model.size
+    names, reported = model.names(), model.to_reported
+    assert set(names) == set(truth)
+    errors = reported @ found.parameters - np.array([truth[name] for name in names])
+    covariance = found.known.covariance(reported)
+    # Scaled, since coefficients have many units.
+    size = np.sqrt(np.diag(covariance))
+    nees = float((errors / size) @ np.linalg.solve(covariance / np.outer(size, size), errors / size))
+    return chi_squared, degrees, nees, len(names)

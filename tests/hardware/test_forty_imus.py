@@ -1,0 +1,89 @@
+"""Forty units on simulated tables of two and three axes: tilted, mounted a little askew, the Earth turning beneath."""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hardware_evidence import record
+from imu_bench import MOVES, made, short
+from scipy.stats import chi2
+
+from gradcal_jax.api.estimate import estimate_sensors
+from gradcal_jax.api.imu_build import build_imu
+from gradcal_jax.api.imu_residual import quantity_of
+from gradcal_jax.decoding import run_log
+from gradcal_jax.files import changed, presets
+from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.hardware import execute
+
+RUNS, UNITS = 20, 2
+
+
+def three_axes() -> Spec:
+    """The same plan on the inner axes of a three-axis table, with two poses of the outer one."""
+    table = tomllib.loads(presets.text("standard-three-axes"))["rig"]["table"]
+    inner = {"tilt": "middle", "spin": "inner"}
+
+    def renamed(move: dict[str, Any]) -> dict[str, Any]:
+        if "pose" in move:
+            return move | {"pose": {inner[axis]: to for axis, to in move["pose"].items()}}
+        return move | ({"axis": inner[move["axis"]]} if "axis" in move else {})
+
+    # Upright, the outer and the inner axis are parallel: without a rest no gyro tells one from the other.
+    moves = [*(renamed(move) for move in MOVES), {"rest": "3 s"}]
+    moves += [{"pose": {"outer": goal}, "rest": "3 s"} for goal in ("90 deg", "0 deg")]
+    return changed(short(3), {"rig.table": table | {"tilt": "100 urad"}, "plan.cycle.moves": moves})
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize(("axes", "spec"), [("two", short(3)), ("three", three_axes())])
+def test_forty_units_err_as_predicted(tmp_path: Path, axes: str, spec: Spec) -> None:
+    """Runs through devices, journal and log: every quantity's residual over its prediction, χ² of the data, and the
+    errors of each unit's own parameters in their covariance."""
+    built = build_imu(spec)
+    quantities = [quantity_of(built, requirement) for requirement in spec.requirement]
+    names, reported = built.model.names(), built.model.to_reported
+    square, expected, nees, chi, degrees, own = [], [], 0.0, 0.0, 0, 0
+
+    def power(quantity: Any, values: np.ndarray) -> float:
+        each = [element.rows @ values[element.where] for element in quantity.elements]
+        return float(np.mean([np.sum(e**2) / len(e) for e in each]))
+
+    for seed in range(RUNS):
+        folder = tmp_path / f"run {seed}"
+        assert execute.run(made(spec), folder, simulate=True, seed=seed, units=UNITS).exit_status == "success"
+        hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
+        for unit, found in hidden["units"].items():
+            (report,) = estimate_sensors(spec, [run_log.log(folder, unit)])
+            truth = found | hidden["installation"]
+            error = report.solution.parameters - np.linalg.solve(reported, np.array([truth[name] for name in names]))
+            known = report.solution.known
+            square.append([power(q, error) for q in quantities])
+            expected.append([power(q, known.spread) for q in quantities])
+            # The table is the same for all units of a run: its errors would count again and again.
+            rows = reported[[k for k, name in enumerate(names) if name in found]]
+            covariance, apart = known.covariance(rows), rows @ error
+            scale = np.sqrt(np.diag(covariance))
+            nees += float((apart / scale) @ np.linalg.solve(covariance / np.outer(scale, scale), apart / scale))
+            own += len(found)
+            chi += report.consistency.fit.statistic
+            degrees += report.consistency.fit.degrees
+    ratio = np.sqrt(np.mean(square, axis=0) / np.mean(expected, axis=0))
+    # Units of one run share a table: what is left of a quantity counts run by run.
+    by_run = np.mean(np.reshape(square, (RUNS, UNITS, -1)), axis=1)
+    doubt = 0.5 * np.std(by_run, axis=0, ddof=1) / np.sqrt(RUNS) / np.mean(by_run, axis=0)
+    together = float(np.exp(np.mean(np.log(ratio))))
+    assert abs(together - 1.0) < 0.05, ratio
+    assert np.all(np.abs(ratio - 1.0) < 3.0 * doubt), (ratio, doubt)
+    assert chi2.ppf(0.005, degrees) < chi < chi2.ppf(0.995, degrees), (chi, degrees)
+    assert chi2.ppf(0.005, own) < nees < chi2.ppf(0.995, own), (nees, own)
+    record(
+        f"forty units on a table of {axes} axes",
+        f"residual over prediction {together:.3f} in the geometric mean of {len(ratio)} quantities ({ratio.min():.3f} "
+        f"to {ratio.max():.3f}, each ± {np.median(doubt):.3f}); χ² of the data {chi:.0f} of {degrees}, of the units' "
+        f"parameters {nees:.0f} of {own}",
+        "test_forty_imus",
+    )

@@ -1,0 +1,305 @@
+"""Runs of whole units on simulated devices: what devices, journal and log make of poses, turns and mountings."""
+
+import itertools
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hardware_evidence import record
+from imu_bench import estimated, hand, made, short, stopped_in_its_second_cycle
+from scipy.stats import chi2
+from simulated_devices.line_clock import LineClock
+
+from gradcal_jax.decoding import run_log
+from gradcal_jax.files import changed, presets
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.rig import RigFile, parse_rig
+from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.hardware import execute
+from gradcal_jax.hardware.axis_control import AxisControl
+from gradcal_jax.hardware.binding import track_of
+from gradcal_jax.hardware.errors import HardwareError
+from gradcal_jax.hardware.journal import Chunk
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading
+from gradcal_jax.hardware.run_folder import RunFolder
+from gradcal_jax.hardware.runner import Runner, RunProgress
+from gradcal_jax.hardware.settings import KeptSettings
+from gradcal_jax.hardware.simulate.plants import AxisPlant
+from gradcal_jax.hardware.track import AxisCommand
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Log]:
+    """One cycle with two units on the table, and the log of the second."""
+    folder = tmp_path_factory.mktemp("unit") / "run"
+    result = execute.run(made(short()), folder, simulate=True, seed=3, units=2)
+    assert (result.exit_status, result.verified_safe) == ("success", True), result.reason
+    return folder, run_log.log(folder, "unit2")
+
+
+def moves_of(folder: Path) -> list[tuple[str, float, float]]:
+    """Axis, when it was told to turn, and when it stood again, on the run's clock."""
+    found: list[tuple[str, float, float]] = []
+    under_way: dict[str, float] = {}
+    for event in RunFolder(folder).contents().events:
+        if event.name == "move" and event.data["kind"] == "turn":
+            under_way[event.data["axis"]] = event.data["began_s"]
+        elif event.name == "angle" and not event.data["moving"] and event.data["axis"] in under_way:
+            found.append((event.data["axis"], under_way.pop(event.data["axis"]), event.data["time_s"]))
+    return found
+
+
+def test_one_axis_turns_at_a_time(ran: tuple[Path, Log]) -> None:
+    moves = moves_of(ran[0])
+    assert " ".join(axis for axis, _, _ in moves) == "spin spin tilt tilt tilt tilt spin tilt spin tilt spin"
+    for (_, _, ended), (_, begins, _) in itertools.pairwise(moves):
+        assert begins >= ended
+
+
+class SlowStage:
+    """A stage that turns at half the rate that it is told."""
+
+    def __init__(self, clock: LineClock) -> None:
+        self.plant, self.clock, self.settings = AxisPlant(None, clock.now()), clock, KeptSettings()
+
+    def not_asked(self, *said: Any) -> Any:
+        raise AssertionError("nothing but turns is asked for here")
+
+    identify = home = spin = stop = arm_watchdog = heartbeat = safe = close = not_asked
+
+    def limits(self) -> AxisLimits:
+        return AxisLimits(100.0, 100.0, None, None, 0.001, hardware_watchdog=False)
+
+    def read(self) -> AxisReading:
+        now = self.clock.now()
+        angle, rate = self.plant.state(now)
+        return AxisReading(now, angle, rate, self.plant.moving(now), True, (), ())
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        self.plant.move_to(self.clock.now(), position_deg, rate_dps / 2.0, acceleration_dps2)
+
+
+def test_a_turn_waits_for_the_one_of_another_axis() -> None:
+    clock = LineClock()
+    stages: dict[str, Any] = {"tilt": SlowStage(clock), "spin": SlowStage(clock)}
+    moving: list[bool] = []
+
+    def told(name: str, **data: Any) -> None:
+        if name == "move":
+            moving.append(any(stage.plant.moving(clock.now()) for n, stage in stages.items() if n != data["axis"]))
+
+    with clock.party():
+        duty = AxisControl(stages, clock, told)
+        for axis in ("tilt", "spin", "tilt"):
+            turn = AxisCommand(0.0, axis, "turn", rate_dps=60.0, acceleration_dps2=60.0, angle_deg=90.0)
+            duty.move("a step", turn, clock.now(), lambda: None)
+            clock.sleep(turn.duration_s)
+    assert moving == [False, False, False]
+    # That it took too long is said.
+    assert "a turn of axis tilt ended" in duty.amiss[0]
+
+
+def test_the_log_knows_every_axis_at_every_reading(ran: tuple[Path, Log]) -> None:
+    folder, log = ran
+    assert log.table_axes == ("tilt", "spin")
+    assert log.simulated
+    assert log.mounting is None
+    assert log.table_course_rad is not None
+    angles = np.degrees(log.table_course_rad)
+    assert np.isfinite(angles).all()
+    # What the gyros turned by says the same as the encoders do, of the turn that began with tilt and spin at zero.
+    step = np.diff(log.time_s, prepend=log.time_s[0])
+    turned = np.cumsum(log.rate_rad_per_s[0, :, 2] * step)
+    moves = moves_of(folder)
+    assert log.host_time_s is not None
+    alone = (log.host_time_s > moves[0][1]) & (log.host_time_s < moves[1][2] + 0.02)
+    drift = np.degrees(turned - log.table_course_rad[:, 1])[alone]
+    # A bias of a few hundred deg/h and a scale factor that is a thousandth off; angles drawn straight miss by degrees.
+    assert np.ptp(drift) < 2.5
+    # While an axis turns, the other one stands where it was read.
+    tilts = (log.host_time_s > moves[3][1] + 0.05) & (log.host_time_s < moves[3][2] - 0.05)
+    assert np.ptp(angles[tilts, 1]) < 0.01
+    assert np.ptp(angles[tilts, 0]) > 300.0
+
+
+def test_standstills_are_of_all_axes(ran: tuple[Path, Log]) -> None:
+    folder, log = ran
+    assert log.standstill is not None
+    assert log.host_time_s is not None
+    for axis, begins, ends in moves_of(folder):
+        inside = (log.host_time_s > begins + 0.02) & (log.host_time_s < ends)
+        assert np.all(log.standstill[inside] == -1), axis
+    rests = sum(step.axis < 0 for step in made(short()).spec.schedule.steps)
+    # The last one goes over into the standing that is left; at the seam of two cycles there is none here.
+    assert log.standstill.max() + 1 == rests + 1
+    for number in range(rests):
+        assert np.ptp(log.time_s[log.standstill == number]) == pytest.approx(3.0, abs=1.4)
+
+
+def test_specific_force_is_gravity_at_rest(ran: tuple[Path, Log]) -> None:
+    _, log = ran
+    force, angles = log.specific_force_m_per_s2, log.table_course_rad
+    assert force is not None
+    assert angles is not None
+    assert log.standstill is not None
+    assert log.force_axes == ("x", "y", "z")
+    for number in range(int(log.standstill.max()) + 1):
+        rows = log.standstill == number
+        tilt, spin = angles[rows].mean(axis=0)
+        # Tilt turns about East, spin about what was up: the vertical seen from the body.
+        up = np.array([np.sin(tilt) * np.sin(spin), np.sin(tilt) * np.cos(spin), np.cos(tilt)])
+        # 20 mg, 5000 ppm and 10 mrad of hidden errors, three times.
+        np.testing.assert_allclose(force[0, rows].mean(axis=0), 9.80665 * up, atol=1.2)
+
+
+def test_the_estimate_finds_what_was_hidden(ran: tuple[Path, Log]) -> None:
+    folder, log = ran
+    hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
+    spec = RunFolder(folder).recipe().spec
+    squares, degrees, nees, count = estimated(log, spec, hidden["units"]["unit2"] | hidden["installation"])
+    assert chi2.ppf(1e-4, degrees) < squares < chi2.ppf(1.0 - 1e-4, degrees)
+    assert chi2.ppf(1e-4, count) < nees < chi2.ppf(1.0 - 1e-4, count)
+    # Of another unit it is far off: the bands can tell.
+    wrong = estimated(log, spec, hidden["units"]["unit1"] | hidden["installation"])[2]
+    assert wrong > chi2.ppf(1.0 - 1e-12, count)
+
+
+def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path: Path) -> None:
+    spec = parse_spec(presets.text("one-axis-table"))
+    recipe = made(spec)
+    steps = track_of(recipe, ["turn"]).steps
+    asked = [step for number, step in enumerate(steps) if step.mounting and step.goes_there]
+    assert [step.mounting for step in asked] == [1, 2, 3]
+    assert asked[1].hang == "mounting 2 (y along the axis): x along +z, y along +x, z along +y"
+    with pytest.raises(ValueError, match="the operator hangs the units anew, asked at the terminal"):
+        execute.run(recipe, tmp_path / "run", rig=one_axis_rig())
+    assert not (tmp_path / "run").exists()
+
+
+def one_axis_rig() -> RigFile:
+    return parse_rig(
+        'format = "gradcal-rig/1"\n[[axis]]\nname = "turn"\ndriver = "zaber"\nport = "/dev/ttyUSB9"\nsafe = "hold"\n'
+        "gravity_loaded = false\n"
+    )
+
+
+def test_a_rig_without_an_axis_of_the_spec_is_refused() -> None:
+    with pytest.raises(HardwareError, match="turns axis spin, and the rig's axes are tilt, turn"):
+        track_of(made(short()), ["tilt", "turn"])
+
+
+# ------------------------------------------------------------------------------------------------------- long proofs
+
+
+def in_band(value: float, degrees: int) -> bool:
+    """Whether a sum of squares lies within its 99 % band."""
+    return bool(chi2.ppf(0.005, degrees) < value < chi2.ppf(0.995, degrees))
+
+
+def show_in_bands(proof: str, said: tuple[float, int, float, int]) -> None:
+    squares, degrees, nees, count = said
+    assert in_band(squares, degrees), (proof, said)
+    assert in_band(nees, count), (proof, said)
+    record(proof, f"χ² {squares:.0f} of {degrees}, NEES {nees:.0f} of {count}", "test_imu_runs")
+
+
+@pytest.mark.evidence
+def test_three_units_on_a_two_axis_table(tmp_path: Path) -> None:
+    """Three cycles of `hand2` with three units on the table: all within their bands."""
+    recipe = made(hand(14.5))
+    assert execute.run(recipe, tmp_path / "run", simulate=True, seed=5, units=3).exit_status == "success"
+    hidden = json.loads((tmp_path / "run" / "hidden_truth.json").read_text(encoding="utf-8"))
+    for name, own in hidden["units"].items():
+        log = run_log.log(tmp_path / "run", name)
+        show_in_bands(f"a two-axis table, {name} of three", estimated(log, recipe.spec, own | hidden["installation"]))
+
+
+@pytest.mark.evidence
+def test_a_run_that_was_interrupted_goes_on(tmp_path: Path) -> None:
+    """Stopped in the middle of the second of three cycles and gone on with: the cycle is made again, and the estimate
+    from both parts is as sure as it says."""
+    recipe, run = made(short(3)), tmp_path / "run"
+    stopped_in_its_second_cycle(recipe, run)
+    assert execute.resume(run).exit_status == "success"
+    log = run_log.log(run)
+    assert log.provenance["seams"] == "1"
+    assert len(log.stretch_starts) == 2
+    hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
+    truth = hidden["units"]["unit1"] | hidden["installation"]
+    squares, degrees, nees, count = estimated(log, recipe.spec, truth)
+    assert in_band(squares, degrees), (squares, degrees)
+    assert in_band(nees, count), (nees, count)
+    record(
+        "a unit's run stopped in mid-cycle and gone on with",
+        f"χ² {squares:.0f} of {degrees}, NEES {nees:.0f} of {count}",
+        "test_imu_runs",
+    )
+
+
+@pytest.mark.evidence
+def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
+    """Somebody hangs the unit anew between the ramps, once each although the run is stopped in the second; the log says
+    how it hung, and the estimate is in its band."""
+    moves = [{"rest": "4 s"}]
+    for turn in ("360 deg", "-360 deg", "90 deg", "90 deg", "-180 deg"):
+        moves += [{"turn": turn, "axis": "turn"}, {"rest": "4 s"}]
+    keys = {
+        "plan.gradient": "40 K/min",
+        "plan.soak.duration": "2 min",
+        "plan.cycle.moves": moves,
+        "rig.chamber.max_heating": "60 K/min",
+        "rig.chamber.max_cooling": "60 K/min",
+        "sensor.gyro.scale_factor.prior": "1000 ppm",
+    }
+    recipe = made(changed(parse_spec(presets.text("one-axis-table")), keys))
+    run = tmp_path / "run"
+    runners: list[Runner] = []
+
+    def look(progress: RunProgress) -> None:
+        if progress.step.startswith("motion 2, 2 of") and (progress.step_left_s or math.inf) < 15.0:
+            runners[0].request("stop", "enough")
+
+    first = execute.run(recipe, run, simulate=True, seed=2, on_progress=look, with_runner=runners.append)
+    assert first.exit_status == "stopped"
+    assert execute.resume(run).exit_status == "success"
+    hung = [event.data["mounting"] for event in RunFolder(run).contents().events if event.name == "hung"]
+    assert hung == [1, 2, 3]
+    log = run_log.log(run)
+    assert log.mounting is not None
+    assert np.unique(log.mounting).tolist() == [0, 1, 2]
+    assert np.all(np.diff(log.mounting) >= 0)
+    hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
+    truth = hidden["units"]["unit1"] | hidden["installation"]
+    squares, degrees, nees, count = estimated(log, recipe.spec, truth)
+    assert in_band(squares, degrees), (squares, degrees)
+    assert in_band(nees, count), (nees, count)
+    record("three mountings on one axis", f"χ² {squares:.0f} of {degrees}, NEES {nees:.0f} of {count}", "test_imu_runs")
+
+
+@pytest.mark.evidence
+def test_a_gimbal_turned_by_hand(tmp_path: Path) -> None:
+    """Whoever turns it sees how the unit is to stand, and the estimate of what was typed is in its band."""
+    moves = [{"rest": "15 s"}]
+    for axis, turn in (("spin", 360), ("spin", -360), ("tilt", 90), ("spin", 45), ("spin", -45), ("tilt", -90)):
+        moves += [{"turn": f"{turn} deg", "axis": axis, "duration": "10 s", "shape": "hand"}, {"rest": "15 s"}]
+    keys = {
+        "plan.gradient": "30 K/min",
+        "plan.soak": None,
+        "plan.cycle.moves": moves,
+        "rig.chamber.max_heating": "60 K/min",
+        "sensor.gyro.scale_factor.prior": "1000 ppm",
+    }
+    recipe = made(changed(parse_spec(presets.text("gimbal-by-hand")), keys))
+    run = tmp_path / "run"
+    assert execute.run(recipe, run, simulate=True, seed=2).exit_status == "success"
+    shown = b"".join(r.data for r in RunFolder(run).contents().records if isinstance(r, Chunk) and not r.received)
+    assert (
+        "up: body +y\r\n  |  north: body -z\r\n  | /\r\n  o---- east: body +x\r\ntilt: turn by +90 deg"
+        in shown.decode("utf-8", "ignore")
+    )
+    hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
+    truth = hidden["units"]["unit1"] | hidden["installation"]
+    show_in_bands("a gimbal turned by hand", estimated(run_log.log(run), recipe.spec, truth))

@@ -1,0 +1,144 @@
+"""Runs of a whole unit's recipe that are killed (SIGKILL) at random instants, made safe by the guard and gone on with:
+their logs hold every step once and whole, and what is estimated of them is as sure as it says.
+
+Two axes, three gyros and three accelerometers; a laboratory of its own for every run, so that no two have one truth.
+"""
+
+import collections
+import json
+import subprocess
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hardware_evidence import record
+from hardware_processes import laboratory
+from imu_bench import estimated, made, short
+from killing import STANDING, TURNING, Killer, require_seams
+from scipy.stats import chi2
+
+from gradcal_jax.decoding.run_log import log as log_of_run
+from gradcal_jax.files import changed
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.writing import write_toml
+from gradcal_jax.hardware.binding import track_of
+from gradcal_jax.hardware.journal import Event
+from gradcal_jax.hardware.run_folder import RunFolder, exit_status
+from gradcal_jax.hardware.track import Track
+
+SPEED = 10.0
+RATE_HZ = 125.0
+AXES = ["tilt", "spin"]
+
+
+def quick(cycles: int) -> Recipe:
+    """Of a chamber that is soon where a run goes on."""
+    return made(changed(short(cycles), {"rig.chamber.max_cooling": "60 K/min"}))
+
+
+@dataclass
+class Sums:
+    """What the runs gave together."""
+
+    kills: collections.Counter[str] = field(default_factory=collections.Counter)
+    guarded: int = 0
+    seams: int = 0
+    each: list[tuple[float, int, float, int]] = field(default_factory=list[tuple[float, int, float, int]])
+
+    @property
+    def together(self) -> tuple[float, int, float, int]:
+        squares, degrees, nees, count = zip(*self.each, strict=True)
+        return sum(squares), sum(degrees), sum(nees), sum(count)
+
+
+def killed_run(folder: Path, made: Recipe, kills: int, seed: int, sums: Sums) -> None:
+    folder.mkdir()
+    write_toml(made, folder / "recipe.toml")
+    track, run = track_of(made, AXES), folder / "run"
+    random = np.random.default_rng([seed, 5])
+    most = sums.kills.total() + kills
+    killer = Killer(folder, track, SPEED, random, most, guard=True, kills=sums.kills)
+    with laboratory(folder, SPEED, seed) as lab:
+        killer.run_to_its_end(run, lambda fresh: require_safe(lab, fresh, sums))
+    log = log_of_run(run)
+    require_every_step_once(run, track, log)
+    sums.seams += require_seams(RunFolder(run).contents(), track)
+    hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
+    sums.each.append(estimated(log, made.spec, hidden["units"]["unit1"] | hidden["installation"]))
+
+
+def require_safe(lab: "subprocess.Popen[str]", fresh: list[Event], sums: Sums) -> None:
+    """After a kill: whatever the run had begun to do, the guard has ended, unless the run itself came to it."""
+    names = [event.name for event in fresh]
+    if "identity" not in names:
+        return
+    assert lab.stdin is not None
+    assert lab.stdout is not None
+    lab.stdin.write("state\n")
+    lab.stdin.flush()
+    assert lab.stdout.readline().split() == ["STANDBY", "0.0"]
+    by_guard = {e.data["device"]: e.data["verified"] for e in fresh if e.data.get("by") == "guard"}
+    if "end" not in names:
+        assert by_guard == dict.fromkeys(["chamber", *AXES, "unit1"], True)
+    sums.guarded += bool(by_guard)
+
+
+def require_every_step_once(run: Path, track: Track, log: Log) -> None:
+    """Of every step its last attempt is there as the recipe has it; samples are neither lost nor doubled."""
+    contents = RunFolder(run).contents()
+    assert exit_status(contents) == "success"
+    done = [event.data["number"] for event in contents.events if event.name == "step done"]
+    assert done == list(range(len(track.steps)))
+    begins = {e.data["number"]: e.data["begins_s"] for e in contents.events if e.name == "step begins"}
+    moves = [e for e in contents.events if e.name == "move" and e.data["kind"] == "turn"]
+    assert log.host_time_s is not None
+    for number, step in enumerate(track.steps):
+        begin, end = begins[number], begins[number] + step.duration_s
+        own = [e.data for e in moves if begin <= e.data["began_s"] < end]
+        assert [(move["axis"], move["angle_deg"]) for move in own] == [(m.axis, m.angle_deg) for m in step.moves]
+        if step.read_at_s:
+            rows = np.sum((log.host_time_s > begin) & (log.host_time_s <= end))
+            # Where a step begins among the samples is known as well as their stamps are.
+            assert rows == pytest.approx(RATE_HZ * step.duration_s, rel=0.01)
+    apart = np.rint(np.diff(log.time_s) * RATE_HZ).astype(int)
+    within = np.ones(len(apart), bool)
+    within[log.stretch_starts[1:] - 1] = False
+    assert np.all(apart[within] == 1)
+    # A stretch of the log begins where a step is made again, and nowhere else.
+    again = sum(event.name == "not done" for event in contents.events)
+    assert len(log.stretch_starts) <= int(log.provenance["sessions"]) + again
+
+
+def in_band(value: float, degrees: int, outside: float = 0.01) -> bool:
+    return bool(chi2.ppf(outside / 2.0, degrees) < value < chi2.ppf(1.0 - outside / 2.0, degrees))
+
+
+def test_a_killed_run_of_a_unit_is_made_safe_and_gone_on_with(tmp_path: Path) -> None:
+    sums = Sums()
+    killed_run(tmp_path / "one", quick(2), 1, 2, sums)
+    assert sums.kills.total() == sums.guarded == sums.seams == 1
+    squares, degrees, nees, count = sums.together
+    assert in_band(squares, degrees, 2e-4), sums.each
+    assert in_band(nees, count, 2e-4), sums.each
+
+
+@pytest.mark.evidence
+def test_killed_runs_of_units_are_consistent(tmp_path: Path) -> None:
+    began = time.monotonic()
+    sums, recipe = Sums(), quick(2)
+    for seed in range(20, 28):
+        killed_run(tmp_path / f"run{seed}", recipe, 3, seed, sums)
+    squares, degrees, nees, count = sums.together
+    assert in_band(squares, degrees), sums.each
+    assert in_band(nees, count), sums.each
+    record(
+        "runs of a unit (two axes, gyros and accelerometers) killed at random and resumed",
+        f"{sums.kills.total()} kills of {len(sums.each)} runs, {sums.kills[TURNING]} while an axis turned, "
+        f"{sums.kills[STANDING]} at rest in a step with data; {sums.guarded} times the guard made all safe, verified; "
+        f"{sums.seams} seams; every step once and whole, no sample lost or doubled; of all runs together χ² "
+        f"{squares:.0f} of {degrees}, NEES {nees:.0f} of {count}; {time.monotonic() - began:.0f} s",
+        "tests/hardware/test_killed_imu_runs.py",
+    )

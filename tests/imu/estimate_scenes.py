@@ -1,0 +1,98 @@
+"""Units of which a plan's recording is estimated: specs of four kinds of table, their truths, their recordings."""
+
+import tomllib
+from typing import Any
+
+import imu_twin
+import numpy as np
+from imu_helpers import shipped
+
+from gradcal_jax.api.imu_build import build_imu
+from gradcal_jax.files import presets
+from gradcal_jax.files.log import Log
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.formulas import runs
+
+PLANS = ("two axes", "one axis, three mountings", "three axes", "by hand")
+_PRESETS = {
+    "one axis, three mountings": "one-axis-table",
+    "three axes": "standard-three-axes",
+    "by hand": "gimbal-by-hand",
+}
+# Minutes.
+_TWO_CYCLES = {"three axes": 20.0, "by hand": 27.0}
+
+
+def scene(plan: str, installation_mrad: float, minutes: float = 8.0) -> Spec:
+    """A spec whose table is uncertain by so much; its ramp is made quick, so that one recording costs little."""
+    document = shipped("hand2") if plan == "two axes" else tomllib.loads(presets.text(_PRESETS[plan]))
+    accuracy = f"{installation_mrad} mrad"
+    table = document["rig"]["table"]
+    table["tilt"] = accuracy
+    for axis in table["axis"][:-1]:
+        axis["orthogonality"] = accuracy
+    for mounting in _list(table.get("mounting", [])):
+        if "accuracy" in mounting:
+            mounting["accuracy"] = accuracy
+    document["rig"]["chamber"] |= {"max_heating": "60 K/min", "max_cooling": "60 K/min"}
+    # The same cycle as often as the time allows, over the same temperatures.
+    minutes = max(minutes, _TWO_CYCLES.get(plan, 0.0))
+    document["plan"] |= {"temperature": ["-30 degC", "70 degC"], "gradient": f"{100.0 / minutes:.6g} K/min"}
+    # Two rests that follow one another are one standstill of a log: they are planned as one here.
+    moves: list[dict[str, Any]] = []
+    for move in document["plan"]["cycle"]["moves"]:
+        if moves and set(move) == set(moves[-1]) == {"rest"}:
+            moves[-1] = {"rest": f"{float(moves[-1]['rest'].split()[0]) + float(move['rest'].split()[0])} s"}
+        else:
+            moves.append(move)
+    document["plan"]["cycle"]["moves"] = moves
+    document["plan"].pop("programme", None)
+    document["plan"].pop("soak", None)
+    for part in ("gyro", "accelerometer"):
+        triad = document["sensor"].get(part, {})
+        triad.pop("scale_factor_instability", None)
+    document["sensor"].pop("thermal_lag", None)
+    return spec_of(document)
+
+
+def _list(value: Any) -> list[dict[str, Any]]:
+    return [value] if isinstance(value, dict) else list(value)
+
+
+def draw_truth(spec: Spec, rng: np.random.Generator) -> dict[str, float]:
+    """Every parameter, drawn from what the spec knows of it before."""
+    model = build_imu(spec).model
+    rows = model.prior_rows()
+    reported = model.to_reported
+    root = np.linalg.inv(np.linalg.cholesky(rows.T @ rows)).T
+    values = reported @ (root @ rng.standard_normal(model.size))
+    return dict(zip(model.names(), values.tolist(), strict=True))
+
+
+def record(
+    spec: Spec, truth: dict[str, float], rng: np.random.Generator, name: str = "SN7", **options: Any
+) -> list[Log]:
+    """Logs of a simulated unit, one for each mounting."""
+    logs = []
+    for kept in imu_twin.recordings(spec, truth, rng, **options):
+        number = np.full(len(kept.time), -1)
+        for k, (first, end) in enumerate(runs(kept.standing)):
+            number[first:end] = k
+        logs.append(
+            Log(
+                kept.time,
+                kept.rate[None],
+                (name,),
+                ("x", "y", "z"),
+                kept.temperature[None],
+                tuple(axis.name for axis in spec.rig.table.axis),
+                kept.angles,
+                None,
+                number,
+                specific_force_m_per_s2=kept.force[None],
+                force_axes=("x", "y", "z"),
+                simulated=True,
+            )
+        )
+    return logs

@@ -1,0 +1,256 @@
+"""Whole units for the tests: tables, plans and channels in plain numbers, and what the program predicts of them."""
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gradcal_jax import model, trajectory
+from gradcal_jax.information import Posterior, imu_information, posterior
+from gradcal_jax.model import Channel, EncoderNoise, ImuModel, Polynomial, SensorModel, SignalMap, make_map
+from gradcal_jax.trajectory import Geometry, TableMotion
+
+DEG = np.pi / 180.0
+DEG_PER_H = DEG / 3600.0
+ARCSEC = DEG / 3600.0
+G = 9.80665
+LATITUDE = 32.7 * DEG
+GYRO_WHITE = 0.15 * DEG / 60.0
+FORCE_WHITE = 0.05 / 60.0
+GYRO_DRIFT = ((1.0 * DEG_PER_H, 120.0),)
+FORCE_DRIFT = ((50e-6 * G, 200.0),)
+FIVE_ARCSEC = 5.0 * ARCSEC
+EAST, NORTH, UP = np.eye(3)
+CONSTANT = Polynomial(0, 0.0, 1.0)
+EXPERIMENTS = Path(__file__).parents[2] / "experiments" / "imu"
+
+
+class NoEarth(Geometry):
+    """A table on an Earth that does not turn: for the ranks that its rate would hide."""
+
+    def earth_rate(self):
+        return np.zeros(3)
+
+
+def shipped(name: str) -> dict[str, Any]:
+    """The document of a spec in experiments/imu."""
+    return tomllib.loads((EXPERIMENTS / f"{name}.toml").read_text(encoding="utf-8"))
+
+
+# --- plans ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Step:
+    """A rest (`axis` −1) of `duration`, or a turn of `axis` by `angle` with cosine ramps (rad, rad/s, rad/s²)."""
+
+    axis: int
+    duration: float = 0.0
+    angle: float = 0.0
+    peak: float = 300.0 * DEG
+    acceleration: float = 400.0 * DEG
+    mounting: int = 0
+
+    @property
+    def move(self) -> trajectory.Move:
+        if self.axis < 0:
+            return trajectory.rest(self.duration, read_at_end=True)
+        peak, ramp, duration = cosine_ramps(self.angle, self.peak, self.acceleration)
+        if self.duration:
+            # A turn that lasts so long, a third of it each ramp.
+            ramp, duration = self.duration / 3.0, self.duration
+            peak = abs(self.angle) / (duration - ramp)
+        return trajectory.turn("cosine ramps", np.copysign(peak, self.angle), duration, ramp=ramp)
+
+
+def cosine_ramps(angle: float, peak: float, acceleration: float) -> tuple[float, float, float]:
+    """Peak rate, ramp and duration of a turn as quick as may be: θ = A(D − r), peak acceleration πA/2r."""
+    size = abs(angle)
+    top = min(peak, np.sqrt(2.0 * size * acceleration / np.pi))
+    ramp = 0.5 * np.pi * top / acceleration
+    return top, ramp, max(size / top + ramp, 2.0 * ramp)
+
+
+def rest(duration: float, mounting: int = 0) -> Step:
+    return Step(-1, duration, mounting=mounting)
+
+
+def turn(axis: int, degrees: float, peak: float = 300.0, duration: float = 0.0, mounting: int = 0) -> Step:
+    return Step(axis, duration, degrees * DEG, peak * DEG, mounting=mounting)
+
+
+def poses(
+    angles: Sequence[Sequence[float]], dwell: float, *, move: float | None = None, peak: float = 90.0
+) -> list[Step]:
+    """Rests of `dwell` at poses (an angle of each axis, degrees), the first where the table begins.
+
+    `move`: how long the way from one to the next takes, shared among its axes; else as quick as `peak` (deg/s) allows.
+    """
+    steps = [rest(dwell)]
+    for before, goal in pairwise(angles):
+        turned = [(k, b - a) for k, (a, b) in enumerate(zip(before, goal, strict=True)) if abs(b - a) > 1e-9]
+        steps += [turn(k, by, peak, 0.0 if move is None else move / len(turned)) for k, by in turned]
+        steps.append(rest(dwell))
+    return steps
+
+
+def poses_within(angles: Sequence[Sequence[float]], total: float, peak: float = 90.0) -> list[Step]:
+    """Equal rests at poses, as long as the moves leave of `total`."""
+    moving = sum(step.move.duration for step in poses(angles, 1.0, peak=peak) if step.axis >= 0)
+    return poses(angles, (total - moving) / len(angles), peak=peak)
+
+
+def up_along(directions, *, unwound: bool = True) -> list[tuple[float, float]]:
+    """Poses of `two_axes` (tilt, spin in degrees) with which directions of the body point up; `unwound`: the spin goes
+    on from pose to pose the short way.
+    """
+    found: list[tuple[float, float]] = []
+    for direction in directions:
+        x, y, z = np.asarray(direction, float) / np.linalg.norm(direction)
+        tilt, spin = np.degrees(np.arccos(np.clip(z, -1.0, 1.0))), np.degrees(np.arctan2(x, y))
+        if unwound and found:
+            spin += 360.0 * np.round((found[-1][1] - spin) / 360.0)
+        found.append((float(tilt), float(spin)))
+    return found
+
+
+def back_and_forth(axis: int, dwell: float, degrees: float = 1800.0) -> list[Step]:
+    return [turn(axis, degrees), rest(dwell), turn(axis, -degrees), rest(dwell)]
+
+
+# Points of temperature along a piece, and the highest order of an encoder's harmonic.
+POINTS = 6
+_HARMONICS = 6
+
+
+def two_axes(*, latitude: float = LATITUDE, kind: type[Geometry] = Geometry) -> Geometry:
+    """Outer axis along East, inner one along the body's z, which points up at zero."""
+    return table(EAST, UP, latitude=latitude, kind=kind)
+
+
+def table(*axes, latitude: float = LATITUDE, mountings=None, kind: type[Geometry] = Geometry) -> Geometry:
+    hung = np.eye(3)[None] if mountings is None else np.asarray(mountings, float)
+    return kind(np.array(axes, float), np.eye(3), hung, np.asarray(latitude), np.asarray(G))
+
+
+def motion_of(
+    geometry: Geometry, steps: Sequence[Step], *, start=None, temperature: tuple[float, float] = (20.0, 0.0)
+) -> TableMotion:
+    """The steps once; `temperature`: °C at the beginning, and K/s. `start` in degrees."""
+    moves = tuple(step.move for step in steps)
+    course = trajectory.programme(temperature[0], [(sum(m.duration for m in moves), temperature[1])])
+    schedule = trajectory.gradient_plan(course, moves, read_every=None)
+    number = np.asarray(schedule.pieces.move)
+    begin = np.zeros(geometry.axis_count) if start is None else np.asarray(start, float) * DEG
+    return trajectory.table_motion(
+        schedule.trajectory(),
+        np.array([step.axis for step in steps])[number],
+        np.array([step.mounting for step in steps])[number],
+        geometry,
+        begin,
+        _HARMONICS,
+    )
+
+
+# --- units ------------------------------------------------------------------------------------------------------------
+
+AXES = "xyz"
+
+
+def _signal(symbol: str, signals: tuple[str, ...], unit: str, std: float, basis=CONSTANT) -> SignalMap:
+    return SignalMap(basis, np.asarray(std), signals, symbol, symbol, unit, bool(np.isfinite(std)))
+
+
+def _drifts(drift) -> model.Processes:
+    processes = model.no_processes()
+    for sigma, tau in drift:
+        processes += model.gauss_markov(sigma, tau)
+    return processes
+
+
+def gyro(
+    axis: int,
+    terms: str = "b s m g",
+    *,
+    white: float = GYRO_WHITE,
+    drift=(),
+    instability=(),
+    std: dict[str, float] | None = None,
+    basis=CONSTANT,
+    rate_basis=CONSTANT,
+) -> Channel:
+    """A gyro with the given `terms`; flat priors but for `std` by symbol (`b`, `s`, `m`, `g`)."""
+    prior, own = {"b": np.inf, "s": np.inf, "m": np.inf, "g": np.inf} | (std or {}), terms.split()
+    chosen: list[model.Term] = []
+    if "b" in own:
+        chosen.append(make_map(basis, prior_std=prior["b"]))
+    if "s" in own:
+        chosen.append(make_map(basis, rate_basis, prior_std=prior["s"]))
+    if "m" in own:
+        chosen += [_signal(f"m_{o}", (f"rate {o}",), "rad", prior["m"], basis) for k, o in enumerate(AXES) if k != axis]
+    if "g" in own:
+        chosen += [_signal(f"g_{o}", (f"force {o}",), "rad/s/(m/s^2)", prior["g"]) for o in AXES]
+    processes = _drifts(drift)
+    for sigma, tau in instability:
+        processes += model.gauss_markov(sigma, tau, bias_gain=0.0, rate_gain=1.0)
+    return Channel(SensorModel(tuple(chosen), np.asarray(white), processes, model.angle_reference()), "gyro", axis)
+
+
+def accelerometer(
+    axis: int,
+    terms: str = "b s m",
+    *,
+    white: float = FORCE_WHITE,
+    drift=(),
+    std: dict[str, float] | None = None,
+    basis=CONSTANT,
+    read_below: float = 0.0,
+) -> Channel:
+    """An accelerometer with the given `terms`: `b`, `s`, `m`, `k2`, `k3`, `asymmetry`, `cross`, `r`."""
+    prior = dict.fromkeys(("b", "s", "m", "k2", "k3", "asymmetry", "cross", "r"), np.inf) | (std or {})
+    own, along = terms.split(), f"force {AXES[axis]}"
+    chosen: list[model.Term] = []
+    if "b" in own:
+        chosen.append(_signal("b", (), "m/s^2", prior["b"], basis))
+    if "s" in own:
+        chosen.append(_signal("s", (along,), "1", prior["s"], basis))
+    if "m" in own:
+        chosen += [
+            _signal(f"m_{o}", (f"force {o}",), "rad", prior["m"], basis) for k, o in enumerate(AXES) if k != axis
+        ]
+    if "k2" in own:
+        chosen.append(_signal("k2", (along, along), "1/(m/s^2)", prior["k2"]))
+    if "k3" in own:
+        chosen.append(_signal("k3", (along,) * 3, "1/(m/s^2)^2", prior["k3"]))
+    if "asymmetry" in own:
+        chosen.append(_signal("asymmetry", (f"|{along}|",), "1", prior["asymmetry"]))
+    if "cross" in own:
+        pairs = [(a, b) for i, a in enumerate(AXES) for b in AXES[i + 1 :]]
+        chosen += [_signal(f"k_{a}{b}", (f"force {a}", f"force {b}"), "1/(m/s^2)", prior["cross"]) for a, b in pairs]
+    if "r" in own:
+        chosen += [_signal(f"r_{o}", (f"size {AXES[axis]}{o}",), "m", prior["r"]) for o in AXES]
+    sensor = SensorModel(tuple(chosen), np.asarray(white), _drifts(drift), model.angle_reference())
+    return Channel(sensor, "accelerometer", axis, read_below)
+
+
+def encoder(count: int, offset: float = 0.0, reading: float = 0.0, every: float = 1.0) -> EncoderNoise:
+    return EncoderNoise(*(np.full(count, value) for value in (offset, reading, every)))
+
+
+def unit(channels, installation=(), noise: EncoderNoise | None = None, axes: int = 2) -> ImuModel:
+    return ImuModel(tuple(channels), tuple(installation), encoder(axes) if noise is None else noise)
+
+
+def known(motion: TableMotion, of: ImuModel) -> Posterior:
+    """The program's posterior."""
+    return posterior(imu_information([(motion, trajectory.body_nodes(motion, POINTS))], of))
+
+
+def sigmas(motion: TableMotion, of: ImuModel) -> dict[str, float]:
+    """Standard deviations of all reported parameters by name (SI)."""
+    found = known(motion, of).deviations(of.to_reported)
+    return dict(zip(of.names(), (float(v) for v in found), strict=True))

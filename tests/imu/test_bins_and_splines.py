@@ -1,0 +1,150 @@
+"""A unit's bins and B-splines: pieces are divided where functions are not smooth, so that predictions are exact.
+
+Every right answer is a small inverse in this file: the row of a segment weighs each function by the time spent at each
+temperature, or the angle turned at each rate; the information is `Σ f fᵀ / (N² duration) + 1/prior²`.
+"""
+
+import numpy as np
+import pytest
+
+from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.formulas import b_spline
+
+DEG_PER_H = np.radians(1.0) / 3600.0
+N = np.radians(0.15) / 60.0
+EARTH = 7.292115e-5
+SPEC = """
+format = "gradcal-spec/1"
+[sensor.gyro]
+axes = [{axes}]
+angle_random_walk = "0.15 deg/sqrt(h)"
+{maps}
+[rig.site]
+latitude = "{latitude} deg"
+[rig.table]
+[[rig.table.axis]]
+name = "a"
+direction = [{direction}]
+max_rate = "300 deg/s"
+max_acceleration = "400 deg/s^2"
+[rig.chamber]
+range = ["-40 degC", "85 degC"]
+max_heating = "4 K/min"
+max_cooling = "4 K/min"
+[plan]
+method = "gradient"
+temperature = ["-30 degC", "70 degC"]
+gradient = "2 K/min"
+[plan.cycle]
+moves = [{moves}]
+"""
+CONSTANT = 'temperature = { basis = "polynomial", degree = 0, centre = "20 degC", scale = "50 K" }'
+# As good as no bias.
+NO_BIAS = f'bias = {{ {CONSTANT}, prior = "0.000001 deg/h" }}'
+RESTS = '{ rest = "5 min" }, { turn = "180 deg", axis = "a" }, { rest = "5 min" }, { turn = "-180 deg", axis = "a" }'
+
+
+def sigmas(text: str) -> dict[str, float]:
+    """Standard deviations of the reported parameters, SI."""
+    built = build_imu(parse_spec(text))
+    spread = built.model.to_reported @ imu_posterior(built).spread
+    return dict(zip(built.model.names(), np.sqrt(np.sum(spread**2, axis=1)), strict=True))
+
+
+def by_hand(rows: list[np.ndarray], durations: list[float], prior: float) -> np.ndarray:
+    """The same from each segment's weights and duration (s)."""
+    f = np.array(rows) / (N * np.sqrt(np.array(durations)))[:, None]
+    return np.sqrt(np.diag(np.linalg.inv(f.T @ f + np.eye(f.shape[1]) / prior**2)))
+
+
+def segments(text: str) -> list[tuple[float, float]]:
+    """Begin and duration (s) of every rest and move of the plan, with what the cycles leave of the ramp."""
+    schedule = parse_spec(text).schedule
+    (stretch,) = schedule.stretches
+    lasting = [step.move.duration for _ in range(stretch.cycles) for step in schedule.steps]
+    lasting += [stretch.leftover] if stretch.leftover > 1e-6 else []
+    return list(zip(stretch.start + np.concatenate([[0.0], np.cumsum(lasting)[:-1]]), lasting, strict=True))
+
+
+@pytest.mark.parametrize("edges", [np.array([-30.0, -23.3, -4.0, 31.7, 52.0, 70.0]), np.linspace(-30.0, 70.0, 26)])
+def test_temperature_bins_weigh_the_time_that_is_spent_in_each(edges):
+    listed = ", ".join(f'"{e:g} degC"' for e in edges)
+    bias = f'bias = {{ temperature = {{ basis = "bins", edges = [{listed}] }}, prior = "500 deg/h" }}'
+    text = SPEC.format(axes='"x"', maps=bias, latitude=45, direction="1.0, 0.0, 0.0", moves=RESTS)
+    rows = []
+    for begin, lasting in segments(text):
+        cold, warm = (-30.0 + 2.0 / 60.0 * t for t in (begin, begin + lasting))
+        inside = np.minimum(edges[1:], warm) - np.maximum(edges[:-1], cold)
+        rows.append(np.maximum(inside, 0.0) * 30.0)
+    right = by_hand(rows, [lasting for _, lasting in segments(text)], 500.0 * DEG_PER_H)
+    found = np.array([v for name, v in sigmas(text).items() if ".a_bin" in name])
+    assert found == pytest.approx(right, rel=1e-9)
+
+
+TURNS = [(400.0, 100.0, 8.0), (-400.0, 100.0, 8.0), (40.0, 20.0, 4.0), (-40.0, 20.0, 4.0), (10.0, 5.0, 4.0)]
+TURNING = ", ".join(
+    f'{{ rest = "5 s" }}, {{ turn = "{a:g} deg", axis = "a", peak_rate = "{w:g} deg/s", duration = "{t:g} s", '
+    'shape = "linear ramps" }'
+    for a, w, t in TURNS
+)
+
+
+def test_rate_bins_weigh_the_angle_that_is_turned_in_each():
+    edges = [-105.0, -30.0, -7.0, 7.0, 30.0, 105.0]
+    listed = ", ".join(f'"{e:g} deg/s"' for e in edges)
+    rate = f'rate = {{ basis = "bins", edges = [{listed}] }}'
+    maps = f'{NO_BIAS}\nscale_factor = {{ {CONSTANT}, {rate}, prior = "10000 ppm" }}'
+    text = SPEC.format(axes='"z"', maps=maps, latitude=0, direction="0.0, 0.0, 1.0", moves=TURNING)
+    rows, durations = [], []
+    cycles = parse_spec(text).schedule.stretches[0].cycles
+    for angle, peak, lasting in TURNS * cycles:
+        ramp = lasting - abs(angle) / peak
+        turned = np.zeros(5)
+        for k in range(5):
+            low, high = (np.clip(np.sign(angle) * e, 0.0, peak) for e in edges[k : k + 2])
+            turned[k] = abs(high**2 - low**2) / (2.0 * peak / ramp) * 2.0
+            turned[k] += peak * (lasting - 2.0 * ramp) * (edges[k] <= np.sign(angle) * peak < edges[k + 1])
+        assert np.sum(turned) == pytest.approx(abs(angle))
+        rows.append(np.sign(angle) * np.radians(turned))
+        durations.append(lasting)
+    right = by_hand(rows, durations, 0.01)
+    found = np.array([v for name, v in sigmas(text).items() if ".b_bin" in name])
+    assert found == pytest.approx(right, rel=1e-9)
+
+
+def test_splines_in_temperature_and_rate_are_as_a_fine_sum():
+    """An inclined axis on the Earth: every gyro has its own rate, and the Earth's share changes with the attitude."""
+    knots, rates = [-30.0, -10.0, 5.0, 40.0, 70.0], [-90.0, -20.0, 0.0, 35.0, 90.0]
+    warm, fast = (
+        f'{{ basis = "b-spline", degree = {d}, knots = [{", ".join(f"{chr(34)}{k:g} {u}{chr(34)}" for k in of)}] }}'
+        for d, u, of in ((3, "degC", knots), (2, "deg/s", rates))
+    )
+    maps = f'{NO_BIAS}\nscale_factor = {{ temperature = {warm}, rate = {fast}, prior = "10000 ppm" }}'
+    direction, axis = np.array([0.6, 0.0, 0.8]), 0
+    text = SPEC.format(axes='"x"', maps=maps, latitude=30, direction="0.6, 0.0, 0.8", moves=TURNING)
+    earth = EARTH * np.array([0.0, np.cos(np.radians(30.0)), np.sin(np.radians(30.0))])
+    along, across = direction * (direction @ earth), np.cross(direction, earth)
+    rows, durations, at, stands = [], [], 0.0, 0.0
+    schedule = parse_spec(text).schedule
+    plan = [m for turn in TURNS for m in ((0.0, 1.0, 5.0), turn)] * schedule.stretches[0].cycles
+    left = schedule.stretches[0].leftover
+    for angle, peak, lasting in [*plan, *([(0.0, 1.0, left)] if left > 1e-6 else [])]:
+        count = 20_000 if angle else 500
+        t = lasting * (np.arange(count) + 0.5) / count
+        ramp = lasting - abs(angle) / peak if angle else 1.0
+        size = np.clip(np.minimum(t, lasting - t) / ramp, 0.0, 1.0) * (peak if angle else 0.0)
+        joint = np.radians(np.sign(angle) * size)
+        turned = stands + np.cumsum(joint) * lasting / count - 0.5 * joint * lasting / count
+        stands += np.radians(angle)
+        seen = (along + np.cos(turned)[:, None] * (earth - along) - np.sin(turned)[:, None] * across)[:, axis]
+        rate = joint * direction[axis] + seen
+        of_t = b_spline(-30.0 + 2.0 / 60.0 * (at + t), tuple(knots), 3)
+        of_w = b_spline(rate, tuple(np.radians(rates)), 2)
+        rows.append(((of_t * rate[:, None]).T @ of_w).ravel() * lasting / count)
+        durations.append(lasting)
+        at += lasting
+    right = by_hand(rows, durations, 0.01)
+    found = np.array([v for name, v in sigmas(text).items() if ".b_" in name])
+    assert np.ptp(right) > 0.5 * np.max(right)
+    assert found == pytest.approx(right, rel=2e-8)

@@ -1,0 +1,204 @@
+"""What every channel may have, against generalised least squares with covariances that are written out.
+
+Turn-on bias, the thermometer's error, instabilities of the scale factor, a sensitivity to dT/dt; readings on the move
+with an error of their time, and held rates. One table axis, at constant temperature or on a plain ramp.
+"""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gradcal_jax.api import predict
+from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.formulas import EARTH_RATE
+
+DEG = np.pi / 180.0
+G = 9.80665
+FLAT = {"basis": "polynomial", "degree": 0, "centre": "20 degC", "scale": "50 K"}
+THERMOMETER = {"standard_deviation": "0.5 K", "scale_factor_slope": "30 ppm/K"}
+BY_RATE = FLAT | {"centre": "0 deg/s", "scale": "100 deg/s"}
+ANGLE = {"reading_noise": "0.02 deg", "standstill_offset": "0.03 deg", "timing_error": "5 ms", "read_every": "4 s"}
+
+
+def spec_of_table(sensor: dict[str, Any], plan: dict[str, Any], latitude: str = "0 deg", **table: Any):
+    axis = {"name": "turn", "direction": [0.0, 0.0, 1.0], "max_rate": "400 deg/s", "max_acceleration": "400 deg/s^2"}
+    return spec_of({
+        "format": "gradcal-spec/1",
+        "sensor": sensor,
+        "rig": {
+            "site": {"latitude": latitude, "gravity": f"{G} m/s^2"},
+            "table": {"axis": [axis | {"angle": ANGLE}], "standing": "read", **table},
+            "chamber": {"range": ["-40 degC", "85 degC"], "max_heating": "5 K/min", "max_cooling": "5 K/min"},
+        },
+        "plan": plan,
+    })  # fmt: skip
+
+
+def held(rates: list[str], points: str = "one run") -> dict[str, Any]:
+    return {
+        "method": "standard", "temperatures": ["20 degC", "30 degC"], "soak": "5 min", "integration": "100 s",
+        "rates": rates, "points": points,
+    }  # fmt: skip
+
+
+def covariance(columns: np.ndarray, noise: np.ndarray, priors: np.ndarray) -> np.ndarray:
+    information = columns.T @ np.linalg.solve(noise, columns) + np.diag(1.0 / priors**2)
+    return np.sqrt(np.diag(np.linalg.inv(information)))
+
+
+def of_parameters(spec, *names: str) -> np.ndarray:
+    stds = {p.name: p.std for p in predict(spec).parameters}
+    return np.array([stds[name] for name in names], dtype=float)
+
+
+def markov(sigma: float, tau: float, times: np.ndarray) -> np.ndarray:
+    """Covariances of the integrals of a Gauss–Markov process between neighbouring `times` `(n + 1,)`, each weighted by
+    its own value: the analytic double integral."""
+    low, high = times[:-1], times[1:]
+    apart = lambda t: tau**2 * np.exp(-np.abs(t) / tau) + tau * np.abs(t)  # noqa: E731
+    ends = (
+        (high[:, None], low[None]),
+        (low[:, None], high[None]),
+        (low[:, None], low[None]),
+        (high[:, None], high[None]),
+    )
+    signs = (1.0, 1.0, -1.0, -1.0)
+    return sigma**2 * sum(sign * apart(a - b) for sign, (a, b) in zip(signs, ends, strict=True))
+
+
+@pytest.mark.parametrize("points", ["one run", "independent"])
+def test_held_rates_with_every_error_of_a_gyro(points):
+    rates = [0.0, 60.0, -200.0]
+    gyro = {
+        "axes": ["z"], "angle_random_walk": "0.3 deg/sqrt(h)", "turn_on_bias": "40 deg/h",
+        "temperature_error": THERMOMETER | {"bias_slope": "20 deg/h/K"},
+        "scale_factor_instability": [{"standard_deviation": "50 ppm", "correlation_time": "200 s"}],
+        "bias": {"temperature": FLAT, "prior": "100 deg/h"},
+        "scale_factor": {"temperature": FLAT, "rate": BY_RATE, "prior": "5000 ppm"},
+    }  # fmt: skip
+    sensor = {"sample_clock_error": "20 ppm", "clock": "sensor", "gyro": gyro}
+    spec = spec_of_table(sensor, held([f"{r:g} deg/s" for r in rates], points), rate_accuracy="100 ppm")
+    rate = np.tile(np.array(rates) * DEG, 2)
+    lasting, hour = 100.0, DEG / 3600.0
+    starts = np.concatenate([300.0 + lasting * np.arange(3), 900.0 + lasting * np.arange(3)])
+    columns = lasting * np.column_stack([np.ones(6), rate])
+    through = lasting * (20.0 * hour + 30e-6 * rate)
+    instability = np.empty((6, 6))
+    for i in range(6):
+        for j in range(6):
+            times = np.array([starts[i], starts[i] + lasting, starts[j], starts[j] + lasting])
+            instability[i, j] = markov(50e-6, 200.0, times)[0, 2] * rate[i] * rate[j]
+    common = 0.5**2 * np.outer(through, through) + 20e-6**2 * lasting**2 * np.outer(rate, rate) + instability
+    noise = np.where(np.eye(6) + (points == "one run"), common, 0.0)
+    noise += np.diag((0.3 * DEG / 60.0) ** 2 * lasting + (100e-6 * rate * lasting) ** 2)
+    expected = covariance(columns, noise, np.array([np.hypot(100.0, 40.0) * hour, 5000e-6]))
+    assert of_parameters(spec, "gyro_z.a0", "gyro_z.b00") == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_known_bias_still_has_its_turn_on_part():
+    gyro = {
+        "axes": ["z"], "angle_random_walk": "0.3 deg/sqrt(h)", "turn_on_bias": "40 deg/h",
+        "scale_factor": {"temperature": FLAT, "rate": BY_RATE, "prior": "5000 ppm"},
+    }  # fmt: skip
+    spec = spec_of_table({"clock": "sensor", "gyro": gyro}, held(["60 deg/s", "100 deg/s"]))
+    rate = np.tile(np.array([60.0, 100.0]) * DEG, 2)
+    noise = (0.3 * DEG / 60.0) ** 2 * 100.0 * np.eye(4) + (40.0 * DEG / 3600.0 * 100.0) ** 2
+    expected = covariance(100.0 * rate[:, None], noise, np.array([5000e-6]))
+    assert of_parameters(spec, "gyro_z.b00") == pytest.approx(expected, rel=1e-9)
+
+
+def test_readings_on_the_move_rests_that_are_not_read_and_two_gyros():
+    """Two gyros see one encoder: x is known to lie along the axis, z against it."""
+    gyro = {
+        "axes": ["x", "z"], "angle_random_walk": "0.3 deg/sqrt(h)",
+        "bias": {"temperature": FLAT, "prior": "100 deg/h"},
+        "scale_factor": {"temperature": FLAT, "rate": BY_RATE, "prior": "5000 ppm"},
+    }  # fmt: skip
+    moves = [
+        {"rest": "9 s"},
+        {"shape": "linear ramps", "turn": "300 deg", "duration": "10 s", "ramp": "2 s", "read_every": "5 s"},
+        {"rest": "8 s", "read": "none"},
+        {"turn": "-300 deg", "shape": "linear ramps", "duration": "6 s", "ramp": "1 s"},
+        {"rest": "7 s", "read": "end"},
+    ]
+    plan = {
+        "method": "gradient",
+        "temperature": ["20 degC", "21 degC"],
+        "gradient": "1.5 K/min",
+        "cycle": {"moves": moves},
+    }
+    inclined = {"x": "+x", "y": "+y", "z": "+z", "rotation": ["0 deg", "40 deg", "0 deg"]}
+    # At the pole the Earth turns about the table's axis, too.
+    spec = spec_of_table({"clock": "sensor", "gyro": gyro}, plan, "90 deg", mounting=inclined)
+    built = build_imu(spec)
+    # Readings: the first; at 4, 8, 9 s; on the move at 14 s, at its end at 19 s; the next move's end at 33 s, after a
+    # rest that is not read; at the end of the last rest at 40 s.
+    times = np.array([0.0, 4.0, 8.0, 9.0, 14.0, 19.0, 33.0, 40.0])
+    angle = np.array([0.0, 0.0, 0.0, 0.0, 150.0, 300.0, 0.0, 0.0]) * DEG
+    stand = [0, 0, 0, 0, None, 1, 2, 2]
+    error = np.diag(np.full(8, (0.02 * DEG) ** 2))
+    for i, a in enumerate(stand):
+        for j, b in enumerate(stand):
+            error[i, j] += (0.03 * DEG) ** 2 * (a is not None and a == b)
+    error[4, 4] += (300.0 / 8.0 * DEG * 0.005) ** 2
+    change = np.diff(np.eye(8), axis=0)
+    along = np.array([-np.sin(40.0 * DEG), np.cos(40.0 * DEG)])
+    steps = np.diff(times)
+    noise = np.kron(np.outer(along, along), change @ error @ change.T)
+    noise += np.kron(np.eye(2), np.diag((0.3 * DEG / 60.0) ** 2 * steps))
+    columns = np.zeros((14, 4))
+    for k in range(2):
+        columns[7 * k : 7 * k + 7, 2 * k] = steps
+        columns[7 * k : 7 * k + 7, 2 * k + 1] = along[k] * (np.diff(angle) + EARTH_RATE * steps)
+    expected = covariance(columns, noise, np.tile([100.0 * DEG / 3600.0, 5000e-6], 2))
+    names = [f"gyro_{axis}.{name}" for axis in "xz" for name in ("a0", "b00")]
+    found = imu_posterior(built)
+    order = [built.model.names().index(name) for name in names]
+    assert found.deviations(np.eye(built.model.size)[order]) == pytest.approx(expected, rel=1e-9)
+
+
+def test_an_accelerometer_has_the_same_terms():
+    accelerometer = {
+        "axes": ["z"], "velocity_random_walk": "0.05 m/s/sqrt(h)", "turn_on_bias": "3 mg",
+        "temperature_error": THERMOMETER | {"bias_slope": "200 ug/K"},
+        "scale_factor_instability": [{"standard_deviation": "50 ppm", "correlation_time": "200 s"}],
+        "bias_temperature_gradient": {"prior": "500 ug/(K/min)"},
+        "bias": {"prior": "2 mg"}, "scale_factor": {"prior": "500 ppm"},
+    }  # fmt: skip
+    moves = [{"rest": "50 s"}, {"turn": "180 deg"}, {"rest": "70 s"}, {"turn": "-180 deg"}]
+    plan = {
+        "method": "gradient",
+        "temperature": ["20 degC", "50 degC"],
+        "gradient": "2 K/min",
+        "cycle": {"moves": moves},
+    }
+    sensor = {"clock": "sensor", "accelerometer": accelerometer}
+    # Its axis is horizontal, so that the turns reverse the force.
+    spec = spec_of_table(sensor, plan, standing="held", mounting={"x": "+z", "y": "+x", "z": "+y"}, axis=[
+        {"name": "turn", "direction": [1.0, 0.0, 0.0], "max_rate": "400 deg/s", "max_acceleration": "400 deg/s^2"}
+    ])  # fmt: skip
+    built = build_imu(spec)
+    line = built.motion.line
+    rests = np.flatnonzero(built.motion.axis < 0)
+    begin, lasting = np.asarray(line.start)[rests], np.asarray(line.duration)[rests]
+    force = G * np.round(np.cos(built.motion.angles()[0][rests, 0]), 9) * np.sign(_first_force(built))
+    ramp, ug = 2.0 / 60.0, 1e-6 * G
+    columns = lasting[:, None] * np.column_stack([np.ones(len(rests)), force, np.full(len(rests), ramp)])
+    through = lasting * (200.0 * ug + 30e-6 * force)
+    noise = 0.5**2 * np.outer(through, through) + np.diag((0.05 / 60.0) ** 2 * lasting)
+    for i in range(len(rests)):
+        for j in range(len(rests)):
+            times = np.array([begin[i], begin[i] + lasting[i], begin[j], begin[j] + lasting[j]])
+            noise[i, j] += markov(50e-6, 200.0, times)[0, 2] * force[i] * force[j]
+    priors = np.array([np.hypot(2000.0, 3000.0) * ug, 500e-6, 500.0 * ug * 60.0])
+    expected = covariance(columns, noise, priors)
+    found = imu_posterior(built)
+    names = ["a", "s", "bias_temperature_gradient"]
+    order = [built.model.names().index(f"accelerometer_z.{name}") for name in names]
+    assert found.deviations(np.eye(built.model.size)[order]) == pytest.approx(expected, rel=1e-9)
+
+
+def _first_force(built) -> float:
+    return float(next(g for g in built.body_nodes().groups if not g.moving).force[0, 0, 2])

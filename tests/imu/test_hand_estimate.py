@@ -1,0 +1,294 @@
+"""A unit held and turned by hand, calibrated by gravity alone: against a twin of quaternions.
+
+The twin draws positions and turns of its own, and writes what each sensor says from the file's coefficients.
+"""
+
+from dataclasses import replace
+
+import imu_twin
+import numpy as np
+import pytest
+from scipy import stats
+
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.hand_estimate import HandReport, estimate_by_hand
+from gradcal_jax.files.calibration.correction import apply
+from gradcal_jax.files.log import Log, LogError
+
+G = 9.81
+LATITUDE = np.radians(45.0)
+EARTH = imu_twin.OMEGA * np.array([0.0, np.cos(LATITUDE), np.sin(LATITUDE)])
+AT = Options(temperature_c=23.0, earth_rate=float(EARTH[2]))
+HZ = 50.0
+CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+WHITE = {"gyro": 0.15 / 60.0 * np.pi / 180.0, "accelerometer": 0.05 / 60.0}  # rad/√s, m/s/√s
+
+
+def drawn(rng: np.random.Generator) -> dict[str, float]:
+    """Errors of a unit in the accelerometers' frame, by the names of the file's coefficients (SI)."""
+    truth = {}
+    for j, a in enumerate("xyz"):
+        truth |= {f"gyro_{a}.a": 0.01 * rng.standard_normal(), f"gyro_{a}.b00": 0.01 * rng.standard_normal()}
+        truth |= {f"gyro_{a}.m_{b}": 0.01 * rng.standard_normal() for b in "xyz" if b != a}
+        truth |= {f"gyro_{a}.g_{b}": 1e-5 * rng.standard_normal() for b in "xyz"}
+        truth |= {f"accelerometer_{a}.a": 0.1 * rng.standard_normal()}
+        truth |= {f"accelerometer_{a}.s": 0.01 * rng.standard_normal()}
+        truth |= {f"accelerometer_{a}.m_{b}": 0.01 * rng.standard_normal() for b in "xyz"[:j]}
+    return truth
+
+
+def said(truth: dict[str, float], kind: str, omega: np.ndarray, f: np.ndarray) -> np.ndarray:
+    """What three sensors of a kind say of true rates and forces (n, 3)."""
+    own = omega if kind == "gyro" else f
+    out = own.copy()
+    for j, a in enumerate("xyz"):
+        for key, value in truth.items():
+            if not key.startswith(f"{kind}_{a}."):
+                continue
+            symbol = key.partition(".")[2]
+            if symbol == "a":
+                out[:, j] += value
+            elif symbol in ("s", "b00"):
+                out[:, j] += value * own[:, j]
+            else:
+                out[:, j] += value * (f if symbol[0] == "g" else own)[:, "xyz".index(symbol[2])]
+    return out
+
+
+def path(x, attitude, axis, angle, swing, amount) -> np.ndarray:
+    """Attitudes at shares of a move's duration: a turn that begins and ends smoothly, and a swing there and back."""
+    smooth = x - np.sin(2.0 * np.pi * x) / (2.0 * np.pi)
+    turned = imu_twin.times(np.broadcast_to(attitude, (len(x), 4)), imu_twin.quaternion(axis, angle * smooth))
+    there_and_back = amount * np.sin(np.pi * np.clip(x, 0.0, 1.0)) ** 4
+    return imu_twin.times(turned, imu_twin.quaternion(swing, there_and_back))
+
+
+def held(
+    truth: dict[str, float], rng: np.random.Generator, *, count: int = 30, rest: float = 6.0, first: float = 30.0,
+    only=None, noisy: bool = True, earth=EARTH,
+) -> Log:  # fmt: skip
+    """A recording: `count` standstills in directions all round (or that `only` gives), each reached by two turns at
+    once that begin and end smoothly; the hand's shaking goes to the forces.
+    """
+    attitude, rates, forces, standing = np.array([1.0, 0.0, 0.0, 0.0]), [], [], []
+    sub = 4
+    dt = 1.0 / HZ / sub
+    for k in range(count):
+        for moving in (True, False) if k else (False,):
+            if moving:
+                lasting = rng.uniform(1.5, 3.0)
+                if only is None:
+                    to = rng.standard_normal(4)
+                    to /= np.linalg.norm(to)
+                else:
+                    to = only(k, rng)
+                change = imu_twin.times(attitude * CONJUGATE, to)
+                angle = 2.0 * np.arctan2(np.linalg.norm(change[1:]), change[0])
+                axis = change[1:] / max(np.linalg.norm(change[1:]), 1e-12)
+                if angle > np.pi:
+                    angle, axis = 2.0 * np.pi - angle, -axis
+                # On the way the hand also swings about another axis, there and back.
+                swing, amount = rng.standard_normal(3), rng.uniform(0.2, 0.8)
+                swing /= np.linalg.norm(swing)
+            else:
+                lasting = first if k == 0 else rest
+            rows = round(lasting * HZ)
+            t = (np.arange(rows * sub) + 0.5) * dt
+            if moving:
+                x, h = t / (rows / HZ), 1e-4
+                move = attitude, axis, angle, swing, amount
+                q = path(x, *move)
+                # Rates by differences over the path itself.
+                step = h / (rows / HZ)
+                apart = imu_twin.times(path(x - step, *move) * CONJUGATE, path(x + step, *move))
+                omega = 2.0 * apart[:, 1:] / apart[:, :1] / (2.0 * h)
+                force = imu_twin.into_body(q, np.broadcast_to([0.0, 0.0, G], (len(t), 3)))
+                force = force + 0.3 * G * np.sin(np.pi * x)[:, None] * rng.standard_normal(3)
+                attitude = to * np.sign(imu_twin.times(attitude * CONJUGATE, to)[0] or 1.0)
+            else:
+                q = np.broadcast_to(attitude, (len(t), 4))
+                omega = np.zeros((len(t), 3))
+                force = imu_twin.into_body(q, np.broadcast_to([0.0, 0.0, G], (len(t), 3)))
+            omega = omega + imu_twin.into_body(q, np.broadcast_to(earth, (len(t), 3)))
+            rates.append(omega.reshape(rows, sub, 3).mean(axis=1))
+            forces.append(force.reshape(rows, sub, 3).mean(axis=1))
+            # A hand that sets down still touches for a moment: the first and the last tenth of a second do not count.
+            own = np.full(rows, -1 if moving else k)
+            own[:5], own[-5:] = -1, -1
+            standing.append(own)
+    omega, force = np.concatenate(rates), np.concatenate(forces)
+    rate, felt = said(truth, "gyro", omega, force), said(truth, "accelerometer", omega, force)
+    if noisy:
+        rate += WHITE["gyro"] * np.sqrt(HZ) * rng.standard_normal(rate.shape)
+        felt += WHITE["accelerometer"] * np.sqrt(HZ) * rng.standard_normal(felt.shape)
+    return Log(
+        np.arange(len(rate)) / HZ, rate[None], ("SN 7",), tuple("xyz"), standstill=np.concatenate(standing),
+        specific_force_m_per_s2=felt[None], force_axes=tuple("xyz"), simulated=True,
+    )  # fmt: skip
+
+
+def values_of(report: HandReport) -> dict[str, float]:
+    return {
+        f"{c.name}.{name}": value
+        for c in report.calibration.channel
+        for term in c.term
+        for name, value in term.coefficients.items()
+    }
+
+
+def squared(report: HandReport, truth: dict[str, float], only: str = "") -> tuple[float, int]:
+    """Error of the coefficients (of one kind), normalised by their covariance, and how many they are."""
+    found, known = values_of(report), report.calibration.covariance
+    at = [k for k, name in enumerate(known.names) if name.startswith(only)]
+    error = np.array([found[known.names[k]] - truth[known.names[k]] for k in at])
+    return float(error @ np.linalg.solve(np.array(known.matrix)[np.ix_(at, at)], error)), len(at)
+
+
+def test_a_simulated_unit_is_found_within_its_covariance():
+    rng = np.random.default_rng(5)
+    truth = drawn(rng)
+    log = held(truth, rng)
+    (report,) = estimate_by_hand(log, G, options=AT)
+    assert report.calibration.simulated
+    assert set(values_of(report)) == set(truth)
+    square, size = squared(report, truth)
+    assert size == 30
+    assert stats.chi2.sf(square, size) > 1e-3
+    # The gyros find how fast the Earth turns in the horizontal, at 45° as fast as in the vertical.
+    assert abs(np.linalg.norm(report.solution.earth_level) / np.linalg.norm(EARTH[:2]) - 1.0) < 0.25
+    assert all(test.probability > 1e-4 for test in report.tests.values())
+    # Three g of hand-made error become a tenth of a milligram and less.
+    assert report.gravity_left < 1e-4 * G
+    corrected = apply(report.calibration, log).log
+    rests = log.standstill >= 0
+    norm = np.linalg.norm(corrected.specific_force_m_per_s2[0][rests].reshape(-1, 3), axis=1)
+    assert abs(norm.mean() / G - 1.0) < 1e-4
+
+
+def test_without_noise_the_estimate_is_the_truth():
+    """What is left is the twin's integration and the Earth's rate that is not there."""
+    rng = np.random.default_rng(1)
+    truth = drawn(rng)
+    log = held(truth, rng, noisy=False, earth=np.zeros(3))
+    (report,) = estimate_by_hand(log, G, options=replace(AT, earth_rate=0.0))
+    found = values_of(report)
+    for name, value in truth.items():
+        allowed = 2e-5 if name.startswith("gyro") else 1e-9
+        assert abs(found[name] - value) < allowed, (name, found[name], value)
+
+
+def test_marked_standstills_are_those_that_are_found():
+    rng = np.random.default_rng(6)
+    truth = drawn(rng)
+    log = held(truth, rng)
+    (report,) = estimate_by_hand(replace(log, standstill=None), G, options=AT)
+    assert len(report.solution.positions.duration) == 30
+    assert any("30 were found" in message for message in report.messages)
+    square, size = squared(report, truth)
+    assert stats.chi2.sf(square, size) > 1e-3
+
+
+@pytest.fixture(scope="module")
+def a_log() -> Log:
+    rng = np.random.default_rng(2)
+    return held(drawn(rng), rng, count=20)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_counts_of_any_scale_and_zero_give_the_same_unit(a_log, seed):
+    rng = np.random.default_rng(seed)
+    scale, zero = 10.0 ** rng.uniform(-2.0, 5.0, 2), rng.uniform(-300.0, 300.0, (2, 3))
+    counted = replace(
+        a_log,
+        rate_rad_per_s=scale[0] * (a_log.rate_rad_per_s + zero[0]),
+        specific_force_m_per_s2=scale[1] * (a_log.specific_force_m_per_s2 + zero[1]),
+    )
+    (plain,), (report,) = (estimate_by_hand(log, G, options=AT) for log in (a_log, counted))
+    first, second = apply(plain.calibration, a_log).log, apply(report.calibration, counted).log
+    # Another start, another prior: far below what is known.
+    assert np.max(np.abs(first.rate_rad_per_s - second.rate_rad_per_s)) < 1e-5
+    assert np.max(np.abs(first.specific_force_m_per_s2 - second.specific_force_m_per_s2)) < 1e-5
+
+
+def about_x(k: int, rng: np.random.Generator) -> np.ndarray:
+    """Positions in one plane: rolled about x alone."""
+    return imu_twin.quaternion(np.array([1.0, 0.0, 0.0]), rng.uniform(-3.0, 3.0))
+
+
+def faces(k: int, rng: np.random.Generator) -> np.ndarray:
+    """Six faces up, again and again."""
+    axis, angle = [
+        ((1, 0, 0), 0.0),
+        ((1, 0, 0), 90),
+        ((1, 0, 0), 180),
+        ((1, 0, 0), 270),
+        ((0, 1, 0), 90),
+        ((0, 1, 0), 270),
+    ][k % 6]
+    return imu_twin.quaternion(np.array(axis, float), np.radians(angle))
+
+
+def test_positions_in_one_plane_are_said_to_be():
+    rng = np.random.default_rng(3)
+    ideal = dict.fromkeys(drawn(rng), 0.0)
+    (report,) = estimate_by_hand(held(ideal, rng, only=about_x), G, options=AT)
+    said = " ".join(report.messages)
+    assert "near one plane" in said
+    assert "axis x was never held within 60° of up" in said
+    unseen = report.calibration.unobservable
+    assert {"accelerometer_x.s", "accelerometer_x.a"} <= set(unseen) | {"accelerometer_x.a"}
+    assert "accelerometer_x.s" in unseen
+    assert "accelerometer_z.s" not in unseen
+    assert not report.as_wished
+
+
+def test_six_faces_tell_no_angle_between_the_accelerometers():
+    """Norms of gravity along ± x, y, z see six of nine coefficients (`imu.md`: rank 6 of 9)."""
+    rng = np.random.default_rng(4)
+    ideal = dict.fromkeys(drawn(rng), 0.0)
+    (report,) = estimate_by_hand(held(ideal, rng, only=faces), G, options=AT)
+    angles = {"accelerometer_y.m_x", "accelerometer_z.m_x", "accelerometer_z.m_y"}
+    assert {name for name in report.calibration.unobservable if name.startswith("acc")} == angles
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda log: replace(log, specific_force_m_per_s2=None, force_axes=()), "no accelerometer x, accelerometer y"),
+        (lambda log: replace(log, standstill=np.minimum(log.standstill, 3)), "standstills of a second"),
+        (lambda log: replace(log, rate_rad_per_s=-log.rate_rad_per_s), "have both triads the same axes"),
+    ],
+)
+def test_what_cannot_be_is_a_sentence(change, words):
+    rng = np.random.default_rng(8)
+    log = change(held(drawn(rng), rng))
+    with pytest.raises(LogError, match=words):
+        estimate_by_hand(log, G, options=AT)
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("earth", [True, False])
+def test_a_hundred_and_twenty_units_err_as_their_covariance_says(earth):
+    """NEES of all coefficients, and of either triad's, in its 99 % band, and χ² of both fits."""
+    units, sums, sizes = 120, {"": 0.0, "gyro": 0.0, "accelerometer": 0.0}, {"": 0, "gyro": 0, "accelerometer": 0}
+    chi, degrees = np.zeros(2), np.zeros(2)
+    for seed in range(units):
+        rng = np.random.default_rng(4000 + seed)
+        truth = drawn(rng)
+        log = held(truth, rng, earth=EARTH if earth else np.zeros(3))
+        (report,) = estimate_by_hand(log, G, options=AT if earth else replace(AT, earth_rate=0.0))
+        for kind in sums:
+            square, size = squared(report, truth, kind)
+            sums[kind] += square
+            sizes[kind] += size
+        for k, fit in enumerate((report.solution.accelerometer, report.solution.gyro)):
+            chi[k] += fit.test.statistic
+            degrees[k] += fit.test.degrees
+    ratio = {kind or "all": sums[kind] / sizes[kind] for kind in sums}
+    print("earth", earth, "NEES over its degrees", ratio, "χ² over degrees", chi / degrees)
+    for kind in sums:
+        low, high = stats.chi2.ppf([0.005, 0.995], sizes[kind])
+        assert low < sums[kind] < high, (kind, sums[kind] / sizes[kind])
+    for k in range(2):
+        low, high = stats.chi2.ppf([0.005, 0.995], degrees[k])
+        assert low < chi[k] < high, chi / degrees

@@ -1,0 +1,282 @@
+"""What no plan can tell of a whole unit: the gauge freedoms, and what a plan that lacks something is told."""
+
+import copy
+from itertools import product
+
+import numpy as np
+import pytest
+from imu_helpers import (
+    EAST,
+    UP,
+    NoEarth,
+    accelerometer,
+    back_and_forth,
+    gyro,
+    known,
+    motion_of,
+    poses,
+    rest,
+    shipped,
+    table,
+    turn,
+    two_axes,
+    unit,
+    up_along,
+)
+
+from gradcal_jax import model
+from gradcal_jax.api.prediction import predict
+from gradcal_jax.files.spec import spec_of
+
+_AXES = "xyz"
+# Poses of all kinds, turns of both axes at many, reversals.
+_DIRECTIONS = [v for v in product((-1, 0, 1), repeat=3) if any(v)]
+_FREE = np.full(3, np.inf)
+
+
+def rich_plan() -> list:
+    steps = [rest(5.0)]
+    for spin in (30.0, 45.0, 90.0, 90.0, 45.0):
+        steps += [*back_and_forth(0, 5.0), turn(1, spin), *back_and_forth(1, 5.0), turn(0, 65.0), rest(5.0)]
+        steps += [turn(0, 110.0), rest(5.0)]
+    return steps
+
+
+def free_unit():
+    """45 numbers, nothing known beforehand: b, M, G of gyros, b, M, K2 of accelerometers, and the installation."""
+    channels = [gyro(k) for k in range(3)] + [accelerometer(k, "b s m k2") for k in range(3)]
+    installation = [
+        model.BaseTilt(_FREE),
+        model.NonOrthogonality(np.array([np.inf]), ("tilt", "spin")),
+        model.MountingError(_FREE),
+        model.CommonScale(np.array([np.inf]), "gravity"),
+        model.CommonScale(np.array([np.inf]), "sample_clock"),
+    ]
+    return unit(channels, installation)
+
+
+def gauge(of) -> dict[str, np.ndarray]:
+    """The null vectors that the measurement model has, in the parameters of `free_unit`."""
+    names, found = of.names(), {}
+
+    def vector(**parts) -> np.ndarray:
+        v = np.zeros(len(names))
+        for name, value in parts.items():
+            v[names.index(name.replace("__", "."))] = value
+        return v
+
+    scale = {"gyro": "b00", "accelerometer": "s"}
+    clock = {f"{kind}_{a}__{symbol}": -1.0 for kind, symbol in scale.items() for a in _AXES}
+    found["clock"] = vector(sample_clock=1.0, **clock)
+    found["gravity"] = vector(gravity=9.80665, **{f"accelerometer_{a}__s": -1.0 for a in _AXES})
+    for j, a in enumerate(_AXES):
+        # p = e_a: δω = ω × p, which the antisymmetric part of either triad takes back.
+        i, k = _AXES[(j + 1) % 3], _AXES[(j + 2) % 3]
+        parts = {f"{kind}_{x}__m_{y}": s for kind in scale for x, y, s in ((i, k, -1.0), (k, i, 1.0))}
+        found[f"rotation about {a}"] = vector(**{f"mounting1_{a}": 1.0}, **parts)
+    found["azimuth"] = vector(azimuth=1.0)
+    return found
+
+
+def hidden(steps, of, geometry) -> np.ndarray:
+    """What the plan leaves wholly unobserved: orthonormal directions, of parameters in units of like effect."""
+    return known(motion_of(geometry, steps), of).hidden
+
+
+def test_with_everything_free_the_null_space_is_the_gauge_and_nothing_else():
+    """39 of 45 without the Earth's rate: clock, gravity, three rotations of the unit, and the azimuth."""
+    of = free_unit()
+    assert of.size == 45
+    freedoms = gauge(of)
+    found = hidden(rich_plan(), of, two_axes(kind=NoEarth))
+    assert found.shape == (45, 6)
+    assert len(freedoms) == 6
+    basis, _ = np.linalg.qr(found)
+    for name, direction in freedoms.items():
+        left = direction - basis @ (basis.T @ direction)
+        assert np.linalg.norm(left) < 1e-8 * np.linalg.norm(direction), name
+
+
+def test_the_earths_rate_tells_the_azimuth_and_no_more_of_the_gauge():
+    of = free_unit()
+    freedoms = gauge(of)
+    found = hidden(rich_plan(), of, two_axes())
+    assert found.shape == (45, 5)
+    basis, _ = np.linalg.qr(found)
+    for name, direction in freedoms.items():
+        left = np.linalg.norm(direction - basis @ (basis.T @ direction)) / np.linalg.norm(direction)
+        assert (left < 1e-8) == (name != "azimuth"), name
+
+
+def test_gyros_alone_leave_the_rotation_about_the_earths_axis():
+    """Accelerometers fix the tilt; without them a turn of the base about the Earth's axis changes nothing."""
+    of = unit([gyro(k, "b s m") for k in range(3)], [model.BaseTilt(_FREE)])
+    found = hidden(rich_plan(), of, two_axes())
+    assert found.shape[1] == 1
+    tilt = found[of.calibrated :, 0] / np.linalg.norm(found)
+    earth = two_axes().earth_rate()
+    np.testing.assert_allclose(abs(tilt @ earth) / np.linalg.norm(earth), 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("without", "more"),
+    [("fixed mounting", 3), ("fixed clock", 1), ("fixed gravity", 1)],
+)
+def test_each_definition_or_prior_takes_its_freedom_away(without, more):
+    of = free_unit()
+    terms = [t for t in of.installation if {"fixed mounting": "MountingError"}.get(without) != type(t).__name__]
+    terms = [t for t in terms if not (isinstance(t, model.CommonScale) and f"fixed {t.of.split('_')[-1]}" == without)]
+    smaller = unit(of.channels, terms)
+    assert hidden(rich_plan(), smaller, two_axes(kind=NoEarth)).shape[1] == 6 - more
+
+
+# --- sentences --------------------------------------------------------------------------------------------------------
+
+
+def sentences(moves, **changes) -> tuple[str, ...]:
+    """Warnings of `hand` with another cycle, over five kelvin."""
+    document = copy.deepcopy(shipped("hand"))
+    document["requirement"] = []
+    document["plan"] = document["plan"] | {"temperature": ["20 degC", "30 degC"], "cycle": {"moves": moves}}
+    for triad in ("gyro", "accelerometer"):
+        for name in ("bias", "scale_factor", "misalignment"):
+            document["sensor"][triad][name].pop("temperature", None)
+    flat = {"basis": "polynomial", "degree": 0, "centre": "20 degC", "scale": "50 K"}
+    document["sensor"]["gyro"]["bias"]["temperature"] = flat
+    document["sensor"]["gyro"]["scale_factor"]["temperature"] = flat
+    document["sensor"]["gyro"]["scale_factor"]["rate"] = {"basis": "polynomial", "degree": 0, "scale": "300 deg/s"}
+    for key, value in changes.items():
+        at, *path = key.split("__")
+        part = document[at]
+        for name in path[:-1]:
+            part = part[int(name)] if name.isdigit() else part[name]
+        part[path[-1]] = value
+    return predict(spec_of(document)).warnings
+
+
+def go(tilt, spin, seconds="8 s") -> dict:
+    return {"pose": {"tilt": f"{tilt} deg", "spin": f"{spin} deg"}, "rest": seconds}
+
+
+def turns(axis) -> list[dict]:
+    both = [{"turn": "1080 deg", "axis": axis}, {"rest": "8 s"}, {"turn": "-1080 deg", "axis": axis}, {"rest": "8 s"}]
+    return both * 2
+
+
+_ALL_FACES = [go(0, 0), go(180, 0), go(90, 0), go(270, 0), go(270, 90), go(90, 90)]
+_HOME = [go(0, 0)]
+_EVERYTHING = [*_ALL_FACES, go(90, 0), *turns("tilt"), go(90, 90), *turns("tilt"), go(90, 180), *turns("tilt")]
+_EVERYTHING += [*turns("spin"), *_HOME, *turns("spin"), go(45, 45), go(135, 225), *_HOME]
+
+
+def test_a_plan_that_lacks_nothing_is_told_nothing():
+    assert sentences(_EVERYTHING) == ()
+
+
+@pytest.mark.parametrize(
+    ("moves", "said"),
+    [
+        ([go(0, 0), go(90, 0), go(270, 0), go(90, 90), *turns("tilt"), *_HOME], "accelerometer z never points down"),
+        ([go(0, 0), go(180, 0), go(90, 90), *turns("tilt"), *_HOME], "accelerometer x never points down"),
+        ([go(0, 0), go(180, 0), go(90, 90), go(270, 90), *_HOME], "accelerometer y never points up"),
+        ([go(0, 0), go(90, 0), go(180, 0), go(270, 0), *turns("tilt"), *_HOME], "no turn is about gyro z"),
+        ([*turns("spin"), go(0, 90), go(0, 180), *_HOME], "lie in one plane"),
+        ([*turns("spin"), {"rest": "8 s"}], 'the axis "tilt" never turns'),
+    ],
+    ids=["z down", "x down", "y up", "no turn", "one plane", "outer axis stands"],
+)
+def test_a_plan_that_lacks_something_is_told_what(moves, said):
+    found = sentences(moves)
+    assert any(said in sentence for sentence in found), found
+    assert any("the plan says nothing of" in sentence for sentence in found)
+
+
+def test_two_axes_of_the_table_that_never_meet_from_the_other_side_are_told_of_the_reversal():
+    """Free non-orthogonality, outer turns at spins of 0° and 90° alone, misalignments known to 1 mrad before."""
+    moves = [go(0, 0), *turns("tilt"), go(0, 90), *turns("tilt"), *_HOME]
+    found = sentences(moves, rig__table__axis__0__orthogonality="1 deg", sensor__gyro__misalignment__prior="100 urad")
+    assert any("add 180 deg of spin" in sentence for sentence in found), found
+    reversed_too = [*moves[:-1], go(0, 180), *turns("tilt"), *_HOME]
+    found = sentences(
+        reversed_too, rig__table__axis__0__orthogonality="1 deg", sensor__gyro__misalignment__prior="100 urad"
+    )
+    assert not any("add 180 deg" in sentence for sentence in found), found
+
+
+def test_a_single_up_direction_is_told_apart_from_four():
+    """Rank of (1, up) is what the sentence looks at: the geometry of the plan, not figures."""
+    for directions, flat in (([(0, 0, 1), (0, 0, -1)], True), ([*np.eye(3), (0, 0, -1)], False)):
+        angles = up_along(directions)
+        motion = motion_of(two_axes(kind=NoEarth), poses(angles, 5.0, move=1e-6), start=angles[0])
+        of = unit([gyro(0, "b g", std={"b": 1.0, "g": 1.0})])
+        covariance = known(motion, of).covariance(np.eye(4))
+        assert (np.linalg.eigvalsh(covariance)[-1] > 0.1) == flat
+
+
+def test_a_vertical_axis_alone_is_told_which_axes_it_does_not_turn():
+    document = copy.deepcopy(shipped("hand"))
+    document["requirement"] = []
+    table_section = document["rig"]["table"]
+    table_section["axis"] = [table_section["axis"][1]]
+    document["plan"]["cycle"] = {"moves": [{"rest": "8 s"}, {"turn": "720 deg"}, {"turn": "-720 deg"}]}
+    document["plan"]["temperature"] = ["20 degC", "25 degC"]
+    found = predict(spec_of(document)).warnings
+    for sentence in ("no turn is about gyro x", "no turn is about gyro y", "accelerometer z never points down"):
+        assert any(sentence in said for said in found), sentence
+    assert not any("no turn is about gyro z" in said for said in found)
+    assert table(EAST, UP).axis_count == 2
+
+
+# --- freedoms that a prior alone limits -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "said", "limits"),
+    [
+        (
+            {"sensor__sample_clock_error": "200 ppm", "sensor__clock": "sensor"},
+            "the sample clock stays as uncertain as it was (200 ppm)",
+            "gyros' scale factor",
+        ),
+        (
+            {"rig__site__gravity_accuracy": "500 ug"},
+            "gravity stays as uncertain as it was (500 ug)",
+            "accelerometers' scale factor",
+        ),
+        (
+            {"sensor__frame": {"fixed_by": "case"}, "rig__table__mounting": {"accuracy": "1 mrad"}},
+            "the mounting stays as uncertain as it was (1e+03 urad)",
+            "gyros' misalignment and the accelerometers' misalignment",
+        ),
+    ],
+    ids=["clock", "gravity", "mounting"],
+)
+def test_a_freedom_that_its_prior_alone_limits_is_said_with_what_it_limits(changes, said, limits):
+    found = sentences(_EVERYTHING, **changes)
+    assert len(found) == 1
+    assert found[0].startswith(said), found
+    assert limits in found[0]
+
+
+@pytest.mark.parametrize(("azimuth", "said"), [("20 deg", True), ("5 deg", False)])
+def test_an_azimuth_that_poses_about_one_axis_do_not_tell_is_said(azimuth, said):
+    """The Earth's horizontal rate times its sine is 4.4 deg/h for 20°, far beyond what a bias is left with at rest."""
+    found = sentences([go(90 * k % 360, 0, "60 s") for k in range(5)], rig__table__azimuth=azimuth)
+    about = [sentence for sentence in found if sentence.startswith("the azimuth of the base stays")]
+    assert bool(about) == said
+    assert all("the gyros' bias" in sentence and "survey it" in sentence for sentence in about)
+
+
+def test_a_freedom_that_hardly_counts_is_not_said():
+    small = {"sensor__sample_clock_error": "0.01 ppm", "rig__site__gravity_accuracy": "0.01 ug"}
+    assert sentences(_EVERYTHING, **small) == ()
+
+
+def test_a_requirement_that_is_left_as_it_was_is_said():
+    document = copy.deepcopy(shipped("hand"))
+    document["plan"]["cycle"] = {"moves": [{"rest": "8 s"}, *turns("spin")]}
+    document["plan"]["temperature"] = ["20 degC", "25 degC"]
+    found = predict(spec_of(document)).warnings
+    said = [sentence for sentence in found if "stays as it was by the priors" in sentence]
+    assert any("'accelerometer scale factor'" in sentence for sentence in said), found
+    assert not any("'gyro bias'" in sentence for sentence in said)

@@ -1,0 +1,124 @@
+"""Estimates of units with a loop over temperature: what is said, offered, written and drawn."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from loop_scene import WIDTHS, recorded, spec_of
+from matplotlib.figure import Figure
+
+from gradcal_jax.api.estimate import EstimateReport, SensorEstimate, estimate_sensors
+from gradcal_jax.api.estimate_rows import estimate_rows
+from gradcal_jax.cli.estimated import text_of_estimate
+from gradcal_jax.files.calibration import read_calibration, write_calibration
+from gradcal_jax.files.calibration.exports import export
+from gradcal_jax.hardware.simulate.draws import draw_truth
+from gradcal_jax.hardware.simulate.imu import ImuTruth
+from gradcal_jax.plots.calibration import draw_estimate, draw_loop, legs_of
+
+HOUR = np.pi / 180.0 / 3600.0
+
+
+@lru_cache
+def estimated(*, back: bool = True, plays: bool = True) -> tuple[SensorEstimate, ImuTruth]:
+    """A unit with relays of tens of deg/h in the place of a play."""
+    truth = draw_truth(spec_of(back=back, size=40.0), 36, 4, "relays")
+    spec = spec_of(back=back, size=40.0, plays=plays)
+    (report,) = estimate_sensors(spec, [recorded(truth, spec, back=back, seed=7)])
+    return report, truth
+
+
+def test_a_loop_that_the_spec_lacks_is_named_and_a_play_is_offered():
+    report, truth = estimated(plays=False)
+    assert "heating against cooling" in report.calibration.contradicted
+    assert report.path is not None
+    sizes = np.array(truth.triads["gyro"].loops[0].size) / HOUR
+    assert np.max(np.abs(sizes)) > 20.0
+    for size, difference in zip(sizes, report.path.differences, strict=True):
+        # In the middle of the temperatures, on legs of 80 K; the law is another, and dT/dt takes a part.
+        assert difference.value[2] / HOUR == pytest.approx(size, abs=0.6 * abs(size) + 3.0)
+    offer = report.path.offer
+    assert offer is not None
+    assert offer.after < 0.9 * offer.before
+    said = " ".join(report.messages)
+    assert "the errors depend on the path of temperature; half of heating less cooling: gyro" in said
+    assert f"a play of {offer.width_k:g} K" in said
+    assert "[sensor.gyro] hysteresis = [{ width = " in said
+    rows = estimate_rows(EstimateReport((report,)))["units"][0]["path"]
+    assert len(rows["half_differences"]) == 3
+    assert rows["play"]["width_k"] == offer.width_k
+
+
+def test_with_plays_the_fit_is_far_better_and_the_calibration_states_them(tmp_path):
+    """Not perfect: relays of tens of deg/h are no plays, and the drift is half a deg/h."""
+    report, without = estimated()[0], estimated(plays=False)[0]
+    assert report.consistency.noise_scale < 0.5 * without.consistency.noise_scale
+    assert report.path is None or report.path.offer is None
+    path = report.calibration.path
+    assert [(one.channel, one.width) for one in path if one.width is not None] == [
+        (f"gyro_{axis}", width) for axis in "xyz" for width in WIDTHS
+    ]
+    assert not any("start" in one.name for one in path)
+    write_calibration(report.calibration, tmp_path / "calibration.toml")
+    assert read_calibration(tmp_path / "calibration.toml").path == path
+    for target in ("px4", "csv"):
+        notes = " ".join(export(report.calibration, target).notes)
+        assert "bias of gyro x: the mean of heating and cooling; hysteresis, up to " in notes
+    assert "gyro x hysteresis 10K" in text_of_estimate(report)
+
+
+def test_an_exact_play_is_recovered():
+    """A play of 10 K, stepped sample by sample, on top of a unit without a loop."""
+    spec = spec_of(back=True)
+    truth = draw_truth(spec_of(back=True, size=1e-6), 36, 9, "relays")
+    log = recorded(truth, spec, back=True, seed=11)
+    assert log.temperature_c is not None
+    temperature, state = log.temperature_c[0], float(log.temperature_c[0, 0]) + 10.0
+    behind = np.empty_like(temperature)
+    for k, t in enumerate(temperature):
+        state = max(t - 10.0, min(t + 10.0, state))
+        behind[k] = state - t
+    given = np.array([0.8, -0.3, 0.0]) * HOUR
+    (report,) = estimate_sensors(
+        spec, [replace(log, rate_rad_per_s=log.rate_rad_per_s + behind[None, :, None] * given)]
+    )
+    assert report.calibration.contradicted == ()
+    found = {(one.channel, float(one.width)): one for one in report.calibration.path if one.width is not None}
+    for axis, value in zip("xyz", given, strict=True):
+        for width in WIDTHS:
+            one = found[f"gyro_{axis}", width]
+            expected = value if width == 10.0 else 0.0
+            assert abs(one.value - expected) < 4.0 * one.standard_deviation, (axis, width)
+            assert one.standard_deviation < 0.4 * HOUR
+
+
+def test_a_one_way_record_says_what_remains():
+    report, _ = estimated(back=False)
+    assert any(m.startswith("one-way ramp: hysteresis is not observable, ±") for m in report.messages)
+
+
+def test_the_loop_is_drawn_leg_by_leg():
+    report, truth = estimated()
+    curve = report.curves[int(np.argmax(np.abs(truth.triads["gyro"].loops[0].size)))]
+    assert [curve.temperature_c[a] < curve.temperature_c[b - 1] for a, b in legs_of(curve.temperature_c)] == [
+        True,
+        False,
+    ]
+    ax, lines = draw_loop(curve)
+    assert len(lines) == 4
+    assert ax.get_ylabel() == "deg/h"
+    legend = ax.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["heating", "cooling"]
+    apart = (curve.measured - curve.model) / HOUR
+    assert np.std(apart) < 0.5 * np.std((curve.measured - curve.map) / HOUR)
+    assert isinstance(draw_estimate(EstimateReport((report,))), Figure)
+
+
+def test_legs_end_at_turning_points():
+    temperature = np.concatenate(
+        [np.linspace(20.0, -10.0, 40), np.linspace(-10.0, 60.0, 80), np.linspace(60.0, 30.0, 40)]
+    )
+    assert legs_of(temperature) == [(0, 40), (39, 120), (119, 160)]
+    assert legs_of(np.linspace(0.0, 1.0, 9)) == [(0, 9)]

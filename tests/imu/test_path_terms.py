@@ -1,0 +1,325 @@
+"""Terms of the path of temperature, against a play that is stepped sample by sample, and dense integrals."""
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import jsonschema
+import numpy as np
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.estimation.imu_executed import turning_points
+from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.schemas import schema
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.model import play_states
+from gradcal_jax.trajectory import TableMotion, body_nodes
+
+DEG = np.pi / 180.0
+HOUR = DEG / 3600.0
+G = 9.80665
+WIDTHS = (4.0, 9.0)
+LINEAR = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "30 K"}
+FLAT = LINEAR | {"degree": 0}
+BY_RATE = {"basis": "polynomial", "degree": 0, "centre": "0 deg/s", "scale": "100 deg/s"}
+GYRO: dict[str, Any] = {
+    "axes": ["z"], "angle_random_walk": "0.3 deg/sqrt(h)",
+    "bias": {"temperature": LINEAR, "prior": "100 deg/h"},
+    "scale_factor": {"temperature": FLAT, "rate": BY_RATE, "prior": "5000 ppm"},
+    "hysteresis": [{"width": f"{w:g} K", "prior": "2 deg/h/K"} for w in WIDTHS],
+    "scale_factor_hysteresis": [{"width": "9 K", "prior": "10 ppm/K"}],
+    "scale_factor_temperature_gradient": {"prior": "200 ppm/(K/min)"},
+    "turn_on_transient": [{"time_constant": "4 min", "prior": "30 deg/h"}],
+}  # fmt: skip
+FORCE: dict[str, Any] = {
+    "axes": ["z"], "velocity_random_walk": "0.05 m/s/sqrt(h)",
+    "bias": {"prior": "2 mg"}, "scale_factor": {"prior": "500 ppm"},
+    "hysteresis": [{"width": "9 K", "prior": "30 ug/K"}],
+    "scale_factor_hysteresis": [{"width": "4 K", "prior": "10 ppm/K"}],
+}  # fmt: skip
+MOVES = [{"rest": "37 s"}, {"turn": "180 deg"}, {"rest": "53 s"}, {"turn": "-180 deg"}]
+COURSE = [
+    {"soak": "3 min", "at": "10 degC", "used": True},
+    {"ramp_to": "36 degC", "rate": "2 K/min"},
+    {"ramp_to": "24 degC", "rate": "3 K/min"},
+    {"ramp_to": "33 degC", "rate": "1.5 K/min"},
+    {"ramp_to": "12 degC", "rate": "2 K/min"},
+]
+
+
+def spec_with(sensor: dict[str, Any], plan: dict[str, Any] | None = None, standing: str = "held") -> Spec:
+    axis = {"name": "turn", "direction": [1.0, 0.0, 0.0], "max_rate": "400 deg/s", "max_acceleration": "400 deg/s^2"}
+    angle = {"reading_noise": "5 arcsec", "standstill_offset": "5 arcsec", "read_every": "5 s"}
+    course = {"method": "gradient", "programme": COURSE, "cycle": {"moves": MOVES}}
+    mounting = {"x": "+z", "y": "+y", "z": "-x"}
+    return spec_of({
+        "format": "gradcal-spec/1",
+        "sensor": {"clock": "sensor", **sensor},
+        "rig": {
+            "site": {"latitude": "40 deg", "gravity": f"{G} m/s^2"},
+            "table": {"axis": [axis | {"angle": angle}], "mounting": mounting, "standing": standing},
+            "chamber": {"range": ["-40 degC", "85 degC"], "max_heating": "5 K/min", "max_cooling": "5 K/min"},
+        },
+        "plan": plan or course,
+    })  # fmt: skip
+
+
+def stepped(temperature: np.ndarray, width: float, state: float) -> np.ndarray:
+    """A play of half-width `width`, step by step, from an initial state: the definition."""
+    result = np.empty_like(temperature)
+    for k, t in enumerate(temperature):
+        state = max(t - width, min(t + width, state))
+        result[k] = state
+    return result
+
+
+def test_a_play_is_its_definition_at_every_turning_point():
+    random = np.random.default_rng(0)
+    temperature = np.cumsum(random.normal(0.0, 5.0, 400))
+    for width in (0.5, 4.0, 11.0, 60.0):
+        low, high = play_states(temperature, width)
+        # To the last bit: nothing is smoothed and nothing is rounded.
+        np.testing.assert_array_equal(low, stepped(temperature, width, temperature[0] - width))
+        np.testing.assert_array_equal(high, stepped(temperature, width, temperature[0] + width))
+        assert np.all(low <= high)
+        assert np.all(np.diff(high - low) <= 1e-12)
+
+
+@pytest.mark.parametrize(("reverse", "slides"), [(7.99, False), (8.01, True)])
+def test_its_derivative_is_right_on_both_sides_of_where_it_begins_to_slide(reverse, slides):
+    """Up by 30 K, down by `reverse`: the play of 4 K stays at the top less 4 K until the course is down by 8 K."""
+
+    def state(top, bottom):
+        return play_states(jnp.stack([jnp.asarray(0.0), top, bottom]), 4.0)[0][-1]
+
+    of_top, of_bottom = jax.grad(state, argnums=(0, 1))(30.0, 30.0 - reverse)
+    assert (float(of_top), float(of_bottom)) == ((0.0, 1.0) if slides else (1.0, 0.0))
+
+
+def test_turning_points_keep_the_states_of_a_course():
+    temperature = 20.0 * np.sin(np.linspace(0.0, 15.0, 700)) + np.linspace(0.0, 9.0, 700)
+    few = turning_points(temperature)
+    assert len(few) < 9
+    for width in WIDTHS:
+        assert [s[-1] for s in play_states(few, width)] == [s[-1] for s in play_states(temperature, width)]
+    assert list(turning_points(np.full(5, 3.0))) == [3.0, 3.0]
+    assert list(turning_points(np.array([3.0]))) == [3.0]
+
+
+def dense_columns(built: BuiltImu, channel: str) -> dict[str, np.ndarray]:
+    """Every path column of a channel over each piece, by sums over fine steps of the motion."""
+    line = built.motion.line
+    parts = 4000
+    v = (np.arange(parts) + 0.5) / parts
+    places = np.broadcast_to(v, (line.piece_count, parts))
+    temperature, rate = line.temperature(places), line.rate(places)
+    # The gyro along z of the body is against the axis; the force along it turns with it.
+    before, _ = built.motion.angles()
+    angle = before + line.angle(places)
+    nodes = built.body_nodes()
+    if channel == "gyro_z":
+        earth = np.zeros_like(rate)
+        for g in nodes.groups:
+            earth[g.pieces] = g.earth[g.kind, 0, 2][:, None]
+        drive = earth - np.where(built.motion.axis[:, None] == 0, rate, 0.0)
+    else:
+        drive = np.zeros_like(angle)
+    begin, end = line.ends()
+    # With the ends of the pieces, where the course turns.
+    course = np.concatenate([begin[:1], np.column_stack([temperature, end]).ravel()])
+    weight = line.duration[:, None] / parts
+    time = line.start[:, None] + places * line.duration[:, None]
+    slope = line.temperature_slope(places * line.duration[:, None])
+    result = {}
+    for width in WIDTHS:
+        low, high = (stepped(course, width, course[0] + s * width)[1:] for s in (-1.0, 1.0))
+        low, high = (state.reshape(len(end), -1)[:, :-1] for state in (low, high))
+        h, left = 0.5 * (low + high) - temperature, (high - low) / (2.0 * width)
+        result[f"hysteresis_{width:g}K"] = np.sum(h * weight, axis=1)
+        result[f"hysteresis_{width:g}K_start"] = np.sum(left * weight, axis=1)
+        result[f"scale_factor_hysteresis_{width:g}K"] = np.sum(h * drive * weight, axis=1)
+        result[f"scale_factor_hysteresis_{width:g}K_start"] = np.sum(left * drive * weight, axis=1)
+    result["scale_factor_temperature_gradient"] = np.sum(slope * drive * weight, axis=1)
+    result["turn_on_transient_240s"] = np.sum(np.exp(-time / 240.0) * weight, axis=1)
+    return result
+
+
+@pytest.mark.parametrize("lag", [None, "200 s"])
+def test_columns_are_the_integrals_of_the_definition(lag):
+    sensor = {"gyro": GYRO, "accelerometer": FORCE} | ({} if lag is None else {"thermal_lag": lag})
+    built = build_imu(spec_with(sensor))
+    model, nodes = built.model, built.body_nodes()
+    for c, columns in zip(model.channels, model.own_columns(nodes), strict=True):
+        dense = dense_columns(built, c.name)
+        names = c.model.names()
+        compared = [n for n in dense if n in names and (c.kind == "gyro" or not n.startswith("scale"))]
+        assert len(compared) == (8 if c.kind == "gyro" else 2)
+        for name in compared:
+            own = columns[:, names.index(name)]
+            assert np.max(np.abs(own)) > 0.0, name
+            assert own == pytest.approx(dense[name], rel=1e-6, abs=1e-6 * np.max(np.abs(own))), name
+
+
+def test_the_force_multiplies_the_hysteresis_of_an_accelerometers_scale_factor():
+    """At rest the force is constant: the column is that of the bias times it."""
+    built = build_imu(spec_with({"accelerometer": FORCE | {"hysteresis": [{"width": "4 K", "prior": "1 ug/K"}]}}))
+    (columns,), names = built.model.own_columns(built.body_nodes()), built.model.channels[0].model.names()
+    rests = built.motion.axis < 0
+    force = np.zeros(len(rests))
+    for g in built.body_nodes().groups:
+        force[g.pieces] = g.force[g.kind, 0, 2]
+    bias, scale = (columns[:, names.index(f"{kind}hysteresis_4K")] for kind in ("", "scale_factor_"))
+    assert scale[rests] == pytest.approx((bias * force)[rests], rel=1e-12, abs=1e-9)
+
+
+def rested(gyro: dict[str, Any], programme: list[dict[str, Any]]) -> BuiltImu:
+    own = {k: v for k, v in GYRO.items() if k in ("axes", "angle_random_walk", "bias")} | gyro
+    return build_imu(spec_with({"gyro": own}, {"method": "gradient", "programme": programme}, "read"))
+
+
+def test_a_two_way_ramp_sees_what_a_one_way_ramp_does_not():
+    """The half-difference of the legs, c·w, keeps its prior on a one-way ramp."""
+    one_way = [{"soak": "1 min", "at": "0 degC"}, {"ramp_to": "60 degC", "rate": "1 K/min"}]
+    two_way = [
+        {"soak": "1 min", "at": "0 degC"},
+        {"ramp_to": "60 degC", "rate": "2 K/min"},
+        {"ramp_to": "0 degC", "rate": "2 K/min"},
+    ]
+    gyro = {"hysteresis": [{"width": "4 K", "prior": "5 deg/h/K"}]}
+    found = []
+    for course in (one_way, two_way):
+        built = rested(gyro, course)
+        names = built.model.names()
+        rows = np.zeros((2, built.model.size))
+        rows[0, names.index("gyro_z.hysteresis_4K")] = 4.0
+        # The bias as a heating leg has it, at 20 degC.
+        rows[1, names.index("gyro_z.a0")], rows[1, names.index("gyro_z.hysteresis_4K")] = 1.0, -4.0
+        found.append(imu_posterior(built).deviations(rows) / HOUR)
+    (one, heating), (two, _) = found
+    assert 0.9 * 20.0 < one < 20.0
+    assert two < 0.5
+    assert heating < 0.6
+
+
+def test_the_initial_state_counts_until_a_traverse_of_twice_the_width():
+    programme = [{"soak": "1 min", "at": "0 degC", "used": True}, {"ramp_to": "30 degC", "rate": "1 K/min"}]
+    built = rested({"hysteresis": [{"width": "6 K", "prior": "5 deg/h/K"}]}, programme)
+    line, name = built.motion.line, built.model.names().index("gyro_z.hysteresis_6K_start")
+    start = built.model.own_columns(built.body_nodes())[0][:, name] / line.duration
+    begin, end = line.ends()
+    # The mean over a piece of 1 − x/2w after a rise by x.
+    assert start == pytest.approx(np.maximum(0.0, 1.0 - 0.5 * (begin + end) / 12.0), abs=1e-12)
+    prior = 3.0 * 5.0 * HOUR * 6.0
+    assert built.model.prior_rows()[name, name] == pytest.approx(1.0 / prior)
+
+
+def test_what_is_known_before_the_plan_settles_the_initial_state():
+    """From the room to 0 degC, and then up: the first 2w of the ramp show the hysteresis. Half a traverse of 2w leaves
+    half of the range of the state."""
+    programme = [{"soak": "1 min", "at": "0 degC"}, {"ramp_to": "60 degC", "rate": "1 K/min"}]
+    own = {k: v for k, v in GYRO.items() if k in ("axes", "angle_random_walk", "bias")}
+    gyro = own | {"hysteresis": [{"width": "6 K", "prior": "5 deg/h/K"}]}
+    starts, known = [], []
+    for before in ([], ["6 degC"], ["20 degC"], ["-40 degC", "20 degC"]):
+        plan = {"method": "gradient", "programme": programme, "before": before}
+        built = build_imu(spec_with({"gyro": gyro}, plan, "read"))
+        names = built.model.names()
+        used = np.flatnonzero(~built.motion.line.gap)
+        columns = built.model.own_columns(built.body_nodes())[0][used[0]] / built.motion.line.duration[used[0]]
+        starts.append([columns[names.index(f"gyro_z.hysteresis_6K{ending}")] for ending in ("", "_start")])
+        known.append(imu_posterior(built).deviations(np.eye(built.model.size)[[names.index("gyro_z.hysteresis_6K")]]))
+    begins = np.array([[0.0, 1.0], [3.0, 0.5], [6.0, 0.0], [6.0, 0.0]])
+    assert np.array(starts) == pytest.approx(begins, abs=0.05)
+    assert known[2] < 0.2 * known[0]
+    assert known[3] == pytest.approx(known[2], rel=1e-9)
+
+
+def test_a_plan_that_goes_on_keeps_the_state_of_the_play():
+    """[[done]]: half of a programme and then the other half have the columns of the whole."""
+    gyro = {"hysteresis": [{"width": "6 K", "prior": "5 deg/h/K"}]}
+    cycle = {"moves": [{"rest": "60 s"}]}
+    halves = [
+        [{"soak": "1 min", "at": "0 degC"}, {"ramp_to": "30 degC", "rate": "1 K/min"}],
+        [{"soak": "1 s", "at": "30 degC"}, {"ramp_to": "20 degC", "rate": "1 K/min"}],
+    ]
+    own = {k: v for k, v in GYRO.items() if k in ("axes", "angle_random_walk", "bias")} | gyro
+    first, second = ({"method": "gradient", "programme": p, "cycle": cycle} for p in halves)
+    tables = spec_with({"gyro": own}, second, "read").model_dump(mode="json", exclude_unset=True)
+    tables["done"] = [{"plan": first, "start": "1 min", "end": "31 min"}]
+    built = build_imu(spec_of(tables))
+    line, names = built.motion.line, built.model.names()
+    columns = built.model.own_columns(built.body_nodes())[0] / line.duration[:, None]
+    # The plan's own pieces, behind the executed part and the pause.
+    used = np.arange(len(line.gap)) > np.flatnonzero(line.gap)[-1]
+    # The state was 24 degC, and is left at 18 degC: h rises from −6 K to +6 K on the way down, and stays.
+    begin, end = line.ends()
+    expected = np.minimum(24.0 - 0.5 * (begin + end), 6.0)
+    assert columns[used, names.index("gyro_z.hysteresis_6K")] == pytest.approx(expected[used], abs=1e-9)
+    assert columns[used, names.index("gyro_z.hysteresis_6K_start")] == pytest.approx(0.0, abs=1e-12)
+    tables["sensor"]["gyro"]["turn_on_transient"] = [{"time_constant": "5 min", "prior": "3 deg/h"}]
+    with pytest.raises(SpecError, match="since power-on is not known"):
+        spec_of(tables)
+
+
+def test_a_timeline_lists_the_terms_of_the_path():
+    document = json.loads(gj.timeline(spec_with({"gyro": GYRO, "accelerometer": FORCE})).model_dump_json())
+    jsonschema.Draft202012Validator(schema("unit-timeline")).validate(document)
+    gyro, force = (channel["path"] for channel in document["channels"])
+    kinds = ["hysteresis"] * 3 + ["temperature gradient", "transient"]
+    assert [row["kind"] for row in gyro] == kinds
+    assert gyro[1] == {
+        "kind": "hysteresis", "signals": [], "unit": "rad/s/K", "width": 9.0, "time_constant": None,
+        "parameters": ["gyro_z.hysteresis_9K", "gyro_z.hysteresis_9K_start"],
+        "stds": pytest.approx([2.0 * HOUR, 3.0 * 9.0 * 2.0 * HOUR]),
+    }  # fmt: skip
+    assert [row["signals"] for row in force] == [[], ["force z"]]
+
+
+def test_two_entries_of_one_width_are_refused():
+    plays = [{"width": "6 K", "prior": "5 deg/h/K"}, {"width": "6000 mK", "prior": "1 deg/h/K"}]
+    with pytest.raises(SpecError, match="two entries have one width"):
+        rested({"hysteresis": plays}, COURSE)
+
+
+def course_of(motion: TableMotion, top, slope, xp) -> TableMotion:
+    """The motion with another turning point (°C) and another slope (K/s) after it, in the same times."""
+    line = motion.line
+    begin, end = line.ends()
+    turned = int(np.argmax(end)) + 1
+    first = float(line.start[turned])
+    rising = (top - begin[0]) / (first - line.start[0])
+    level = xp.where(
+        np.arange(line.piece_count) < turned,
+        begin[0] + rising * (line.start - line.start[0]),
+        top + slope * (line.start - first),
+    )
+    slopes = xp.where(np.arange(line.piece_count) < turned, rising, slope)
+    return replace(motion, line=replace(line, level=level, slope=slopes))
+
+
+def test_gradients_through_the_turning_point_and_the_slope():
+    """Exact derivatives of the columns against differences, for what `optimise` of legs and slopes will need."""
+    programme = [
+        {"soak": "1 s", "at": "0 degC", "used": True},
+        {"ramp_to": "30 degC", "rate": "2 K/min"},
+        {"ramp_to": "5 degC", "rate": "1 K/min"},
+    ]
+    built = rested({"hysteresis": [{"width": "6 K", "prior": "5 deg/h/K"}]}, programme)
+    weights = np.random.default_rng(1).normal(size=(built.motion.line.piece_count, built.model.size))
+
+    def value(top, slope, xp=np):
+        nodes = body_nodes(course_of(built.motion, top, slope, xp), 8)
+        return xp.sum(weights * built.model.own_columns(nodes)[0])
+
+    at = np.array([29.3, -1.03 / 60.0])
+    exact = jax.grad(lambda p: value(p[0], p[1], jnp))(jnp.asarray(at))
+    for k, step in enumerate((1e-4, 1e-7)):
+        by = np.eye(2)[k] * step
+        for side in (1.0, -1.0):
+            apart = (value(*(at + side * by)) - value(*at)) / (side * step)
+            assert float(exact[k]) == pytest.approx(float(apart), rel=2e-4)

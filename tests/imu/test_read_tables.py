@@ -1,0 +1,52 @@
+"""Logs of a table whose angle is read while it stands (`standing = "read"`): estimated as they are predicted."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from estimate_scenes import draw_truth, record, scene
+from scipy.stats import chi2
+
+from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
+from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.spec_sections import Spec
+
+ANGLE = {"reading_noise": "20 arcsec", "standstill_offset": "10 arcsec", "read_every": "1 s"}
+
+
+def read_scene(plan: str) -> Spec:
+    document: dict[str, Any] = scene(plan, 1.0).model_dump(mode="json", exclude_unset=True)
+    document["rig"]["table"]["standing"] = "read"
+    for axis in document["rig"]["table"]["axis"]:
+        axis["angle"] = axis.get("angle", {}) | ANGLE
+    return spec_of(document)
+
+
+def estimated(spec: Spec, seed: int) -> tuple[SensorEstimate, float]:
+    """The estimate of a simulated log, and the χ² of its error (NEES)."""
+    rng = np.random.default_rng(seed)
+    truth = draw_truth(spec, rng)
+    (report,) = estimate_sensors(spec, record(spec, truth, rng))
+    error = report.solution.parameters - np.linalg.solve(report.built.model.to_reported, np.array(list(truth.values())))
+    white = np.linalg.solve(report.solution.known.spread, error)
+    return report, float(white @ white)
+
+
+@pytest.mark.parametrize("plan", ["two axes", pytest.param("one axis, three mountings", marks=pytest.mark.evidence)])
+def test_a_unit_is_estimated_within_its_covariance_and_as_predicted(plan):
+    spec = read_scene(plan)
+    total = size = 0
+    for seed in (11, 12, 13):
+        report, squared = estimated(spec, seed)
+        total, size = total + squared, size + report.built.model.size
+        assert 1e-3 < report.consistency.fit.probability < 1.0 - 1e-3
+        # A row of each gyro for every reading of each axis.
+        assert report.consistency.fit.degrees > 2000
+    assert 1e-3 < chi2.sf(total, size) < 1.0 - 1e-3
+    predicted = imu_posterior(build_imu(spec))
+    reported = report.built.model.to_reported
+    ratio = report.solution.known.deviations(reported) / predicted.deviations(reported)
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.02)
+    if plan == "two axes":
+        assert np.max(np.abs(ratio - 1.0)) < 0.08

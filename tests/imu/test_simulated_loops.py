@@ -1,0 +1,89 @@
+"""Loops of the simulated unit: their size on wide legs, their memory, and that they are no plays."""
+
+import numpy as np
+import pytest
+
+from gradcal_jax.files import presets
+from gradcal_jax.files.changes import changed
+from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
+from gradcal_jax.hardware.simulate.imu import SimulatedImu
+from gradcal_jax.hardware.simulate.loops import LoopTruth
+from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
+
+HOUR = np.pi / 180.0 / 3600.0
+PERIOD_S = 2.0
+UP = np.arange(-30.0, 70.0, 2.0 / 60.0 * PERIOD_S)
+
+
+def legs(law: str, courses: list[np.ndarray], seed: int = 1) -> list[np.ndarray]:
+    loop = LoopTruth(law, (1.0, 2.0, 0.0), 10.0, seed).begin(float(courses[0][0]))  # pyright: ignore[reportArgumentType]
+    return [loop.take(course, PERIOD_S) for course in courses]
+
+
+@pytest.mark.parametrize("law", ["relays", "thermal masses"])
+def test_wide_legs_differ_by_twice_the_size(law):
+    # On a slope of 0.5 K/min two masses differ by half as much as on 1 K/min, in the steady state.
+    course, expected = (UP, 1.0) if law == "relays" else (np.linspace(-30.0, 70.0, 6000), 0.5)
+    _, down, up = legs(law, [course, course[::-1], course])
+    middle = (course > 0.0) & (course < 50.0)
+    half = 0.5 * (up - down[::-1])[middle]
+    assert np.mean(half[:, 0]) == pytest.approx(expected, rel=0.1)
+    assert half[:, 1] == pytest.approx(2.0 * half[:, 0])
+    assert np.all(half[:, 2] == 0.0)
+    mean = 0.5 * (up + down[::-1])[middle, 0]
+    assert np.std(mean) < 0.5
+
+
+def test_relays_remember_a_reversal_and_not_the_time():
+    """A small excursion closes on the leg that it left (return-point memory), however slowly."""
+    there = UP[UP < 20.0]
+    back = np.linspace(20.0, 8.0, 200)
+    first, _, _, after = legs("relays", [there, back, back[::-1], np.full(5, 20.0)])
+    assert after[-1] == pytest.approx(first[-1], abs=0.02)
+    waited = legs("relays", [there, np.full(5000, there[-1])])[1]
+    assert np.ptp(waited[:, 0]) < 0.01
+    masses = legs("thermal masses", [there, np.full(5000, there[-1])])[1]
+    assert abs(masses[-1, 0]) < 1e-3 < abs(masses[0, 0])
+
+
+class Ramp(ChamberPlant):
+    """A chamber that is as warm as the time says: up and down by 60 K within 20 min each."""
+
+    def load_at(self, times_s):
+        return 60.0 * (1.0 - np.abs(1.0 - np.asarray(times_s) / 1200.0))
+
+
+def test_a_unit_has_the_loops_and_transients_that_its_spec_names():
+    gradient = {"sensor.gyro.bias_temperature_gradient": "5 deg/h/(K/min)"}
+    plain = changed(parse_spec(presets.text("two-axis-table")), gradient)
+    spec = changed(
+        plain,
+        {
+            "sensor.gyro.hysteresis": [{"width": "10 K", "prior": "30 deg/h/K"}],
+            "sensor.gyro.turn_on_transient": [{"time_constant": "5 min", "prior": "200 deg/h"}],
+            "sensor.accelerometer.scale_factor_hysteresis": [{"width": "5 K", "prior": "10 ppm/K"}],
+        },
+    )
+    drawn, before = draw_truth(spec, 3, 1, "relays"), draw_truth(plain, 3, 1)
+    assert drawn.names == before.names
+    (loop,), (of_scale,) = drawn.triads["gyro"].loops, drawn.triads["accelerometer"].loops
+    assert (loop.law, loop.width_k, loop.of_input, of_scale.of_input) == ("relays", 10.0, False, True)
+    assert {draw_truth(spec, seed, 1).triads["gyro"].loops[0].law for seed in range(8)} == {
+        "relays", "thermal masses"
+    }  # fmt: skip
+    sizes = np.array([draw_truth(spec, seed, 1).triads["gyro"].loops[0].size for seed in range(200)])
+    assert np.std(sizes) / HOUR == pytest.approx(300.0, rel=0.1)
+    table, _, _ = draw_table(spec, 3)
+    # The same seed draws the same noise and sensitivity to dT/dt; what differs is the path.
+    outputs = []
+    for truth in (drawn, before):
+        axes = [AxisPlant(), AxisPlant()]
+        unit = SimulatedImu(truth, table, Ramp(ChamberTruth()), axes, sample_rate_hz=1.0, seed=1)
+        outputs.append([unit.take(1200) for _ in range(2)])
+    apart = [np.radians(a.rate_dps - b.rate_dps) / HOUR for a, b in zip(*outputs, strict=True)]
+    assert drawn.triads["gyro"].gradient == before.triads["gyro"].gradient
+    (values, time_constant), at = drawn.triads["gyro"].transients[0], 600
+    hysteresis = apart[0][at] - apart[1][-at - 1]
+    passed = np.exp(-at / time_constant) - np.exp(-(2400 - at) / time_constant)
+    assert hysteresis - np.array(values) / HOUR * passed == pytest.approx(2.0 * np.array(loop.size) / HOUR, rel=0.25)

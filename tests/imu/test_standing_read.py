@@ -1,0 +1,92 @@
+"""A table whose angle is read while it stands (`standing = "read"`): on one axis along a gyro it is the scalar plan."""
+
+import copy
+
+import pytest
+from imu_helpers import shipped
+
+import gradcal_jax as gj
+from gradcal_jax.api.prediction import predict
+from gradcal_jax.files.spec import spec_of
+
+_GYRO = {
+    "angle_random_walk": "0.1 deg/sqrt(h)",
+    "drift": [{"standard_deviation": "1 deg/h", "correlation_time": "120 s"}],
+    "bias": {
+        "temperature": {"basis": "polynomial", "degree": 2, "centre": "20 degC", "scale": "50 K"},
+        "prior": "500 deg/h",
+    },
+    "scale_factor": {
+        "temperature": {"basis": "polynomial", "degree": 2, "centre": "20 degC", "scale": "50 K"},
+        "rate": {"basis": "polynomial", "degree": 1, "scale": "300 deg/s"},
+        "prior": "5000 ppm",
+    },
+}
+_TABLE = {"max_rate": "300 deg/s", "max_acceleration": "300 deg/s^2"}
+_ANGLE = {"reading_noise": "0.05 deg", "standstill_offset": "0.02 deg"}
+_CHAMBER = {"range": ["-40 degC", "85 degC"], "max_heating": "2 K/min", "max_cooling": "2 K/min"}
+# Cycles of 40 s fill the ramp: what is left of one is read in a unit's plan alone.
+_PLAN = {"method": "gradient", "temperature": ["10 degC", "30 degC"], "gradient": "1 K/min"}
+_TURN = {"turn": "720 deg", "shape": "cosine ramps", "duration": "10 s", "peak_rate": "100 deg/s"}
+_BACK = _TURN | {"turn": "-720 deg"}
+
+
+def scalar():
+    rest = {"rest": "10 s", "read_every": "1 s"}
+    return {
+        "format": "gradcal-spec/1",
+        "sensor": {"quantity": "gyro", **_GYRO},
+        "rig": {"table": _TABLE | {"angle": _ANGLE}, "chamber": _CHAMBER},
+        "plan": _PLAN | {"cycle": {"moves": [rest, _TURN, rest, _BACK]}},
+    }
+
+
+def unit(standing: str):
+    """The same gyro as the unit's z along a vertical axis, on the equator: the Earth's rate is not along it."""
+    axis = _TABLE | {"name": "spin", "direction": [0.0, 0.0, 1.0], "angle": _ANGLE}
+    table = {"standing": standing, "axis": [axis]}
+    return {
+        "format": "gradcal-spec/1",
+        "sensor": {"gyro": _GYRO | {"axes": ["z"]}},
+        "rig": {"site": {"latitude": "0 deg"}, "table": table, "chamber": _CHAMBER},
+        "plan": _PLAN | {"cycle": {"moves": [{"rest": "10 s"}, _TURN, {"rest": "10 s"}, _BACK]}},
+    }
+
+
+def sigmas(prediction) -> dict[str, float]:
+    return {row.name.split(".")[-1]: row.std for row in prediction.parameters}
+
+
+def test_one_axis_that_is_read_while_it_stands_is_the_scalar_plan():
+    wanted = sigmas(gj.predict(spec_of(scalar())))
+    found = sigmas(predict(spec_of(unit("read"))))
+    assert set(found) == set(wanted)
+    for name, std in wanted.items():
+        assert found[name] == pytest.approx(std, rel=1e-9), name
+
+
+def test_a_table_that_holds_knows_the_bias_better():
+    """A rest of a held table has no encoder in it: 0.05 deg in 10 s would be 18 deg/h."""
+    read, held = (sigmas(predict(spec_of(unit(standing)))) for standing in ("read", "held"))
+    assert held["a0"] < 0.9 * read["a0"]
+    assert all(held[name] <= read[name] * (1.0 + 1e-9) for name in read)
+
+
+def test_the_timeline_lists_every_reading_of_a_table_that_is_read():
+    timeline = gj.timeline(spec_of(unit("read")))
+    turns, rests = ([s for s in timeline.segments if (s.shape == "rest") == rest] for rest in (False, True))
+    assert sorted({round(s.angle, 6) for s in turns}) == [-12.566371, 12.566371]
+    of_rests = [s for s in rests if s.read and s.used]
+    every = sum(max(1, round(s.duration)) for s in of_rests)
+    assert len(timeline.readings) == pytest.approx(every + len(turns), rel=0.02)
+    held = gj.timeline(spec_of(unit("held")))
+    assert held.standing == "held"
+    assert len(held.segments) < len(timeline.readings) / 5
+
+
+def test_axes_are_read_together():
+    document = copy.deepcopy(shipped("hand"))
+    document["rig"]["table"]["standing"] = "read"
+    document["rig"]["table"]["axis"][1]["angle"]["read_every"] = "2 s"
+    with pytest.raises(gj.SpecError, match="read together"):
+        spec_of(document)

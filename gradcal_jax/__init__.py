@@ -31,10 +31,8 @@ _HOME_OF_NAME: dict[str, str] = {
     # prediction
     "check": "api.flow",
     "predict": "api",
-    "compare": "api.flow",
     "timeline": "api",
     "monte_carlo": "api",
-    "unobservable": "api.plan_sentences",
     # design
     "optimise": "api.flow",
     "limit": "api.flow",
@@ -49,8 +47,6 @@ _HOME_OF_NAME: dict[str, str] = {
     "read_sweep": "files.sweep",
     "sweep": "jobs.sweep",
     "read_dataset": "jobs.dataset",
-    "read_catalogue": "files.catalogue",
-    "recipes": "jobs.catalogue",
     # runs and logs
     "run": "hardware.execute",
     "resume": "hardware.execute",
@@ -65,7 +61,6 @@ _HOME_OF_NAME: dict[str, str] = {
     "allan": "api.log_flow",
     "fit_thermal_bias": "identify.thermal",
     "limiting_function": "identify.limiting_function",
-    "limiting_function_of_mean": "identify.limiting_function",
     # calibrations
     "estimate": "api.log_flow",
     "Calibration": "files.calibration",

@@ -8,7 +8,6 @@ from gradcal_jax.api import recipe as recipe
 from gradcal_jax.api import timeline as timeline
 from gradcal_jax.api.differentiable import differentiable as differentiable
 from gradcal_jax.api.flow import check as check
-from gradcal_jax.api.flow import compare as compare
 from gradcal_jax.api.flow import frontier as frontier
 from gradcal_jax.api.flow import limit as limit
 from gradcal_jax.api.flow import optimise as optimise
@@ -16,7 +15,6 @@ from gradcal_jax.api.hand_estimate import estimate_by_hand as estimate_by_hand
 from gradcal_jax.api.log_flow import allan as allan
 from gradcal_jax.api.log_flow import estimate as estimate
 from gradcal_jax.api.log_flow import instability as instability
-from gradcal_jax.api.plan_sentences import unobservable as unobservable
 from gradcal_jax.api.replan import replan as replan
 from gradcal_jax.api.sensitivity import sensitivity as sensitivity
 from gradcal_jax.api.validation import validate as validate
@@ -35,7 +33,6 @@ from gradcal_jax.files.calibration import read_calibration as read_calibration
 from gradcal_jax.files.calibration import write_calibration as write_calibration
 from gradcal_jax.files.calibration.correction import apply as apply
 from gradcal_jax.files.calibration.exports import export as export
-from gradcal_jax.files.catalogue import read_catalogue as read_catalogue
 from gradcal_jax.files.importers import import_log as import_log
 from gradcal_jax.files.importers import parse_column_map as parse_column_map
 from gradcal_jax.files.log import Log as Log
@@ -47,11 +44,9 @@ from gradcal_jax.files.sweep import read_sweep as read_sweep
 from gradcal_jax.hardware.execute import resume as resume
 from gradcal_jax.hardware.execute import run as run
 from gradcal_jax.identify.limiting_function import limiting_function as limiting_function
-from gradcal_jax.identify.limiting_function import limiting_function_of_mean as limiting_function_of_mean
 from gradcal_jax.identify.thermal import fit_thermal_bias as fit_thermal_bias
 from gradcal_jax.information import posterior as posterior
 from gradcal_jax.information import residual as residual
-from gradcal_jax.jobs.catalogue import recipes as recipes
 from gradcal_jax.jobs.dataset import read_dataset as read_dataset
 from gradcal_jax.jobs.sweep import sweep as sweep
 from gradcal_jax.model import SensorModel as SensorModel

@@ -123,7 +123,7 @@ def _datagrams() -> list[bytes]:
 
 COMMANDS = {
     "resume": "all that `run --resume` reads before it opens a port, and its journal opened",
-    "watch": "`gradcal watch --known`",
+    "watch": "`gradcal rig watch --known`",
     "log": "`gradcal log`",
 }
 
@@ -143,7 +143,7 @@ def measured(what: str, run: Path) -> None:
     else:
         from gradcal_jax.cli import main
 
-        words = ["watch", str(run), "--known"] if what == "watch" else ["log", str(run), "-o", str(run / "log.nc")]
+        words = ["rig", "watch", str(run), "--known"] if what == "watch" else ["log", str(run), "-o", str(run / "log.nc")]
         sys.stdout.flush()
         kept = os.dup(1)
         os.dup2(2, 1)

@@ -84,7 +84,9 @@ def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[S
 
     def move(of: ResolvedMove) -> Move:
         spacing = every if of.reads_as_table else of.read_every
-        return move_of(replace(of, axis="x", read_every=spacing), None, longest)
+        # What is read as the table is has no further reading at its end.
+        end = of.read_end and (spacing is None or np.isinf(spacing))
+        return move_of(replace(of, axis="x", read_every=spacing, read_end=end), None, longest)
 
     # (Steps behind the cycle are made once.)
     moves, after = (tuple(move(s.move) for s in part) for part in (plan.every_step, plan.after))

@@ -11,9 +11,7 @@ from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.limit import PlanLimit, limits
 from gradcal_jax.api.optimise import optimise as searched
 from gradcal_jax.api.plan_sentences import plan_warnings
-from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.search_results import Optimised, SearchStep
-from gradcal_jax.files import Prediction
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
 
@@ -26,14 +24,6 @@ def check(spec: Spec) -> list[str]:
     """
     built = build_imu(expect_spec(spec))
     return plan_warnings(built, imu_posterior(built))
-
-
-def compare(*specs: Spec) -> list[Prediction]:
-    """The prediction of each spec (`predict`: s, ppm, deg/h), with the error sources that limit each requirement.
-
-    Errors: as `predict`.
-    """
-    return [predict(spec, limits=True) for spec in specs]
 
 
 def optimise(

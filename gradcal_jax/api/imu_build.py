@@ -88,9 +88,15 @@ class BuiltImu(NamedTuple):
         return trajectory.body_nodes(self.motion, self.points)
 
 
-def build_imu(spec: Spec, until_s: float = np.inf, change: Callable[[Schedule], Schedule] | None = None) -> BuiltImu:
+def build_imu(
+    spec: Spec,
+    until_s: float = np.inf,
+    change: Callable[[Schedule], Schedule] | None = None,
+    like: BuiltImu | None = None,
+) -> BuiltImu:
     """Model and motion of an IMU's spec, whose plan is broken off at `until_s` of its clock. `change`: what the times
-    and rates of the plan become. Errors: `MemoryError` for a plan with more readings than this machine can hold."""
+    and rates of the plan become. `like`: an IMU with the same plan and other error terms, whose motion serves if the
+    terms need the same pieces. Errors: `MemoryError` for a plan with more readings than this machine can hold."""
     if too := too_large(spec):
         raise MemoryError(too)
     model_, sources = _model_and_sources(spec)
@@ -102,6 +108,8 @@ def build_imu(spec: Spec, until_s: float = np.inf, change: Callable[[Schedule], 
     exponential = spec.sensor.lag is not None or any(isinstance(t, TurnOnTransient) for t in of_path)
     points = max(degree + 1, _LAGGED if exponential else 2 if of_path else 1)
     rough = bool(of_path) or any(b.breaks for b in bases)
+    if like is not None and _divisions(spec, model_, like) == _divisions(like.spec, like.model, like):
+        return BuiltImu(spec, model_, like.motion, points, rough, sources, until_s)
     parts = executed_parts(spec)
     plan = _part(spec.schedule, spec, change)
     if until_s < np.inf:
@@ -155,11 +163,6 @@ def imu_posterior(built: BuiltImu) -> Posterior:
 def unweighted_estimator(spec: Spec) -> bool:
     """Whether the spec's estimator is ordinary least squares on the points' rates, as in the paper's figure."""
     return isinstance(spec.plan, StandardPlan) and spec.plan.estimator == "least squares"
-
-
-def unit_model(spec: Spec) -> ImuModel:
-    """The channels of an IMU, the errors of its installation, and the encoders' noise."""
-    return _model_and_sources(spec)[0]
 
 
 def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str, tuple[int, ...]]]]:
@@ -343,11 +346,6 @@ def rest_poses(built: BuiltImu) -> RestPoses:
     return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
 
 
-def motion_of(plan: PlanSchedule | StandardSchedule, spec: Spec, of: ImuModel) -> TableMotion:
-    """The motion of a plan on a spec's rig, in pieces on which all functions of the model `of` are smooth."""
-    return _motion([(_part(plan, spec), 0.0)], spec, of)
-
-
 def _part(
     plan: PlanSchedule | StandardSchedule, spec: Spec, change: Callable[[Schedule], Schedule] | None = None
 ) -> TablePart:
@@ -381,6 +379,14 @@ def _motion(parts: Sequence[tuple[TablePart, float]], spec: Spec, of: ImuModel) 
         return smooth
     widths = tuple(sorted({float(term.width) for term in path if isinstance(term, Hysteresis)}))
     return trajectory.motion_divided_by_plays(replace(smooth, history=course_before(spec)), widths, *fine)
+
+
+def _divisions(spec: Spec, of: ImuModel, built: BuiltImu) -> tuple[object, ...]:
+    """What divides the motion of a plan into pieces, and the nodes of these, for other error terms than it was built
+    for."""
+    path = [term for c in of.channels for term in c.model.terms if isinstance(term, PathTerm)]
+    times = [(type(term), term.name) for term in path]
+    return spec.sensor.lag, times, _breaks(of), _fineness(spec, of, built.motion.line)
 
 
 def _schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[Schedule, list[int], np.ndarray]:

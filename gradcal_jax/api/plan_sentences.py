@@ -119,7 +119,8 @@ def plan_warnings(built: BuiltImu, known: Posterior) -> list[str]:
     sentences += [f"the plan says nothing of {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
     sentences += of_path or _one_way_of_class(built)
     sentences += _limited_by_priors(built, known) + _as_before(built, known)
-    sentences += _saturated(built, axes) + _beyond(built) + _beyond_rates(built, axes)
+    fastest = _fastest(built, axes)
+    sentences += _saturated(built, fastest) + _beyond(built) + _beyond_rates(built, fastest)
     return sentences + _of_this_run(built)
 
 
@@ -248,7 +249,7 @@ def _as_before(built: BuiltImu, known: Posterior) -> list[str]:
     return sentences
 
 
-def _saturated(built: BuiltImu, axes: np.ndarray) -> list[str]:
+def _saturated(built: BuiltImu, fastest: np.ndarray) -> list[str]:
     """Sentences on gyros that a turn takes beyond their full scale less its margin, where their output is not valid."""
     gyro = built.spec.sensor.gyro
     if gyro is None or gyro.usable_rate is None:
@@ -256,7 +257,7 @@ def _saturated(built: BuiltImu, axes: np.ndarray) -> list[str]:
     return [
         f"gyro {name} sees up to {np.degrees(rate):.4g} deg/s, beyond its full scale less the margin, "
         f"{np.degrees(gyro.usable_rate):.4g} deg/s: turn more slowly"
-        for name, rate in zip(AXIS_NAMES, _fastest(built, axes), strict=True)
+        for name, rate in zip(AXIS_NAMES, fastest, strict=True)
         if name in gyro.axes and rate > gyro.usable_rate * (1.0 + 1e-6)
     ]
 
@@ -270,9 +271,9 @@ def _fastest(built: BuiltImu, axes: np.ndarray) -> np.ndarray:
     return np.max(np.abs(axes[moves, motion.axis[moves]]) * fastest[:, None], axis=0, initial=0.0)
 
 
-def _beyond_rates(built: BuiltImu, axes: np.ndarray) -> list[str]:
+def _beyond_rates(built: BuiltImu, fastest: np.ndarray) -> list[str]:
     """Sentences on requirements beyond the rates along their gyros."""
-    fastest, sentences = _fastest(built, axes), list[str]()
+    sentences = list[str]()
     for r in built.spec.requirement:
         if not isinstance(r, GyroScaleFactorRequirement | MissionHeadingRequirement):
             continue

@@ -84,7 +84,7 @@ def requirement_rows(spec: Spec, until_s: float = np.inf) -> list[RequirementRow
 def counted_posteriors(built: BuiltImu, known: Posterior) -> CountedPosteriors:
     """The posteriors that decide on every requirement."""
     full = with_typical(built.spec)
-    return budget_of_imu(built, known, built if full is built.spec else build_imu(full, built.until_s))
+    return budget_of_imu(built, known, built if full is built.spec else build_imu(full, built.until_s, like=built))
 
 
 def _between(rows: Sequence[RequirementRow], others: Sequence[Spec]) -> Sequence[RequirementRow]:

@@ -14,26 +14,20 @@ from gradcal_jax.cli.check import check
 from gradcal_jax.cli.console import complain, is_plain
 from gradcal_jax.cli.demo import demo
 from gradcal_jax.cli.estimate import estimate
-from gradcal_jax.cli.frontier import frontier
 from gradcal_jax.cli.instability import allan, instability
 from gradcal_jax.cli.limit import limit
 from gradcal_jax.cli.log import log_app
-from gradcal_jax.cli.lookup import glossary, schema
-from gradcal_jax.cli.many import recipes, sweep
+from gradcal_jax.cli.lookup import schema
+from gradcal_jax.cli.many import sweep
 from gradcal_jax.cli.new import new
 from gradcal_jax.cli.optimise import optimise
-from gradcal_jax.cli.predict import compare, predict
-from gradcal_jax.cli.recipe import recipe, show
-from gradcal_jax.cli.replan import replan
+from gradcal_jax.cli.predict import predict
 from gradcal_jax.cli.report import report
 from gradcal_jax.cli.rig import rig_app
 from gradcal_jax.cli.run import run as run_command
-from gradcal_jax.cli.sensitivity import sensitivity
 from gradcal_jax.cli.start import start
 from gradcal_jax.cli.status import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG_INPUT
-from gradcal_jax.cli.timeline import timeline
 from gradcal_jax.cli.upgrade import upgrade
-from gradcal_jax.cli.watch import watch
 
 _HELP: Final = """Calibration plans for gyros, with their residual errors predicted beforehand.
 
@@ -42,15 +36,41 @@ A spec file describes sensor, rig and plan. Begin with `gradcal start`, or `grad
 
 GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
     ("Begin", (demo, start, new, check, upgrade)),
-    ("Know beforehand", (predict, compare, timeline, sensitivity)),
-    ("Find a plan", (optimise, limit, frontier, recipe, show)),
-    ("Execute it", (rig_app, run_command, watch, replan, log_app)),
+    ("Know beforehand, and find a plan", (predict, optimise, limit)),
+    ("Execute it", (rig_app, run_command, log_app)),
     ("Calibrate", (estimate, apply, validate, export, report)),
     ("Know a sensor's noise", (instability, allan)),
-    ("Many at once", (sweep, recipes)),
-    ("Look up", (glossary, schema)),
+    ("Many at once", (sweep,)),
+    ("Look up", (schema,)),
 )
 """The commands in the order of work, as `gradcal --help` lists them."""
+
+
+# For one release: commands that are options now, and what takes their place before and after the other words.
+_OLD_COMMANDS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
+    "show": (("check",), ()),
+    "timeline": (("check",), ("--timeline", "segments")),
+    "compare": (("predict",), ()),
+    "sensitivity": (("predict",), ("--sensitivity",)),
+    "frontier": (("optimise",), ()),
+    "recipe": (("optimise",), ("--steps", "0")),
+    "glossary": (("schema", "words"), ()),
+    "replan": (("optimise",), ()),
+    "watch": (("rig", "watch"), ()),
+}
+
+
+def _today(tokens: list[str]) -> list[str]:
+    """A command line with today's name of its command, said where it has changed."""
+    if not tokens or tokens[0] not in _OLD_COMMANDS:
+        return tokens
+    before, after = _OLD_COMMANDS[tokens[0]]
+    if tokens[0] == "timeline" and "--rows" in tokens[:-1]:
+        at = tokens.index("--rows")
+        after, tokens = ("--timeline", tokens[at + 1]), [*tokens[:at], *tokens[at + 2 :]]
+    words = " ".join(["gradcal", *before, "…", *after] if after else ["gradcal", *before])
+    complain(f"gradcal {tokens[0]} is now {words}; the old name goes with the next release")
+    return [*before, *tokens[1:], *after]
 
 
 def build() -> App:
@@ -79,7 +99,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
             reconfigure(errors="replace")
     try:
         app = build()
-        tokens = sys.argv[1:] if arguments is None else list(arguments)
+        tokens = _today(sys.argv[1:] if arguments is None else list(arguments))
         command, bound, _ = app.parse_args(tokens, console=_wide(tokens), exit_on_error=False, print_error=False)
         status = command(*bound.args, **bound.kwargs)
         sys.stdout.flush()

@@ -1,13 +1,17 @@
-"""`gradcal check`: all errors of a spec at once; without any, a summary of its plan."""
+"""`gradcal check`: all errors of a spec at once; without any, a summary of its plan, its timeline, or a recipe."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Json, SpecPath, as_json
+from gradcal_jax.cli.output import Flag, Json, as_json
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.predict import omitted_lines
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.cli.timeline import print_timeline
 from gradcal_jax.pages.plain_text import columns, times_text
 from gradcal_jax.units import time_text
 
@@ -23,29 +27,55 @@ if TYPE_CHECKING:
 _MOST_ROWS, _MOST_MOVES = 24, 60
 
 
-def check(spec: SpecPath, /, *, files_only: Flag = False, json: Json = False) -> int:
-    """List all errors of a spec, or print what its plan does.
-
-    Without errors, also list what the plan cannot observe.
+def check(
+    file: Path,
+    /,
+    *,
+    timeline: Literal["segments", "readings"] | None = None,
+    csv: Annotated[bool, Parameter(name="--csv", negative="")] = False,
+    files_only: Flag = False,
+    json: Json = False,
+) -> int:
+    """List all errors of a spec, or print what its plan does and what it cannot observe; print a recipe as a table.
 
     Parameters
     ----------
+    file
+        The spec file, or a recipe, whose table has the steps of the chamber, those of the table, and the predicted
+        residuals.
+    timeline
+        Print every segment, or reading, of the plan instead.
+    csv
+        Print the rows of the timeline as comma-separated values, in SI.
     files_only
         Leave out what the plan cannot observe, which takes a few seconds to work out.
     json
-        Print the plan's times, notes, and what it cannot observe, as JSON.
+        Print the plan's times, notes, and what it cannot observe, as JSON; of a recipe its contents; with --timeline
+        gradcal-timeline/2: segments, readings and the sensor's model, in SI (of an IMU gradcal-unit-timeline/1, with
+        the angles of all axes and the attitude).
     """
     from gradcal_jax.files.memory import needed_bytes, too_large
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.recipe import Recipe, spec_or_recipe
 
-    specification = spec_in(spec)
+    if csv and timeline is None:
+        raise ValueError("--csv is of the rows of --timeline segments or --timeline readings")
+    contents = spec_or_recipe(file)
+    specification = contents.spec if isinstance(contents, Recipe) else contents
+    if timeline is not None:
+        print_timeline(specification, timeline, csv=csv, json=json)
+        return DONE
+    if isinstance(contents, Recipe):
+        from gradcal_jax.pages.bench_sheet import show
+
+        print(contents.model_dump_json(indent=2, exclude_none=True) if json else show(contents, heading=strong))
+        return DONE
     too = too_large(specification)
     wanted = not files_only and not too
     if json:
         record = numbers(specification) | {"memory_bytes": needed_bytes(specification)}
         print(as_json(record | {"unobservable": blind_of(specification) if wanted else None}))
         return NOT_AS_WISHED if too else DONE
-    print(strong(specification.title or str(spec)))
+    print(strong(specification.title or str(file)))
     print(summary(specification))
     omitted = omitted_lines(specification)
     print("\n".join(omitted)) if omitted else None

@@ -131,7 +131,7 @@ def _whole_job(sitting: "_Sitting", seed: int) -> dict[str, Any]:
     sitting.run(new, "paper-dynamic-gradient", output=str(_PAPER))
 
     sitting.step("What the paper's plan will leave")
-    paper = sitting.numbers(predict, _PAPER)
+    paper = sitting.numbers(predict, (_PAPER,))
     row, hours = paper["requirements"][0], time_text(paper["duration_s"])
     sitting.say(f"{row['name']}, {row['statistic']}: {amount(row['mean_of_max'], row['unit'])} in {hours}")
 
@@ -179,7 +179,7 @@ def _whole_imu(sitting: "_Sitting", seed: int) -> dict[str, Any]:
     sitting.run(new, "two-axis-table", output=str(spec))
 
     sitting.step("What that plan will leave of every quantity")
-    before = sitting.numbers(predict, spec)
+    before = sitting.numbers(predict, (spec,))
     for row in before["requirements"]:
         sitting.say(f"{row['name']}: {amount(row[row['statistic'].replace(' ', '_')], row['unit'])}")
 
@@ -235,7 +235,7 @@ def _recorded_sensor(sitting: "_Sitting", recording: Path) -> dict[str, Any]:
         },
         "Noise as recorded; the rest is the paper's, with a [design].",
     )
-    before = sitting.numbers(predict, spec)
+    before = sitting.numbers(predict, (spec,))
     row, hours = before["requirements"][0], time_text(before["duration_s"])
     sitting.say(f"a plan by hand leaves {amount(row['mean_of_max'], row['unit'])} of {row['name']} in {hours}")
 

@@ -1,12 +1,11 @@
-"""`gradcal frontier`: the best residual for each duration."""
+"""`gradcal optimise --motion`: the best residual for each duration."""
 
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Json, OptionalOutput, Plot, as_json, drawable, save_figure
-from gradcal_jax.cli.precision import use_float64
+from gradcal_jax.cli.output import as_json, save_figure
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount, columns
@@ -15,44 +14,21 @@ from gradcal_jax.units import time_text
 if TYPE_CHECKING:
     from gradcal_jax.api.frontier import FrontierPoint
     from gradcal_jax.api.search_results import SearchStep
+    from gradcal_jax.files.spec_sections import Spec
 
 
-def frontier(
-    spec: Path,
-    /,
+def show_frontier(
+    spec: "Spec",
+    source: str,
+    times: list[float],
+    output: Path | None,
+    steps: int | None,
     *,
-    motion: str,
-    points: int = 5,
-    output: OptionalOutput = None,
-    steps: int | None = None,
-    json: Json = False,
-    plot: Plot = None,
+    json: bool,
+    plot: Path | None,
 ) -> int:
-    """Find the best residual for each duration of the ramp, and the shortest plan for each target.
-
-    Parameters
-    ----------
-    spec
-        The spec file.
-    motion
-        Durations without soaks: 50min..300min, or a list such as 60min,100min,3h.
-    points
-        Number of durations in a range, ends included, evenly in their logarithm.
-    output
-        Write a recipe for each duration into this directory.
-    steps
-        Iterations of each start, by default 240; of poses, gradients in all, by default 12000.
-    json
-        Print the frontier for other programs.
-    plot
-        Draw the frontier into this file.
-    """
-    from gradcal_jax.files.recipe import spec_in
-
-    drawable(plot)
-    specification = spec_in(spec)
-    times = durations(motion, points)
-    use_float64()
+    """Search for a plan of each duration of the ramp (s), with a line of progress; print them, and the shortest plan
+    for each target. `output`: a folder for their recipes."""
     from gradcal_jax import api
     from gradcal_jax.api import frontier as room
     from gradcal_jax.files import write_toml
@@ -65,17 +41,17 @@ def frontier(
         line.show(f"{time_text(motion)}: {step.share:4.0%}  {amount(step.best, step.unit)}")
 
     with MovingLine(sys.stderr) as line:
-        for point in room.frontier(specification, times, steps=steps, watch=show):
+        for point in room.frontier(spec, times, steps=steps, watch=show):
             reached.append(point)
             if output is not None and point.plan is not None:
                 write_toml(api.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
     targets = {
         r.name: limit[1]
-        for r in specification.requirement
+        for r in spec.requirement
         if (limit := api.limit_of(r)) is not None
         and limit[0] == r.statistic
-        and specification.design
-        and r.name == specification.design.minimise
+        and spec.design
+        and r.name == spec.design.minimise
     }
     times_for = {name: room.shortest(reached, target) for name, target in targets.items()}
     if json:
@@ -91,7 +67,7 @@ def frontier(
         ]
         print(as_json({"points": rows, "shortest_s": times_for}))
     else:
-        print(strong(specification.title or str(spec)))
+        print(strong(spec.title or source))
         shown = [("ramp", "residual", "search")]
         for p in reached:
             residual = "none" if p.plan is None else amount(p.plan.now, p.plan.unit)

@@ -1,4 +1,4 @@
-"""`gradcal glossary` and `gradcal schema`: the words that commands use, and the keys of every file and contract."""
+"""`gradcal schema`: the keys of every file and contract, and the words that commands use."""
 
 from typing import Annotated
 
@@ -12,16 +12,18 @@ from gradcal_jax.pages.plain_text import columns
 def schema(
     name: str | None = None,
     /,
-    *,
+    *term: str,
     listing: Annotated[bool, Parameter(name="--list", negative="")] = False,
     markdown: Flag = False,
 ) -> int:
-    """Print the JSON Schema of a file or contract.
+    """Print the JSON Schema of a file or contract, or explain the words that commands, files and pages use.
 
     Parameters
     ----------
     name
-        Its name; see --list.
+        Its name; see --list. "words" for the glossary.
+    term
+        Of the glossary, only terms with these words in them.
     listing
         List the names.
     markdown
@@ -33,6 +35,11 @@ def schema(
     if listing:
         print("\n".join(schemas.schema_names()))
         return DONE
+    if name == "words":
+        print(_words(" ".join(term)))
+        return DONE
+    if term:
+        raise ValueError(f'"{" ".join(term)}": terms are of the glossary alone: gradcal schema words {" ".join(term)}')
     if name is None:
         raise ValueError(f"which one? Known: {', '.join(schemas.schema_names())}")
     if name == "commands" and markdown:
@@ -54,23 +61,15 @@ def schema(
     return DONE
 
 
-def glossary(*term: str) -> int:
-    """Explain the words that commands, files and pages use.
-
-    Parameters
-    ----------
-    term
-        Only terms with these words in them; all, without it.
-    """
+def _words(wanted: str) -> str:
+    """The terms of the glossary with these words in them."""
     from gradcal_jax.pages.glossary import TERMS
 
-    wanted = " ".join(term).lower()
     rows = [
         (name, meaning)
         for name, meaning in sorted(TERMS.items(), key=lambda entry: entry[0].lower())
-        if wanted in name.lower()
+        if wanted.lower() in name.lower()
     ]
     if not rows:
-        raise ValueError(f'the glossary has no term with "{wanted}" in it; gradcal glossary lists all of them')
-    print(columns(rows, indent=""))
-    return DONE
+        raise ValueError(f'the glossary has no term with "{wanted}" in it; gradcal schema words lists all of them')
+    return columns(rows, indent="")

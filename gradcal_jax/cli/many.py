@@ -1,4 +1,4 @@
-"""`gradcal sweep` and `gradcal recipes`: many plans, on the cores of this machine or of a cluster."""
+"""`gradcal sweep`: many plans, on the cores of this machine or of a cluster."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 from cyclopts import Parameter
 
 from gradcal_jax.cli.console import complain, strong
-from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Output, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import Bars
 from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount, columns
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     import xarray
 
     from gradcal_jax.files.sweep import Sweep
-    from gradcal_jax.jobs.catalogue import RecipeTable
     from gradcal_jax.jobs.cluster import Cluster
     from gradcal_jax.jobs.pool import LocalPool
     from gradcal_jax.jobs.sweep import SweepEstimate
@@ -70,6 +70,7 @@ def sweep(
     /,
     *,
     output: OptionalOutput = None,
+    recipes: Path | None = None,
     dry_run: Flag = False,
     by: Workers = THIS_MACHINE,
     json: Json = False,
@@ -86,6 +87,9 @@ def sweep(
         The sweep file (gradcal-sweep/1): a base spec, and which keys take which values.
     output
         The results to write (.nc).
+    recipes
+        Write a recipe of each optimised plan, summary.csv and summary.md into this folder; it is made where there is
+        none.
     dry_run
         Print the size of the sweep and the time that it will take, by one chunk; write nothing.
     json
@@ -100,6 +104,10 @@ def sweep(
     by.check()
     drawable(plot)
     job = read_sweep(file)
+    if recipes is not None and job.file.do != "optimise":
+        raise ValueError(f'--recipes: {file} predicts; write do = "optimise" into it')
+    if recipes is not None and recipes.exists() and not recipes.is_dir():
+        raise ValueError(f"{recipes} is a file; name a folder")
     from gradcal_jax.jobs import sweep as jobs
 
     if dry_run:
@@ -131,6 +139,13 @@ def sweep(
     results = read_dataset(output)
     summary = summary_of(results)
     print(as_json({"output": str(output), **summary}) if json else sweep_text(summary, job, str(output)))
+    if recipes is not None:
+        use_float64()
+        from gradcal_jax.jobs.recipes_of_sweep import write_recipes
+
+        count = sum(bool(row["recipe"]) for row in write_recipes(results, recipes))
+        if not json:
+            print(f"{count} recipes, summary.csv and summary.md in {recipes}")
     save_figure(lambda plots: plots.draw_sweep(results), plot, quiet=json)
     return NOT_AS_WISHED if summary["failed"] else DONE
 
@@ -220,57 +235,3 @@ def sweep_text(summary: dict[str, Any], job: "Sweep", output: str) -> str:
             where = (f"{axis} {value:.6g}" if isinstance(value, float) else f"{axis} {value}" for axis, value in places)
             lines.append(f"{row['name']}: least at {', '.join(where)}")
     return "\n".join([*lines, f"results: {output}"])
-
-
-def recipes(catalogue: Path, /, *, output: Output, by: Workers = THIS_MACHINE, json: Json = False) -> int:
-    """Optimise a plan for every sensor, rig, requirement and plan of a catalogue; write recipes and one table.
-
-    Finished cases are kept: after an interruption, the same command goes on from there. The exit status is 1 where a
-    case has no recipe, misses its target or did not converge; the table lists them.
-
-    Parameters
-    ----------
-    catalogue
-        The catalogue file (gradcal-catalogue/1).
-    output
-        The folder for the recipes, summary.csv and summary.md; it is made where it is not there.
-    json
-        Print the table as JSON.
-    """
-    from gradcal_jax.files.catalogue import read_catalogue
-
-    by.check()
-    job = read_catalogue(catalogue)
-    if output.exists() and not output.is_dir():
-        raise ValueError(f"{output} is a file; name a folder")
-    from gradcal_jax.jobs import catalogue as jobs
-
-    try:
-        with by.runner() as runner, Bars() as bars:
-            table = jobs.recipes(job, output, runner=runner, progress=bars.show)
-    except KeyboardInterrupt:
-        complain(f"interrupted; what is finished is kept in {output}, and the same command goes on from there")
-        return INTERRUPTED
-    if json:
-        print(as_json({"folder": str(output), "failed": table.failed, "rows": list(table.rows)}))
-    else:
-        print(text_of_table(table, job.file.title or str(catalogue)))
-        print(f"{len(table.rows) - table.failed} recipes, summary.csv and summary.md in {output}")
-    fine = all(row["recipe"] and row["converged"] and row["verdict"] in ("", "met") for row in table.rows)
-    return DONE if fine else NOT_AS_WISHED
-
-
-def text_of_table(table: "RecipeTable", title: str) -> str:
-    """The table of recipes as text."""
-    rows: list[tuple[str, ...]] = [("sensor", "rig", "requirement", "plan", "as written", "optimised", "verdict")]
-    remarks: list[str] = []
-    for row in table.rows:
-        case = tuple(str(row[name]) for name in ("sensor", "rig", "requirement", "plan"))
-        if not row["recipe"]:
-            rows.append((*case, "", "no recipe", ""))
-            remarks.append(f"{', '.join(case)}: {row['remark']}")
-            continue
-        rows.append((*case, *(amount(row[key], row["unit"]) for key in ("before", "now")), str(row["verdict"])))
-        if not row["converged"]:
-            remarks.append(f"{', '.join(case)}: {row['remark']}")
-    return "\n".join([strong(title), columns(rows, indent=""), *remarks])

@@ -5,12 +5,17 @@ import signal
 import sys
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
 
 from gradcal_jax.cli.console import complain, strong
-from gradcal_jax.cli.output import Flag, Force, Json, Output, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.frontier import durations, show_frontier
+from gradcal_jax.cli.output import Flag, Force, Json, Plot, as_json, drawable, save_figure, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
+from gradcal_jax.cli.recipe import stability_of, write_recipe
+from gradcal_jax.cli.replan import plan_the_rest
 from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount, columns
 
@@ -23,13 +28,21 @@ def optimise(
     spec: Path,
     /,
     *,
-    output: Output,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)] = None,
     json: Json = False,
     plot: Plot = None,
     steps: int | None = None,
     quick: Flag = False,
     until_met: Flag = False,
     resume: Flag = False,
+    motion: str | None = None,
+    points: int = 5,
+    keep_shapes: Flag = False,
+    stable_within: str | None = None,
+    stable_for: str | None = None,
+    timeout: str | None = None,
+    time: str | None = None,
+    pause: str = "30 min",
     force: Force = False,
 ) -> int:
     """Minimise a plan's residual by gradient descent, within the limits of sensor, rig and time; write it as a recipe.
@@ -38,38 +51,90 @@ def optimise(
     IMU, the turns, poses, rates and rests of many cycles are changed along the gradient. Ctrl-C once finishes with the
     best plan so far; twice stops at once. The exit status is 1 where the search did not converge.
 
+    Of the folder of an interrupted run, plan the rest: the part that was done counts in every prediction,
+    and the ramp begins where the chamber's course stopped. The unit must not have been switched off meanwhile: both
+    parts are one run, with one turn-on bias. Go on with: gradcal run NEW --resume RUN.
+
+    A recipe is rounded to the controllers' steps, those of [rig.resolution] in the spec; where it names none, 0.1 K,
+    0.1 s, 0.01 deg/s and 0.001 deg, and always 0.01 K/min. `gradcal check` prints it as a table.
+
     Parameters
     ----------
     spec
-        The spec file.
+        The spec file, a recipe, or the folder of an interrupted run.
     output
-        The recipe file to write.
+        The recipe file to write; with --motion the folder for the recipes, if they are wanted; with --steps 0, - prints
+        the recipe.
     json
         Print the result for other programs.
     plot
-        Draw the residual before and after into this file (.png, .svg, .pdf).
+        Draw the residual before and after, or those of all durations, into this file (.png, .svg, .pdf).
     steps
         Iterations of each start, by default 240; of poses, gradients that are computed in all, by default 12000: some
-        minutes.
+        minutes. 0: the recipe of the spec's own plan, without a search.
     quick
         Few starts, or gradients: within some per cent of the best, in seconds.
     until_met
         Stop at the first plan that meets every target with a margin of 10 %; no search where the spec's own plan does.
     resume
         Go on with an interrupted search of the same spec, which is kept beside the output.
+    motion
+        Find the best residual for each of these durations without soaks, and the shortest plan for each target:
+        50min..300min, or a list such as 60min,100min,3h.
+    points
+        Number of durations in a range, ends included, evenly in their logarithm.
+    keep_shapes
+        The table follows any shape of motion; without this, turns of the recipe become trapezoids.
+    stable_within
+        A temperature of the recipe counts as stable within this of its goal, such as "0.5 K".
+    stable_for
+        The time for which it must stay there, such as "5 min".
+    timeout
+        The run ends when the first temperature is not stable after so long, such as "4 h".
+    time
+        How long the rest of a run may take, waiting not counted, such as "40 min"; absent: the recipe's time that is
+        left.
+    pause
+        Time from the end of a run to where it goes on; an IMU's drifts begin anew.
     """
-    from gradcal_jax.files import write_toml
     from gradcal_jax.files.recipe import spec_in
 
-    writable(output, force or resume)
     drawable(plot)
-    if steps is not None and steps < 20:
-        raise ValueError(f"--steps: expected at least 20, got {steps}")
+    if (steps is not None and 0 < steps < 20) or (steps or 0) < 0:
+        raise ValueError(f"--steps: expected 0, for the spec's own plan, or at least 20; got {steps}")
+    if spec.is_dir():
+        if output is None or steps is not None or motion is not None or resume or until_met:
+            raise ValueError("of a run: -o rest.toml, and no more than --time, --pause, --quick, --json and --force")
+        writable(output, force)
+        return plan_the_rest(spec, output, time=time, pause=pause, quick=quick, json=json)
     specification = spec_in(spec)
+    if motion is not None:
+        times = durations(motion, points)
+        if output is not None:
+            output.mkdir(parents=True, exist_ok=True)
+        use_float64()
+        return show_frontier(specification, str(spec), times, output, steps, json=json, plot=plot)
+    if output is None:
+        raise ValueError("where to? Name the recipe with -o recipe.toml")
+    stability = stability_of(
+        {
+            "within": ("temperature difference", stable_within),
+            "for_at_least": ("time", stable_for),
+            "first_timeout": ("time", timeout),
+        }
+    )
+    if str(output) != "-":
+        writable(output, force or resume)
+    elif steps != 0 or json:
+        raise ValueError("-o - prints the recipe of --steps 0 itself: leave --json out, or name a file")
     use_float64()
+    if steps == 0:
+        write_recipe(specification, output, stability, keep_shapes=keep_shapes, json=json)
+        return DONE
     from gradcal_jax import api
     from gradcal_jax.api import checkpoints
     from gradcal_jax.api.search_results import record_of
+    from gradcal_jax.files import write_toml
 
     kept = output.with_name(output.name + ".search.npz")
     checkpoint = checkpoints.read(kept, specification) if resume else None
@@ -77,15 +142,15 @@ def optimise(
         specification, kept, steps=steps, quick=quick, until_met=until_met, checkpoint=checkpoint
     )
     status = best.sentence if not interrupted else f"interrupted, the best so far: {best.sentence}"
-    result = api.recipe(best, status=status)
-    write_toml(result, output, header="Made by gradcal optimise; `gradcal show` prints it as a table.")
+    result = api.recipe(best, status=status, stability=stability, keep_shapes=keep_shapes)
+    write_toml(result, output, header="Made by gradcal optimise; `gradcal check` prints it as a table.")
     if not interrupted:
         kept.unlink(missing_ok=True)
     if json:
         print(as_json(record_of(best) | {"status": status, "recipe": str(output)}))
     else:
         print(optimum_text(best))
-        print(f"wrote {output}; read it with: gradcal show {output}")
+        print(f"wrote {output}; read it with: gradcal check {output}")
     if specification.turns_one_gyro:
         drawn = [("before", specification), ("optimised", best.spec)]
         save_figure(lambda plots: plots.draw_comparison(drawn), plot, quiet=json)

@@ -1,4 +1,4 @@
-"""`gradcal predict` and `gradcal compare`: the residuals of plans, by requirement."""
+"""`gradcal predict`: the residuals of plans, by requirement, side by side, and what they depend on."""
 
 import math
 from pathlib import Path
@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Json, Plot, SpecPath, as_json, drawable, save_figure
+from gradcal_jax.cli.output import Flag, Json, Plot, as_json, drawable, save_figure
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import amount, columns, times_text
 from gradcal_jax.units import time_text
+
+# Smaller changes, in per cent, are not shown.
+_NOTHING = 5e-4
 
 if TYPE_CHECKING:
     from gradcal_jax.api.monte_carlo import TwinRow
@@ -21,34 +24,63 @@ if TYPE_CHECKING:
 
 
 def predict(
-    spec: SpecPath, /, *, json: Json = False, plot: Plot = None, monte_carlo: int | None = None, seed: int = 0
+    specs: Annotated[tuple[Path, ...], Parameter(negative="")],
+    /,
+    *,
+    json: Json = False,
+    plot: Plot = None,
+    monte_carlo: int | None = None,
+    seed: int = 0,
+    sensitivity: Flag = False,
 ) -> int:
     """Predict the residual of every requirement after a spec's plan, before anyone books a chamber.
 
-    The exit status is 1 where a target is missed or a requirement cannot be observed.
+    Of several specs, compare the plans: hours, residuals, and the errors that limit each. The exit status is 1 where a
+    target of a single spec is missed or a requirement cannot be observed.
 
     Parameters
     ----------
+    specs
+        The spec file; several to compare their plans.
     json
-        Print the prediction as gradcal-prediction/1; with --monte-carlo, both as parts of one object.
+        Print the prediction as gradcal-prediction/1 (of several specs a list of these); with --monte-carlo, both as
+        parts of one object.
     plot
-        Draw the residual maps into this file (.png, .svg, .pdf).
+        Draw the residual maps, those of all plans against rate or temperature, or the sensitivities as bars, into this
+        file (.png, .svg, .pdf).
     monte_carlo
         Simulate this many calibrations, too, and compare them with the prediction.
     seed
         The seed of the simulated calibrations.
+    sensitivity
+        Print the change of the residual, in per cent, for one per cent more of every figure of sensor, rig and plan.
+        Of an optimised recipe it is the same after the plan is optimised again.
     """
     from gradcal_jax.files.recipe import spec_in
 
+    if not specs:
+        raise ValueError("predict what? Name a spec file, or several to compare their plans")
     drawable(plot)
-    specification = spec_in(spec)
+    plans = [(path.stem, spec_in(path)) for path in specs]
+    if len(plans) > 1 and (sensitivity or monte_carlo is not None):
+        raise ValueError("--sensitivity and --monte-carlo are of one spec")
     use_float64()
+    if sensitivity:
+        return _sensitivity(plans[0][1], str(specs[0]), json=json, plot=plot)
+    return (
+        _compared(plans, json, plot)
+        if len(plans) > 1
+        else _predicted(plans[0][1], specs[0], json, plot, monte_carlo, seed)
+    )
+
+
+def _predicted(spec: "Spec", path: Path, json: bool, plot: Path | None, monte_carlo: int | None, seed: int) -> int:
     from gradcal_jax import api
 
-    rows, tests, limits = (), {}, not json or bool(specification.sensor.uncertain_figures())
-    prediction = api.predict(specification, limits=limits, notices=True, outlook=True)
+    rows, tests, limits = (), {}, not json or bool(spec.sensor.uncertain_figures())
+    prediction = api.predict(spec, limits=limits, notices=True, outlook=True)
     if monte_carlo is not None:
-        rows, tests = api.monte_carlo(specification, monte_carlo, seed)
+        rows, tests = api.monte_carlo(spec, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
         simulated["covariance"] = {
@@ -58,37 +90,17 @@ def predict(
     elif json:
         print(prediction.model_dump_json(indent=2))
     else:
-        print(prediction_text(prediction, str(spec)))
-        omitted = omitted_lines(specification)
+        print(prediction_text(prediction, str(path)))
+        omitted = omitted_lines(spec)
         print("\n".join(["", *omitted])) if omitted else None
         if monte_carlo is not None:
             print(_simulated(rows, tests, monte_carlo, seed))
-    save_figure(lambda plots: plots.draw_prediction(specification), plot, quiet=json)
+    save_figure(lambda plots: plots.draw_prediction(spec), plot, quiet=json)
     met = all(row.verdict in (None, "met") for row in prediction.requirements)
     return DONE if met and all(test.consistent for test in tests.values()) else NOT_AS_WISHED
 
 
-def compare(
-    specs: Annotated[tuple[Path, ...], Parameter(negative="")], /, *, json: Json = False, plot: Plot = None
-) -> int:
-    """Compare plans: hours, residuals, and the errors that limit each.
-
-    Parameters
-    ----------
-    specs
-        The spec files.
-    json
-        Print one prediction (gradcal-prediction/1) for each spec, as a list.
-    plot
-        Draw the plans' residuals against rate or temperature into this file.
-    """
-    if not specs:
-        raise ValueError("compare what? Name two or more spec files")
-    from gradcal_jax.files.recipe import spec_in
-
-    drawable(plot)
-    plans = [(path.stem, spec_in(path)) for path in specs]
-    use_float64()
+def _compared(plans: "list[tuple[str, Spec]]", json: bool, plot: Path | None) -> int:
     from gradcal_jax import api
 
     predictions = [(name, api.predict(spec, limits=True)) for name, spec in plans]
@@ -97,6 +109,23 @@ def compare(
     else:
         print(side_by_side(predictions))
     save_figure(lambda plots: plots.draw_comparison(plans), plot, quiet=json)
+    return DONE
+
+
+def _sensitivity(spec: "Spec", source: str, *, json: bool, plot: Path | None) -> int:
+    from gradcal_jax.api.sensitivity import sensitivity
+
+    known = sensitivity(spec)
+    if json:
+        rows = [row._asdict() for row in known.rows]
+        print(as_json({"residuals": known.residuals, "percent_per_percent": rows}))
+    else:
+        print(strong(spec.title or source))
+        for name, (value, unit) in known.residuals.items():
+            print(f"\n{name}: {amount(value, unit)}; one per cent more of ... changes it by")
+            shown = [row for row in known.rows if row.requirement == name and abs(row.percent) >= _NOTHING]
+            print(columns([(row.figure, f"{row.percent:+.3f} %") for row in shown], right=(1,)))
+    save_figure(lambda plots: plots.draw_sensitivities(known), plot, quiet=json)
     return DONE
 
 

@@ -10,6 +10,7 @@ from cyclopts import App
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Force, Json, Output, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE, FAILED
+from gradcal_jax.cli.watch import watch
 from gradcal_jax.files.problems import instead
 from gradcal_jax.pages.plain_text import columns
 
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
     from gradcal_jax.hardware.dry_run import Tried
     from gradcal_jax.hardware.setup import DeviceReport
 
-rig_app = App(name="rig", help="The rig file: which device is on which port, and whether each answers.")
+rig_app = App(name="rig", help="The rig: which device is on which port, whether each answers, and the state of a run.")
+rig_app.command(watch)
 
 
 @rig_app.command

@@ -59,8 +59,8 @@ def run(
     output
         The folder of the run; it is made.
     resume
-        Go on with the run in this folder; give a recipe only where `gradcal replan` made one for the rest of it, and a
-        rig only to compare it with the run's.
+        Go on with the run in this folder; give a recipe only where `gradcal optimise RUN` made one for the rest, and
+        a rig only to compare it with the run's.
     simulate
         Use simulated devices in the place of a rig.
     speed
@@ -308,7 +308,7 @@ class _Watcher:
 def _known(folder: Path) -> Any:
     """The residuals so far, computed by a separate process: this one must not wait."""
     program = "import os, sys; os.nice(19); from gradcal_jax.cli import main; sys.exit(main())"
-    command = [sys.executable, "-c", program, "watch", str(folder), "--known", "--json"]
+    command = [sys.executable, "-c", program, "rig", "watch", str(folder), "--known", "--json"]
     result = subprocess.run(
         command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, timeout=600.0
     )

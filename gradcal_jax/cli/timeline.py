@@ -1,15 +1,11 @@
-"""`gradcal timeline`: every segment and reading of a plan."""
+"""`gradcal check --timeline`: every segment and reading of a plan."""
 
 import csv as comma_separated
 import math
 import sys
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from gradcal_jax.cli.output import Json, SpecPath
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.status import DONE
 from gradcal_jax.pages.plain_text import columns
 from gradcal_jax.units import time_text
 
@@ -19,43 +15,24 @@ if TYPE_CHECKING:
     from gradcal_jax.files import Timeline
     from gradcal_jax.files.imu_timeline import ImuTimeline
     from gradcal_jax.files.section import Section
+    from gradcal_jax.files.spec_sections import Spec
 
 _MOST_ROWS = 60
 
 
-def timeline(
-    spec: SpecPath,
-    /,
-    *,
-    json: Json = False,
-    csv: Annotated[bool, Parameter(name="--csv", negative="")] = False,
-    rows: Literal["segments", "readings"] = "segments",
-) -> int:
-    """Print every segment and reading of a spec's plan.
-
-    Parameters
-    ----------
-    json
-        Print gradcal-timeline/2: segments, readings and the sensor's model, in SI; of an IMU gradcal-unit-timeline/1,
-        with the angles of all axes and the attitude.
-    csv
-        Print the rows as comma-separated values, in SI.
-    rows
-        Which rows --csv and the plain table show.
-    """
+def print_timeline(spec: "Spec", rows: str, *, csv: bool, json: bool) -> None:
+    """Print the `rows` of a spec's timeline, "segments" or "readings": as a table, as CSV, or all as JSON."""
     if json and csv:
         raise ValueError("--json or --csv: choose one")
     from gradcal_jax.files import Timeline
-    from gradcal_jax.files.recipe import spec_in
 
-    specification = spec_in(spec)
     use_float64()
     from gradcal_jax import api
 
-    contents = api.timeline(specification)
+    contents = api.timeline(spec)
     if not isinstance(contents, Timeline):
         if rows == "readings":
-            raise ValueError("of an IMU every segment says which channels have a row of it: leave --rows out")
+            raise ValueError("of an IMU every segment says which channels have a row of it: --timeline segments")
         if json:
             print(contents.model_dump_json(exclude_none=True))
         else:
@@ -66,7 +43,6 @@ def timeline(
         _as_csv(contents.segments if rows == "segments" else contents.readings)
     else:
         print(_table(contents, rows))
-    return DONE
 
 
 def _as_csv(entries: "Sequence[Section]") -> None:

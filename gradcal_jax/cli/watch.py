@@ -1,4 +1,4 @@
-"""`gradcal watch`: the state of a run, by its status file, on any terminal of the computer."""
+"""`gradcal rig watch`: the state of a run, by its status file, on any terminal of the computer."""
 
 import sys
 import time

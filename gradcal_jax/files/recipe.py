@@ -147,13 +147,24 @@ def read_recipe(path: str | Path) -> Recipe:
 
 def spec_in(path: str | Path) -> Spec:
     """The spec in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
+    contents = spec_or_recipe(path)
+    return contents.spec if isinstance(contents, Recipe) else contents
+
+
+def spec_or_recipe(path: str | Path) -> Spec | Recipe:
+    """The spec or the recipe in a file. Raises `SpecError`."""
     with missions_from(Path(path).parent):
-        return from_text(spec_or_recipes_of, read_text(path), str(path))
+        return from_text(_spec_or_recipe_of, read_text(path), str(path))
 
 
-def spec_or_recipes_of(document: Mapping[str, Any], source: str = "") -> Spec:
+def spec_of_either(document: Mapping[str, Any], source: str = "") -> Spec:
     """The spec from the tables of a spec or recipe. Raises `SpecError`."""
-    return recipe_of(document, source).spec if is_recipe(document) else spec_of(document, source)
+    contents = _spec_or_recipe_of(document, source)
+    return contents.spec if isinstance(contents, Recipe) else contents
+
+
+def _spec_or_recipe_of(document: Mapping[str, Any], source: str = "") -> Spec | Recipe:
+    return recipe_of(document, source) if is_recipe(document) else spec_of(document, source)
 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:
@@ -164,7 +175,7 @@ def parse_recipe(text: str, source: str = "") -> Recipe:
 def recipe_of(document: Mapping[str, Any], source: str = "") -> Recipe:
     """A recipe from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
     if document.get("format") == "gradcal-spec/1":
-        message = "this is a spec; make a recipe of it: gradcal recipe SPEC -o recipe.toml"
+        message = "this is a spec; make a recipe of it: gradcal optimise SPEC --steps 0 -o recipe.toml"
         raise SpecError([Problem(("format",), message, document["format"])], source)
     spec = document.get("spec")
     of_axis = isinstance(spec, Mapping) and is_of_axis(cast("Mapping[str, Any]", spec))

@@ -26,7 +26,6 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "calibration": ("calibration", "Calibration"),
     "recipe": ("recipe", "Recipe"),
     "sweep": ("sweep", "SweepFile"),
-    "catalogue": ("catalogue", "CatalogueFile"),
 }
 # Versions other than 1.
 _VERSIONS: Final[Mapping[str, str]] = {"timeline": "2", "calibration": "2"}

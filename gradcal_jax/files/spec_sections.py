@@ -25,7 +25,7 @@ FORMAT: Final = "gradcal-spec/1"
 
 
 class ExecutedPart(Section):
-    """The executed part of a plan before a run was broken off; `[[done]]`, which `gradcal replan` writes."""
+    """The executed part of a plan before a run was broken off; `[[done]]`, which `gradcal optimise RUN` writes."""
 
     plan: MotionPlan
     """The plan that was executed then."""

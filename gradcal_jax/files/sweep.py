@@ -12,6 +12,9 @@
     [[axis]]
     keys   = ["plan.cycle.moves[0].rest", "plan.cycle.moves[4].rest"]
     values = ["5 s", "10 s", "20 s"]
+    [[axis]]                                 # whole sections of other specs
+    section = "sensor"
+    values  = ["tactical-mems", "consumer-mems"]
     [samples]                                # … or, with this table, points drawn over all axes together
     method = "latin hypercube"
     count  = 1000
@@ -31,12 +34,12 @@ from pydantic import Field, model_validator
 from gradcal_jax import units
 from gradcal_jax.display import summary
 from gradcal_jax.files import presets
-from gradcal_jax.files.changes import changed, split_key
+from gradcal_jax.files.changes import changed, split_key, tables_of
 from gradcal_jax.files.document import TitledFile, parsed, read_text, read_toml
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Count, Text, Whole
-from gradcal_jax.files.recipe import spec_or_recipes_of
+from gradcal_jax.files.recipe import spec_of_either
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.spec_sections import Spec
 
@@ -56,8 +59,10 @@ class Axis(Section):
     """Key of the spec, such as "plan.gradient"."""
     keys: Annotated[tuple[Text, ...], Field(min_length=1, max_length=1000)] | None = None
     """Several keys that take the same values."""
+    section: Literal["sensor", "rig", "plan"] | None = None
+    """In place of a key, a whole section, which is taken from other specs."""
     values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100_000)] | None = None
-    """List of values."""
+    """List of values; of a section, presets or paths of specs, seen from this file."""
     start: End | None = None
     """First value, with its unit."""
     stop: End | None = None
@@ -72,8 +77,10 @@ class Axis(Section):
     @model_validator(mode="after")
     def _whole(self) -> "Axis":
         problems: list[Problem] = []
-        if (self.key is None) == (self.keys is None):
-            problems.append(Problem(("key",), 'give either "key" or "keys"', kind="missing"))
+        if sum(of is not None for of in (self.key, self.keys, self.section)) != 1:
+            problems.append(Problem(("key",), 'give either "key" or "keys" or "section"', kind="missing"))
+        if self.section is not None and not all(isinstance(value, str) for value in self.values or (None,)):
+            problems.append(Problem(("values",), "of a section are names of presets, or paths of specs", self.values))
         for text in self.changes:
             try:
                 split_key(text)
@@ -101,7 +108,8 @@ class Axis(Section):
     @property
     def changes(self) -> tuple[str, ...]:
         """The keys of the spec that this axis sets."""
-        return self.keys if self.keys is not None else (() if self.key is None else (self.key,))
+        one = self.key or self.section
+        return self.keys if self.keys is not None else (() if one is None else (one,))
 
     @property
     def label(self) -> str:
@@ -114,7 +122,7 @@ class Axis(Section):
     def unit(self) -> str | None:
         """The unit that its values are written in; None for plain numbers and for words."""
         first = self.start if self.values is None else self.values[0]
-        if not isinstance(first, str):
+        if not isinstance(first, str) or self.section is not None:
             return None
         try:
             return units.unit_of(first)
@@ -268,11 +276,13 @@ class SweepFile(TitledFile):
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep file, read: `text` as it stands on the disk, `base` the spec with `[change]` made."""
+    """A sweep file, read: `text` as it stands on the disk, `base` the spec with `[change]` made, and the tables of the
+    `sections` of other specs, by section and name."""
 
     file: SweepFile
     text: str
     base: Spec
+    sections: Mapping[tuple[str, str], Any]
 
     __repr__ = summary
 
@@ -289,21 +299,28 @@ def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
     """A sweep from the text of a TOML file; `folder` is where a relative `base` begins. Raises `SpecError`."""
     file = parsed(SweepFile, text, FORMAT, source)
     base = named_spec(file.base, Path(folder), source)
+    sections = {
+        (axis.section, name): tables_of(named_spec(name, Path(folder), source))[axis.section]
+        for axis in file.axis
+        if axis.section is not None
+        for name in axis.values or ()
+    }
     try:
         if file.change:
             base = changed(base, file.change)
         for axis in file.axis:
-            _known(axis, base)
+            if axis.section is None:
+                _known(axis, base)
     except SpecError as error:
         raise SpecError(error.problems, source) from None
-    return Sweep(file, text, base)
+    return Sweep(file, text, base, sections)
 
 
 def named_spec(name: str, folder: Path, source: str = "") -> Spec:
     """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
     tables, place = _named(name, folder, source)
     with missions_from(Path(place).parent):
-        return spec_or_recipes_of(tables, place)
+        return spec_of_either(tables, place)
 
 
 def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str]:

@@ -97,7 +97,7 @@ def _until(part: StretchDone, end_s: float) -> StretchDone:
 
 
 def adopt(folder: RunFolder, recipe: Recipe) -> None:
-    """Make this recipe, by `gradcal replan`, the run's recipe from now on.
+    """Make this recipe, by `gradcal optimise RUN`, the run's recipe from now on.
 
     Raises `RunFolderError` where the run cannot continue, or where the recipe does not begin at the run's present step.
     """
@@ -109,7 +109,7 @@ def adopt(folder: RunFolder, recipe: Recipe) -> None:
     if len(parts) != len(stands) or max(apart, default=0.0) > _PLANNED_S or recipe.spec.sensor != before.spec.sensor:
         raise RunFolderError(
             f"The recipe does not go on from where the run in {folder.path} stands: make it by "
-            f"`gradcal replan {folder.path}`."
+            f"`gradcal optimise {folder.path}`."
         )
     folder.track(recipe)
     names = folder.recipes()

@@ -1,4 +1,4 @@
-"""The tasks of a worker: predictions and optimisations of a sweep's points, and recipes.
+"""The tasks of a worker: predictions and optimisations of a sweep's points.
 
 Predictions are those of `gradcal_jax.api.predict` without the parameters' covariance, warnings and error budget. NumPy
 computes each point by itself, without compilation.
@@ -12,7 +12,6 @@ from gradcal_jax.files import changed, spec_of, to_toml
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.jobs.results import PointResult, Residual, one_line
 
-_HEADER = "Made by gradcal recipes; `gradcal show` prints it as a table."
 Changes = Mapping[str, object]
 
 
@@ -55,42 +54,5 @@ def _optimised(index: int, spec: Spec) -> PointResult:
     return done._replace(before=best.before, note=best.sentence, spec=to_toml(best.spec))
 
 
-def recommend(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """The optimised recipe of a spec as TOML text, and its row of the summary. Errors: `ValueError` as `optimise`'s."""
-    from gradcal_jax.api.flow import optimise
-    from gradcal_jax.api.recipe import recipe
-
-    spec = spec_of(tables)
-    best = optimise(spec)
-    executable = recipe(best)
-    wanted = None if spec.design is None else spec.design.minimise
-    decisive = next((row for row in executable.prediction.requirements if row.name == wanted), None)
-    limit = least_possible(spec)
-    return {
-        "toml": to_toml(executable, header=_HEADER),
-        "objective": best.name,
-        "unit": best.unit,
-        "before": best.before,
-        "now": best.now,
-        "limit": limit,
-        "efficiency": None if limit is None or best.now <= 0.0 else limit / best.now,
-        "hours": executable.duration_s / 3600.0,
-        "verdict": (decisive.verdict if decisive is not None else None) or "",
-        "limited_by": (decisive.limited_by if decisive is not None else None) or "",
-        "converged": best.converged,
-        "sentence": best.sentence,
-    }
-
-
-def least_possible(spec: Spec) -> float | None:
-    """The proven lower limit for any plan on this rig in this time, in the objective's unit; None without a proof."""
-    from gradcal_jax.api.limit import limits
-
-    try:
-        return next((row.certified for row in limits(spec) if spec.design and row.name == spec.design.minimise), None)
-    except ValueError:
-        return None
-
-
-TASKS: Final = {"predict": predict_points, "optimise": optimise_points, "recommend": recommend}
+TASKS: Final = {"predict": predict_points, "optimise": optimise_points}
 """The tasks of a worker, by name."""

@@ -12,6 +12,7 @@ class Points:
 
     def __init__(self, sweep: Sweep):
         self.axis, samples = sweep.file.axis, sweep.file.samples
+        self._sections = sweep.sections
         self._drawn = None if samples is None else _drawn(samples, len(self.axis))
         self._listed = [axis.listed() for axis in self.axis] if samples is None else []
 
@@ -31,8 +32,13 @@ class Points:
         return tuple(axis.at(float(u)) for axis, u in zip(self.axis, self._drawn[index], strict=True))
 
     def changes(self, index: int) -> dict[str, object]:
-        """The changes of the base: dotted keys and their values."""
-        return {key: value for axis, value in zip(self.axis, self.values(index), strict=True) for key in axis.changes}
+        """The changes of the base: dotted keys and their values; whole sections first."""
+        of_axes = sorted(zip(self.axis, self.values(index), strict=True), key=lambda one: one[0].section is None)
+        return {
+            key: value if axis.section is None else self._sections[axis.section, str(value)]
+            for axis, value in of_axes
+            for key in axis.changes
+        }
 
 
 def _drawn(samples: Samples, dimensions: int) -> np.ndarray:

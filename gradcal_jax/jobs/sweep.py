@@ -202,7 +202,8 @@ def chunks_of(count: int, size: int) -> list[range]:
 
 def identity_of(job: Sweep) -> dict[str, Any]:
     """The identity of a sweep: its request, and the versions that compute it."""
-    request = json.dumps([tables_of(job.file), tables_of(job.base)], sort_keys=True, ensure_ascii=False)
+    others = [[*key, tables] for key, tables in sorted(job.sections.items())]
+    request = json.dumps([tables_of(job.file), tables_of(job.base), *others], sort_keys=True, ensure_ascii=False)
     return {
         "asked": hashlib.sha256(request.encode()).hexdigest(),
         "points": job.file.count,

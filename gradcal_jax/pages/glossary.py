@@ -108,7 +108,6 @@ OF_THE_PROGRAM: Final[dict[str, str]] = {
     "Allan deviation": "Scatter of neighbouring means of a record at rest, against how long each mean is.",
     "bound": "A size that something stays within; what the Direct Bound finds, or a limit proves.",
     "calibrated": "Of a sensor: its errors known and taken off by a calibration.",
-    "catalogue": "A file that lists sensors, rigs, requirements and plans, for a recipe of each case.",
     "chunk": "Points of a sweep that are computed together, and kept together when it is killed.",
     "clock": "Of the sensor or of the computer; the sensor's own rate error looks like a scale factor.",
     "column map": "A file that says what the columns of another program's recording mean, and in which units.",

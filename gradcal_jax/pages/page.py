@@ -132,7 +132,7 @@ def _plan(spec: Spec) -> dict[str, Any]:
             )
             for step in schedule.steps[:_MOST_MOVES]
         ],
-        "more": f"… and {left} more moves: gradcal timeline prints all." if left > 0 else "",
+        "more": f"… and {left} more moves: gradcal check --timeline segments prints all." if left > 0 else "",
     }
 
 

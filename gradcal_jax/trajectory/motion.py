@@ -7,6 +7,7 @@ turns into arrays with arbitrary times and rates.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -102,7 +103,13 @@ def turning(shape: str, divisions: tuple[Division, ...], unevenness: float, *, s
 
 def joined(blocks: list[PieceTable]) -> PieceTable:
     """Blocks of pieces, one after the other."""
-    return PieceTable._make(np.concatenate(field) for field in zip(*blocks, strict=True))
+    # A plan repeats few blocks many times: each is read once.
+    number = {of: k for k, of in enumerate(dict.fromkeys(map(id, blocks)))}
+    distinct = list({id(block): block for block in blocks}.values())
+    begins = np.cumsum([0, *(len(block.read) for block in distinct)])
+    places = [np.arange(begin, end) for begin, end in pairwise(begins)]
+    rows = np.concatenate([places[number[id(block)]] for block in blocks])
+    return PieceTable._make(np.concatenate(field)[rows] for field in zip(*distinct, strict=True))
 
 
 @lru_cache(maxsize=4096)

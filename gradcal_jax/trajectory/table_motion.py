@@ -5,6 +5,7 @@ geometry yields the body's rate, specific force and attitude at every instant.
 """
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -51,6 +52,10 @@ class TableMotion(PytreeModule):
 
     def angles(self) -> tuple[Float[AnyArray, "P L"], Float[AnyArray, "P L"]]:
         """Angles of all axes (rad) as each piece begins and as it ends."""
+        return self._angles
+
+    @cached_property
+    def _angles(self) -> tuple[Float[AnyArray, "P L"], Float[AnyArray, "P L"]]:
         xp = namespace(self.line.duration, self.line.terms, self.start_angles)
         after = xp.cumsum(xp.where(self.turns, self.line.turned()[:, None], 0.0), axis=0) + self.start_angles[None]
         return xp.concatenate([self.start_angles[None], after[:-1]]), after

@@ -112,7 +112,7 @@ def test_what_cannot_be_observed_or_is_not_required_is_said():
 def test_the_command_prints_and_draws_them(tmp_path, capsys):
     path, picture = tmp_path / "six.toml", tmp_path / "six.svg"
     gj.write_toml(SIX, path)
-    assert main(["sensitivity", str(path), "--json", "--plot", str(picture)]) == 0
+    assert main(["predict", str(path), "--sensitivity", "--json", "--plot", str(picture)]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["residuals"]["accelerometer bias"] == [pytest.approx(81.8, rel=1e-2), "ug"]
     assert {"requirement", "figure", "percent"} == set(said["percent_per_percent"][0])

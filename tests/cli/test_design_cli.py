@@ -99,7 +99,7 @@ def test_the_recipe_carries_what_is_said_and_predict_says_the_same(resumed, fold
 @pytest.mark.evidence
 def test_a_frontier_falls_and_says_the_shortest(folder, capsys):
     picture = folder / "frontier.png"
-    command = ["frontier", str(folder / "spec.toml"), "--motion", "50min,200min", *STEPS, "--json"]
+    command = ["optimise", str(folder / "spec.toml"), "--motion", "50min,200min", *STEPS, "--json"]
     assert main([*command, "--plot", str(picture), "-o", str(folder / "plans")]) in (0, 1)
     found = json.loads(capsys.readouterr().out)
     short, long = found["points"]
@@ -116,13 +116,13 @@ def test_a_frontier_falls_and_says_the_shortest(folder, capsys):
     [("5min..4min", "does not rise"), ("0min..4min", "is no duration"), ("1h..2h..3h", "expected a range")],
 )
 def test_durations_that_are_none_are_refused(folder, capsys, motion, says):
-    assert main(["frontier", str(folder / "spec.toml"), "--motion", motion]) == 2
+    assert main(["optimise", str(folder / "spec.toml"), "--motion", motion]) == 2
     assert says in capsys.readouterr().err
 
 
 def test_sensitivities_are_sorted_and_add_up_to_one_for_all_noise(folder, capsys):
     """The residual is of degree one in all standard deviations together."""
-    assert main(["sensitivity", str(folder / "spec.toml"), "--json"]) == 0
+    assert main(["predict", str(folder / "spec.toml"), "--sensitivity", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["percent_per_percent"]
     changes = [row["percent"] for row in rows]
     assert changes == sorted(changes, key=abs, reverse=True)

@@ -18,40 +18,36 @@ ARGUMENTS = {
     "allan": "FILE",
     "apply": "FILE FILE -o OUT",
     "check": "FILE",
-    "compare": "FILE FILE",
+    "check --timeline segments": "FILE",
     "demo": "--data FILE -o OUT",
     "estimate": "FILE --spec FILE",
     "export": "FILE --format csv",
-    "frontier": "FILE --motion 50min",
     "instability": "FILE",
     "limit": "FILE",
     "log": "FILE",
     "new": "FILE -o OUT",
     "optimise": "FILE -o OUT",
+    "optimise --motion 50min": "FILE",
+    "optimise --steps 0": "FILE -o OUT",
     "predict": "FILE",
-    "recipe": "FILE -o OUT",
-    "recipes": "FILE -o OUT",
-    "replan": "FILE -o OUT",
+    "predict --sensitivity": "FILE",
     "report": "FILE -o OUT",
     "rig check": "FILE",
     "rig record": "FILE -o OUT",
+    "rig watch": "FILE",
     "run": "FILE --simulate -o OUT",
     "schema": "FILE",
-    "sensitivity": "FILE",
-    "show": "FILE",
     "start": "--preset FILE -o OUT",
     "sweep": "FILE -o OUT",
-    "timeline": "FILE",
     "upgrade": "FILE -o OUT",
     "validate": "FILE FILE",
-    "watch": "FILE",
 }
 # These print words alone.
-WITHOUT_NUMBERS = {"glossary", "new", "rig", "schema", "start", "upgrade"}
+WITHOUT_NUMBERS = {"new", "rig", "schema", "start", "upgrade"}
 
 
 def test_every_command_is_tried():
-    assert {name.split()[0] for name in ARGUMENTS} | {"glossary"} == {n for n in build() if not n.startswith("-")}
+    assert {name.split()[0] for name in ARGUMENTS} == {n for n in build() if not n.startswith("-")}
 
 
 @pytest.mark.parametrize("command", ARGUMENTS)

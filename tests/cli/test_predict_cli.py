@@ -142,8 +142,8 @@ def test_a_wrong_file_is_status_2_and_names_the_key(command, specs):
         (["predict", BIAS, "--plot", "DIR/no/figure.png"], "make it first"),
         (["predict", BIAS, "--monte-carlo", "3"], "ask for"),
         (["predict", BIAS, "--monte-carlo", "many"], "many"),
-        (["timeline", BIAS, "--json", "--csv"], "choose one"),
-        (["timeline", BIAS, "--csv", "--rows", "reading"], "readings"),
+        (["check", BIAS, "--timeline", "segments", "--json", "--csv"], "choose one"),
+        (["check", BIAS, "--csv", "--timeline", "reading"], "readings"),
         (["compare"], "SPECS"),
     ],
 )
@@ -201,9 +201,9 @@ def test_compare_as_json_is_one_prediction_each(specs):
 
 @pytest.mark.parametrize("name", [TURNS, STANDARD])
 def test_the_timeline_is_valid_and_its_csv_has_every_row(name, specs):
-    document = checked(gradcal("timeline", specs[name], "--json").out, "timeline")
+    document = checked(gradcal("check", specs[name], "--timeline", "segments", "--json").out, "timeline")
     for rows in ("segments", "readings"):
-        answer = gradcal("timeline", specs[name], "--csv", "--rows", rows)
+        answer = gradcal("check", specs[name], "--csv", "--timeline", rows)
         assert answer.status == 0
         written = list(csv.DictReader(io.StringIO(answer.out)))
         assert len(written) == len(document[rows])
@@ -219,7 +219,7 @@ def test_the_timeline_is_valid_and_its_csv_has_every_row(name, specs):
 
 
 def test_the_timeline_of_the_gradient_plan_turns_and_warms_as_the_spec_says(specs):
-    document = json.loads(gradcal("timeline", specs[TURNS], "--json").out)
+    document = json.loads(gradcal("check", specs[TURNS], "--timeline", "segments", "--json").out)
     turns = [segment for segment in document["segments"] if segment["shape"] == "cosine ramps"]
     assert len(turns) == 17 * 6
     np.testing.assert_allclose([abs(turn["angle"]) for turn in turns], 2.0 * np.pi, rtol=1e-3)
@@ -231,8 +231,8 @@ def test_the_timeline_of_the_gradient_plan_turns_and_warms_as_the_spec_says(spec
 
 
 def test_the_timeline_as_a_table_is_short_and_says_what_it_leaves_out(specs):
-    segments = gradcal("timeline", specs[TURNS])
-    readings = gradcal("timeline", specs[TURNS], "--rows", "readings")
+    segments = gradcal("check", specs[TURNS], "--timeline", "segments")
+    readings = gradcal("check", specs[TURNS], "--timeline", "readings")
     assert segments.status == readings.status == 0
     assert "cosine ramps" in segments.out
     assert "+360" in segments.out

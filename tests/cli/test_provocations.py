@@ -136,7 +136,7 @@ SMALL_FILES = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 
     [
         ["new", "tactical-mems", "-o", "x.toml"],
         ["rig", "new", "-o", "x.toml"],
-        pytest.param(["recipe", "good.toml", "-o", "x.toml"], marks=pytest.mark.evidence),
+        pytest.param(["optimise", "good.toml", "--steps", "0", "-o", "x.toml"], marks=pytest.mark.evidence),
         ["predict", "good.toml", "--plot", "x.png"],
         pytest.param(["predict", "good.toml", "--plot", "x.svg"], marks=pytest.mark.evidence),
         ["new", "column-map", "-o", "x.toml"],

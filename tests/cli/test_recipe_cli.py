@@ -16,7 +16,7 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recipe")
     spec = folder / "spec.toml"
     spec.write_text(presets.text("paper-dynamic-gradient"), encoding="utf-8")
-    assert main(["recipe", str(spec), "--output", str(folder / "recipe.toml"), "--stable-within", "0.3 K"]) == 0
+    assert main(["optimise", str(spec), "--steps", "0", "--output", str(folder / "recipe.toml"), "--stable-within", "0.3 K"]) == 0
     return folder / "recipe.toml"
 
 
@@ -43,7 +43,7 @@ def test_commands_take_a_recipe_for_a_spec(made, command, capsys):
 
 
 def test_show_is_a_table_that_a_technician_can_follow(made, capsys):
-    assert main(["show", str(made)]) == 0
+    assert main(["check", str(made)]) == 0
     shown = capsys.readouterr().out
     for words in (
         "soak 1  when stable  0:00:00",
@@ -56,16 +56,16 @@ def test_show_is_a_table_that_a_technician_can_follow(made, capsys):
     ):
         assert words in shown
     assert shown == gj.show(read_recipe(made)) + "\n"
-    assert main(["show", str(made), "--json"]) == 0
+    assert main(["check", str(made), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["format"] == "gradcal-recipe/1"
 
 
 def test_slips_are_sentences(made, tmp_path, capsys):
-    assert main(["recipe", str(made), "--output", str(made)]) == 2
+    assert main(["optimise", str(made), "--steps", "0", "--output", str(made)]) == 2
     assert "overwrite it with --force" in capsys.readouterr().err
     spec = tmp_path / "spec.toml"
     spec.write_text(presets.text("paper-static-gradient"), encoding="utf-8")
     assert main(["show", str(spec)]) == 2
     assert "gradcal recipe SPEC -o recipe.toml" in capsys.readouterr().err
-    assert main(["recipe", str(spec), "--output", "-", "--stable-for", "5 K"]) == 2
+    assert main(["optimise", str(spec), "--steps", "0", "--output", "-", "--stable-for", "5 K"]) == 2
     assert "time" in capsys.readouterr().err

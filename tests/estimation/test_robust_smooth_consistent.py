@@ -9,7 +9,7 @@ from scipy import stats
 from simulated_log import simulate_log
 
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.imu_build import unit_model
+from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.estimation import (
     Whitened,
     choose_smoothness,
@@ -111,7 +111,7 @@ def test_bad_readings_count_for_less_and_are_named(small):
 
 def bins_model():
     text = GRADIENT.replace(POLYNOMIAL, BINS, 1)
-    return unit_model(spec_of(text))
+    return build_imu(spec_of(text)).model
 
 
 def test_the_marginal_likelihood_is_that_of_the_data():
@@ -158,7 +158,7 @@ def test_the_strength_chosen_leaves_less_than_too_little_or_too_much():
     assert left(std) < 0.8 * left(1e4 * DEG_PER_H)
     assert left(std) < 0.5 * left(0.05 * DEG_PER_H)
     with pytest.raises(ValueError, match="no map of this model has a smoothness prior"):
-        choose_smoothness(white, unit_model(spec_of()))
+        choose_smoothness(white, build_imu(spec_of()).model)
 
 
 # --- tests of the fit -------------------------------------------------------------------------------------------------

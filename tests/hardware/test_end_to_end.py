@@ -250,7 +250,7 @@ def test_with_hardly_any_noise_the_standard_method_leaves_nothing(
     monkeypatch.setattr(lab, "draw_table", exact)
     spec, recipe = tmp_path / "spec.toml", tmp_path / "recipe.toml"
     spec.write_text(presets.text("paper-dynamic-standard"), encoding="utf-8")
-    assert gradcal("recipe", spec, "-o", recipe).returncode in (0, 1)
+    assert gradcal("optimise", spec, "--steps", "0", "-o", recipe).returncode in (0, 1)
     made = read_recipe(recipe)
     log, truth = rehearsed(made, tmp_path / "run", seed=2)
     write_log(log, tmp_path / "log.nc")
@@ -280,7 +280,7 @@ def test_hidden_truth_of_a_preset_lies_within_the_covariance(tmp_path: Path, pre
     """By hand: uneven, late, now and then mistyped. The standard method: a soak and six rates at each temperature."""
     spec, recipe = tmp_path / "spec.toml", tmp_path / "recipe.toml"
     spec.write_text(presets.text(preset), encoding="utf-8")
-    assert gradcal("recipe", spec, "-o", recipe).returncode in (0, 1)
+    assert gradcal("optimise", spec, "--steps", "0", "-o", recipe).returncode in (0, 1)
     chains = Chains(recipe, tmp_path)
     for seed in range(1, 4):
         chains.add(seed, requirement)

@@ -184,9 +184,9 @@ def test_a_run_goes_on_by_the_plan_of_its_rest(
     folder = RunFolder(run)
     done = [(part.start_s, part.end_s) for part in stretches_of(folder)]
     monkeypatch.setattr("gradcal_jax.api.optimise.QUICK_EVALUATIONS", 30)
-    assert main(["watch", str(run), "--known", "--json"]) == 0
+    assert main(["rig", "watch", str(run), "--known", "--json"]) == 0
     known = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
-    assert main(["replan", str(run), "-o", str(tmp_path / "rest.toml"), "--quick", "--json"]) == 0
+    assert main(["optimise", str(run), "-o", str(tmp_path / "rest.toml"), "--quick", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["gain"] >= 1.0
     again = read_recipe(tmp_path / "rest.toml")

@@ -146,7 +146,7 @@ def test_the_rest_of_a_broken_run_is_nearly_as_good_as_if_the_loss_had_been_know
         folder = broken_off(made, tmp_path / f"run{number}", (1.0 - share) * motion_s, seed=number)
         left_s = made.spec.schedule.duration - stretches_of(folder)[-1].end_s - LOST_S
         new = tmp_path / f"new{number}.toml"
-        made_new = gradcal("replan", folder.path, "--time", f"{left_s:.1f} s", "-o", new, "--json")
+        made_new = gradcal("optimise", folder.path, "--time", f"{left_s:.1f} s", "-o", new, "--json")
         assert made_new.returncode in (0, 1), made_new.stderr
         found = json.loads(made_new.stdout)["now"]
         # The same rest, searched from twice as many other plans.

@@ -59,7 +59,7 @@ def test_after_the_guard_the_status_says_how_it_ended(tmp_path: Path, capsys: py
         guard.make_folder_safe(tmp_path, deadline_s=0.2)
         assert read_status(tmp_path)["state"] == "failed"
         assert "NOT VERIFIED SAFE: chamber" in capsys.readouterr().err
-    assert main(["watch", str(tmp_path)]) == 3
+    assert main(["rig", "watch", str(tmp_path)]) == 3
     assert "ended: lost, the run is gone" in capsys.readouterr().out
 
 

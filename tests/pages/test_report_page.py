@@ -377,9 +377,9 @@ def test_files_that_do_not_belong_together_are_named(made, tmp_path, capsys):
 
 
 def test_the_glossary_explains_what_is_asked(capsys):
-    assert main(["glossary", "standstill", "offset"]) == 0
+    assert main(["schema", "words", "standstill", "offset"]) == 0
     assert "each time it comes to rest" in " ".join(capsys.readouterr().out.split())
-    assert main(["glossary", "warp", "drive"]) == 2
+    assert main(["schema", "words", "warp", "drive"]) == 2
     assert "warp drive" in capsys.readouterr().err
 
 

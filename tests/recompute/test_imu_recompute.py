@@ -157,16 +157,16 @@ def both(s, t, tau):
 def test_the_timeline_of_a_unit_as_text_is_short_and_its_csv_has_every_segment(tmp_path, capsys):
     path = str(tmp_path / "unit.toml")
     gj.write_toml(spec_of("ferraris"), path)
-    assert main(["timeline", path]) == 0
+    assert main(["check", path, "--timeline", "segments"]) == 0
     said = capsys.readouterr().out
     assert "spin: cosine ramps, +360 deg" in said
     assert "+0.00 +1.00 +0.00" in said
     assert "gyros, accelerometers" in said
-    assert main(["timeline", path, "--json"]) == 0
+    assert main(["check", path, "--timeline", "segments", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert main(["timeline", path, "--csv"]) == 0
+    assert main(["check", path, "--timeline", "segments", "--csv"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 1 + len(document["segments"])
     assert len({line.count(",") for line in lines}) == 1
-    assert main(["timeline", path, "--rows", "readings"]) == 2
+    assert main(["check", path, "--timeline", "readings"]) == 2
     assert "leave --rows out" in capsys.readouterr().err

@@ -185,7 +185,7 @@ SMALL = {
 """A ramp of minutes, for which searches and runs are short."""
 ELSEWHERE = {
     "run --resume run1": "tests/cli/test_run_cli.py",
-    "replan run1 -o rest.toml": "tests/hardware/test_imu_replanned.py",
+    "optimise run1 -o rest.toml": "tests/hardware/test_imu_replanned.py",
     "run rest.toml --resume run1": "tests/hardware/test_imu_replanned.py",
     "allan bench.csv --columns columns.toml": "tests/cli/test_instability_cli.py",
     "estimate warm-up.ulg -o cal.toml --parameters tc.params": "tests/estimation/test_warm_up.py",
@@ -321,7 +321,7 @@ def rig_of_the_certificate():
 def test_the_worked_example_is_what_the_program_says(monkeypatch, capsys):
     """The page's own line, with JSON in the place of the picture."""
     text = TEXTS["docs/how-to/table.md"]
-    (line,) = re.findall(r"^ {4}gradcal (compare .+) --plot \S+$", text, flags=re.M)
+    (line,) = re.findall(r"^ {4}gradcal (predict .+) --plot \S+$", text, flags=re.M)
     monkeypatch.chdir(ROOT)
     words = subprocess.run(["bash", "-c", f"echo {line}"], capture_output=True, text=True, check=True).stdout.split()
     assert main([*words, "--json"]) == 0

@@ -143,7 +143,9 @@ def measured(what: str, run: Path) -> None:
     else:
         from gradcal_jax.cli import main
 
-        words = ["rig", "watch", str(run), "--known"] if what == "watch" else ["log", str(run), "-o", str(run / "log.nc")]
+        words = (
+            ["rig", "watch", str(run), "--known"] if what == "watch" else ["log", str(run), "-o", str(run / "log.nc")]
+        )
         sys.stdout.flush()
         kept = os.dup(1)
         os.dup2(2, 1)

@@ -116,7 +116,7 @@ class Compiled:
         leaves, structure = jax.tree.flatten(objective)
         # (`jnp.asarray` would compile a program for every shape.)
         self._leaves = jax.device_put([np.asarray(leaf) for leaf in leaves])
-        self._program = _program(structure)
+        self._program, self._structure = _program(structure), structure
         self._whole = whole
         self._places = np.arange(whole) if places is None else places
         self._by = jax.device_put(np.zeros(objective.eased))
@@ -132,6 +132,20 @@ class Compiled:
         relaxed = self._by if by is None else by
         logs, of_z, of_eased = (np.asarray(x) for x in self._program(self._leaves, whole, relaxed, sharpness))
         return Slopes(logs, of_z[:, self._places], of_eased)
+
+    def traced(self) -> tuple[Callable[[Any, Any], Any], Any]:
+        """The merit (`Slopes.merit`) as a function `(z, (numbers, sharpness))` for JAX to trace, and the numbers: for
+        another engine."""
+        structure, whole, places, by = self._structure, self._whole, self._places, self._by
+
+        def merit(z, args):
+            numbers, sharpness = args
+            value, excess = jax.tree.unflatten(structure, numbers).value(
+                jnp.zeros(whole).at[places].set(z), by, sharpness
+            )
+            return jnp.log(value) + _PENALTY * jnp.sum(jnp.maximum(excess, 0.0) ** 2)
+
+        return merit, self._leaves
 
 
 class SearchState(NamedTuple):

@@ -107,7 +107,7 @@ def test_new_prints_and_lists(capsys):
         (["new", "rig-hnd", "-o", "-"], 'nearest: "rig-hand"'),
         (["new", "rig-hand", "-o", "DIR"], "directory"),
         (["new", "rig-hand", "-o", "DIR/no/such/place.toml"], "make it first"),
-        (["check"], "SPEC"),
+        (["check"], "FILE"),
         (["check", "DIR"], "directory"),
         (["check", "DIR/none.toml"], "does not exist"),
         (["check", "a.toml", "b.toml"], "b.toml"),
@@ -192,7 +192,7 @@ def test_an_interrupt_ends_with_130(monkeypatch, capsys):
     def interrupted(path):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gradcal_jax.files.recipe.spec_in", interrupted)
+    monkeypatch.setattr("gradcal_jax.files.recipe.spec_or_recipe", interrupted)
     assert main(["check", "my.toml"]) == 130
     assert capsys.readouterr().err == "gradcal: interrupted\n"
 

@@ -177,7 +177,7 @@ def test_monte_carlo_stands_beside_the_prediction(specs):
 
 
 def test_compare_puts_plans_side_by_side(specs, tmp_path):
-    answer = gradcal("compare", specs[STANDARD], specs[BIAS], "--plot", tmp_path / "both.png")
+    answer = gradcal("predict", specs[STANDARD], specs[BIAS], "--plot", tmp_path / "both.png")
     assert (answer.status, answer.err) == (0, "")
     head, standard, reduced, gradient, wrote = answer.out.splitlines()
     assert head.split() == ["plan", "in", "all", "soak", "motion", "requirement", "residual", "(1σ)", "limited", "by"]
@@ -191,7 +191,7 @@ def test_compare_puts_plans_side_by_side(specs, tmp_path):
 
 
 def test_compare_as_json_is_one_prediction_each(specs):
-    answer = gradcal("compare", specs[STANDARD], specs[BIAS], "--json")
+    answer = gradcal("predict", specs[STANDARD], specs[BIAS], "--json")
     assert answer.status == 0
     standard, gradient = checked(answer.out, "prediction")
     assert standard["duration_s"] == pytest.approx(9 * 3600.0)

@@ -9,8 +9,8 @@ import pytest
 from cyclopts import App
 
 import gradcal_jax as gj
-from gradcal_jax.cli import main
 from gradcal_jax.api.plan_sentences import unobservable
+from gradcal_jax.cli import main
 from gradcal_jax.cli.app import GROUPS, build
 from gradcal_jax.pages.plain_text import columns
 
@@ -90,7 +90,7 @@ def test_a_file_name_in_the_place_of_a_spec_is_told_how_it_is_read():
     """In a process of its own, without the checks of types that the tests switch on."""
     script = """
 import gradcal_jax as gj
-for call in ("predict", "check", "compare", "limit", "optimise", "sensitivity", "recipe", "timeline", "differentiable"):
+for call in ("predict", "check", "limit", "optimise", "sensitivity", "recipe", "timeline", "differentiable"):
     for wrong, words in (("design.toml", "gj.read_spec('design.toml')"), (5, "not int")):
         try:
             getattr(gj, call)(wrong)

@@ -169,4 +169,4 @@ def test_the_timeline_of_a_unit_as_text_is_short_and_its_csv_has_every_segment(t
     assert len(lines) == 1 + len(document["segments"])
     assert len({line.count(",") for line in lines}) == 1
     assert main(["check", path, "--timeline", "readings"]) == 2
-    assert "leave --rows out" in capsys.readouterr().err
+    assert "--timeline segments" in capsys.readouterr().err

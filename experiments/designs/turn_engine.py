@@ -24,7 +24,6 @@ import gradcal_jax as gj  # noqa: E402
 from gradcal_jax.api.measure import measure  # noqa: E402
 from gradcal_jax.api.scenarios import scenario_specs  # noqa: E402
 from gradcal_jax.api.structures import structures  # noqa: E402
-from gradcal_jax.design.descent import Descent  # noqa: E402
 from gradcal_jax.design.search import SHARPNESS, Compiled  # noqa: E402
 from gradcal_jax.files.recipe import spec_in  # noqa: E402
 
@@ -46,21 +45,6 @@ def scipy_descent(compiled: Compiled, point: np.ndarray, sharpness: float, evalu
     return minimize(function, point, jac=True, method="L-BFGS-B", options=options).x
 
 
-class Optimistix:
-    """Descents by optimistix, compiled once."""
-
-    def __init__(self, compiled: Compiled) -> None:
-        merit, self.numbers = compiled.traced()
-        self.descent = Descent(merit, 1e-9)
-
-    def __call__(self, point: np.ndarray, sharpness: float, evaluations: int) -> np.ndarray:
-        """As `scipy_descent`."""
-        reached = point
-        for step in self.descent(point, (self.numbers, sharpness), evaluations=evaluations, together=evaluations):
-            reached = step.point
-        return reached
-
-
 def compared(path: Path, seeds: int) -> list[dict]:
     """For each seed the best of the starts and its polish, and the processor time, by both engines."""
     spec: gj.Spec = spec_in(path)
@@ -68,8 +52,7 @@ def compared(path: Path, seeds: int) -> list[dict]:
     compiled = measure(spec).compiled(choice.coordinates)
     compiled(np.zeros(compiled.size), SHARPNESS[0])
     began = time.process_time()
-    other = Optimistix(compiled)
-    other(np.zeros(compiled.size), SHARPNESS[0], 2)
+    compiled.descend(np.zeros(compiled.size), SHARPNESS[0], 2)
     compile_s = time.process_time() - began
     rows = []
     for seed in range(seeds):
@@ -77,7 +60,7 @@ def compared(path: Path, seeds: int) -> list[dict]:
         row: dict = {"seed": seed, "size": compiled.size, "compile": compile_s}
         engines = {
             "SciPy": lambda z, k, n: scipy_descent(compiled, z, k, n),
-            "optimistix": other,
+            "optimistix": compiled.descend,
         }
         for name, engine in engines.items():
             began = time.process_time()

@@ -37,7 +37,8 @@ class Descent:
         self._solver: Any = optimistix.BFGS(rtol=tolerance, atol=tolerance)
         self._function = lambda y, args: (function(y, args), None)
         self._advance = jax.jit(self._advanced, static_argnums=0, compiler_options=compiler_options())
-        self._static: Any = None
+        # Of points of each size.
+        self._static: dict[tuple[int, ...], _Static] = {}
 
     def _advanced(self, static: "_Static", y, args, dynamic, count):
         def going(carry):
@@ -61,12 +62,11 @@ class Descent:
         value = jax.ShapeDtypeStruct((), y.dtype)
         state = self._solver.init(self._function, y, args, {}, value, None, frozenset())
         dynamic, rest = eqx.partition(state, eqx.is_array)
-        if self._static is None:
-            self._static = _Static(rest)
+        static = self._static.setdefault(y.shape, _Static(rest))
         done = 0
         while done < evaluations:
             count = min(together, evaluations - done)
-            made, y, dynamic = self._advance(self._static, y, args, dynamic, count)
+            made, y, dynamic = self._advance(static, y, args, dynamic, count)
             done += int(made)
             state = eqx.combine(dynamic, rest)
             ended = int(made) < count or bool(state.terminate)

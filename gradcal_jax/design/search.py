@@ -7,7 +7,6 @@ of one another and share the cores; the better half of them continues in each ha
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -17,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.design.compiling import compiler_options
+from gradcal_jax.design.descent import Descent
 
 SHARPNESS = (8.0, 40.0, 200.0, 1000.0)
 # Penalty: this times the squared log excess over a limit is added to the log value.
@@ -38,18 +38,15 @@ _LARGEST = 700.0
 # Largest gradient component of log(value) that counts as zero.
 CONVERGED = 1e-4
 _POLISHES = 3
-# A polish without limits ends at this share of it.
-_SETTLED = 0.9
-# Curvature for a polish: step of the differences, directions per coordinate, the share of the largest below which a
-# value is rounding, and the curvature in all other directions as a share of the mean.
-_DIFFERENCE, _DIRECTIONS, _ROUNDING, _ELSEWHERE = 1e-5, 0.2, 1e-3, 0.05
+# Evaluations for each step that is asked for: a line search has more than one, most of them without a gradient.
+_EVALUATIONS = 2
+# Tolerance of a descent, far below that of an optimum.
+_EXACTLY = 1e-9
 # A limit nearer than this binds.
 _BINDING = 1e-4
 # Largest log excess at which a limit counts as satisfied; largest excess over a linear limit.
 KEPT = 1e-3
 _HELD = 1e-8
-# Logarithms of the value and of the excess over limits at a point, and their gradients.
-_At = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @runtime_checkable
@@ -106,6 +103,18 @@ def _program(structure):
     return jax.jit(slopes, compiler_options=compiler_options())
 
 
+@lru_cache(maxsize=64)
+def _descent(structure, eased: int) -> Descent:
+    """Descents of the merit of all objectives of a structure, with the entries of a point that count marked by ones."""
+
+    def merit(z, args):
+        leaves, counts, sharpness = args
+        value, excess = jax.tree.unflatten(structure, leaves).value(z * counts, jnp.zeros(eased), sharpness)
+        return jnp.log(value) + _PENALTY * jnp.sum(jnp.maximum(excess, 0.0) ** 2)
+
+    return Descent(merit, _EXACTLY)
+
+
 class Compiled:
     """An objective as a function of vectors of `size`, through the program of its class.
 
@@ -116,7 +125,7 @@ class Compiled:
         leaves, structure = jax.tree.flatten(objective)
         # (`jnp.asarray` would compile a program for every shape.)
         self._leaves = jax.device_put([np.asarray(leaf) for leaf in leaves])
-        self._program, self._structure = _program(structure), structure
+        self._program, self._descent = _program(structure), _descent(structure, objective.eased)
         self._whole = whole
         self._places = np.arange(whole) if places is None else places
         self._by = jax.device_put(np.zeros(objective.eased))
@@ -133,19 +142,18 @@ class Compiled:
         logs, of_z, of_eased = (np.asarray(x) for x in self._program(self._leaves, whole, relaxed, sharpness))
         return Slopes(logs, of_z[:, self._places], of_eased)
 
-    def traced(self) -> tuple[Callable[[Any, Any], Any], Any]:
-        """The merit (`Slopes.merit`) as a function `(z, (numbers, sharpness))` for JAX to trace, and the numbers: for
-        another engine."""
-        structure, whole, places, by = self._structure, self._whole, self._places, self._by
-
-        def merit(z, args):
-            numbers, sharpness = args
-            value, excess = jax.tree.unflatten(structure, numbers).value(
-                jnp.zeros(whole).at[places].set(z), by, sharpness
-            )
-            return jnp.log(value) + _PENALTY * jnp.sum(jnp.maximum(excess, 0.0) ** 2)
-
-        return merit, self._leaves
+    def descend(
+        self, z: Float[np.ndarray, " n"], sharpness: float, evaluations: int, stop: Callable[[], bool] = lambda: False
+    ) -> Float[np.ndarray, " n"]:
+        """The end of a descent of the merit (`Slopes.merit`) from a point, after at most so many evaluations or, once
+        `stop()` is true, its present point."""
+        whole, mask = np.zeros((2, self._whole))
+        whole[self._places], mask[self._places] = z, 1.0
+        for reached in self._descent(whole, (self._leaves, mask, np.asarray(sharpness)), evaluations=evaluations):
+            whole = reached.point
+            if stop():
+                break
+        return whole[self._places]
 
 
 class SearchState(NamedTuple):
@@ -293,16 +301,9 @@ def _descents(
     compiled: Compiled, points: Sequence[np.ndarray], sharpness: float, steps: int, stop: Callable[[], bool]
 ) -> Iterator[tuple[int, np.ndarray]]:
     """End of a descent of `steps` steps from each point, in their order; one thread for each core."""
-    from scipy.optimize import minimize
 
     def descend(z: np.ndarray) -> np.ndarray:
-        def watch(_: np.ndarray) -> None:
-            if stop():
-                raise StopIteration
-
-        options = {"maxiter": steps, "maxcor": 40, "ftol": 1e-12, "gtol": 1e-7, "maxls": 30}
-        function = lambda z: compiled(z, sharpness).merit()  # noqa: E731
-        return minimize(function, z, jac=True, method="L-BFGS-B", options=options, callback=watch).x
+        return compiled.descend(z, sharpness, _EVALUATIONS * steps, stop)
 
     with ThreadPoolExecutor(min(len(points), os.cpu_count() or 1) or 1) as pool:
         yield from enumerate(pool.map(descend, points))
@@ -317,11 +318,11 @@ def polish(
     linear: LinearLimits | None = None,
     names: Sequence[str] = (),
 ) -> Optimum:
-    """SLSQP on the hardest soft maximum, which is nearly the exact one; limits hold exactly.
+    """A descent of the hardest soft maximum, which is nearly the exact one; with limits by SLSQP, which holds them
+    exactly.
 
-    Without limits it descends in coordinates of equal curvature: a discrepancy leaves valleys a million times flatter
-    than their walls. It restarts where `steps` do not suffice, `rounds` in all. `linear`: further limits on the vector
-    itself. `names`: of the compiled limits.
+    It restarts where `steps` do not suffice, `rounds` in all. `linear`: further limits on the vector itself. `names`:
+    of the compiled limits.
     """
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -350,7 +351,7 @@ def polish(
             fun = lambda z: (float(at(z)[0][0]), at(z)[1][0].copy())  # noqa: E731 (SLSQP overwrites its argument.)
             reached = minimize(fun, point, jac=True, method="SLSQP", constraints=limits, options=options).x
         else:
-            reached = _free_descent(at, point, options)
+            reached = compiled.descend(point, SHARPNESS[-1], _EVALUATIONS * steps)
         after = exactly(compiled, reached)
         before_it = float(np.max(excess, initial=0.0))
         worse = after[0] > value and before_it <= 1e-6
@@ -373,57 +374,6 @@ def polish(
             f"not converged: the largest gradient component is still {norm:.1e} of the objective: take more steps"
         )
     return Optimum(np.asarray(point), value, norm, converged, sentence, held)
-
-
-class _SettledError(Exception):
-    """The gradient is small enough."""
-
-
-def _free_descent(at: _At, point: np.ndarray, options: dict[str, Any]) -> np.ndarray:
-    """The best point of SLSQP without limits, in coordinates of equal curvature.
-
-    The best and not the last one: where its curvature estimate fails, SLSQP may leap to a point without slopes.
-    """
-    from scipy.optimize import minimize
-
-    stretch, best = _equal_curvature(at, point), point
-    least = at(point)[0][0]
-
-    def value_at(u: np.ndarray) -> tuple[float, np.ndarray]:
-        nonlocal best, least
-        reached = point + stretch @ u
-        values, rows = at(reached)
-        if values[0] < least:
-            best, least = reached, values[0]
-        if np.max(np.abs(rows[0])) < _SETTLED * CONVERGED:
-            raise _SettledError
-        return float(values[0]), rows[0] @ stretch
-
-    with suppress(_SettledError):
-        minimize(value_at, np.zeros(len(point)), jac=True, method="SLSQP", options=options)
-    return best
-
-
-def _equal_curvature(at: _At, point: np.ndarray) -> np.ndarray:
-    """Columns along which the objective's curvature at a point is about one.
-
-    It is steep in few directions. Differences of the gradient in a random subspace of a fifth of the dimension find
-    them (Nyström's approximation); SLSQP learns the rest at a lower cost than further differences.
-    """
-    size = len(point)
-    drawn = np.random.default_rng(0).standard_normal((size, int(np.ceil(_DIRECTIONS * size))))
-    directions = np.linalg.qr(drawn)[0]
-    gradient = at(point)[1][0]
-    bent = np.stack([at(point + _DIFFERENCE * d)[1][0] - gradient for d in directions.T], axis=1) / _DIFFERENCE
-    within = directions.T @ bent
-    if not np.any(within) or not np.all(np.isfinite(bent)):
-        return np.eye(size)
-    curvature, turned = np.linalg.eigh((within + within.T) / 2.0)
-    curvature = np.abs(curvature)
-    seen = curvature > _ROUNDING * np.max(curvature)
-    steep = bent @ turned[:, seen] / np.sqrt(curvature[seen])
-    eigenvalues, along = np.linalg.eigh(steep @ steep.T)
-    return along / np.sqrt(np.maximum(eigenvalues, 0.0) + _ELSEWHERE * np.mean(curvature))
 
 
 def missed_limit(excess: np.ndarray, names: Sequence[str]) -> str:

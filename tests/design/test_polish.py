@@ -1,33 +1,69 @@
-"""A polish ends at the best point that it saw, wherever SLSQP goes."""
+"""A polish without limits: it ends where the gradient vanishes, in flat valleys too, and never at a worse point."""
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-import scipy.optimize
 
-from gradcal_jax.design.search import Compiled, Slopes, polish
+from gradcal_jax.design.search import CONVERGED, Compiled, polish
 
 LOWEST = np.array([1.0, -0.5])
 
 
-class Well(Compiled):
+class Objective(eqx.Module):
+    """Without limits."""
+
+    shape: np.ndarray
+
+    @property
+    def eased(self) -> int:
+        return 0
+
+    @property
+    def cost(self) -> int:
+        return 0
+
+
+class Well(Objective):
     """A well with a flat plain about it: the gradient vanishes at its bottom, and far away at the largest value."""
 
-    def __init__(self):
-        self.size = 2
-
-    def __call__(self, z, sharpness=np.inf):
-        apart = z - LOWEST
-        inside = np.exp(-apart @ apart)
-        return Slopes(np.array([1.0 - inside]), 2.0 * inside * apart[None], np.zeros((1, 0)))
+    def value(self, z, by, sharpness):
+        del by, sharpness
+        return jnp.exp(1.0 - jnp.exp(-jnp.sum((z - self.shape) ** 2))), jnp.zeros(0)
 
 
-def test_a_leap_onto_the_plain_is_not_the_end(monkeypatch):
-    def leaps(fun, begin, **options):
-        fun(begin + 1e-3 * -fun(begin)[1])
-        return fun(begin + 1e4)
+class Valley(Objective):
+    """A valley that is a million times flatter along than across, askew to the coordinates."""
 
+    def value(self, z, by, sharpness):
+        del by, sharpness
+        return jnp.exp(jnp.sum((self.shape @ (z - 1.0)) ** 2)), jnp.zeros(0)
+
+
+def test_a_polish_finds_the_bottom_and_not_the_plain():
+    at = Compiled(Well(LOWEST), 2)
     begin = LOWEST + 0.6
-    before = float(np.exp(Well()(begin).logs[0]))
-    monkeypatch.setattr(scipy.optimize, "minimize", leaps)
-    optimum = polish(Well(), begin, rounds=1)
-    assert optimum.value < before
-    assert 0.0 < np.max(np.abs(optimum.point - begin)) < 0.6
+    optimum = polish(at, begin)
+    assert optimum.converged
+    np.testing.assert_allclose(optimum.point, LOWEST, atol=1e-5)
+    # Of the plain there is nothing to gain: the point stays.
+    far = polish(at, LOWEST + 30.0)
+    assert far.value <= float(np.exp(at(LOWEST + 30.0).logs[0]))
+
+
+def test_a_polish_goes_along_a_flat_valley():
+    turned = np.linalg.qr(np.random.default_rng(0).standard_normal((8, 8)))[0]
+    at = Compiled(Valley(np.logspace(-2.5, 0.5, 8)[:, None] * turned), 8)
+    optimum = polish(at, np.zeros(8))
+    assert optimum.gradient_norm < CONVERGED
+    np.testing.assert_allclose(optimum.point, 1.0, atol=0.05)
+
+
+def test_entries_that_pad_a_point_change_nothing():
+    alone = polish(Compiled(Well(LOWEST), 2), LOWEST + 0.6)
+
+    class Padded(Well):
+        def value(self, z, by, sharpness):
+            return Well.value(self, z[1:], by, sharpness)
+
+    padded = polish(Compiled(Padded(LOWEST), 3, np.array([1, 2])), LOWEST + 0.6)
+    np.testing.assert_allclose(padded.point, alone.point, rtol=1e-9)

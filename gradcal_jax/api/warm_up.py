@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 from gradcal_jax import estimation, identify
 from gradcal_jax.api.estimate import EstimateReport, SensorEstimate, estimate_log
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.instability import RestRecord, at_rest, number, plausible, too_noisy
+from gradcal_jax.api.instability import RestRecord, allan_of, at_rest, number, plausible, too_noisy
 from gradcal_jax.files import Spec, parse_spec
 from gradcal_jax.files.calibration import Calibration, Covariance, Noise
 from gradcal_jax.files.log import Log, LogError
@@ -159,12 +159,12 @@ def _crossings(time: np.ndarray, temperature: np.ndarray) -> tuple[np.ndarray, n
 def warm_up_spec(log: Log, axis: str, unit: str) -> tuple[Spec, str]:
     """A spec with the noise of one channel of a record, and a sentence on it. `log`: with standstills marked."""
     rest = at_rest(log, axis, unit, bias_degree=DEGREE, lag="none")
-    fit = identify.fit_allan(identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid))
+    _, fit = allan_of(rest)
     walk = fit.angle_random_walk
     if not walk.value > walk.standard_error:
         raise LogError(
             f"the Allan deviation of axis {axis} of unit {unit} shows no angle random walk, which the estimate "
-            "needs: record for longer, or give a spec with --spec"
+            "needs: log at a higher rate, or give a spec with --spec"
         )
     if not plausible(fit):
         raise LogError(f"axis {axis} of unit {unit}: {too_noisy(fit)}")

@@ -102,6 +102,7 @@ def instability(
         rest = work.at_rest(
             recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s, without=left_out
         )
+        rest.walk_of_sensor(0.0)  # asks before anything is printed
         whole = look(rest, angle_random_walk=walk, temperature_c=between)
         results.append(whole)
         pieces: list[tuple[tuple[float, float], Instability | str]] = []
@@ -128,7 +129,9 @@ def instability(
         for whole, pieces in zip(results, parts, strict=True):
             print("\n" + _instability_text(whole, pieces))
     save_figure(lambda plots: plots.identification.draw_instability(results), plot, quiet=json)
-    wished = all(whole.bound.drift_shows and work.plausible(whole.allan_fit) for whole in results)
+    wished = all(
+        whole.bound.drift_shows and work.plausible(work.of_sensor(whole.rest, whole.allan_fit)) for whole in results
+    )
     return DONE if wished else NOT_AS_WISHED
 
 
@@ -144,7 +147,7 @@ def _instability_text(result: "Instability", parts) -> str:
     times = bound.integration_time_s
     lines = [
         strong(f"axis {result.rest.axis}, unit {result.rest.unit}"),
-        f"angle random walk {bound.angle_random_walk * DEG_PER_SQRT_H:.4g} deg/sqrt(h); "
+        f"angle random walk {result.rest.walk_of_sensor(bound.angle_random_walk) * DEG_PER_SQRT_H:.4g} deg/sqrt(h); "
         f"drift after an average of {bound.averaging_time_s:g} s, over {times[0]:.4g} to {times[-1]:.4g} s",
     ]
     if bound.drift_shows:
@@ -170,7 +173,12 @@ def _instability_text(result: "Instability", parts) -> str:
             + f"; it leaves {thermal.residual_rms * DEG_PER_H:.4g} deg/h rms, noise included"
         )
     lines += [
-        f"note: {message}" for message in (*result.rest.messages, *work.allan_notes(result.allan_fit), *bound.messages)
+        f"note: {message}"
+        for message in (
+            *result.rest.messages,
+            *work.allan_notes(work.of_sensor(result.rest, result.allan_fit)),
+            *bound.messages,
+        )
     ]
     if parts:
         rows = [("temperature", "drift (1σ)", "correlation time")]
@@ -224,7 +232,6 @@ def allan(
     left_out = [span(text, "--without") for text in without]
     recorded = load(log, source, unit=unit)
     use_float64()
-    from gradcal_jax import identify
     from gradcal_jax.api import instability as work
 
     drawn = []
@@ -232,15 +239,16 @@ def allan(
         rest = work.at_rest(
             recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s, without=left_out
         )
-        deviation = identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid)
-        fit = identify.fit_allan(deviation, terms=chosen, confidence=confidence)
+        deviation, fit = work.allan_of(rest, terms=chosen, confidence=confidence)
+        work.of_sensor(rest, fit)  # asks before anything is printed
         drawn.append((rest, deviation, fit))
     if json:
         rows = [work.allan_row(*one) for one in drawn]
         print(as_json({"simulated": recorded.simulated, "channels": rows}))
     else:
         print(described(recorded, str(log)))
-        for rest, _, fit in drawn:
+        for rest, _, of_rows in drawn:
+            fit = work.of_sensor(rest, of_rows)
             print("\n" + strong(f"axis {rest.axis}, unit {rest.unit}"))
             print(_allan_text(fit))
             for message in (*work.allan_notes(fit), *rest.messages):
@@ -255,7 +263,7 @@ def allan(
                 if not json:
                     print(f"note: no Direct Bound of axis {rest.axis}: {error}")
         save_figure(lambda plots: plots.identification.draw_allan_and_bound(drawn, bounds), plot, quiet=json)
-    return DONE if all(work.plausible(fit) for _, _, fit in drawn) else NOT_AS_WISHED
+    return DONE if all(work.plausible(work.of_sensor(rest, fit)) for rest, _, fit in drawn) else NOT_AS_WISHED
 
 
 _TERMS = {"q": "quantisation", "n": "angle_random_walk", "b": "bias_instability", "k": "rate_random_walk"}

@@ -33,6 +33,9 @@ from gradcal_jax.files.problems import instead
 FORMAT: Final = "gradcal-log/1"
 SERIAL_NUMBER: Final = "serial_number"
 """Key, in the provenance of a log and of its calibration, of the number that the device itself stated."""
+SENSOR_RATE: Final = "sensor_rate"
+"""Key, in the provenance of a log, of the rate ("400 Hz") of the sensor's samples of which rows are single ones;
+"means" where rows are their means, "unknown" where those of a raw channel are far apart and the source is silent."""
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 Flags = NDArray[np.uint16]
@@ -80,6 +83,7 @@ class Reason(IntFlag):
     LEFT_OUT = 32
     MISSING_FORCE = 64
     FROZEN_VALUES = 128
+    FAR_FROM_NEIGHBOURS = 256
 
     @property
     def words(self) -> str:

@@ -203,7 +203,11 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
     chosen = np.array([term in terms for term in TERMS])
     tau, variance, interval = allan.averaging_time_s, allan.deviation**2, allan.sample_interval_s
     if len(tau) < chosen.sum():
-        raise ValueError(f"{len(tau)} averaging times do not determine {chosen.sum()} coefficients: record for longer")
+        longest = max(allan.stretch_lengths, default=0) * interval
+        raise ValueError(
+            f"unbroken stretches of at most {longest:.4g} s have {len(tau)} averaging times, which do not determine "
+            f"{chosen.sum()} coefficients"
+        )
     if not np.all(variance > 0):
         raise ValueError("the rate does not change: there is no noise to fit")
     steps = np.rint(tau / interval).astype(np.int64)
@@ -219,7 +223,7 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
         if len(rows) < chosen.sum() + 1:
             raise ValueError(
                 f"samples are averaged over about {end / 2 * interval:.3g} s by a low-pass, and the record holds too "
-                f"few times longer than that for {chosen.sum()} coefficients: record for longer"
+                f"few times longer than that for {chosen.sum()} coefficients"
             )
     fit = whole = _least_squares(steps[rows], variance[rows], runs, interval, chosen, low_passed)
     farthest = float(tau[rows[whole.farthest]])

@@ -10,7 +10,7 @@ import numpy as np
 from gradcal_jax import formulas, identify, units
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.display import summary
-from gradcal_jax.files.log import SENSOR_RATE, EvenSeries, Log, LogError
+from gradcal_jax.files.log import SENSOR_RATE, EvenSeries, Log, LogError, Reason
 from gradcal_jax.files.signal_faults import refuse_repeated, without_faults
 from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H
@@ -141,21 +141,28 @@ def at_rest(
     bias_degree: int | None = None,
     lag: float | str = "auto",
     without: Sequence[tuple[float, float]] = (),
+    force: bool = False,
 ) -> RestRecord:
     """One channel, masked where the table moves, with its bias over temperature subtracted.
+
+    `force`: an accelerometer's, in m/s², in the place of a gyro's.
 
     `without`: spans of the record's time (s) to leave out.
     `bias_degree`: of the subtracted polynomial B(T); None: 3 where the record spans 5 K or more, otherwise 0; −1:
     nothing is subtracted. `lag` of the bias behind the temperature: seconds, "fit", or "auto": fitted, and used where
     it reduces the rms by a tenth. **Raises:** `LogError` where nothing of the record is at rest.
     """
-    label = log.axes[log.axis_index(axis)]
+    label, name = _label(log, axis, force), log.units[log.unit_index(unit)]
+    kind, other = ("accelerometer", Reason.MISSING_RATE) if force else ("gyro", Reason.MISSING_FORCE)
+    if log.status is not None:
+        log = replace(log, status=log.status & ~np.uint16(other))  # which is no matter of this channel
     raw, read = log, log.counts(unit)
-    refused = refuse_repeated(f"axis {label} of {log.units[log.unit_index(unit)]}", _resting(log, axis, unit))
-    log, faults = without_faults(log, {f"gyro {label}"}, at_rest=True)
-    even = log.even(axis, unit)
+    resting = log.usable(unit) if log.standstill is None else log.usable(unit) & (log.standstill >= 0)
+    refused = refuse_repeated(f"{kind} {label} of {name}", log.channel(axis, unit, force=force)[resting])
+    log, faults = without_faults(log, {f"{kind} {label}"}, at_rest=True)
+    even = log.even(axis, unit, force=force)
     valid = even.valid.copy()
-    messages = [*([refused] if refused else []), *faults[log.units[log.unit_index(unit)]].sentences]
+    messages = [*([refused] if refused else []), *faults[name].sentences]
     if log.standstill is not None:
         valid &= (even.row >= 0) & (log.standstill[even.row] >= 0)
         moving = int(np.count_nonzero(even.valid & ~valid))
@@ -167,8 +174,13 @@ def at_rest(
         valid &= ~out
         messages.append(f"{np.count_nonzero(out)} rows from {first:g} s to {last:g} s are left out as asked")
     if not valid.any():
-        raise LogError("no usable row of the record is marked as standing still: an instability is seen at rest only")
-    rate, named = even.rate_rad_per_s.copy(), (log.axes[log.axis_index(axis)], log.units[log.unit_index(unit)])
+        lost = ", ".join(f"{count} {reason}" for reason, count in log.counts(unit).items() if reason != "used")
+        raise LogError(
+            f"of {log.rows_read} rows none is usable: {lost}"
+            if not even.valid.any()
+            else "no usable row of the record is marked as standing still: an instability is seen at rest only"
+        )
+    rate, named = even.rate_rad_per_s.copy(), (label, name)
     temperature = even.temperature_c
     known = temperature is not None and bool(np.isfinite(temperature[valid]).all())
     span = float(np.ptp(temperature[valid])) if known and temperature is not None else 0.0
@@ -202,10 +214,10 @@ def at_rest(
     )  # fmt: skip
 
 
-def _resting(log: Log, axis: str | int, unit: str | int) -> np.ndarray:
-    """The rates of the usable rows that are not marked as moving."""
-    rows = log.usable(unit) if log.standstill is None else log.usable(unit) & (log.standstill >= 0)
-    return log.rate_rad_per_s[log.unit_index(unit), rows, log.axis_index(axis)]
+def _label(log: Log, axis: str | int, force: bool) -> str:
+    if not force:
+        return log.axes[log.axis_index(axis)]
+    return axis if isinstance(axis, str) else log.force_axes[axis]
 
 
 def _samples_per_row(log: Log, interval_s: float) -> tuple[float, list[str]]:
@@ -237,7 +249,8 @@ def _lost(log: Log, read: Mapping[str, int], valid: np.ndarray, interval_s: floa
     return (
         f"of {log.rows_read} rows {np.count_nonzero(valid)} are usable, in {len(runs)} stretches of at most {longest} "
         f"rows ({longest * interval_s:.3g} s): {'; '.join(lost) or 'others were left out'}. A longer record with the "
-        "same losses does not help; one without them, or sample_rate in the place of uneven stamps, does"
+        "same losses does not help; one without them does, and so does sample_rate in the place of uneven stamps, or "
+        "interpolate = true in the column map where channels have rows of their own"
     )
 
 

@@ -2,14 +2,25 @@
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import JsonNumbers, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.output import (
+    ForceOutput,
+    JsonNumbers,
+    OptionalOutput,
+    Plot,
+    as_json,
+    drawable,
+    save_figure,
+    writable,
+)
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity, span
+from gradcal_jax.cli.record_length import plan_record
+from gradcal_jax.cli.recordings import LOG_HELP, WHOLE, LogFile, Recording, described, load, quantity, span
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns
 
@@ -135,6 +146,22 @@ def instability(
     return DONE if wished else NOT_AS_WISHED
 
 
+def _write_noise(
+    log: Path, form: Literal["kalibr", "ins"], output: Path, force: bool, unit: str | None, lag: str, source: Recording
+) -> int:
+    writable(output, force)
+    recorded = load(log, source, unit=unit)
+    use_float64()
+    from gradcal_jax.api.noise_files import noise_file, noise_of_imu
+    from gradcal_jax.files.writing import write_whole
+
+    channels = noise_of_imu(recorded, 0 if unit is None else unit, lag=_lag(lag))
+    name = f"{log.name}{' (simulated)' * recorded.simulated}"
+    write_whole(output, noise_file(channels, form, 1.0 / recorded.sample_interval_s, name))
+    print(f"wrote {output}")
+    return DONE
+
+
 def _lag(text: str) -> float | str:
     return text if text in ("auto", "fit", "none") else quantity(text, "time", "--lag")
 
@@ -196,7 +223,7 @@ def _instability_text(result: "Instability", parts) -> str:
 
 
 def allan(
-    log: LogFile,
+    log: Annotated[Path | None, Parameter(help=LOG_HELP)] = None,
     /,
     *,
     axis: Axes = (),
@@ -208,12 +235,24 @@ def allan(
     lag: Lag = "auto",
     without: Without = (),
     source: Recording = WHOLE,
+    form: Annotated[Literal["kalibr", "ins"] | None, Parameter(name="--format")] = None,
+    output: OptionalOutput = None,
+    force: ForceOutput = False,
+    plan: Annotated[bool, Parameter(negative="")] = False,
+    noise: str | None = None,
+    bias_instability: str | None = None,
+    rate_random_walk: str | None = None,
+    drift: str | None = None,
+    duration: str | None = None,
+    error: str | None = None,
+    rate: str = "100 Hz",
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
     """The overlapping Allan deviation with its confidence, and the coefficients that generalised least squares finds.
 
-    The exit status is 1 where the angle random walk is more than any gyro has: a unit may be wrong.
+    The exit status is 1 where the angle random walk is more than any gyro has: a unit may be wrong. With --plan, before
+    anything is recorded: the errors that a record of some length leaves, or how long it must be.
 
     Parameters
     ----------
@@ -223,9 +262,47 @@ def allan(
         The confidence of the interval about each point.
     delta
         Time of the average of the Direct Bound in the figure.
+    form
+        Write the noise of all gyros and accelerometers for another program into --output: kalibr's imu.yaml, or
+        densities and bias instability for an INS.
+    output
+        The file of --format.
+    plan
+        No record: expected relative errors of N, B, K and of a drift's σ and τ. Takes the options below.
+    noise
+        Angle random walk, such as "0.1 deg/sqrt(h)".
+    bias_instability
+        Such as "2 deg/h".
+    rate_random_walk
+        Such as "0.5 deg/h/sqrt(h)".
+    drift
+        σ and τ of a first-order Markov process, such as "1 deg/h, 300 s".
+    duration
+        The record's length; several, without it.
+    error
+        The wanted relative error of each, such as "5 %": prints how long the record must be.
+    rate
+        Sample rate.
     plot
         Draw the deviation, its fit and the Direct Bound's curve into this file.
     """
+    if plan:
+        if log is not None:
+            raise ValueError("--plan is for before a record: leave LOG out")
+        return plan_record(
+            noise, bias_instability, rate_random_walk, drift, duration=duration, error=error, rate=rate, json=json
+        )
+    asked = {"--noise": noise, "--drift": drift, "--duration": duration, "--error": error}
+    if used := [name for name, value in asked.items() if value is not None]:
+        raise ValueError(f"{used[0]} goes with --plan")
+    if log is None:
+        raise ValueError("LOG is missing: name a record at rest, or plan one with --plan")
+    if form is not None:
+        if output is None:
+            raise ValueError(f"--format {form} needs the file to write: --output imu.yaml")
+        return _write_noise(log, form, output, force, unit, lag, source)
+    if output is not None:
+        raise ValueError("--output needs --format kalibr or --format ins")
     drawable(plot)
     delta_s, lag_s = quantity(delta, "time", "--delta"), _lag(lag)
     chosen = _terms(terms)

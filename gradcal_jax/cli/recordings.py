@@ -11,7 +11,8 @@ from gradcal_jax.pages.plain_text import columns
 if TYPE_CHECKING:
     from gradcal_jax.files.log import Log
 
-LogFile = Annotated[Path, Parameter(help="A log (.nc), a flight log, or another program's table with --columns.")]
+LOG_HELP: Final = "A log (.nc), a flight log, or another program's table with --columns."
+LogFile = Annotated[Path, Parameter(help=LOG_HELP)]
 
 _NETCDF: Final = (".nc", ".nc4", ".h5", ".hdf5")
 

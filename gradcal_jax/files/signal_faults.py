@@ -33,7 +33,8 @@ FAR: Final = 10.0
 # Rows around one with which it is compared at rest, and in motion; the largest share of wrong ones.
 _AROUND, _BESIDE, _RARE = 51, 5, 0.01
 # Rows of which the noise is taken in motion; rows at the ends of a standstill in which a table may still settle; least
-# rate (Hz) at which a single row is not the motion itself.
+# rate (Hz) at which a single row is not the motion itself; median distance of white noise from its medians of five.
+_OF_FIVE = 0.49
 _NOISE_OF, _SETTLING, _LEAST_RATE = 200, 25, 20.0
 # Steps of more than this share of the noise add 2 % to its variance.
 _ADDS: Final = 0.5
@@ -186,8 +187,7 @@ def glitches(values: Floats, standing: Whole | None) -> Bools:
     else:
         here = looked_at[known]
         noise = np.full(len(some), np.median(some[here]) if here.any() else 0.0)
-    # (The median of five is itself one of them: half of the noise.)
-    far = (some > 2.0 * FAR * 1.4826 * noise) & (noise > 0.0) & looked_at[known]
+    far = (some > FAR / _OF_FIVE * noise) & (noise > 0.0) & looked_at[known]
     if np.mean(far) < _RARE:
         result[known[far]] = True
     return result

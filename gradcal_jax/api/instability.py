@@ -100,6 +100,8 @@ class Instability:
     """The temperatures of the rows used; None: all of the record."""
     scatter: tuple[float, float] | None
     """Standard deviations of σ (rad/s) and of ln τ, from blocks of the record; None for too few blocks."""
+    markov: identify.MarkovFit | None = None
+    """One Markov process by maximum likelihood; None where none shows."""
 
     __repr__ = summary
 
@@ -331,7 +333,10 @@ def instability(
         observed, walk, margin=margin, rate_in_words=lambda rate: f"{rate * DEG_PER_H:.3g} deg/h"
     )
     scatter = identify.scatter_of_bound(bound, rest.rate, interval, valid=valid)
-    return Instability(rest, allan, fit, bound, temperature_c, scatter)
+    markov = identify.fit_markov(rest.rate, interval, valid)
+    return Instability(
+        rest, allan, fit, bound, temperature_c, scatter, markov if markov is not None and markov.shows else None
+    )
 
 
 def temperature_ranges(rest: RestRecord, parts: int) -> list[tuple[float, float]]:
@@ -368,6 +373,7 @@ def instability_row(result: Instability) -> dict[str, Any]:
             "largest_drift_deg_per_h": (bound.largest_drift * DEG_PER_H).tolist(),
             "limit_deg_per_h": (bound.limit * DEG_PER_H).tolist(),
         },
+        "markov": None if result.markov is None else _markov_row(result.markov),
         "thermal": None
         if thermal is None
         else {
@@ -376,6 +382,15 @@ def instability_row(result: Instability) -> dict[str, Any]:
             "residual_rms_deg_per_h": thermal.residual_rms * DEG_PER_H,
         },
         "messages": [*result.rest.messages, *allan_notes(of_sensor(result.rest, result.allan_fit)), *bound.messages],
+    }
+
+
+def _markov_row(markov: identify.MarkovFit) -> dict[str, float]:
+    return {
+        "drift_std_deg_per_h": markov.sigma * DEG_PER_H,
+        "drift_std_relative_error": float(np.sqrt(markov.covariance[1, 1])),
+        "correlation_time_s": markov.tau,
+        "correlation_time_ln_error": float(np.sqrt(markov.covariance[2, 2])),
     }
 
 

@@ -192,6 +192,13 @@ def _instability_text(result: "Instability", parts) -> str:
             f"decided over {bound.deciding_time_s:.4g} s, by the drift from {first:.6g} s to {last:.6g} s of the "
             f'record; without it: --without "{first:.6g} s..{last:.6g} s"'
         )
+    if (markov := result.markov) is not None:
+        sigma_error, tau_error = (float(markov.covariance[k, k]) ** 0.5 for k in (1, 2))
+        lines.append(
+            f"as one Markov process, by maximum likelihood: {markov.sigma * DEG_PER_H:.4g} deg/h (1σ "
+            f"{100.0 * sigma_error:.2g} %) with a correlation time of {markov.tau:.4g} s, within a factor of "
+            f"{math.exp(tau_error):.2g}"
+        )
     if result.rest.thermal is not None:
         thermal = result.rest.thermal
         lines.append(

@@ -30,7 +30,7 @@ def plan_record(
     slow = 0.0 if rate_walk is None else quantity(rate_walk, "rate random walk", "--rate-random-walk")
     sigma, tau = _drift(drift)
     interval = 1.0 / quantity(rate, "frequency", "--rate")
-    wanted = None if error is None else quantity(error, "ratio", "--error")
+    wanted = None if error is None else quantity(error, "scale factor", "--error")
     if not (walk > 0.0 and flicker >= 0.0 and slow >= 0.0 and interval > 0.0 and (wanted is None or wanted > 0.0)):
         raise ValueError("--noise, --rate and --error must be positive, and the other figures zero or more")
     use_float64()

@@ -28,10 +28,15 @@ _WHICH: Final = re.compile(
     re.IGNORECASE,
 )
 """A column that may tell several sensors apart."""
+_MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "inf", "-inf")
+"""Words for a missing value."""
+_MANY_UNREAD, _SHARE_UNREAD = 20, 0.02
+"""Values in no notation of numbers beyond which a column is not one of numbers with a few torn ones."""
 _TEXT: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
 _APART: Final = {";": ";", "\t": "tab", ",": ",", "|": "|", " ": "whitespace"}
 _COMMA: Final = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 _HEXADECIMAL: Final = re.compile(r"0[xX][0-9a-fA-F]+")
+_MINUS: Final = "\u2212"
 _LEADER: Final = "\u2024"
 """What stands for a point where the decimal sign is a comma: no number has one."""
 _COMMAS: Final = str.maketrans({",": ".", ".": _LEADER})
@@ -271,6 +276,7 @@ def _patient(lines: Iterable[str], delimiter: str | None, comment: str, names: M
     """
     numbers = array.array("d")
     odd: dict[int, str] = {}
+    unread: dict[int, int] = dict.fromkeys(names, 0)
     readable: set[int] = set()
     for line in lines:
         plain = line.split(comment, 1)[0].strip()
@@ -283,8 +289,10 @@ def _patient(lines: Iterable[str], delimiter: str | None, comment: str, names: M
             numbers.append(number)
             if number == number:
                 readable.add(place)
-            elif text.lower() not in ("", "nan") and not any(way.fullmatch(odd.get(place, "")) for way in _CERTAIN):
-                odd[place] = text
+            elif text.lower() not in _MISSING:
+                unread[place] += 1
+                if not any(way.fullmatch(odd.get(place, "")) for way in _CERTAIN):
+                    odd[place] = text
     if not numbers:
         raise LogError("there are no rows below the header")
     for place, text in odd.items():
@@ -293,12 +301,18 @@ def _patient(lines: Iterable[str], delimiter: str | None, comment: str, names: M
                 raise LogError(f"column {names[place]} holds {words}: '{text[:40].replace(_LEADER, '.')}'")
         if place not in readable:
             raise LogError(f"column {names[place]} holds no numbers, but such as '{text[:40].replace(_LEADER, '.')}'")
+        rows = len(numbers) // len(names)
+        if unread[place] > max(_MANY_UNREAD, _SHARE_UNREAD * rows):
+            raise LogError(
+                f"column {names[place]}: in {unread[place]} of {rows} rows stands no number, but such as "
+                f"'{text[:40].replace(_LEADER, '.')}': in another notation? Mend them, or leave the cells empty"
+            )
     return np.frombuffer(numbers, np.float64).reshape(-1, len(names))
 
 
 def _number(text: str) -> float:
     try:
-        return np.nan if "_" in text else float(text)
+        return np.nan if "_" in text else float(text.replace(_MINUS, "-"))
     except ValueError:
         return np.nan
 

@@ -11,7 +11,7 @@ from gradcal_jax import formulas, identify, units
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.display import summary
 from gradcal_jax.files.log import SENSOR_RATE, EvenSeries, Log, LogError, Reason
-from gradcal_jax.files.signal_faults import refuse_repeated, without_faults
+from gradcal_jax.files.signal_faults import changing_noise, refuse_repeated, without_faults
 from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H
 
@@ -159,12 +159,12 @@ def at_rest(
     if log.status is not None:
         log = replace(log, status=log.status & ~np.uint16(other))  # which is no matter of this channel
     raw, read = log, log.counts(unit)
-    resting = log.usable(unit) if log.standstill is None else log.usable(unit) & (log.standstill >= 0)
-    refused = refuse_repeated(f"{kind} {label} of {name}", log.channel(axis, unit, force=force)[resting])
+    refused = refuse_repeated(f"{kind} {label} of {name}", log.channel(axis, unit, force=force)[_resting(log, unit)])
     log, faults = without_faults(log, {f"{kind} {label}"}, at_rest=True)
     even = log.even(axis, unit, force=force)
     valid = even.valid.copy()
-    messages = [*([refused] if refused else []), *faults[name].sentences]
+    changing = changing_noise(f"{kind} {label} of {name}", log.channel(axis, unit, force=force)[_resting(log, unit)])
+    messages = [*filter(None, (refused, changing)), *faults[name].sentences]
     if log.standstill is not None:
         valid &= (even.row >= 0) & (log.standstill[even.row] >= 0)
         moving = int(np.count_nonzero(even.valid & ~valid))
@@ -214,6 +214,11 @@ def at_rest(
         *named, rate, valid, even.sample_interval_s, time, temperature, thermal, (*messages, *words),
         _lost(raw, read, valid, even.sample_interval_s), per_row,
     )  # fmt: skip
+
+
+def _resting(log: Log, unit: str | int) -> np.ndarray:
+    """The usable rows that are not marked as moving."""
+    return log.usable(unit) if log.standstill is None else log.usable(unit) & (log.standstill >= 0)
 
 
 def _label(log: Log, axis: str | int, force: bool) -> str:

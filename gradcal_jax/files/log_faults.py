@@ -472,7 +472,7 @@ class _Examination:
                 continue
             lags = range(1, _TURNS + 1)
             apart = [float(np.quantile(np.abs(quiet[:, lag:] - quiet[:, :-lag]), 0.75)) for lag in lags]
-            best = int(np.argmin(apart))
+            best = int(np.argmax(np.array(apart) <= 1.2 * min(apart)))
             if best and min(apart[:best]) > _IN_TURNS * apart[best] > 0.0:
                 text = (
                     f"axis {self.raw.axes[axis]} of {self.raw.units[unit]}: every {best + 1} rows are alike, and "

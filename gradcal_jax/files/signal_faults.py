@@ -38,6 +38,12 @@ _OF_FIVE = 0.49
 _NOISE_OF, _SETTLING, _LEAST_RATE = 200, 25, 20.0
 # Steps of more than this share of the noise add 2 % to its variance.
 _ADDS: Final = 0.5
+# Share of rows of one value, far more frequent than any other.
+_ONE_VALUE: Final = 0.02
+# Share of values near zero of a magnitude; parts of a record in which steps are looked for.
+_AT_ZERO, _PARTS = 0.05, 4
+# Rows of which the noise is taken, and the factor by which it may change.
+_NOISE_BLOCK, _CHANGES = 500, 1.4
 _ROUNDING, _OFF_THE_GRID = 1e-9, 0.05
 # A gap lasts longer than this, and than so many intervals: over less, a rate is interpolated.
 _GAP_S, _GAP_ROWS = 0.25, 4.0
@@ -100,8 +106,8 @@ def coarse_steps(values: Floats) -> StepSizes:
 
 
 def refuse_repeated(where: str, values: Floats) -> str | None:
-    """Raise `LogError` where a channel at rest repeats values for the coarseness of its steps, or within a dead band;
-    or a sentence where the steps add to its noise."""
+    """Raise `LogError` where a channel at rest repeats values for the coarseness of its steps, or within a dead band,
+    or has lost its sign; or a sentence where the steps add to its noise."""
     known = values[np.isfinite(values)]
     if not len(known):
         return None
@@ -119,10 +125,42 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
             f"{where}: its steps ({steps.step:.4g}, SI) are coarse for its noise, which no record of it can tell; log "
             "more digits, or take a smaller full scale"
         )
-    spread = 1.4826 * float(np.median(np.abs(known - np.median(known))))
-    if steps.step > _ADDS * spread > 0.0 and len(distinct) < len(known) // 4:
-        return f"{where}: its steps are {steps.step / spread:.2g} of its noise, and add to it"
+    size, middle = np.abs(known), float(np.median(np.abs(known)))
+    one_sided = len(known) > 10 * _WINDOW and distinct[0] * distinct[-1] >= 0.0
+    if one_sided and np.mean(size < 0.25 * middle) > _AT_ZERO and np.median(np.abs(np.diff(known))) > 0.25 * middle:
+        raise LogError(
+            f"{where}: no row at rest is {'below' if distinct[-1] > 0.0 else 'above'} zero, and many are near it: is the "
+            "sign lost, or a magnitude logged? Log the signed rates"
+        )
+    if counts[most] > _ONE_VALUE * len(known) and counts[most] > _UNUSUAL * np.max(np.delete(counts, most), initial=0):
+        return (
+            f"{where}: {counts[most] / len(known):.2g} of its rows at rest have one value ({distinct[most]:.4g}, SI), "
+            "and no other is as frequent: a dead band? It takes from the noise"
+        )
+    # (The resolution may change in the course of a record.)
+    for part in (known, *np.array_split(known, _PARTS)):
+        quiet, values_of = quiet_windows(part), len(np.unique(part))
+        spread = float(np.sqrt(np.median(quiet.var(axis=1)))) if len(quiet) else 0.0
+        step = steps.step if part is known else coarse_steps(part).step
+        if step > _ADDS * spread > 0.0 and values_of < len(part) // 4:
+            return f"{where}: its steps are {step / spread:.2g} of its noise, and add to it"
     return None
+
+
+def changing_noise(where: str, values: Floats) -> str | None:
+    """A sentence where the noise from row to row of a channel at rest changes in the course of the record."""
+    known = values[np.isfinite(values)]
+    count = min(len(known) // _NOISE_BLOCK, 20)
+    if count < 2:
+        return None
+    blocks = np.stack([np.diff(part[: len(known) // count]).std() for part in np.array_split(known, count)])
+    low, high = float(np.quantile(blocks, 0.1)), float(np.quantile(blocks, 0.9))
+    if low > 0.0 and high < _CHANGES * low:
+        return None
+    return (
+        f"{where}: the noise changes in the course of the record, by a factor of "
+        f"{high / low if low > 0.0 else np.inf:.2g}; what is found is a mean of it"
+    )
 
 
 def at_a_limit(values: Floats) -> Bools:

@@ -209,7 +209,7 @@ def at_rest(
                 "it may be drift"
             )
     rate[~valid] = 0.0
-    per_row, words = _samples_per_row(log, even.sample_interval_s)
+    per_row, words = samples_per_row(log, even.sample_interval_s)
     return RestRecord(
         *named, rate, valid, even.sample_interval_s, time, temperature, thermal, (*messages, *words),
         _lost(raw, read, valid, even.sample_interval_s), per_row,
@@ -227,7 +227,8 @@ def _label(log: Log, axis: str | int, force: bool) -> str:
     return axis if isinstance(axis, str) else log.force_axes[axis]
 
 
-def _samples_per_row(log: Log, interval_s: float) -> tuple[float, list[str]]:
+def samples_per_row(log: Log, interval_s: float) -> tuple[float, list[str]]:
+    """Samples of the sensor for each row of a log (NaN: not stated), 1 for means, and a sentence on it."""
     stated = log.provenance.get(SENSOR_RATE)
     if stated == "unknown":
         return np.nan, []

@@ -39,7 +39,7 @@ def noise_file(channels: Sequence[ChannelNoise], form: NoiseFormat, sample_rate_
     """The text of the file. **Raises:** `LogError` where an axis shows no white noise."""
     lines = [
         f"# noise of {source} at rest, by its Allan deviation: densities of continuous time, of the noisiest axis;",
-        "# in brackets ± one standard error. What is zero there does not show in this record.",
+        "# then each axis ± one standard error",
     ]
     if form == "kalibr":
         lines += ["rostopic: /imu  # the topic of your bag", f"update_rate: {sample_rate_hz:.6g}"]
@@ -59,14 +59,14 @@ def noise_file(channels: Sequence[ChannelNoise], form: NoiseFormat, sample_rate_
             if name == "noise_density" and not all(value.value > 0.0 for value in values):
                 raise LogError(f"an {kind} shows no white noise, which the file needs: log at a higher rate")
             largest = values[int(np.argmax([value.value for value in values]))]
-            if largest.value == 0.0 and name == "random_walk":
-                # An estimator with a constant bias stops learning it: the limit stands in its place.
-                limit = min(value.standard_error for value in values)
-                lines.append(f"{kind}_{name}: {limit:.4e}  # {words}; does not show: an upper limit")
-                continue
             each = ", ".join(
                 f"{channel.axis} {value.value:.4g} ± {value.standard_error:.2g}"
                 for channel, value in zip(own, values, strict=True)
             )
-            lines.append(f"{kind}_{name}: {largest.value:.4e}  # {words}; {each}")
+            if name == "noise_density" or any(value.shows for value in values):
+                lines.append(f"{kind}_{name}: {largest.value:.4e}  # {words}; {each}")
+            else:
+                # (With no random walk at all a filter stops to learn the bias: the limit stands in its place.)
+                limit = max(value.value + value.standard_error for value in values)
+                lines.append(f"{kind}_{name}: {limit:.4e}  # {words}; does not show, an upper limit (1σ); {each}")
     return "\n".join(lines) + "\n"

@@ -19,7 +19,6 @@
 *mask* takes the rows out of use and counts them, *split* makes two stretches, *keep* only reports, *refuse* raises.
 """
 
-import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, Literal
@@ -31,6 +30,7 @@ from gradcal_jax import formulas
 from gradcal_jax.files.log import Bools, Finding, Floats, Log, LogError, Reason, intervals_within, mean_interval
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.signal_faults import at_a_limit, frozen_temperature, quiet_windows
+from gradcal_jax.files.uneven_stamps import even_clock
 
 _FASTEST_RATE: Final = 90.0
 """rad/s, 5000 deg/s: beyond the full scale of the sensors that this program calibrates."""
@@ -40,12 +40,8 @@ _GAP: Final = 1.6
 """Intervals: less is jitter."""
 _WINDOW: Final = 5
 """Rows on either side over which stamps make up for jitter."""
-_MANY: Final = 0.005
 _MANY_ROWS: Final = 20
-_BURSTS: Final = 40
-_WITHIN: Final = 1.5
-"""Least share and number of seeming gaps of uneven stamps, bursts over which their mean is taken, and the longest
-intervals by which they leave an even clock."""
+"""Fewer rows are not many."""
 _COARSE: Final = 0.1
 """Fraction of rows with the stamp of another, above which stamps do not distinguish rows."""
 _RESTART: Final = 10
@@ -348,25 +344,31 @@ class _Examination:
         last = np.minimum(suspect + 1 + _WINDOW, len(time) - 1)
         lost = (time[last] - time[first]) / usual - (last - first)
         gaps = suspect[lost > _GAP - 1.0]
-        if (even := _even_clock(time, len(gaps))) is not None:
-            rate = (len(even) - 1) / float(even[-1] - even[0])
+        if (found := even_clock(time, gaps)) is not None:
+            even, starts, lost_rows = found
+            inside = np.delete(interval, starts[1:] - 1)
+            rate = 1.0 / mean_interval(even, intervals_within(even, starts))
+            words = "most rows are there" if lost_rows else "no row is lost"
             text = (
-                f"the stamps are uneven, {1e3 * np.quantile(interval, 0.01):.3g} … {1e3 * interval.max():.3g} ms "
-                f"apart, and no row is lost: they are taken as even, {rate:.6g} Hz in the mean (sample_rate states it, "
-                "in the place of time)"
+                f"the stamps are uneven, {1e3 * np.quantile(interval, 0.01):.3g} … {1e3 * inside.max():.3g} ms apart, "
+                f"and {words}: they are taken as even, {rate:.6g} Hz in the mean (sample_rate states it, in the place "
+                "of time)"
             )
             self.note_fault("uneven stamps", "keep", 0, text)
-            return even, np.zeros(1, np.int64)
+            if lost_rows:
+                self.note_gaps(starts[1:] - 1, lost_rows, float(np.max(np.diff(even))))
+            return even, starts
         if len(gaps):
             seconds = float(np.sum(interval[gaps])) - usual * len(gaps)
-            dropped = round(seconds / usual)
-            longest = float(np.max(interval[gaps]))
-            text = (
-                f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} with about {dropped} samples dropped, the longest "
-                f"{longest:.3g} s, the first after row {int(gaps[0])} of those kept"
-            )
-            self.note_fault("gap", self.policy.gaps, len(gaps), text)
+            self.note_gaps(gaps, round(seconds / usual), float(np.max(interval[gaps])))
         return time, np.concatenate([[0], gaps + 1]).astype(np.int64)
+
+    def note_gaps(self, gaps: NDArray[np.int64], dropped: int, longest_s: float) -> None:
+        text = (
+            f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} with about {dropped} samples dropped, the longest "
+            f"{longest_s:.3g} s, the first after row {int(gaps[0])} of those kept"
+        )
+        self.note_fault("gap", self.policy.gaps, len(gaps), text)
 
     def rates(self, rate: Floats) -> None:
         missing = np.any(~(np.abs(rate) < _ABSURD), axis=2)
@@ -517,28 +519,6 @@ def _least_walk(values: Floats, interval: float) -> float:
             spread = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
             walks.append(spread * float(np.sqrt(size * interval / 2)))
     return min(walks, default=0.0)
-
-
-def _even_clock(time: Floats, suspects: int) -> Floats | None:
-    """Even times, where stamps that seem to have many gaps stay within a burst of them; None elsewhere.
-
-    Rows that are read from a queue are stamped in bursts, and stamps of whole milliseconds are rounded: both come back
-    to an even clock again and again, where lost rows leave it for ever.
-    """
-    rows = np.arange(len(time), dtype=np.float64)
-    if suspects < max(_MANY_ROWS, _MANY * len(time)):
-        return None
-    slope, first = np.polyfit(rows, time, 1)
-    line = first + slope * rows
-    burst = _WITHIN * float(np.max(np.diff(time)))
-    apart = time - line
-    # The clock may wander slowly: over many bursts.
-    ndimage: Any = importlib.import_module("scipy.ndimage")
-    wander: Floats = ndimage.uniform_filter1d(apart, 2 * (_BURSTS * len(time) // suspects // 2) + 1, mode="nearest")
-    for even in (line, line + wander):
-        if np.ptp(time - even) <= burst and np.all(np.diff(even) > 0.0):
-            return even
-    return None
 
 
 def _wander(interval: Floats) -> float:

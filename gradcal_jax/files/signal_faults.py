@@ -129,8 +129,8 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
     one_sided = len(known) > 10 * _WINDOW and distinct[0] * distinct[-1] >= 0.0
     if one_sided and np.mean(size < 0.25 * middle) > _AT_ZERO and np.median(np.abs(np.diff(known))) > 0.25 * middle:
         raise LogError(
-            f"{where}: no row at rest is {'below' if distinct[-1] > 0.0 else 'above'} zero, and many are near it: is the "
-            "sign lost, or a magnitude logged? Log the signed rates"
+            f"{where}: no row at rest is {'below' if distinct[-1] > 0.0 else 'above'} zero, and many are near it: is "
+            "the sign lost, or a magnitude logged? Log the signed rates"
         )
     if counts[most] > _ONE_VALUE * len(known) and counts[most] > _UNUSUAL * np.max(np.delete(counts, most), initial=0):
         return (

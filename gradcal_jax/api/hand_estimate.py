@@ -112,9 +112,9 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     )
     temperature = np.interp(filled.time, time, temperature)
     time, usable, rates, force = filled.time, filled.usable, filled.values[:, :3], filled.values[:, 3:]
-    if filled.count:
+    if filled.number:
         messages.append(
-            f"{filled.count} rows in gaps of one or two are filled by cubics: an angle may be off by "
+            f"{filled.number} rows in gaps of one or two are filled by cubics: an angle may be off by "
             f"{filled.error[:3].max():.2g} rad each, what the straight line differs by"
         )
     try:

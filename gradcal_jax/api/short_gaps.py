@@ -12,14 +12,14 @@ LONGEST = 2
 
 class FilledRows(NamedTuple):
     """Rows on whole intervals: `time` `(n,)` s, `values` `(n, channels)`, `usable` `(n,)`, `standing` `(n,)` or None;
-    `count` of filled rows, and the largest `error` `(channels,)` of a channel's integral over one gap: what the cubic
+    `number` of filled rows, and the largest `error` `(channels,)` of a channel's integral over one gap: what the cubic
     through two rows on either side differs from the straight line, times the interval."""
 
     time: np.ndarray
     values: np.ndarray
     usable: np.ndarray
     standing: np.ndarray | None
-    count: int
+    number: int
     error: np.ndarray
 
 

@@ -342,10 +342,10 @@ def allan(
         for rest, _, _ in drawn:
             try:
                 bounds.append(work.instability(rest, averaging_time_s=delta_s))
-            except ValueError as error:
+            except ValueError as problem:
                 bounds.append(None)
                 if not json:
-                    print(f"note: no Direct Bound of axis {rest.axis}: {error}")
+                    print(f"note: no Direct Bound of axis {rest.axis}: {problem}")
         save_figure(lambda plots: plots.identification.draw_allan_and_bound(drawn, bounds), plot, quiet=json)
     return DONE if all(work.plausible(work.of_sensor(rest, fit)) for rest, _, fit in drawn) else NOT_AS_WISHED
 

@@ -40,6 +40,8 @@ _GAP: Final = 1.6
 """Intervals: less is jitter."""
 _WINDOW: Final = 5
 """Rows on either side over which stamps make up for jitter."""
+_SHORT, _OFTEN = 0.3, 0.05
+"""Intervals so short against the median, in so large a share, are those within bursts."""
 _MANY_ROWS: Final = 20
 """Fewer rows are not many."""
 _COARSE: Final = 0.1
@@ -172,7 +174,7 @@ def examine(columns: Columns, policy: Policy | None = None) -> Log:
 def at_rows_with_rates(columns: Columns) -> Columns:
     """The rows in which all rates are given, with the other channels interpolated to their stamps; farther from a
     channel's own rows than three of its intervals it is missing. Raises `LogError` where there are no two such rows."""
-    rated = np.isfinite(columns.rate_rad_per_s).all(axis=(0, 2))
+    rated: Bools = np.isfinite(columns.rate_rad_per_s).all(axis=(0, 2)).astype(bool)
     count = len(rated)
     if np.count_nonzero(rated) < 2:
         raise LogError("interpolate: no two rows have all rates; leave out what has rows of its own, or join it first")
@@ -249,7 +251,7 @@ class _Examination:
     def drop_empty_rows(self) -> None:
         """Rows of channels that the map does not name, which are many, are no rows of the record."""
         raw = self.raw
-        held = np.isfinite(raw.rate_rad_per_s).any(axis=(0, 2))
+        held: Bools = np.isfinite(raw.rate_rad_per_s).any(axis=(0, 2)).astype(bool)
         for values, axes in ((raw.specific_force_m_per_s2, (0, 2)), (raw.temperature_c, (0,))):
             if values is not None:
                 held |= np.isfinite(values).any(axis=axes)
@@ -338,6 +340,10 @@ class _Examination:
         """The times, and the rows at which stretches begin; even times where stamps are uneven but no row is lost."""
         interval = np.diff(time)
         usual = float(np.median(interval))
+        # In pairs of which some have lost a row most intervals are those between pairs.
+        short = interval < _SHORT * usual
+        if np.mean(short) > _OFTEN:
+            usual = float(np.median(interval[short]))
         suspect = np.flatnonzero(interval > _GAP * usual)
         # Late stamps are followed by early ones; after a gap they are not.
         first = np.maximum(suspect - _WINDOW, 0)

@@ -225,7 +225,9 @@ def glitches(values: Floats, standing: Whole | None) -> Bools:
     else:
         here = looked_at[known]
         noise = np.full(len(some), np.median(some[here]) if here.any() else 0.0)
-    far = (some > FAR / _OF_FIVE * noise) & (noise > 0.0) & looked_at[known]
+    # (In motion a wrong row moves its neighbours' medians, too, but by less.)
+    worst = some >= 0.3 * ndimage.maximum_filter1d(some, _BESIDE)
+    far = (some > FAR / _OF_FIVE * noise) & (noise > 0.0) & worst & looked_at[known]
     if np.mean(far) < _RARE:
         result[known[far]] = True
     return result

@@ -162,7 +162,7 @@ def _only(rows: Callable[[], Iterable[str]], where: Where, place: int, delimiter
         elif len(seen) < 8:
             seen[text] = None
     if not found:
-        raise LogError(f"where: no row has {where.equals!r} in {where.words()}, but such as {', '.join(seen)}")
+        raise LogError(f"where: no row has {where.equals_text} in {where.words()}, but such as {', '.join(seen)}")
 
 
 def _refuse_several(
@@ -359,16 +359,16 @@ def _read_matlab(path: Path, layout: TextTable, sources: Sequence[Source]) -> Nu
 def _leaves(arrays: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Array]]:
     """The arrays of numbers, those within structs by dotted names."""
     for name, held in arrays.items():
-        if isinstance(held, np.ndarray) and held.dtype.kind in "fiu":
-            yield before + name, held
-        elif isinstance(held, np.ndarray) and held.dtype == object and held.size == 1:
+        if not isinstance(held, np.ndarray):
+            continue
+        values: Array = held
+        if values.dtype.kind in "fiu":
+            yield before + name, values
+        elif values.dtype == object and values.size == 1:
             # (A struct is a 1 x 1 array of an object with its fields.)
-            fields: dict[str, Any] = (
-                {k: v for k, v in vars(held.item()).items() if k != "_fieldnames"}
-                if hasattr(held.item(), "_fieldnames")
-                else {}
-            )
-            yield from _leaves(fields, f"{before}{name}.")
+            struct: Any = values.item()
+            fields: Sequence[str] = getattr(struct, "_fieldnames", ())
+            yield from _leaves({field: getattr(struct, field) for field in fields}, f"{before}{name}.")
 
 
 def _read_parquet(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:
@@ -382,7 +382,7 @@ def _read_parquet(path: Path, layout: TextTable, sources: Sequence[Source]) -> N
         file = parquet.ParquetFile(path)
         wanted = [str(source.column) for source in sources]
         table = file.read(columns=[name for name in file.schema_arrow.names if name in wanted])
-        arrays = {str(name): np.empty(0) for name in file.schema_arrow.names}
+        arrays: dict[str, Array] = {str(name): np.empty(0) for name in file.schema_arrow.names}
         for name in table.column_names:
             values: Array = table.column(name).to_numpy()
             # Stamps of a date are counts of its resolution: nanoseconds as a rule.

@@ -103,12 +103,17 @@ class Where(Source):
     equals: Text | Number
     """What stands in the column in the rows that are taken."""
 
+    @property
+    def equals_text(self) -> str:
+        """As it is written."""
+        return f'"{self.equals}"' if isinstance(self.equals, str) else f"{self.equals:g}"
+
     def chosen(self, values: Array) -> NDArray[np.bool_]:
         """The rows that are taken. Raises `LogError` where there are none."""
         kept = values.astype(str) == self.equals if isinstance(self.equals, str) else values == self.equals
         if not np.any(kept):
             some = ", ".join(str(value) for value in np.unique(values)[:8].tolist())
-            raise LogError(f"where: no row has {self.equals!r} in {self.words()}, but such as {some}")
+            raise LogError(f"where: no row has {self.equals_text} in {self.words()}, but such as {some}")
         return np.asarray(kept)
 
 

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TextIO
+from typing import Any, Final, TextIO, cast
 
 import numpy as np
 
@@ -361,7 +361,7 @@ def _leaves(arrays: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, 
     for name, held in arrays.items():
         if not isinstance(held, np.ndarray):
             continue
-        values: Array = held
+        values = cast("Array", held)
         if values.dtype.kind in "fiu":
             yield before + name, values
         elif values.dtype == object and values.size == 1:

@@ -283,7 +283,7 @@ def allan(
     rate_random_walk
         Such as "0.5 deg/h/sqrt(h)".
     drift
-        σ and τ of a first-order Markov process, such as "1 deg/h, 300 s".
+        Standard deviation and correlation time of a Markov process, such as "1 deg/h, 300 s".
     duration
         The record's length; several, without it.
     error

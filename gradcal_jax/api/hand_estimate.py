@@ -8,7 +8,8 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.log_rows import bridged_temperature, time_of, usable_rows
+from gradcal_jax.api.log_rows import bridged_temperature, time_of
+from gradcal_jax.api.short_gaps import fill_short_gaps
 from gradcal_jax.display import summary
 from gradcal_jax.estimation import Test
 from gradcal_jax.estimation.hand import LOWER, ByHand, HandRows, find_positions, solve_by_hand
@@ -24,7 +25,7 @@ from gradcal_jax.files.calibration import (
 )
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.signal_faults import quiet_windows, refuse_repeated
+from gradcal_jax.files.signal_faults import quiet_windows, refuse_repeated, without_faults
 from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.units import DEG_PER_H, G
 
@@ -92,15 +93,32 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
         for k, axis in enumerate("xyz"):
             if said := refuse_repeated(f"{kind} {axis} of {name}", quiet_windows(values[:, k]).ravel()):
                 messages.append(said)
-    usable = usable_rows(log, number) & np.isfinite(rates).all(axis=1) & np.isfinite(force).all(axis=1)
+    log, faults = without_faults(log)
+    messages += faults[name].sentences
+    usable = log.usable(number) & np.isfinite(rates).all(axis=1) & np.isfinite(force).all(axis=1)
     if not usable.any():
         raise LogError(
             f"{name}: no row has both the rates and the specific forces: are gyros and accelerometers in rows of their "
-            "own? Join the two streams first, the slower one interpolated to the stamps of the faster one"
+            "own? Write interpolate = true in the column map, or join the two streams first"
         )
     temperature = bridged_temperature(log, number, options.temperature_c)
+    filled = fill_short_gaps(
+        time,
+        np.concatenate([rates, force], axis=1),
+        usable,
+        log.standstill,
+        log.stretch_starts,
+        log.sample_interval_s,
+    )
+    temperature = np.interp(filled.time, time, temperature)
+    time, usable, rates, force = filled.time, filled.usable, filled.values[:, :3], filled.values[:, 3:]
+    if filled.number:
+        messages.append(
+            f"{filled.number} rows in gaps of one or two are filled by cubics: an angle may be off by "
+            f"{filled.error[:3].max():.2g} rad each, what the straight line differs by"
+        )
     try:
-        standing = log.standstill
+        standing = filled.standing
         if standing is None:
             standing = find_positions(rates, force, log.sample_interval_s, usable)
             messages.append(
@@ -112,7 +130,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     held, force_fit, rate_fit = solution.positions, solution.accelerometer, solution.gyro
     density = lambda noise, gain, unit: Quantity.of(float(np.sqrt(np.mean(noise))) / gain, unit)  # noqa: E731
     between = slice(int(held.rows[0, 0]), int(held.rows[-1, 1]) + 1)
-    fastest = np.degrees(np.nanmax(np.abs((rates[between] - rate_fit.centre) / rate_fit.gain)))
+    fastest = np.degrees(np.nanmax(np.abs((rates[between][usable[between]] - rate_fit.centre) / rate_fit.gain)))
     fastest = float(np.radians(np.ceil(fastest)))
     tests = {
         "accelerometers: norm of gravity": force_fit.test,

@@ -1,17 +1,18 @@
 """The instability of the channels of a log at rest: Direct Bound and Allan deviation."""
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from gradcal_jax import identify
+from gradcal_jax import formulas, identify, units
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.display import summary
-from gradcal_jax.files.log import EvenSeries, Log, LogError
-from gradcal_jax.files.signal_faults import FAR, far_from_neighbours, refuse_repeated
+from gradcal_jax.files.log import SENSOR_RATE, EvenSeries, Log, LogError, Reason
+from gradcal_jax.files.signal_faults import changing_noise, refuse_repeated, without_faults
+from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H
 
 # A fitted lag is used where it reduces the rms residual to less than this share.
@@ -19,6 +20,8 @@ _LAG_PAYS = 0.9
 _LONGEST_LAG_S = 1800.0
 # Over a narrower span of temperature (K), B(T) cannot be estimated and is not removed.
 _TELLING_SPAN = 5.0
+# Rows slower than this are said to be taken as means.
+_SLOW_HZ = 20.0
 # rad/√s. The noisiest gyro known to us, the ADXRS150 of 2002, has 0.05 deg/s/√Hz, which is 3 deg/√h; below the
 # other figure are only large fibre-optic and ring laser gyros, which few people have.
 _NOISIEST = 4.0 / DEG_PER_SQRT_H
@@ -42,6 +45,47 @@ class RestRecord:
     temperature_c: np.ndarray | None
     thermal: identify.ThermalBias | None
     messages: tuple[str, ...]
+    lost: str = ""
+    """Of a record in pieces: how many rows were lost to what, and what helps."""
+    samples_per_row: float = 1.0
+    """Samples of the sensor for each row, where rows are single ones of them; NaN: many, by no stated number."""
+
+    def walk_of_sensor(self, walk: float) -> float:
+        """The sensor's angle random walk, where that of the rows is `walk` (rad/√s): single samples hold the noise of
+        all the others, folded. Raises `LogError` where their number is not known."""
+        if not np.isfinite(self.samples_per_row):
+            raise LogError(
+                f"axis {self.axis} of {self.unit}: rows at {1.0 / self.sample_interval_s:.3g} Hz of a raw channel, "
+                "which is sampled much faster: are they means of the samples between, or every n-th of them? Their "
+                "angle random walk is the sensor's for means only. State it by --sensor-rate means, or by the "
+                'sensor\'s own rate, such as --sensor-rate "400 Hz"; better, log at the full rate'
+            )
+        return walk / float(np.sqrt(self.samples_per_row))
+
+
+def allan_of(
+    rest: RestRecord, *, terms: Sequence[str] = TERMS, confidence: float = 0.683
+) -> tuple[identify.AllanDeviation, identify.AllanFit]:
+    """The Allan deviation of a record's rows and its fit. **Raises:** `LogError` that says which rows were lost."""
+    try:
+        deviation = identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid)
+        return deviation, identify.fit_allan(deviation, terms=terms, confidence=confidence)
+    except ValueError as error:
+        if confidence <= 0.0 or confidence >= 1.0 or not set(terms) <= set(TERMS):
+            raise
+        help_ = rest.lost or "a longer record, or fewer terms of the fit, would do"
+        raise LogError(f"axis {rest.axis} of {rest.unit}: {error}; {help_}") from None
+
+
+def of_sensor(rest: RestRecord, fit: identify.AllanFit) -> identify.AllanFit:
+    """The fit with the sensor's own angle random walk, where rows are single samples."""
+    if rest.samples_per_row == 1.0:
+        return fit
+    walk = fit.angle_random_walk
+    scaled = replace(
+        walk, value=rest.walk_of_sensor(walk.value), standard_error=rest.walk_of_sensor(walk.standard_error)
+    )
+    return replace(fit, angle_random_walk=scaled)
 
 
 @dataclass(frozen=True)
@@ -56,6 +100,8 @@ class Instability:
     """The temperatures of the rows used; None: all of the record."""
     scatter: tuple[float, float] | None
     """Standard deviations of σ (rad/s) and of ln τ, from blocks of the record; None for too few blocks."""
+    markov: identify.MarkovFit | None = None
+    """One Markov process by maximum likelihood; None where none shows."""
 
     __repr__ = summary
 
@@ -69,7 +115,8 @@ class Instability:
 
     def drift_block(self) -> str:
         """The `[[sensor.gyro.drift]]` of a spec; only a comment where no drift shows."""
-        walk = f'angle_random_walk = "{number(self.bound.angle_random_walk * DEG_PER_SQRT_H)} deg/sqrt(h)"'
+        walk = self.rest.walk_of_sensor(self.bound.angle_random_walk) * DEG_PER_SQRT_H
+        walk = f'angle_random_walk = "{number(walk)} deg/sqrt(h)"'
         if not self.bound.drift_shows:
             hidden = number(self.bound.hidden_drift_std * DEG_PER_H)
             return f"# {walk}\n# no drift shows above the angle random walk; one of up to {hidden} deg/h could hide"
@@ -96,17 +143,28 @@ def at_rest(
     bias_degree: int | None = None,
     lag: float | str = "auto",
     without: Sequence[tuple[float, float]] = (),
+    force: bool = False,
 ) -> RestRecord:
     """One channel, masked where the table moves, with its bias over temperature subtracted.
+
+    `force`: an accelerometer's, in m/s², in the place of a gyro's.
 
     `without`: spans of the record's time (s) to leave out.
     `bias_degree`: of the subtracted polynomial B(T); None: 3 where the record spans 5 K or more, otherwise 0; −1:
     nothing is subtracted. `lag` of the bias behind the temperature: seconds, "fit", or "auto": fitted, and used where
     it reduces the rms by a tenth. **Raises:** `LogError` where nothing of the record is at rest.
     """
-    even = log.even(axis, unit)
+    label, name = _label(log, axis, force), log.units[log.unit_index(unit)]
+    kind, other = ("accelerometer", Reason.MISSING_RATE) if force else ("gyro", Reason.MISSING_FORCE)
+    if log.status is not None:
+        log = replace(log, status=log.status & ~np.uint16(other))  # which is no matter of this channel
+    raw, read = log, log.counts(unit)
+    refused = refuse_repeated(f"{kind} {label} of {name}", log.channel(axis, unit, force=force)[_resting(log, unit)])
+    log, faults = without_faults(log, {f"{kind} {label}"}, at_rest=True)
+    even = log.even(axis, unit, force=force)
     valid = even.valid.copy()
-    messages: list[str] = []
+    changing = changing_noise(f"{kind} {label} of {name}", log.channel(axis, unit, force=force)[_resting(log, unit)])
+    messages = [*filter(None, (refused, changing)), *faults[name].sentences]
     if log.standstill is not None:
         valid &= (even.row >= 0) & (log.standstill[even.row] >= 0)
         moving = int(np.count_nonzero(even.valid & ~valid))
@@ -118,17 +176,13 @@ def at_rest(
         valid &= ~out
         messages.append(f"{np.count_nonzero(out)} rows from {first:g} s to {last:g} s are left out as asked")
     if not valid.any():
-        raise LogError("no usable row of the record is marked as standing still: an instability is seen at rest only")
-    rate, named = even.rate_rad_per_s.copy(), (log.axes[log.axis_index(axis)], log.units[log.unit_index(unit)])
-    if repeated := refuse_repeated(f"axis {named[0]} of {named[1]}", rate[valid]):
-        messages.append(repeated)
-    apart = far_from_neighbours(np.where(valid, rate, np.nan))
-    if apart.any():
-        valid &= ~apart
-        messages.append(
-            f"{np.count_nonzero(apart)} rows ({np.mean(apart[even.valid]):.2g} of all) are more than {FAR:g} standard "
-            "deviations from their neighbours, and left out"
+        lost = ", ".join(f"{count} {reason}" for reason, count in log.counts(unit).items() if reason != "used")
+        raise LogError(
+            f"of {log.rows_read} rows none is usable: {lost}"
+            if not even.valid.any()
+            else "no usable row of the record is marked as standing still: an instability is seen at rest only"
         )
+    rate, named = even.rate_rad_per_s.copy(), (label, name)
     temperature = even.temperature_c
     known = temperature is not None and bool(np.isfinite(temperature[valid]).all())
     span = float(np.ptp(temperature[valid])) if known and temperature is not None else 0.0
@@ -155,7 +209,57 @@ def at_rest(
                 "it may be drift"
             )
     rate[~valid] = 0.0
-    return RestRecord(*named, rate, valid, even.sample_interval_s, time, temperature, thermal, tuple(messages))
+    per_row, words = samples_per_row(log, even.sample_interval_s)
+    return RestRecord(
+        *named, rate, valid, even.sample_interval_s, time, temperature, thermal, (*messages, *words),
+        _lost(raw, read, valid, even.sample_interval_s), per_row,
+    )  # fmt: skip
+
+
+def _resting(log: Log, unit: str | int) -> np.ndarray:
+    """The usable rows that are not marked as moving."""
+    return log.usable(unit) if log.standstill is None else log.usable(unit) & (log.standstill >= 0)
+
+
+def _label(log: Log, axis: str | int, force: bool) -> str:
+    if not force:
+        return log.axes[log.axis_index(axis)]
+    return axis if isinstance(axis, str) else log.force_axes[axis]
+
+
+def samples_per_row(log: Log, interval_s: float) -> tuple[float, list[str]]:
+    """Samples of the sensor for each row of a log (NaN: not stated), 1 for means, and a sentence on it."""
+    stated = log.provenance.get(SENSOR_RATE)
+    if stated == "unknown":
+        return np.nan, []
+    if stated in (None, "means"):
+        slow = stated is None and interval_s * _SLOW_HZ > 1.0
+        return 1.0, [
+            f"rows at {1.0 / interval_s:.3g} Hz are taken as means of the sensor's samples between them; if they are "
+            "every n-th of them, their angle random walk is too large: state the sensor's rate as sensor_rate in the "
+            "column map, or by --sensor-rate"
+        ] * slow
+    samples = max(units.parse(stated, "frequency") * interval_s, 1.0)
+    return samples, [
+        f"rows are every {samples:.4g}th sample of {stated}: the angle random walk is the rows' divided by "
+        f"{np.sqrt(samples):.3g}, as for noise that is white up to the sensor's rate"
+    ]
+
+
+def _lost(log: Log, read: Mapping[str, int], valid: np.ndarray, interval_s: float) -> str:
+    """How many rows were lost to what, where that leaves a record in many pieces."""
+    runs = formulas.runs(valid)
+    if len(runs) < 3:
+        return ""
+    longest = int(np.max(runs[:, 1] - runs[:, 0]))
+    lost = [f"{count} {reason}" for reason, count in read.items() if reason != "used"]
+    lost += [finding.message for finding in log.findings if finding.kind == "gap"]
+    return (
+        f"of {log.rows_read} rows {np.count_nonzero(valid)} are usable, in {len(runs)} stretches of at most {longest} "
+        f"rows ({longest * interval_s:.3g} s): {'; '.join(lost) or 'others were left out'}. A longer record with the "
+        "same losses does not help; one without them does, and so does sample_rate in the place of uneven stamps, or "
+        "interpolate = true in the column map where channels have rows of their own"
+    )
 
 
 def _thermal(
@@ -218,10 +322,10 @@ def instability(
         whole = room + averaging_time_s
         raise LogError(
             f"the longest unbroken stretch is {whole:.4g} s: too short to average for {averaging_time_s:g} s and then "
-            f"integrate for {shortest_s:g} s; average for less, or record for longer"
+            f"integrate for {shortest_s:g} s; average for less{', or record for longer' * (not rest.lost)}"
+            + (rest.lost and f"; {rest.lost}")
         )
-    allan = identify.overlapping_allan(rest.rate, interval, valid=valid)
-    fit = identify.fit_allan(allan)
+    allan, fit = allan_of(replace(rest, valid=valid))
     walk = fit.angle_random_walk.value if angle_random_walk is None else angle_random_walk
     if angle_random_walk is None and walk <= fit.angle_random_walk.standard_error:
         raise LogError(
@@ -235,7 +339,10 @@ def instability(
         observed, walk, margin=margin, rate_in_words=lambda rate: f"{rate * DEG_PER_H:.3g} deg/h"
     )
     scatter = identify.scatter_of_bound(bound, rest.rate, interval, valid=valid)
-    return Instability(rest, allan, fit, bound, temperature_c, scatter)
+    markov = identify.fit_markov(rest.rate, interval, valid)
+    return Instability(
+        rest, allan, fit, bound, temperature_c, scatter, markov if markov is not None and markov.shows else None
+    )
 
 
 def temperature_ranges(rest: RestRecord, parts: int) -> list[tuple[float, float]]:
@@ -257,7 +364,7 @@ def instability_row(result: Instability) -> dict[str, Any]:
         "drift_shows": bound.drift_shows,
         "drift_std_deg_per_h": bound.drift_std * DEG_PER_H,
         "correlation_time_s": bound.correlation_time_s,
-        "angle_random_walk_deg_per_sqrt_h": bound.angle_random_walk * DEG_PER_SQRT_H,
+        "angle_random_walk_deg_per_sqrt_h": result.rest.walk_of_sensor(bound.angle_random_walk) * DEG_PER_SQRT_H,
         "margin": bound.margin,
         "averaging_time_s": bound.averaging_time_s,
         "deciding_time_s": bound.deciding_time_s,
@@ -272,6 +379,7 @@ def instability_row(result: Instability) -> dict[str, Any]:
             "largest_drift_deg_per_h": (bound.largest_drift * DEG_PER_H).tolist(),
             "limit_deg_per_h": (bound.limit * DEG_PER_H).tolist(),
         },
+        "markov": None if result.markov is None else _markov_row(result.markov),
         "thermal": None
         if thermal is None
         else {
@@ -279,12 +387,22 @@ def instability_row(result: Instability) -> dict[str, Any]:
             "lag_s": thermal.lag_time_s,
             "residual_rms_deg_per_h": thermal.residual_rms * DEG_PER_H,
         },
-        "messages": [*result.rest.messages, *allan_notes(result.allan_fit), *bound.messages],
+        "messages": [*result.rest.messages, *allan_notes(of_sensor(result.rest, result.allan_fit)), *bound.messages],
+    }
+
+
+def _markov_row(markov: identify.MarkovFit) -> dict[str, float]:
+    return {
+        "drift_std_deg_per_h": markov.sigma * DEG_PER_H,
+        "drift_std_relative_error": float(np.sqrt(markov.covariance[1, 1])),
+        "correlation_time_s": markov.tau,
+        "correlation_time_ln_error": float(np.sqrt(markov.covariance[2, 2])),
     }
 
 
 def allan_row(rest: RestRecord, allan: identify.AllanDeviation, fit: identify.AllanFit) -> dict[str, Any]:
     """Plain numbers for `--json`: the curve with its confidence, and the coefficients with standard errors."""
+    fit = of_sensor(rest, fit)
     scale = {
         "quantisation_arcsec": (fit.quantisation, ARCSEC),
         "angle_random_walk_deg_per_sqrt_h": (fit.angle_random_walk, DEG_PER_SQRT_H),

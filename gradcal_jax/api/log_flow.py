@@ -68,8 +68,8 @@ def allan(
     Errors: `LogError` where nothing stands still; `ValueError` for unknown terms.
     """
     rest = noise.at_rest(log, axis, unit, bias_degree=bias_degree, lag=lag)
-    deviation = identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid)
-    return deviation, identify.fit_allan(deviation, terms=terms, confidence=confidence)
+    deviation, fit = noise.allan_of(rest, terms=terms, confidence=confidence)
+    return deviation, noise.of_sensor(rest, fit)
 
 
 def estimate(

@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 from gradcal_jax import estimation, identify
 from gradcal_jax.api.estimate import EstimateReport, SensorEstimate, estimate_log
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.instability import RestRecord, at_rest, number, plausible, too_noisy
+from gradcal_jax.api.instability import RestRecord, allan_of, at_rest, number, plausible, samples_per_row, too_noisy
 from gradcal_jax.files import Spec, parse_spec
 from gradcal_jax.files.calibration import Calibration, Covariance, Noise
 from gradcal_jax.files.log import Log, LogError
@@ -81,11 +81,20 @@ def _unit(
     # Without the 1/f noise, which resembles a random walk only over seconds.
     walk = max(s.angle_random_walk for s in noises)
     slow = max(float(s.drift[-1].standard_deviation) / np.sqrt(float(s.drift[-1].correlation_time) / 2) for s in noises)
-    noise = Noise(
-        angle_random_walk=walk,
-        rate_random_walk=Quantity.of(slow, "rad/s/sqrt(s)"),
-        sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"),
-    )
+    folded, _ = samples_per_row(log, log.sample_interval_s)
+    noise = None
+    if np.isfinite(folded):
+        noise = Noise(
+            angle_random_walk=Quantity.of(float(walk) / float(np.sqrt(folded)), "rad/sqrt(s)") if folded > 1 else walk,
+            rate_random_walk=Quantity.of(slow, "rad/s/sqrt(s)"),
+            sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"),
+        )
+    else:
+        words = (
+            "the calibration states no noise: rows this far apart are single samples, whose noise is larger than the "
+            'sensor\'s; --sensor-rate "400 Hz" (its own rate) or --sensor-rate means would say by how much'
+        )
+        sensors[0] = sensors[0]._replace(messages=(*sensors[0].messages, words))
     named = ", ".join(channel.axis for c in calibrations for channel in c.channel)
     first = calibrations[0]
     whole = first.model_copy(
@@ -97,6 +106,8 @@ def _unit(
             "provenance": {**first.provenance, "rows": ", ".join(c.provenance["rows"] for c in calibrations)},
         }
     )
+    if noise is None:
+        whole.model_fields_set.discard("noise")  # absent from the file, not written as nothing
     return whole, sensors
 
 
@@ -159,12 +170,12 @@ def _crossings(time: np.ndarray, temperature: np.ndarray) -> tuple[np.ndarray, n
 def warm_up_spec(log: Log, axis: str, unit: str) -> tuple[Spec, str]:
     """A spec with the noise of one channel of a record, and a sentence on it. `log`: with standstills marked."""
     rest = at_rest(log, axis, unit, bias_degree=DEGREE, lag="none")
-    fit = identify.fit_allan(identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid))
+    _, fit = allan_of(rest)
     walk = fit.angle_random_walk
     if not walk.value > walk.standard_error:
         raise LogError(
             f"the Allan deviation of axis {axis} of unit {unit} shows no angle random walk, which the estimate "
-            "needs: record for longer, or give a spec with --spec"
+            "needs: log at a higher rate, or give a spec with --spec"
         )
     if not plausible(fit):
         raise LogError(f"axis {axis} of unit {unit}: {too_noisy(fit)}")

@@ -2,14 +2,25 @@
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import JsonNumbers, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.output import (
+    ForceOutput,
+    JsonNumbers,
+    OptionalOutput,
+    Plot,
+    as_json,
+    drawable,
+    save_figure,
+    writable,
+)
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity, span
+from gradcal_jax.cli.record_length import plan_record
+from gradcal_jax.cli.recordings import LOG_HELP, WHOLE, LogFile, Recording, described, load, quantity, span
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns
 
@@ -102,6 +113,7 @@ def instability(
         rest = work.at_rest(
             recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s, without=left_out
         )
+        rest.walk_of_sensor(0.0)  # asks before anything is printed
         whole = look(rest, angle_random_walk=walk, temperature_c=between)
         results.append(whole)
         pieces: list[tuple[tuple[float, float], Instability | str]] = []
@@ -128,8 +140,26 @@ def instability(
         for whole, pieces in zip(results, parts, strict=True):
             print("\n" + _instability_text(whole, pieces))
     save_figure(lambda plots: plots.identification.draw_instability(results), plot, quiet=json)
-    wished = all(whole.bound.drift_shows and work.plausible(whole.allan_fit) for whole in results)
+    wished = all(
+        whole.bound.drift_shows and work.plausible(work.of_sensor(whole.rest, whole.allan_fit)) for whole in results
+    )
     return DONE if wished else NOT_AS_WISHED
+
+
+def _write_noise(
+    log: Path, form: Literal["kalibr", "ins"], output: Path, force: bool, unit: str | None, lag: str, source: Recording
+) -> int:
+    writable(output, force)
+    recorded = load(log, source, unit=unit)
+    use_float64()
+    from gradcal_jax.api.noise_files import noise_file, noise_of_imu
+    from gradcal_jax.files.writing import write_whole
+
+    channels = noise_of_imu(recorded, 0 if unit is None else unit, lag=_lag(lag))
+    name = f"{log.name}{' (simulated)' * recorded.simulated}"
+    write_whole(output, noise_file(channels, form, 1.0 / recorded.sample_interval_s, name))
+    print(f"wrote {output}")
+    return DONE
 
 
 def _lag(text: str) -> float | str:
@@ -144,7 +174,7 @@ def _instability_text(result: "Instability", parts) -> str:
     times = bound.integration_time_s
     lines = [
         strong(f"axis {result.rest.axis}, unit {result.rest.unit}"),
-        f"angle random walk {bound.angle_random_walk * DEG_PER_SQRT_H:.4g} deg/sqrt(h); "
+        f"angle random walk {result.rest.walk_of_sensor(bound.angle_random_walk) * DEG_PER_SQRT_H:.4g} deg/sqrt(h); "
         f"drift after an average of {bound.averaging_time_s:g} s, over {times[0]:.4g} to {times[-1]:.4g} s",
     ]
     if bound.drift_shows:
@@ -162,6 +192,13 @@ def _instability_text(result: "Instability", parts) -> str:
             f"decided over {bound.deciding_time_s:.4g} s, by the drift from {first:.6g} s to {last:.6g} s of the "
             f'record; without it: --without "{first:.6g} s..{last:.6g} s"'
         )
+    if (markov := result.markov) is not None:
+        sigma_error, tau_error = (float(markov.covariance[k, k]) ** 0.5 for k in (1, 2))
+        lines.append(
+            f"as one Markov process, by maximum likelihood: {markov.sigma * DEG_PER_H:.4g} deg/h (1σ "
+            f"{100.0 * sigma_error:.2g} %) with a correlation time of {markov.tau:.4g} s, within a factor of "
+            f"{math.exp(tau_error):.2g}"
+        )
     if result.rest.thermal is not None:
         thermal = result.rest.thermal
         lines.append(
@@ -170,7 +207,12 @@ def _instability_text(result: "Instability", parts) -> str:
             + f"; it leaves {thermal.residual_rms * DEG_PER_H:.4g} deg/h rms, noise included"
         )
     lines += [
-        f"note: {message}" for message in (*result.rest.messages, *work.allan_notes(result.allan_fit), *bound.messages)
+        f"note: {message}"
+        for message in (
+            *result.rest.messages,
+            *work.allan_notes(work.of_sensor(result.rest, result.allan_fit)),
+            *bound.messages,
+        )
     ]
     if parts:
         rows = [("temperature", "drift (1σ)", "correlation time")]
@@ -188,7 +230,7 @@ def _instability_text(result: "Instability", parts) -> str:
 
 
 def allan(
-    log: LogFile,
+    log: Annotated[Path | None, Parameter(help=LOG_HELP)] = None,
     /,
     *,
     axis: Axes = (),
@@ -200,12 +242,24 @@ def allan(
     lag: Lag = "auto",
     without: Without = (),
     source: Recording = WHOLE,
+    form: Annotated[Literal["kalibr", "ins"] | None, Parameter(name="--format")] = None,
+    output: OptionalOutput = None,
+    force: ForceOutput = False,
+    plan: Annotated[bool, Parameter(negative="")] = False,
+    noise: str | None = None,
+    bias_instability: str | None = None,
+    rate_random_walk: str | None = None,
+    drift: str | None = None,
+    duration: str | None = None,
+    error: str | None = None,
+    rate: str = "100 Hz",
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
     """The overlapping Allan deviation with its confidence, and the coefficients that generalised least squares finds.
 
-    The exit status is 1 where the angle random walk is more than any gyro has: a unit may be wrong.
+    The exit status is 1 where the angle random walk is more than any gyro has: a unit may be wrong. With --plan, before
+    anything is recorded: the errors that a record of some length leaves, or how long it must be.
 
     Parameters
     ----------
@@ -215,16 +269,53 @@ def allan(
         The confidence of the interval about each point.
     delta
         Time of the average of the Direct Bound in the figure.
+    form
+        Write the noise of all gyros and accelerometers for another program into --output: kalibr's imu.yaml, or
+        densities and bias instability for an INS.
+    output
+        The file of --format.
+    plan
+        No record: expected relative errors of N, B, K and of a drift's σ and τ. Takes the options below.
+    noise
+        Angle random walk, such as "0.1 deg/sqrt(h)".
+    bias_instability
+        Such as "2 deg/h".
+    rate_random_walk
+        Such as "0.5 deg/h/sqrt(h)".
+    drift
+        Standard deviation and correlation time of a Markov process, such as "1 deg/h, 300 s".
+    duration
+        The record's length; several, without it.
+    error
+        The wanted relative error of each, such as "5 %": prints how long the record must be.
+    rate
+        Sample rate.
     plot
         Draw the deviation, its fit and the Direct Bound's curve into this file.
     """
+    if plan:
+        if log is not None:
+            raise ValueError("--plan is for before a record: leave LOG out")
+        return plan_record(
+            noise, bias_instability, rate_random_walk, drift, duration=duration, error=error, rate=rate, json=json
+        )
+    asked = {"--noise": noise, "--drift": drift, "--duration": duration, "--error": error}
+    if used := [name for name, value in asked.items() if value is not None]:
+        raise ValueError(f"{used[0]} goes with --plan")
+    if log is None:
+        raise ValueError("LOG is missing: name a record at rest, or plan one with --plan")
+    if form is not None:
+        if output is None:
+            raise ValueError(f"--format {form} needs the file to write: --output imu.yaml")
+        return _write_noise(log, form, output, force, unit, lag, source)
+    if output is not None:
+        raise ValueError("--output needs --format kalibr or --format ins")
     drawable(plot)
     delta_s, lag_s = quantity(delta, "time", "--delta"), _lag(lag)
     chosen = _terms(terms)
     left_out = [span(text, "--without") for text in without]
     recorded = load(log, source, unit=unit)
     use_float64()
-    from gradcal_jax import identify
     from gradcal_jax.api import instability as work
 
     drawn = []
@@ -232,15 +323,16 @@ def allan(
         rest = work.at_rest(
             recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s, without=left_out
         )
-        deviation = identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid)
-        fit = identify.fit_allan(deviation, terms=chosen, confidence=confidence)
+        deviation, fit = work.allan_of(rest, terms=chosen, confidence=confidence)
+        work.of_sensor(rest, fit)  # asks before anything is printed
         drawn.append((rest, deviation, fit))
     if json:
         rows = [work.allan_row(*one) for one in drawn]
         print(as_json({"simulated": recorded.simulated, "channels": rows}))
     else:
         print(described(recorded, str(log)))
-        for rest, _, fit in drawn:
+        for rest, _, of_rows in drawn:
+            fit = work.of_sensor(rest, of_rows)
             print("\n" + strong(f"axis {rest.axis}, unit {rest.unit}"))
             print(_allan_text(fit))
             for message in (*work.allan_notes(fit), *rest.messages):
@@ -250,12 +342,12 @@ def allan(
         for rest, _, _ in drawn:
             try:
                 bounds.append(work.instability(rest, averaging_time_s=delta_s))
-            except ValueError as error:
+            except ValueError as problem:
                 bounds.append(None)
                 if not json:
-                    print(f"note: no Direct Bound of axis {rest.axis}: {error}")
+                    print(f"note: no Direct Bound of axis {rest.axis}: {problem}")
         save_figure(lambda plots: plots.identification.draw_allan_and_bound(drawn, bounds), plot, quiet=json)
-    return DONE if all(work.plausible(fit) for _, _, fit in drawn) else NOT_AS_WISHED
+    return DONE if all(work.plausible(work.of_sensor(rest, fit)) for rest, _, fit in drawn) else NOT_AS_WISHED
 
 
 _TERMS = {"q": "quantisation", "n": "angle_random_walk", "b": "bias_instability", "k": "rate_random_walk"}

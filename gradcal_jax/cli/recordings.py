@@ -1,6 +1,6 @@
 """Reading and describing a LOG of any kind, for all commands that take one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -11,7 +11,8 @@ from gradcal_jax.pages.plain_text import columns
 if TYPE_CHECKING:
     from gradcal_jax.files.log import Log
 
-LogFile = Annotated[Path, Parameter(help="A log (.nc), a flight log, or another program's table with --columns.")]
+LOG_HELP: Final = "A log (.nc), a flight log, or another program's table with --columns."
+LogFile = Annotated[Path, Parameter(help=LOG_HELP)]
 
 _NETCDF: Final = (".nc", ".nc4", ".h5", ".hdf5")
 
@@ -31,12 +32,16 @@ class Recording:
         Only up to this time of the record.
     rows
         Only these rows of the source, counted from 0: "1000..250000", or open as in "1000..".
+    sensor_rate
+        Rate of the sensor's own samples, such as "400 Hz", where rows are single ones of them; "means" where they are
+        their means.
     """
 
     columns: Annotated[Path | None, Parameter(name="--columns")] = None
     begin: Annotated[str | None, Parameter(name="--from")] = None
     end: Annotated[str | None, Parameter(name="--to")] = None
     rows: Annotated[str | None, Parameter(name="--rows")] = None
+    sensor_rate: Annotated[str | None, Parameter(name="--sensor-rate")] = None
 
 
 WHOLE: Final = Recording()
@@ -47,6 +52,21 @@ def load(path: Path, source: Recording = WHOLE, *, unit: str | None = None) -> "
 
     `unit` is needed for a flight log with several units at different clocks. Raises `ValueError`.
     """
+    return _stated(_load(path, source, unit), source)
+
+
+def _stated(log: "Log", source: Recording) -> "Log":
+    """The log with the rate of the sensor that the option states."""
+    from gradcal_jax.files.log import SENSOR_RATE
+
+    if source.sensor_rate is None:
+        return log
+    if source.sensor_rate != "means" and not quantity(source.sensor_rate, "frequency", "--sensor-rate") > 0.0:
+        raise ValueError(f"--sensor-rate {source.sensor_rate!r}: must be positive")
+    return replace(log, provenance={**log.provenance, SENSOR_RATE: source.sensor_rate})
+
+
+def _load(path: Path, source: Recording, unit: str | None) -> "Log":
     from gradcal_jax.files.log import part_of
     from gradcal_jax.files.log_file import read_log
     from gradcal_jax.files.vehicle import is_vehicle_log, read_vehicle_log
@@ -79,7 +99,7 @@ def load_all(path: Path, source: Recording = WHOLE) -> "list[Log]":
     begin = None if source.begin is None else quantity(source.begin, "time", "--from")
     end = None if source.end is None else quantity(source.end, "time", "--to")
     rows = None if source.rows is None else _rows(source.rows)
-    return [part_of(log, begin_s=begin, end_s=end) for log in read_vehicle_logs(path, rows=rows)]
+    return [_stated(part_of(log, begin_s=begin, end_s=end), source) for log in read_vehicle_logs(path, rows=rows)]
 
 
 def _rows(text: str) -> tuple[int, int | None]:

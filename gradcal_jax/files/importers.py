@@ -1,4 +1,4 @@
-"""Recordings of other programs -> `Log`: CSV and other text tables, NumPy's `.npz` and `.npy`, MATLAB v5 files.
+"""Recordings of other programs -> `Log`: text tables, NumPy's `.npz` and `.npy`, MATLAB v5 files, Parquet.
 
 A small TOML file has the meaning of the columns, with units:
 
@@ -19,6 +19,8 @@ A small TOML file has the meaning of the columns, with units:
     x = { column = "ax", unit = "m/s^2" }     # as for rates
     [table_angle]
     inner = { column = 4, unit = "deg" }      # text and .npy: also by number, counted from 0
+    where = { column = "id", equals = 1 }     # of several sensors in the same columns the rows of one
+    sensor_rate = "400 Hz"                    # where rows are single samples of a faster sensor, every n-th, no means
     [csv]
     delimiter = ";"                           # ",", ";", "tab" or "whitespace"; header = false, comment = "#", skip = 0
     decimal   = ","                           # 1,5 for one and a half; encoding = "latin-1" where it is not UTF-8
@@ -39,11 +41,12 @@ from pydantic import Field
 
 from gradcal_jax.files.column_guess import contradiction
 from gradcal_jax.files.document import parsed, read_text
-from gradcal_jax.files.log import Floats, Log, LogError, naming
-from gradcal_jax.files.log_faults import Columns, Policy, examine
+from gradcal_jax.files.log import SENSOR_RATE, Floats, Log, LogError, naming
+from gradcal_jax.files.log_faults import Columns, Policy, at_rows_with_rates, examine
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import Flag, Frequency, Number, PositiveRate, Whole
 from gradcal_jax.files.section import Section
+from gradcal_jax.files.table_readers import read_table
 from gradcal_jax.files.tables import (
     AngleColumn,
     ForceColumn,
@@ -55,7 +58,7 @@ from gradcal_jax.files.tables import (
     TemperatureColumn,
     TextTable,
     TimeColumn,
-    read_table,
+    Where,
 )
 
 FORMAT: Final = "gradcal-columns/1"
@@ -92,6 +95,9 @@ class ColumnMap(Section):
     """Name or serial number of the sensor."""
     sample_rate: Frequency | None = None
     """As stated; needed where there is no time."""
+    sensor_rate: Frequency | None = None
+    """Rate of the sensor's own samples, where rows are single ones of them, such as every 400th; leave it out where
+    rows are their means."""
     full_scale: PositiveRate | None = None
     """Rate at which the sensor saturates."""
     skip_first: Whole = 0
@@ -118,6 +124,10 @@ class ColumnMap(Section):
     """Columns of the table's rates, by axis."""
     sensor: Annotated[tuple[SensorColumns, ...], Field(max_length=1000)] = ()
     """Several sensors, in the place of `rate`, `force`, `temperature` and `status`."""
+    interpolate: Flag = False
+    """Where channels have rows of their own: the rows with rates are taken, and the other channels interpolated."""
+    where: Where | None = None
+    """Of several sensors in the same columns the rows of one, such as `{ column = "id", equals = 1 }`."""
     csv: TextTable = TextTable()
     """How a text file is laid out."""
     policy: Policy = Policy()
@@ -177,16 +187,19 @@ def read_column_map(path: str | Path) -> ColumnMap:
 def import_log(path: str | Path, columns: ColumnMap, *, rows: tuple[int, int | None] | None = None) -> Log:
     """The log in a recording of another program, examined by the map's policy; of some rows only, if asked.
 
-    The ending tells the kind: .csv, .txt, .tsv, .dat, .log, .asc (text), .npz, .npy, .mat (MATLAB up to version 7).
+    The ending tells the kind: .csv, .txt, .tsv, .dat, .log, .asc (text; also .csv.gz), .npz, .npy, .mat (MATLAB up to
+    version 7), .parquet.
 
     **Raises:** `LogError` with a sentence, for a file that is not what its ending says, for columns that are not there,
     and for faults that the policy refuses.
     """
     path = Path(path)
     _refuse_contradictions(columns)
-    table = read_table(path, columns.csv, list(columns.sources()))
+    table = read_table(path, columns.csv, list(columns.sources()), where=columns.where)
     with naming(path):
         log = _columns(table, columns, path.name)
+        if columns.interpolate:
+            log = at_rows_with_rates(log)
         return examine(log if rows is None else log.part(rows), columns.policy)
 
 
@@ -243,5 +256,6 @@ def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:
         marked=marked if any(sensor.status for sensor in sensors) else None,
         left_out=left_out if columns.skip_first else None,
         simulated=columns.simulated,
-        provenance={"source": name},
+        provenance={"source": name}
+        | ({} if columns.sensor_rate is None else {SENSOR_RATE: f"{float(columns.sensor_rate):.9g} Hz"}),
     )

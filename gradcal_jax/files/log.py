@@ -33,6 +33,9 @@ from gradcal_jax.files.problems import instead
 FORMAT: Final = "gradcal-log/1"
 SERIAL_NUMBER: Final = "serial_number"
 """Key, in the provenance of a log and of its calibration, of the number that the device itself stated."""
+SENSOR_RATE: Final = "sensor_rate"
+"""Key, in the provenance of a log, of the rate ("400 Hz") of the sensor's samples of which rows are single ones;
+"means" where rows are their means, "unknown" where those of a raw channel are far apart and the source is silent."""
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 Flags = NDArray[np.uint16]
@@ -80,6 +83,7 @@ class Reason(IntFlag):
     LEFT_OUT = 32
     MISSING_FORCE = 64
     FROZEN_VALUES = 128
+    FAR_FROM_NEIGHBOURS = 256
 
     @property
     def words(self) -> str:
@@ -326,6 +330,14 @@ class Log:
         """The number of an axis given by name or number. Raises `LogError`."""
         return _index(axis, self.axes, "axis")
 
+    def channel(self, axis: str | int, unit: str | int = 0, *, force: bool = False) -> Floats:
+        """`(n,)`: the rates of one axis, or its specific forces."""
+        if not force:
+            return self.rate_rad_per_s[self.unit_index(unit), :, self.axis_index(axis)]
+        if self.specific_force_m_per_s2 is None:
+            raise LogError("the log has no specific forces")
+        return self.specific_force_m_per_s2[self.unit_index(unit), :, _index(axis, self.force_axes, "force axis")]
+
     def triads(self, unit: str | int = 0) -> tuple[Floats, Floats]:
         """Rates and specific forces `(n, 3)` along x, y, z; NaN for axes that the log does not have."""
         number, result = self.unit_index(unit), np.full((2, len(self.time_s), 3), np.nan)
@@ -362,17 +374,19 @@ class Log:
                     result[reason.words] = result.get(reason.words, 0) + count
         return result
 
-    def even(self, axis: str | int = 0, unit: str | int = 0) -> EvenSeries:
-        """One axis on an even grid, with one invalid point for each gap of any length: no window may span one.
+    def even(self, axis: str | int = 0, unit: str | int = 0, *, force: bool = False) -> EvenSeries:
+        """One axis on an even grid, with one invalid point for each gap of any length: no window may span one; of the
+        accelerometers, if `force`, in m/s².
 
         The interval is the mean one; jitter of the stamps about it has no effect on sums of rates.
         """
-        unit_number, axis_number = self.unit_index(unit), self.axis_index(axis)
+        values = self.channel(axis, unit, force=force)
+        unit_number = self.unit_index(unit)
         rows = len(self.time_s)
         row = np.insert(np.arange(rows), self.stretch_starts[1:], -1)
         there = row >= 0
         valid = there & self.usable(unit)[row]
-        rate = np.where(there, self.rate_rad_per_s[unit_number, row, axis_number], 0.0)
+        rate = np.where(there, values[row], 0.0)
         rate[~valid] = 0.0
         temperature = None
         if self.temperature_c is not None:

@@ -59,7 +59,7 @@ class Mountings(_Variable[PerSample, Literal["1"]]):
 
 class Statuses(_Variable[PerUnit, Literal["1"]]):
     """0: usable; otherwise bits: 1 no rate, 2 saturated, 4 marked, 8 no temperature, 16 it is frozen, 32 left out,
-    64 no specific force, 128 a value is frozen.
+    64 no specific force, 128 a value is frozen, 256 far from its neighbours.
     """
 
 

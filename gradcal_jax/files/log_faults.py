@@ -12,13 +12,13 @@
     missing temperature         a temperature that is no finite number                                mask, keep, refuse
     frozen temperature          unchanged for long, in a record where it changes                      mask, keep, refuse
     wrong unit                  sizes that no sensor has; a factor against the table or stated rate   keep, refuse
+    rows in turns               rows that are nearer to the next but one than to the next                 keep, refuse
     uneven stamps               apart by unlike times, and yet never far from an even clock               keep
     clock drift                 sample rate against the stated one, against the host, or wandering    keep, refuse
 
 *mask* takes the rows out of use and counts them, *split* makes two stretches, *keep* only reports, *refuse* raises.
 """
 
-import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, Literal
@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from gradcal_jax import formulas
 from gradcal_jax.files.log import Bools, Finding, Floats, Log, LogError, Reason, intervals_within, mean_interval
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.signal_faults import at_a_limit, frozen_temperature
+from gradcal_jax.files.signal_faults import at_a_limit, frozen_temperature, quiet_windows
+from gradcal_jax.files.uneven_stamps import even_clock
 
 _FASTEST_RATE: Final = 90.0
 """rad/s, 5000 deg/s: beyond the full scale of the sensors that this program calibrates."""
@@ -39,12 +40,10 @@ _GAP: Final = 1.6
 """Intervals: less is jitter."""
 _WINDOW: Final = 5
 """Rows on either side over which stamps make up for jitter."""
-_MANY: Final = 0.005
+_SHORT, _OFTEN = 0.3, 0.05
+"""Intervals so short against the median, in so large a share, are those within bursts."""
 _MANY_ROWS: Final = 20
-_BURSTS: Final = 40
-_WITHIN: Final = 1.5
-"""Least share and number of seeming gaps of uneven stamps, bursts over which their mean is taken, and the longest
-intervals by which they leave an even clock."""
+"""Fewer rows are not many."""
 _COARSE: Final = 0.1
 """Fraction of rows with the stamp of another, above which stamps do not distinguish rows."""
 _RESTART: Final = 10
@@ -65,6 +64,8 @@ _NOISIEST: Final = np.radians(300.0) / 60.0
 _DRIFT: Final = 50e-6
 """Clock errors smaller than this are those of any crystal."""
 _BLOCKS: Final = 50
+_TURNS, _IN_TURNS = 8, 3.0
+"""Most sensors whose rows are in turns, and how many times farther from one another neighbours are then."""
 _ABSURD: Final = 1e12
 """No time (s), rate or temperature is as large: such a number is not a reading."""
 _FACTORS: Final[Mapping[str, float]] = {
@@ -100,6 +101,8 @@ class Policy(Section):
     """Temperatures that stay unchanged for long in a record where they change."""
     wrong_units: Literal["keep", "refuse"] = "refuse"
     """Sizes that no sensor has, and factors against the table or the stated rate."""
+    rows_in_turns: Literal["keep", "refuse"] = "refuse"
+    """Rows that are alike in turns, as those of several sensors in one column are."""
     clock_drift: Literal["keep", "refuse"] = "keep"
     """Sample rates against the stated one, against the host, or wandering."""
 
@@ -168,6 +171,38 @@ def examine(columns: Columns, policy: Policy | None = None) -> Log:
         return _Examination(columns, policy or Policy()).log()
 
 
+def at_rows_with_rates(columns: Columns) -> Columns:
+    """The rows in which all rates are given, with the other channels interpolated to their stamps; farther from a
+    channel's own rows than three of its intervals it is missing. Raises `LogError` where there are no two such rows."""
+    rated: Bools = np.isfinite(columns.rate_rad_per_s).all(axis=(0, 2)).astype(bool)
+    count = len(rated)
+    if np.count_nonzero(rated) < 2:
+        raise LogError("interpolate: no two rows have all rates; leave out what has rows of its own, or join it first")
+    time = np.arange(count) * 1.0 if columns.time_s is None else columns.time_s
+
+    def between(values: Floats) -> Floats:
+        known = np.isfinite(values) & np.isfinite(time)
+        x, order = time[known], np.argsort(time[known], kind="stable")
+        if len(x) < 2:
+            return values[rated]
+        x, y, at = x[order], values[known][order], time[rated]
+        near = np.searchsorted(x, at).clip(1, len(x) - 1)
+        away = np.minimum(np.abs(at - x[near - 1]), np.abs(at - x[near]))
+        return np.where(away <= 3.0 * np.median(np.diff(x)), np.interp(at, x, y), np.nan)
+
+    def each(values: Floats | None, axis: int) -> Floats | None:
+        return None if values is None else np.apply_along_axis(between, axis, values)
+
+    joined = replace(
+        columns.of_rows(rated),
+        specific_force_m_per_s2=each(columns.specific_force_m_per_s2, 1),
+        temperature_c=each(columns.temperature_c, 1),
+        table_angle_rad=each(columns.table_angle_rad, 0),
+        table_rate_rad_per_s=each(columns.table_rate_rad_per_s, 0),
+    )
+    return replace(joined, rows_after=count - int(np.count_nonzero(rated)))
+
+
 class _Examination:
     def __init__(self, columns: Columns, policy: Policy) -> None:
         self.raw = columns
@@ -179,6 +214,7 @@ class _Examination:
 
     def log(self) -> Log:
         rows = self.raw.rate_rad_per_s.shape[1]
+        self.drop_empty_rows()
         time, rows_kept = self.ordered(rows)
         kept = self.raw.of_rows(rows_kept)
         rate, force = kept.rate_rad_per_s, kept.specific_force_m_per_s2
@@ -197,6 +233,7 @@ class _Examination:
             self.temperatures(time, kept.temperature_c, starts)
         self.sizes(time, kept)
         self.clock(time, starts, kept.host_time_s)
+        self.in_turns(rate)
         of_log = {field_.name for field_ in fields(Log)}
         as_it_is = {field_.name: getattr(kept, field_.name) for field_ in fields(kept) if field_.name in of_log}
         examined: dict[str, Any] = {
@@ -210,6 +247,24 @@ class _Examination:
             "provenance": dict(kept.provenance),
         }
         return Log(**as_it_is | examined)
+
+    def drop_empty_rows(self) -> None:
+        """Rows of channels that the map does not name, which are many, are no rows of the record."""
+        raw = self.raw
+        held: Bools = np.isfinite(raw.rate_rad_per_s).any(axis=(0, 2)).astype(bool)
+        for values, axes in ((raw.specific_force_m_per_s2, (0, 2)), (raw.temperature_c, (0,))):
+            if values is not None:
+                held |= np.isfinite(values).any(axis=axes)
+        for values in (raw.table_angle_rad, raw.table_rate_rad_per_s):
+            if values is not None:
+                held |= np.isfinite(values).any(axis=1)
+        count = int(np.count_nonzero(~held))
+        if raw.time_s is None or count < max(_MANY_ROWS, _COARSE * len(held)) or len(held) - count < 2:
+            return
+        self.raw = raw.of_rows(held)
+        self.removed["empty row"] = count
+        text = f"{_rows(count)} hold none of the map's channels, and are left out"
+        self.findings.append(Finding("empty row", "mask", count, text))
 
     def note_fault(self, kind: str, action: str, count: int, message: str) -> None:
         """Note a fault, or raise where the policy refuses it."""
@@ -245,9 +300,12 @@ class _Examination:
         unordered = readable & (time < before)
         self.refuse_restart(time, before, unordered)
         if np.count_nonzero(duplicate) > _COARSE * rows:
+            span = float(np.max(time[readable]) - np.min(time[readable]))
+            own = f'"{(np.count_nonzero(readable) - 1) / span:.6g} Hz"' if span > 0.0 else "what it was"
             raise LogError(
                 f"of {rows} rows {np.count_nonzero(duplicate)} have the stamp of an earlier row: do the stamps count "
-                'too coarsely to tell rows apart? Then leave time out and give sample_rate = "100 Hz", or what it was'
+                f"too coarsely to tell rows apart? Then leave time out and give sample_rate = {own}, by the record's "
+                "own rows and span. Or are rows of several sensors mixed? Then where says whose are meant"
             )
         for kind, where, action, words in (
             ("unreadable row", ~readable, self.policy.unreadable_rows, "without a readable time"),
@@ -282,31 +340,41 @@ class _Examination:
         """The times, and the rows at which stretches begin; even times where stamps are uneven but no row is lost."""
         interval = np.diff(time)
         usual = float(np.median(interval))
+        # In pairs of which some have lost a row most intervals are those between pairs.
+        short = interval < _SHORT * usual
+        if np.mean(short) > _OFTEN:
+            usual = float(np.median(interval[short]))
         suspect = np.flatnonzero(interval > _GAP * usual)
         # Late stamps are followed by early ones; after a gap they are not.
         first = np.maximum(suspect - _WINDOW, 0)
         last = np.minimum(suspect + 1 + _WINDOW, len(time) - 1)
         lost = (time[last] - time[first]) / usual - (last - first)
         gaps = suspect[lost > _GAP - 1.0]
-        if (even := _even_clock(time, len(gaps))) is not None:
-            rate = (len(even) - 1) / float(even[-1] - even[0])
+        if (found := even_clock(time, gaps)) is not None:
+            even, starts, lost_rows = found
+            inside = np.delete(interval, starts[1:] - 1)
+            rate = 1.0 / mean_interval(even, intervals_within(even, starts))
+            words = "most rows are there" if lost_rows else "no row is lost"
             text = (
-                f"the stamps are uneven, {1e3 * np.quantile(interval, 0.01):.3g} … {1e3 * interval.max():.3g} ms "
-                f"apart, and no row is lost: they are taken as even, {rate:.6g} Hz in the mean (sample_rate states it, "
-                "in the place of time)"
+                f"the stamps are uneven, {1e3 * np.quantile(interval, 0.01):.3g} … {1e3 * inside.max():.3g} ms apart, "
+                f"and {words}: they are taken as even, {rate:.6g} Hz in the mean (sample_rate states it, in the place "
+                "of time)"
             )
             self.note_fault("uneven stamps", "keep", 0, text)
-            return even, np.zeros(1, np.int64)
+            if lost_rows:
+                self.note_gaps(starts[1:] - 1, lost_rows, float(np.max(np.diff(even))))
+            return even, starts
         if len(gaps):
             seconds = float(np.sum(interval[gaps])) - usual * len(gaps)
-            dropped = round(seconds / usual)
-            longest = float(np.max(interval[gaps]))
-            text = (
-                f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} with about {dropped} samples dropped, the longest "
-                f"{longest:.3g} s, the first after row {int(gaps[0])} of those kept"
-            )
-            self.note_fault("gap", self.policy.gaps, len(gaps), text)
+            self.note_gaps(gaps, round(seconds / usual), float(np.max(interval[gaps])))
         return time, np.concatenate([[0], gaps + 1]).astype(np.int64)
+
+    def note_gaps(self, gaps: NDArray[np.int64], dropped: int, longest_s: float) -> None:
+        text = (
+            f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} with about {dropped} samples dropped, the longest "
+            f"{longest_s:.3g} s, the first after row {int(gaps[0])} of those kept"
+        )
+        self.note_fault("gap", self.policy.gaps, len(gaps), text)
 
     def rates(self, rate: Floats) -> None:
         missing = np.any(~(np.abs(rate) < _ABSURD), axis=2)
@@ -404,6 +472,23 @@ class _Examination:
                             f"table axis {self.raw.table_axes[table_axis]}: a wrong unit ({words})?"
                         )
 
+    def in_turns(self, rate: Floats) -> None:
+        """Rows of several sensors in turns: a row is nearer to the one after next than to the next."""
+        for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
+            quiet = quiet_windows(rate[unit, self.status[unit] == 0, axis][: 1 << 16])
+            if not quiet.size:
+                continue
+            lags = range(1, _TURNS + 1)
+            apart = [float(np.quantile(np.abs(quiet[:, lag:] - quiet[:, :-lag]), 0.75)) for lag in lags]
+            best = int(np.argmax(np.array(apart) <= 1.2 * min(apart)))
+            if best and min(apart[:best]) > _IN_TURNS * apart[best] > 0.0:
+                text = (
+                    f"axis {self.raw.axes[axis]} of {self.raw.units[unit]}: every {best + 1} rows are alike, and "
+                    "neighbours are not: rows of several sensors in turns? Say whose are meant with where"
+                )
+                self.note_fault("rows in turns", self.policy.rows_in_turns, 0, text)
+                return
+
     def clock(self, time: Floats, starts: NDArray[np.int64], host: Floats | None) -> None:
         action = self.policy.clock_drift
         within = intervals_within(time, starts)
@@ -440,28 +525,6 @@ def _least_walk(values: Floats, interval: float) -> float:
             spread = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
             walks.append(spread * float(np.sqrt(size * interval / 2)))
     return min(walks, default=0.0)
-
-
-def _even_clock(time: Floats, suspects: int) -> Floats | None:
-    """Even times, where stamps that seem to have many gaps stay within a burst of them; None elsewhere.
-
-    Rows that are read from a queue are stamped in bursts, and stamps of whole milliseconds are rounded: both come back
-    to an even clock again and again, where lost rows leave it for ever.
-    """
-    rows = np.arange(len(time), dtype=np.float64)
-    if suspects < max(_MANY_ROWS, _MANY * len(time)):
-        return None
-    slope, first = np.polyfit(rows, time, 1)
-    line = first + slope * rows
-    burst = _WITHIN * float(np.max(np.diff(time)))
-    apart = time - line
-    # The clock may wander slowly: over many bursts.
-    ndimage: Any = importlib.import_module("scipy.ndimage")
-    wander: Floats = ndimage.uniform_filter1d(apart, 2 * (_BURSTS * len(time) // suspects // 2) + 1, mode="nearest")
-    for even in (line, line + wander):
-        if np.ptp(time - even) <= burst and np.all(np.diff(even) > 0.0):
-            return even
-    return None
 
 
 def _wander(interval: Floats) -> float:

@@ -24,7 +24,8 @@ from gradcal_jax.files.document import model_of, read_text, read_toml
 from gradcal_jax.files.log import Floats, LogError, naming
 from gradcal_jax.files.quantity import Flag
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.tables import Name, RateColumn, Source, TemperatureColumn, TextTable, read_table
+from gradcal_jax.files.table_readers import read_table
+from gradcal_jax.files.tables import Name, RateColumn, Source, TemperatureColumn, TextTable
 
 FORMAT: Final = "gradcal-points/1"
 

@@ -30,10 +30,20 @@ _LOOKED_AT, _WINDOW = 1 << 17, 64
 _FROZEN_S: Final = 30.0
 FAR: Final = 10.0
 """Standard deviations from its neighbours beyond which a row is wrong."""
-# Rows around one with which it is compared, and the largest share of wrong ones.
-_AROUND, _RARE = 51, 0.01
+# Rows around one with which it is compared at rest, and in motion; the largest share of wrong ones.
+_AROUND, _BESIDE, _RARE = 51, 5, 0.01
+# Rows of which the noise is taken in motion; rows at the ends of a standstill in which a table may still settle; least
+# rate (Hz) at which a single row is not the motion itself; median distance of white noise from its medians of five.
+_OF_FIVE = 0.49
+_NOISE_OF, _SETTLING, _LEAST_RATE = 200, 25, 20.0
 # Steps of more than this share of the noise add 2 % to its variance.
 _ADDS: Final = 0.5
+# Share of rows of one value, far more frequent than any other.
+_ONE_VALUE: Final = 0.02
+# Share of values near zero of a magnitude; parts of a record in which steps are looked for.
+_AT_ZERO, _PARTS = 0.05, 4
+# Rows of which the noise is taken, and the factor by which it may change.
+_NOISE_BLOCK, _CHANGES = 500, 1.4
 _ROUNDING, _OFF_THE_GRID = 1e-9, 0.05
 # A gap lasts longer than this, and than so many intervals: over less, a rate is interpolated.
 _GAP_S, _GAP_ROWS = 0.25, 4.0
@@ -49,12 +59,13 @@ class StepSizes(NamedTuple):
 
 class SignalFaults(NamedTuple):
     """What the samples of a unit show: rows at which stretches begin, those after gaps included; which rows `(n,)` are
-    at a limit, in which a value stands still, and in which the temperature does; sentences on them, and by its name on
-    coarse steps, which no choice of rows mends."""
+    at a limit, in which a value stands still, which are far from their neighbours, and in which the temperature stands
+    still; sentences on them, and by its name on coarse steps, which no choice of rows mends."""
 
     starts: Whole
     saturated: Bools
     frozen: Bools
+    far: Bools
     frozen_temperature: Bools
     sentences: tuple[str, ...]
     coarse: dict[str, str]
@@ -95,8 +106,8 @@ def coarse_steps(values: Floats) -> StepSizes:
 
 
 def refuse_repeated(where: str, values: Floats) -> str | None:
-    """Raise `LogError` where a channel at rest repeats values for the coarseness of its steps, or within a dead band;
-    or a sentence where the steps add to its noise."""
+    """Raise `LogError` where a channel at rest repeats values for the coarseness of its steps, or within a dead band,
+    or has lost its sign; or a sentence where the steps add to its noise."""
     known = values[np.isfinite(values)]
     if not len(known):
         return None
@@ -114,10 +125,42 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
             f"{where}: its steps ({steps.step:.4g}, SI) are coarse for its noise, which no record of it can tell; log "
             "more digits, or take a smaller full scale"
         )
-    spread = 1.4826 * float(np.median(np.abs(known - np.median(known))))
-    if steps.step > _ADDS * spread > 0.0 and len(distinct) < len(known) // 4:
-        return f"{where}: its steps are {steps.step / spread:.2g} of its noise, and add to it"
+    size, middle = np.abs(known), float(np.median(np.abs(known)))
+    one_sided = len(known) > 10 * _WINDOW and distinct[0] * distinct[-1] >= 0.0
+    if one_sided and np.mean(size < 0.25 * middle) > _AT_ZERO and np.median(np.abs(np.diff(known))) > 0.25 * middle:
+        raise LogError(
+            f"{where}: no row at rest is {'below' if distinct[-1] > 0.0 else 'above'} zero, and many are near it: is "
+            "the sign lost, or a magnitude logged? Log the signed rates"
+        )
+    if counts[most] > _ONE_VALUE * len(known) and counts[most] > _UNUSUAL * np.max(np.delete(counts, most), initial=0):
+        return (
+            f"{where}: {counts[most] / len(known):.2g} of its rows at rest have one value ({distinct[most]:.4g}, SI), "
+            "and no other is as frequent: a dead band? It takes from the noise"
+        )
+    # (The resolution may change in the course of a record.)
+    for part in (known, *np.array_split(known, _PARTS)):
+        quiet, values_of = quiet_windows(part), len(np.unique(part))
+        spread = float(np.sqrt(np.median(quiet.var(axis=1)))) if len(quiet) else 0.0
+        step = steps.step if part is known else coarse_steps(part).step
+        if step > _ADDS * spread > 0.0 and values_of < len(part) // 4:
+            return f"{where}: its steps are {step / spread:.2g} of its noise, and add to it"
     return None
+
+
+def changing_noise(where: str, values: Floats) -> str | None:
+    """A sentence where the noise from row to row of a channel at rest changes in the course of the record."""
+    known = values[np.isfinite(values)]
+    count = min(len(known) // _NOISE_BLOCK, 20)
+    if count < 2:
+        return None
+    blocks = np.stack([np.diff(part[: len(known) // count]).std() for part in np.array_split(known, count)])
+    low, high = float(np.quantile(blocks, 0.1)), float(np.quantile(blocks, 0.9))
+    if low > 0.0 and high < _CHANGES * low:
+        return None
+    return (
+        f"{where}: the noise changes in the course of the record, by a factor of "
+        f"{high / low if low > 0.0 else np.inf:.2g}; what is found is a mean of it"
+    )
 
 
 def at_a_limit(values: Floats) -> Bools:
@@ -151,6 +194,41 @@ def far_from_neighbours(values: Floats) -> Bools:
     apart = np.abs(own - around)
     far = apart > FAR * 1.4826 * float(np.median(apart))
     if np.median(apart) > 0.0 and np.mean(far) < _RARE:
+        result[known[far]] = True
+    return result
+
+
+def glitches(values: Floats, standing: Whole | None) -> Bools:
+    """`(n,)`: rare single rows and pairs of a channel, far from the median of the five rows about them: more than `FAR`
+    standard deviations of the noise about them, or of all standstills, `standing` `(n,)`, within which they are then
+    looked for alone."""
+    apart = np.full(len(values), np.nan)
+    ndimage: Any = importlib.import_module("scipy.ndimage")
+    looked_at = np.isfinite(values)
+    if standing is not None:
+        inside = np.zeros(len(values), bool)
+        for start, stop in formulas.runs(standing >= 0).tolist():
+            inside[start + _SETTLING : max(stop - _SETTLING, start + _SETTLING)] = True
+        looked_at &= inside
+    known = np.flatnonzero(np.isfinite(values))
+    result = np.zeros(len(values), bool)
+    if len(known) < 2 * _NOISE_OF:
+        return result
+    own = values[known]
+    apart[known] = np.abs(own - ndimage.median_filter(own, _BESIDE, mode="reflect"))
+    some = apart[known]
+    blocks = np.median(some[: len(some) // _NOISE_OF * _NOISE_OF].reshape(-1, _NOISE_OF), axis=1)
+    if standing is None:
+        # (The block's own noise and its neighbours': a motion that begins within a block is in the next one, too.)
+        noise = np.repeat(ndimage.maximum_filter1d(blocks, 3, mode="nearest"), _NOISE_OF)
+        noise = np.append(noise, np.full(len(some) - len(noise), noise[-1]))
+    else:
+        here = looked_at[known]
+        noise = np.full(len(some), np.median(some[here]) if here.any() else 0.0)
+    # (In motion a wrong row moves its neighbours' medians, too, but by less.)
+    worst = some >= 0.3 * ndimage.maximum_filter1d(some, _BESIDE)
+    far = (some > FAR / _OF_FIVE * noise) & (noise > 0.0) & worst & looked_at[known]
+    if np.mean(far) < _RARE:
         result[known[far]] = True
     return result
 
@@ -215,10 +293,14 @@ def after_gaps(log: Log) -> tuple[Whole, list[str]]:
     ]
 
 
-def signal_faults(log: Log, unit: str | int = 0, channels: Container[str] | None = None) -> SignalFaults:
-    """What the samples of a unit's `channels` ("gyro x"; None: of all) show by themselves, of rows not masked."""
+def signal_faults(
+    log: Log, unit: str | int = 0, channels: Container[str] | None = None, *, at_rest: bool = False
+) -> SignalFaults:
+    """What the samples of a unit's `channels` ("gyro x"; None: of all) show by themselves, of rows not masked;
+    `at_rest`: of a record in which everything that is not marked as moving stands still."""
     number, usable = log.unit_index(unit), log.usable(unit)
-    saturated, frozen, unknown = (np.zeros(len(usable), bool) for _ in range(3))
+    saturated, frozen, far, unknown = (np.zeros(len(usable), bool) for _ in range(4))
+    slow = log.standstill is None and log.sample_interval_s * _LEAST_RATE > 1.0
     still = dict[bytes, tuple[Bools, list[str]]]()
     starts, sentences = after_gaps(log)
     coarse = dict[str, str]()
@@ -243,9 +325,23 @@ def signal_faults(log: Log, unit: str | int = 0, channels: Container[str] | None
                     f"{where} is saturated in {np.count_nonzero(limit)} rows, at {largest:.4g} {name}: the moves and "
                     "standstills with them are left out"
                 )
-            if (alike := standing_still(own) & ~limit).any():
+            alike = standing_still(own) & ~limit
+            if alike.any():
                 frozen |= alike
                 still.setdefault(alike.tobytes(), (alike, []))[1].append(where)
+            own[limit | alike] = np.nan
+            if at_rest:
+                own = own if log.standstill is None else np.where(log.standstill >= 0, own, np.nan)
+                apart = far_from_neighbours(own)
+            else:
+                apart = np.zeros(len(own), bool) if slow else glitches(own, log.standstill)
+            if apart.any():
+                far |= apart
+                count = np.count_nonzero(apart)
+                sentences.append(
+                    f"{where}: {count} rows ({count / len(own):.2g} of all) are more than {FAR:g} standard deviations "
+                    "from their neighbours, and left out"
+                )
     if log.temperature_c is not None:
         values = np.where(np.isfinite(log.temperature_c[number]), log.temperature_c[number], np.nan)
         unknown = frozen_temperature(log.time_s, values, log.stretch_starts) & usable
@@ -254,17 +350,20 @@ def signal_faults(log: Log, unit: str | int = 0, channels: Container[str] | None
         elif unknown.any():
             still[b""] = (unknown, ["the thermometer"])
     sentences += [_stands_still(", ".join(names), log.time_s, rows) for rows, names in still.values()]
-    return SignalFaults(starts, _whole(log, saturated), frozen, unknown, tuple(sentences), coarse)
+    return SignalFaults(starts, _whole(log, saturated), frozen, far, unknown, tuple(sentences), coarse)
 
 
-def without_faults(log: Log, channels: Container[str] | None = None) -> tuple[Log, dict[str, SignalFaults]]:
-    """The log with such rows masked, without temperatures that stand still, and by unit what was found; `channels` as
-    of `signal_faults`."""
+def without_faults(
+    log: Log, channels: Container[str] | None = None, *, at_rest: bool = False
+) -> tuple[Log, dict[str, SignalFaults]]:
+    """The log with such rows masked, without temperatures that stand still, and by unit what was found; `channels` and
+    `at_rest` as of `signal_faults`."""
     status = np.zeros((len(log.units), len(log.time_s)), np.uint16) if log.status is None else log.status.copy()
-    found = {name: signal_faults(log, name, channels) for name in log.units}
+    found = {name: signal_faults(log, name, channels, at_rest=at_rest) for name in log.units}
     for k, faults in enumerate(found.values()):
         status[k, faults.saturated] |= Reason.SATURATED.value
         status[k, faults.frozen] |= Reason.FROZEN_VALUES.value
+        status[k, faults.far] |= Reason.FAR_FROM_NEIGHBOURS.value
         status[k, faults.frozen_temperature] |= Reason.FROZEN_TEMPERATURE.value
     unknown = np.array([faults.frozen_temperature for faults in found.values()])
     temperature = log.temperature_c

@@ -203,14 +203,18 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
     chosen = np.array([term in terms for term in TERMS])
     tau, variance, interval = allan.averaging_time_s, allan.deviation**2, allan.sample_interval_s
     if len(tau) < chosen.sum():
-        raise ValueError(f"{len(tau)} averaging times do not determine {chosen.sum()} coefficients: record for longer")
+        longest = max(allan.stretch_lengths, default=0) * interval
+        raise ValueError(
+            f"unbroken stretches of at most {longest:.4g} s have {len(tau)} averaging times, which do not determine "
+            f"{chosen.sum()} coefficients"
+        )
     if not np.all(variance > 0):
         raise ValueError("the rate does not change: there is no noise to fit")
     steps = np.rint(tau / interval).astype(np.int64)
     lengths, counts = np.unique(np.array(allan.stretch_lengths), return_counts=True)
     runs = tuple(zip(lengths.tolist(), counts.tolist(), strict=True))
 
-    rows = _octaves(steps, at_least=int(chosen.sum()) + 1)
+    rows = octaves(steps, at_least=int(chosen.sum()) + 1)
     end = _end_of_low_pass(steps[rows], variance[rows], runs, interval)
     low_passed = end > 0
     if low_passed:
@@ -219,7 +223,7 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
         if len(rows) < chosen.sum() + 1:
             raise ValueError(
                 f"samples are averaged over about {end / 2 * interval:.3g} s by a low-pass, and the record holds too "
-                f"few times longer than that for {chosen.sum()} coefficients: record for longer"
+                f"few times longer than that for {chosen.sum()} coefficients"
             )
     fit = whole = _least_squares(steps[rows], variance[rows], runs, interval, chosen, low_passed)
     farthest = float(tau[rows[whole.farthest]])
@@ -231,7 +235,7 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
         if inside.chance >= MISFIT:
             fit, rows = inside, band
             break
-    expected = _design(tau) @ fit.squares
+    expected = design_of_noise(tau) @ fit.squares
     pairs = tuple((m, m) for m in steps.tolist())
     freedom = 2 * expected**2 / _covariances(pairs, runs, interval, fit.squares, fit.rounding)
     expected[rows] = fit.expected
@@ -265,11 +269,11 @@ def _coefficient(square: float, error: float, chosen: bool) -> Coefficient:
     return Coefficient(value, one_sigma, bool(square > _SHOWS * error))
 
 
-def _design(tau: Times) -> Float[np.ndarray, "times 4"]:
+def design_of_noise(tau: Times) -> Float[np.ndarray, "times 4"]:
     return np.stack([3 / tau**2, 1 / tau, np.full_like(tau, _FLICKER), tau / 3], axis=1)
 
 
-def _octaves(steps: Steps, *, at_least: int) -> Int[np.ndarray, " rows"]:
+def octaves(steps: Steps, *, at_least: int) -> Int[np.ndarray, " rows"]:
     """Rows of averaging times about an octave apart; all, where those would be too few."""
     rows = [0]
     for row in range(1, len(steps)):
@@ -284,7 +288,7 @@ def _end_of_low_pass(steps: Steps, variance: Times, runs: Runs, interval: float)
         return 0
     x, y = np.log(steps), np.log(variance)
     white = np.array([0.0, 1.0, 0.0, 0.0])
-    covariance = _covariance(steps, runs, 1.0, white) * np.outer(steps, steps)  # of ln V, if the noise is white
+    covariance = variance_covariance(steps, runs, 1.0, white) * np.outer(steps, steps)  # of ln V, if the noise is white
     bent, after_rounding = np.zeros(len(steps)), False
     for k in range(1, len(steps) - 1):
         weight = np.zeros(len(steps))
@@ -319,7 +323,7 @@ def _least_squares(
     """Generalised least squares on V; weights and coefficients in turn until convergence."""
     tau = steps * interval
     # The reduction by a low-pass beyond its end is c/τ²: a fifth column, present twice for both signs.
-    design = np.column_stack([_design(tau), 1 / tau**2])
+    design = np.column_stack([design_of_noise(tau), 1 / tau**2])
     signs = np.array([[1.0, 1, 1, 1, 1], [0, 0, 0, 0, -1]])
     used = np.append(chosen, low_passed)
     columns, signs = np.nonzero(signs * used)[::-1][0], signs[np.nonzero(signs * used)]
@@ -337,7 +341,7 @@ def _least_squares(
         solution = np.bincount(columns, strengths * signs, minlength=5) / scale
         if low_passed and solution[1] > 0 and turn < 4:
             rounding = max(-solution[4], 0.0) / (1.5 * solution[1] * interval)
-        covariance = _covariance(steps, runs, interval, solution[:4], rounding)
+        covariance = variance_covariance(steps, runs, interval, solution[:4], rounding)
         expected = np.maximum(design @ solution, 1e-3 * variance)
         left = _gaussian(variance, expected, np.diag(covariance))
         if np.allclose(solution, previous, rtol=1e-4, atol=0.0):
@@ -368,7 +372,7 @@ def _gaussian(variance: Times, expected: Times, spread: Times) -> Times:
     return np.sqrt(spread / (square - mean**2)) * (np.cbrt(variance / expected) - mean)
 
 
-def _covariance(
+def variance_covariance(
     steps: Steps, runs: Runs, interval: float, squares: Squares, rounding: float = 0.0
 ) -> Float[np.ndarray, "times times"]:
     """Covariance of the Allan variances under a mixture."""

@@ -70,6 +70,18 @@ def test_whole_milliseconds_are_no_gaps(hz: float, tmp_path: Path):
     assert walk(log) == pytest.approx(N, rel=0.03)
 
 
+@pytest.mark.parametrize("size", [2, 10])
+@pytest.mark.parametrize("kind", ["a gap between bursts", "rows lost within bursts"])
+def test_bursts_with_losses_keep_the_rate_of_the_clock(size: int, kind: str, tmp_path: Path):
+    k = np.arange(20_000)
+    kept = np.random.default_rng(3).random(len(k)) > 0.03 if "rows" in kind else (k < 8000) | (k >= 9000)
+    time = ((k // size) * size + (k % size) * 0.02) / 200.0
+    log = imported(tmp_path, time[kept], noise(len(k), 200.0)[kept])
+    assert set(kinds(log)) == {"uneven stamps", "gap"}
+    assert log.sample_interval_s == pytest.approx(0.005, rel=1e-3)
+    assert walk(log) == pytest.approx(N, rel=0.05)
+
+
 def test_lost_rows_are_still_gaps(tmp_path: Path):
     rng, k = np.random.default_rng(6), np.arange(40_000)
     for kept in (rng.random(len(k)) > 0.05, ~((k > 20_000) & (k < 20_100)), k != 1234):

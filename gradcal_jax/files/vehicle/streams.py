@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from gradcal_jax.files.log import Finding, Floats, Log, LogError, naming, quietly
+from gradcal_jax.files.log import SENSOR_RATE, Finding, Floats, Log, LogError, naming, quietly
 from gradcal_jax.files.log_faults import Columns, Policy, examine
 
 KINDS: Final = {
@@ -46,6 +46,8 @@ class GyroStream:
     host_time_s: Floats | None = None
     notes: tuple[str, ...] = ()
     """Properties of this source that matter for a calibration, in sentences."""
+    sensor_rate: str | None = None
+    """As of `files.log.SENSOR_RATE`."""
 
 
 def is_vehicle_log(path: Path) -> bool:
@@ -98,7 +100,7 @@ def _streams(path: Path) -> list[GyroStream]:
 
 
 def _of_one_clock(streams: Sequence[GyroStream], first: GyroStream) -> list[GyroStream]:
-    return [stream for stream in streams if np.array_equal(stream.time_s, first.time_s)]
+    return [s for s in streams if s.sensor_rate == first.sensor_rate and np.array_equal(s.time_s, first.time_s)]
 
 
 def _log(
@@ -116,7 +118,8 @@ def _log(
         if known
         else None,
         host_time_s=first.host_time_s,
-        provenance={"source": path.name, **_FIRMWARE.get(KINDS.get(path.suffix.lower(), ""), {})},
+        provenance={"source": path.name, **_FIRMWARE.get(KINDS.get(path.suffix.lower(), ""), {})}
+        | ({} if first.sensor_rate is None else {SENSOR_RATE: first.sensor_rate}),
     )
     # A gyro without a thermometer is still useful for its noise.
     policy = Policy(missing_temperatures="mask" if len(known) == len(streams) else "keep")

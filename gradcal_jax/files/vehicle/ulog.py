@@ -5,6 +5,10 @@ sensor_gyro         one sample (or the mean of a FIFO's) of a gyro, rotated to t
 sensor_gyro_fifo    the FIFO itself: `samples` of x, y, z as counts times `scale`, `dt` µs apart, the last one at
                     `timestamp_sample`; no temperature
 sensor_combined     not the sensor: offsets, thermal calibration and the estimator's bias are taken off
+vehicle_imu_status  `gyro_rate_hz`, at which sensor_gyro of `gyro_device_id` is published: the logger keeps every n-th
+
+Without the last, rows of sensor_gyro below 90 Hz are single samples of a rate that the log does not tell: PX4 publishes
+no gyro as slowly.
 """
 
 from collections.abc import Sequence
@@ -17,6 +21,9 @@ from gradcal_jax.files.log import LogError
 from gradcal_jax.files.vehicle.streams import GyroStream, interpolated, library
 
 _RAW: Final = ("sensor_gyro", "sensor_gyro_fifo")
+_SLOWEST_HZ: Final = 90.0
+_THINNED: Final = 1.1
+"""Times the rows' rate, beyond which the published rate is another."""
 
 
 def gyros(path: Path) -> Sequence[GyroStream]:
@@ -24,16 +31,17 @@ def gyros(path: Path) -> Sequence[GyroStream]:
     reader: Any = library("pyulog", "pyulog")
     # Names alone are looked at of what is in sensor_combined.
     with path.open("rb") as opened:
-        log = reader.ULog(opened, [*_RAW, "sensor_combined"])
+        log = reader.ULog(opened, [*_RAW, "sensor_combined", "vehicle_imu_status"])
     topics = [data for data in log.data_list if data.name in _RAW]
-    names = {data.name for data in log.data_list}
+    names = {data.name for data in log.data_list} - {"vehicle_imu_status"}
     start_s = float(log.start_timestamp) * 1e-6
     if not topics:
         only = "only sensor_combined, from which calibration and bias are taken off" if names else "no gyro"
         raise LogError(
             f"the log holds {only}: let PX4 log sensor_gyro, by the thermal calibration bit (4) of SDLOG_PROFILE"
         )
-    singles = {_device(data): _single(data, start_s) for data in topics if data.name == "sensor_gyro"}
+    published = _published(log.data_list)
+    singles = {_device(data): _single(data, start_s, published) for data in topics if data.name == "sensor_gyro"}
     whole = {_device(data): _fifo(data, start_s) for data in topics if data.name == "sensor_gyro_fifo"}
     for name, stream in whole.items():
         thermometer = singles.get(name)
@@ -57,12 +65,31 @@ def _stamps(data: Any) -> Any:
     return np.asarray(np.where(stamps == 0, data.data["timestamp"], stamps), np.int64)
 
 
-def _single(data: Any, start_s: float) -> GyroStream:
+def _published(topics: Any) -> dict[str, float]:
+    """By device id the rate at which it is published, Hz, by the last status."""
+    rates = dict[str, float]()
+    for data in topics:
+        if data.name == "vehicle_imu_status" and {"gyro_device_id", "gyro_rate_hz"} <= set(data.data):
+            known = data.data["gyro_rate_hz"] > 0.0
+            for device, rate in zip(data.data["gyro_device_id"][known], data.data["gyro_rate_hz"][known], strict=True):
+                rates[str(int(device))] = float(rate)
+    return rates
+
+
+def _sensor_rate(device: str, time_s: Any, published: dict[str, float]) -> str | None:
+    own = (len(time_s) - 1) / float(time_s[-1] - time_s[0]) if len(time_s) > 2 and time_s[-1] > time_s[0] else np.inf
+    if device in published:
+        return f"{published[device]:.6g} Hz" if published[device] > _THINNED * own else None
+    return "unknown" if own < _SLOWEST_HZ else None
+
+
+def _single(data: Any, start_s: float, published: dict[str, float]) -> GyroStream:
     rate = np.stack([data.data[axis].astype(np.float64) for axis in "xyz"], axis=1)
     temperature = data.data["temperature"].astype(np.float64) if "temperature" in data.data else None
     if temperature is not None and not np.isfinite(temperature).any():
         temperature = None
-    return GyroStream(_device(data), _stamps(data) * 1e-6 - start_s, rate, temperature)
+    device, time = _device(data), _stamps(data) * 1e-6 - start_s
+    return GyroStream(device, time, rate, temperature, sensor_rate=_sensor_rate(device, time, published))
 
 
 def _fifo(data: Any, start_s: float) -> GyroStream:

@@ -1,0 +1,430 @@
+"""Tables of numbers: CSV and other text (also `.gz`), NumPy's `.npz` and `.npy`, MATLAB v5 files, Parquet, netCDF."""
+
+import array
+import csv
+import gzip
+import importlib
+import itertools
+import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, TextIO, cast
+
+import numpy as np
+
+from gradcal_jax import units
+from gradcal_jax.files.log import Floats, LogError, naming, quietly
+from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
+from gradcal_jax.files.problems import instead
+from gradcal_jax.files.tables import DELIMITERS, Array, Measured, Numbers, Source, TextTable, Where
+
+_LOOKED_AT, _PREAMBLE = 200, 500
+"""First lines in which rows of several sensors, or a checksum, are looked for; lines that may stand above a header."""
+_WHICH: Final = re.compile(
+    r"(?:(?:sensor|imu|device|unit|node|board|channel|gyro|topic|frame|msg|message|source)[ _]?)?"
+    r"(?:id|name|index|no|nr|num|number|type|kind|sensor|imu|device|unit|node|topic|source|instance)",
+    re.IGNORECASE,
+)
+"""A column that may tell several sensors apart."""
+_MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "inf", "-inf")
+"""Words for a missing value."""
+_MANY_UNREAD, _SHARE_UNREAD = 20, 0.02
+"""Values in no notation of numbers beyond which a column is not one of numbers with a few torn ones."""
+_TEXT: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
+_APART: Final = {";": ";", "\t": "tab", ",": ",", "|": "|", " ": "whitespace"}
+_COMMA: Final = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
+_HEXADECIMAL: Final = re.compile(r"0[xX][0-9a-fA-F]+")
+_MINUS: Final = "\u2212"
+_LEADER: Final = "\u2024"
+"""What stands for a point where the decimal sign is a comma: no number has one."""
+_COMMAS: Final = str.maketrans({",": ".", ".": _LEADER})
+_POINT: Final = re.compile(rf"[+-]?[\d.{_LEADER}]+{_LEADER}\d[\d.{_LEADER}]*([eE][+-]?\d+)?")
+_CERTAIN: Final = (_COMMA, _HEXADECIMAL, _POINT)
+"""Patterns of values that are not damaged numbers."""
+_WAYS: Final = {
+    _COMMA: 'a decimal comma; write decimal = "," under [csv]',
+    _POINT: 'a point, where decimal = "," says that the decimal sign is a comma: is it a mark of thousands? Write the '
+    "numbers without it",
+    _HEXADECIMAL: "hexadecimal counts; write them as decimal numbers",
+    re.compile(r"(?=.*[A-Fa-f])[0-9A-Fa-f]{2,16}"): "hexadecimal counts, it seems; write them as decimal numbers",
+    re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}.*|\d{1,2}:\d\d(:\d\d.*)?"): (
+        "dates or times of day; write stamps as seconds, or leave time out and give sample_rate"
+    ),
+}
+
+
+def read_table(
+    path: Path, layout: TextTable, sources: Sequence[Source], *, where: Where | None = None, netcdf: bool = False
+) -> Numbers:
+    """The columns of a file, whose ending tells its kind: .csv, .txt, .tsv, .dat, .log, .asc (text; also with .gz
+    behind it), .npz, .npy, .mat (MATLAB up to version 7), .parquet, and .nc where `netcdf`; of the rows `where` alone.
+    Errors: `LogError` that names the file.
+    """
+    kind = path.suffix.lower()
+    if kind == ".gz":
+        kind = Path(path.stem).suffix.lower()
+        kind = kind if kind in _TEXT else ".gz"
+    readers: dict[str, Callable[[Path, TextTable, Sequence[Source]], Numbers]] = {
+        ".npz": _read_npz,
+        ".npy": _read_npy,
+        ".mat": _read_matlab,
+        ".parquet": _read_parquet,
+        **dict.fromkeys(_TEXT, partial(_read_text_table, where=where)),
+        **({".nc": _read_netcdf} if netcdf else {}),
+    }
+    if kind not in readers:
+        known = ", ".join([*sorted(readers), ".csv.gz"])
+        raise LogError(f"{path}: the ending tells the kind of file; known are {known}")
+    try:
+        if path.is_dir():
+            raise LogError(f"{path} is a directory")
+        size = path.stat().st_size
+    except FileNotFoundError:
+        raise LogError(f"{path} does not exist") from None
+    except (OSError, ValueError) as error:
+        raise LogError(f"{path} cannot be read: {error}") from None
+    if size == 0:
+        raise LogError(f"{path} is empty")
+    with naming(path):
+        table = readers[kind](path, layout, sources if where is None or kind in _TEXT else [*sources, where])
+        if where is not None and kind not in _TEXT:
+            table.kept = where.chosen(table.raw(where))
+        return table
+
+
+def _read_text_table(path: Path, layout: TextTable, sources: Sequence[Source], where: Where | None = None) -> Numbers:
+    delimiter = DELIMITERS.get(layout.delimiter, layout.delimiter)
+    try:
+        with _opened(path, layout) as lines:
+            for _ in range(layout.skip):
+                lines.readline()
+            header = _header(lines, layout, delimiter, sources) if layout.header else []
+            used = sorted({_place(source, header, layout.header) for source in sources})
+            start = lines.tell()
+            some = list(itertools.islice(_tables(iter(lines.readline, ""), layout), _LOOKED_AT))
+            lines.seek(start)
+            _refuse_several(some, layout, delimiter, header, used, where)
+            rows = partial(_prepared, lines, layout, delimiter, some)
+            if where is not None:
+                rows = partial(_only, rows, where, _place(where, header, layout.header), delimiter)
+            values = _quick(rows(), delimiter, layout.comment, used)
+            if values is None:
+                lines.seek(start)
+                names = {place: f"'{header[place]}'" if place < len(header) else f"number {place}" for place in used}
+                values = _patient(rows(), delimiter, layout.comment, names)
+    except (UnicodeError, EOFError, gzip.BadGzipFile) as error:
+        if not isinstance(error, UnicodeError):
+            raise LogError("is no whole gzip file: was it cut off?") from None
+        name = "UTF-8" if layout.encoding == "utf-8-sig" else layout.encoding
+        text = f'is not text in {name}: name its encoding under [csv], such as encoding = "latin-1" or "utf-16"'
+        raise LogError(f"{text}, or is it another kind of file?") from None
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror or error}") from None
+    by_place = {place: values[:, number] for number, place in enumerate(used)}
+    return Numbers(lambda source: by_place[_place(source, header, layout.header)])
+
+
+def _opened(path: Path, layout: TextTable) -> TextIO:
+    if path.suffix.lower() == ".gz":
+        return gzip.open(path, "rt", encoding=layout.encoding)
+    return path.open(encoding=layout.encoding)
+
+
+def _tables(lines: Iterable[str], layout: TextTable) -> Iterator[str]:
+    """The lines of the table alone, as they are."""
+    wanted = None if layout.lines is None else re.compile(layout.lines)
+    for line in lines:
+        if (wanted is None or wanted.search(line)) and line.strip() and not line.lstrip().startswith(layout.comment):
+            yield line
+
+
+def _prepared(lines: TextIO, layout: TextTable, delimiter: str | None, some: Sequence[str]) -> Iterable[str]:
+    """The lines as tables of numbers have them: without others, checksums, decimal commas."""
+    rows: Iterable[str] = lines if layout.lines is None else _tables(lines, layout)
+    tail = re.compile(layout.strip)
+    if any(tail.search(line) for line in some):
+        rows = (tail.sub("", line) for line in rows)
+    # (A point among decimal commas is a mark of thousands, or the map is wrong: it must not become a decimal sign.)
+    return rows if layout.decimal == "." else (line.translate(_COMMAS) for line in rows)
+
+
+def _only(rows: Callable[[], Iterable[str]], where: Where, place: int, delimiter: str | None) -> Iterator[str]:
+    """The lines of one of several sensors."""
+    seen, found = dict[str, None](), False
+    for line in rows():
+        fields = _split(line, delimiter)
+        text = fields[place].strip() if place < len(fields) else ""
+        if text == where.equals or (not isinstance(where.equals, str) and _number(text) == where.equals):
+            found = True
+            yield line
+        elif len(seen) < 8:
+            seen[text] = None
+    if not found:
+        raise LogError(f"where: no row has {where.equals_text} in {where.words()}, but such as {', '.join(seen)}")
+
+
+def _refuse_several(
+    some: Sequence[str],
+    layout: TextTable,
+    delimiter: str | None,
+    header: Sequence[str],
+    used: Sequence[int],
+    where: Where | None,
+) -> None:
+    """A table whose first lines are of several kinds, or of several sensors."""
+    rows = [[field.strip() for field in _split(line, delimiter)] for line in some]
+    places = [k for k, name in enumerate(header) if _WHICH.fullmatch(name)] if layout.header else [0]
+    for place in places if where is None and layout.lines is None else ():
+        values = [row[place] for row in rows if len(row) > place]
+        kinds = list(dict.fromkeys(values))
+        turns = sum(a != b for a, b in itertools.pairwise(values))
+        if place in used or not 1 < len(kinds) <= 0.1 * len(values) or turns < 0.2 * len(values):
+            continue
+        if layout.header:
+            equals = kinds[0] if _number(kinds[0]) == _number(kinds[0]) else f'"{kinds[0]}"'
+            raise LogError(
+                f"column '{header[place]}' has {len(kinds)} values in turns ({', '.join(kinds[:4])}): rows of several "
+                f'sensors? Say whose are meant, such as where = {{ column = "{header[place]}", equals = {equals} }}'
+            )
+        if not any(_number(kind) == _number(kind) for kind in kinds):
+            raise LogError(
+                f"there are lines of several kinds ({', '.join(kinds[:4])}): say which are meant, under [csv], such as "
+                f"lines = '{re.escape(kinds[0])}'"
+            )
+
+
+def _header(lines: TextIO, layout: TextTable, delimiter: str | None, sources: Sequence[Source]) -> list[str]:
+    """The names, with `lines` left at the first row of numbers: the first line with all names of the map, or else the
+    first that is not all numbers; either may itself be commented out."""
+    wanted = {source.column for source in sources if isinstance(source.column, str)}
+    first = lines.tell()
+    for _ in range(_PREAMBLE if wanted else 0):
+        if not (line := lines.readline()):
+            break
+        names = [name.strip() for name in _split(line.strip().lstrip(layout.comment).strip(), delimiter)]
+        if wanted <= set(names):
+            return names
+    lines.seek(first)
+    return _first_names(lines, layout, delimiter)
+
+
+def _first_names(lines: TextIO, layout: TextTable, delimiter: str | None) -> list[str]:
+    remark = ""
+    while True:
+        start = lines.tell()
+        line = lines.readline()
+        plain = line.strip()
+        if plain.startswith(layout.comment):
+            remark = plain.lstrip(layout.comment).strip() or remark
+            continue
+        if plain:
+            names = [name.strip() for name in _split(plain, delimiter)]
+            if any(np.isnan(_number(name)) and name.lower() != "nan" for name in names):
+                return names
+        elif line:
+            continue
+        if remark:
+            lines.seek(start)
+            return [name.strip() for name in _split(remark, delimiter)]
+        raise LogError("there is no line of column names: write header = false under [csv] if there is none")
+
+
+def _split(line: str, delimiter: str | None) -> list[str]:
+    if delimiter is None:
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=delimiter), list[str]())
+    except csv.Error:
+        return line.split(delimiter)
+
+
+def _place(source: Source, header: list[str], named: bool) -> int:
+    if source.index is not None:
+        raise LogError(f"{source.words()}: a text table has no index; name the column itself")
+    if isinstance(source.column, int):
+        if named and source.column >= len(header):
+            raise LogError(f"there is no {source.words()}: the header has {len(header)}, counted from 0")
+        return source.column
+    if not named:
+        raise LogError(f"{source.words()} needs a header; without one columns are numbered from 0")
+    if source.column not in header:
+        apart = next((name for mark, name in _APART.items() if len(header) == 1 and mark in header[0]), None)
+        hint = f'; or is it delimiter = "{apart}", under [csv]?' if apart else ""
+        raise LogError(f"there is no {source.words()}; {instead(source.column, header)}{hint}")
+    if header.count(source.column) > 1:
+        places = " or ".join(str(place) for place, name in enumerate(header) if name == source.column)
+        raise LogError(f"several columns are named '{source.column}': say which by its number, {places}, from 0")
+    return header.index(source.column)
+
+
+def _quick(lines: Iterable[str], delimiter: str | None, comment: str, used: list[int]) -> Floats | None:
+    """All rows at once, by NumPy's compiled reader, where every row is whole; otherwise None."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return np.loadtxt(lines, np.float64, comments=comment, delimiter=delimiter, usecols=used, ndmin=2)
+    except (ValueError, IndexError, OverflowError, UserWarning, DeprecationWarning):
+        return None
+
+
+def _patient(lines: Iterable[str], delimiter: str | None, comment: str, names: Mapping[int, str]) -> Floats:
+    """Row by row: missing values and texts become NaN, which are counted and named later.
+
+    A column without any number, or in another notation of numbers, is an error.
+    """
+    numbers = array.array("d")
+    odd: dict[int, str] = {}
+    unread: dict[int, int] = dict.fromkeys(names, 0)
+    readable: set[int] = set()
+    for line in lines:
+        plain = line.split(comment, 1)[0].strip()
+        if not plain:
+            continue
+        fields = _split(plain, delimiter)
+        for place in names:
+            text = fields[place].strip() if place < len(fields) else ""
+            number = _number(text)
+            numbers.append(number)
+            if number == number:
+                readable.add(place)
+            elif text.lower() not in _MISSING:
+                unread[place] += 1
+                if not any(way.fullmatch(odd.get(place, "")) for way in _CERTAIN):
+                    odd[place] = text
+    if not numbers:
+        raise LogError("there are no rows below the header")
+    for place, text in odd.items():
+        for way, words in _WAYS.items():
+            if way.fullmatch(text) and (place not in readable or way in _CERTAIN):
+                raise LogError(f"column {names[place]} holds {words}: '{text[:40].replace(_LEADER, '.')}'")
+        if place not in readable:
+            raise LogError(f"column {names[place]} holds no numbers, but such as '{text[:40].replace(_LEADER, '.')}'")
+        rows = len(numbers) // len(names)
+        if unread[place] > max(_MANY_UNREAD, _SHARE_UNREAD * rows):
+            raise LogError(
+                f"column {names[place]}: in {unread[place]} of {rows} rows stands no number, but such as "
+                f"'{text[:40].replace(_LEADER, '.')}': in another notation? Mend them, or leave the cells empty"
+            )
+    return np.frombuffer(numbers, np.float64).reshape(-1, len(names))
+
+
+def _number(text: str) -> float:
+    try:
+        return np.nan if "_" in text else float(text.replace(_MINUS, "-"))
+    except ValueError:
+        return np.nan
+
+
+def _read_npz(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:
+    wanted = {str(source.column) for source in sources}
+
+    # Opened here: NumPy leaves the file open where it is no archive.
+    kind = "NumPy's .npz (without pickles)"
+    with quietly(kind), path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
+        # Other arrays are named but not read: they may be large.
+        return _of_arrays({str(name): opened[name] if name in wanted else np.empty(0) for name in opened.files})
+
+
+def _read_npy(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:
+    with quietly("NumPy's .npy (without pickles)"), path.open("rb") as file:
+        values = np.asarray(np.load(file, allow_pickle=False))
+    if values.dtype.names is not None:
+        return _of_arrays({name: values[name] for name in values.dtype.names})
+    if values.ndim != 2:
+        raise LogError("the array needs one row a sample and one column a quantity")
+
+    def find(source: Source) -> Array:
+        if not isinstance(source.column, int) or source.index is not None or source.column >= values.shape[1]:
+            raise LogError(f"there is no {source.words()}: columns are numbered 0 to {values.shape[1] - 1}")
+        return values[:, source.column]
+
+    return Numbers(find)
+
+
+def _read_matlab(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:
+    with path.open("rb") as opened:
+        start = opened.read(128)
+    if start.startswith(b"MATLAB 7.3") or start[:8] == b"\x89HDF\r\n\x1a\n":
+        raise LogError("is a MATLAB 7.3 file: save it again with save(…, '-v7')")
+    with quietly("MATLAB v5"):
+        arrays: dict[str, Any] = importlib.import_module("scipy.io").loadmat(
+            path, appendmat=False, struct_as_record=False
+        )
+        numbers = dict(_leaves({k: a for k, a in arrays.items() if not k.startswith("__")}))
+        return _of_arrays({k: a.ravel() if 1 in a.shape else a for k, a in numbers.items()})
+
+
+def _leaves(arrays: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Array]]:
+    """The arrays of numbers, those within structs by dotted names."""
+    for name, held in arrays.items():
+        if not isinstance(held, np.ndarray):
+            continue
+        values = cast("Array", held)
+        if values.dtype.kind in "fiu":
+            yield before + name, values
+        elif values.dtype == object and values.size == 1:
+            # (A struct is a 1 x 1 array of an object with its fields.)
+            struct: Any = values.item()
+            fields: Sequence[str] = getattr(struct, "_fieldnames", ())
+            yield from _leaves({field: getattr(struct, field) for field in fields}, f"{before}{name}.")
+
+
+def _read_parquet(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:
+    try:
+        parquet: Any = importlib.import_module("pyarrow.parquet")
+    except ImportError:
+        raise LogError(
+            'reading it needs the package pyarrow, of the extra "logs": pip install "gradcal_jax[logs]"'
+        ) from None
+    with quietly("Parquet"):
+        file = parquet.ParquetFile(path)
+        wanted = [str(source.column) for source in sources]
+        table = file.read(columns=[name for name in file.schema_arrow.names if name in wanted])
+        arrays: dict[str, Array] = {str(name): np.empty(0) for name in file.schema_arrow.names}
+        for name in table.column_names:
+            values: Array = table.column(name).to_numpy()
+            # Stamps of a date are counts of its resolution: nanoseconds as a rule.
+            arrays[name] = values.astype(np.int64) if values.dtype.kind == "M" else values
+        return _of_arrays(arrays)
+
+
+def _read_netcdf(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:
+    try:
+        dataset = load_netcdf(path)
+    except NetcdfError as error:
+        raise LogError(f"is no netCDF file that can be read: {error}") from None
+    for source in sources:
+        stated = dataset[source.column].attrs.get("units") if source.column in dataset.variables else None
+        if isinstance(source, Measured) and stated is not None and not _same_unit(str(stated), source.unit):
+            raise LogError(f"{source.words()} is in '{stated}' by its own attribute, and in '{source.unit}' by the map")
+    return _of_arrays({str(name): dataset[name].values for name in dataset.variables})
+
+
+def _same_unit(stated: str, unit: str) -> bool:
+    """Whether two names of units mean the same; an unknown name passes."""
+    for dimension in ("angular rate", "temperature", "time", "angle"):
+        try:
+            ours = units.parse(f"1 {unit}", dimension)
+            return bool(np.isclose(ours, units.parse(f"1 {stated}", dimension), rtol=1e-9))
+        except units.UnitError:
+            continue
+    return True
+
+
+def _of_arrays(arrays: Mapping[str, Array]) -> Numbers:
+    def find(source: Source) -> Array:
+        name = str(source.column)
+        if name not in arrays:
+            raise LogError(f"there is no {source.words()}; {instead(name, arrays)}")
+        values = arrays[name]
+        if values.ndim == 1 and source.index is None:
+            return values
+        if values.ndim == 2 and source.index is not None and source.index < values.shape[1]:
+            return values[:, source.index]
+        raise LogError(
+            f"{source.words()}: the array has the shape {values.shape}; give the index of one of its columns"
+        )
+
+    return Numbers(find)

@@ -1,0 +1,317 @@
+"""Generated records of a gyro at rest, each of a kind that people have, with its truth: white noise of N = 0.3 deg/√h,
+or the words of the question that the kind must raise. `ZOO[name](folder)` writes one and returns it."""
+
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+N = 0.3  # deg/sqrt(h)
+ROWS, HZ = 12_000, 100.0
+HEAD = 'format = "gradcal-columns/1"\n'
+TIME = 'time = { column = "t", unit = "s" }\n'
+RATE = 'rate.x = { column = "gx", unit = "deg/s" }\n'
+MAP = HEAD + TIME + RATE
+
+
+class Recorded(NamedTuple):
+    """A file with its map; `asks`: a pattern of the question, or of the note that makes the figure doubtful; None: the
+    figure must be right, `walk` within its own interval."""
+
+    path: Path
+    columns: str
+    asks: str | None = None
+    walk: float = N
+
+
+ZOO: dict[str, Callable[[Path], Recorded]] = {}
+
+
+def kind(function: Callable[[Path], Recorded]) -> Callable[[Path], Recorded]:
+    ZOO[function.__name__] = function
+    return function
+
+
+def noise(rows: int = ROWS, hz: float = HZ, seed: int = 1, bias: float = 0.02) -> np.ndarray:
+    """deg/s"""
+    return bias + np.random.default_rng(seed).standard_normal(rows) * N / 60.0 * np.sqrt(hz)
+
+
+def text(folder: Path, rows: list[str], header: str = "t,gx", name: str = "record.csv", **options: str) -> Path:
+    path = folder / name
+    path.write_text("\n".join([header, *rows]) + "\n", **({"encoding": "utf-8"} | options))
+    return path
+
+
+def table(folder: Path, time: np.ndarray, rate: np.ndarray, stamp: str = ".6f", value: str = ".6f") -> Path:
+    return text(folder, [f"{t:{stamp}},{v:{value}}" for t, v in zip(time, rate, strict=True)])
+
+
+K = np.arange(ROWS)
+
+
+def stamped(name: str, time: np.ndarray, columns: str = MAP, asks: str | None = None, hz: float = HZ, **fmt: str):
+    """A kind of stamps, of rows that are sound."""
+    ZOO[name] = lambda folder: Recorded(table(folder, time, noise(len(time), hz), **fmt), columns, asks)
+
+
+def valued(name: str, change: Callable[[np.ndarray], np.ndarray], asks: str | None = None, **fmt: str):
+    """A kind of values, of stamps that are sound."""
+
+    def write(folder: Path) -> Recorded:
+        rate = change(noise())
+        return Recorded(table(folder, K[: len(rate)] / HZ, rate, **fmt), MAP, asks)
+
+    ZOO[name] = write
+
+
+def in_unit(unit: str) -> str:
+    return HEAD + f'time = {{ column = "t", unit = "{unit}" }}\n' + RATE
+
+
+rng = np.random.default_rng(17)
+stamped("seconds", K / HZ)
+stamped("milliseconds", K * 10.0, in_unit("ms"), stamp=".0f")
+stamped("microseconds", K * 1e4, in_unit("us"), stamp=".0f")
+stamped("nanoseconds of an epoch", 1_700_000_000_000_000_000 + K * 10_000_000, in_unit("ns"), stamp="d")
+stamped("an epoch with two decimals", 1_700_000_000.0 + K / HZ, stamp=".2f")
+stamped("seconds of 32 bits", np.float32(40_000.0 + K / HZ).astype(float))
+stamped("seconds of 32 bits that repeat", np.float32(400_000.0 + K / HZ).astype(float), asks="too coarsely")
+stamped("1 kHz", K / 1000.0, hz=1000.0)
+stamped("8 kHz in microseconds", np.rint(K * 125.0), in_unit("us"), hz=8000.0, stamp=".0f")
+stamped("bursts of twenty", (K // 20) * 0.2 + (K % 20) * 1e-4)
+stamped("pairs", (K // 2) * 0.02 + (K % 2) * 2e-4)
+stamped("threes", (K // 3) * 0.03 + (K % 3) * 1e-3)
+stamped("bursts at unlike times", (K // 20) * 0.2 + (K % 20) * 1e-4 + 0.02 * rng.random(ROWS // 20)[K // 20])
+stamped("whole milliseconds at 800 Hz", np.floor(K / 0.8) / 1000.0, hz=800.0)
+stamped("whole milliseconds at 300 Hz", np.floor(K / 0.3) / 1000.0, hz=300.0)
+stamped("jitter", K / HZ + 5e-4 * rng.standard_normal(ROWS))
+stamped("late stamps, now and then", K / HZ + np.where(rng.random(ROWS) < 0.002, 0.004, 0.0))
+stamped("a clock that wanders", np.cumsum(0.01 * (1.0 + 3e-4 * np.sin(K / 3000.0))))
+stamped("whole seconds", np.floor(K / HZ), asks='too coarsely.*sample_rate = "100', stamp=".0f")
+stamped("every stamp twice", (K // 2) / 50.0, asks="too coarsely")
+stamped("16 bits of microseconds", (K * 10_000) % 2**16, in_unit("us"), asks="wrap|steps back|too coarsely", stamp="d")
+stamped("32 bits of microseconds", (2**32 - 60_000_000 + K * 10_000) % 2**32, in_unit("us"), "wrapped", stamp="d")
+stamped("a restart", np.where(K < 6000, K, K - 6000) / HZ, asks="steps back")
+stamped("the end of a week", (604_740.0 + K / HZ) % 604_800.0, asks="steps back")
+stamped("newest first", (ROWS - K) / HZ, asks="steps back|newest first")
+stamped("milliseconds as seconds", K * 10.0, asks="another unit|no gyro")
+stamped("seconds as milliseconds", K / HZ, in_unit("ms"), asks="another unit|fibre-optic")
+stamped("a step of the network's time", K / HZ + (K > 7000) * 1.0)
+stamped("a step back of the network's time", K / HZ - (K > 7000) * 1.0, asks="steps back")
+
+
+def lost(name: str, kept: np.ndarray):
+    ZOO[name] = lambda folder: Recorded(table(folder, K[kept] / HZ, noise()[kept]), MAP)
+
+
+lost("a twentieth lost", rng.random(ROWS) > 0.05)
+lost("a fifth lost", rng.random(ROWS) > 0.2)
+lost("one long gap", (K < 5000) | (K > 6000))
+lost("every hundredth lost", K % 100 != 0)
+
+
+@kind
+def rows_that_changed(folder: Path) -> Recorded:
+    rate = np.rint(noise() / 0.05) * 0.05
+    kept = np.diff(rate, prepend=9.0) != 0.0
+    return Recorded(table(folder, K[kept] / HZ, rate[kept]), MAP, "gaps with about")
+
+
+def spiked(rate: np.ndarray, rows: np.ndarray, by: float) -> np.ndarray:
+    result = rate.copy()
+    result[rows] += by
+    return result
+
+
+def replaced(rate: np.ndarray, rows: np.ndarray, by: float) -> np.ndarray:
+    result = rate.copy()
+    result[rows] = by
+    return result
+
+
+FEW = rng.choice(ROWS, 8, replace=False)
+ZEROS = rng.choice(ROWS, 30, replace=False)
+valued("spikes", lambda w: spiked(w, FEW, 18.0))
+valued("pairs of spikes", lambda w: spiked(spiked(w, FEW[:4], 9.0), (FEW[:4] + 1) % ROWS, -9.0))
+valued("rows of the least count", lambda w: replaced(w, FEW, -1000.0))
+valued("rows of zeros", lambda w: replaced(w + 5.0, ZEROS, 0.0))
+valued("a channel that freezes", lambda w: replaced(w, np.arange(3000, 3400), w[3000]), asks="frozen")
+valued("a drift of temperature", lambda w: w + 5e-5 * K, "do not follow|no angle|trend")
+valued(
+    "half of the resolution after an hour", lambda w: np.where(K < 6000, w, np.rint(w / 0.1) * 0.1), "noise|coarse|step"
+)
+valued("bits that flip", lambda w: np.where(np.isin(K, FEW), w + 2.0**6 * 0.061, w))
+valued("a sign that is lost", np.abs, "sign")
+valued("noise that doubles", lambda w: 0.02 + (w - 0.02) * np.where(K < 6000, 1.0, 3.0), "noise changes")
+valued(
+    "a filtered median",
+    lambda w: np.median(np.stack([noise()[k : k + ROWS - 4] for k in range(5)]), 0)[np.minimum(K, ROWS - 5)],
+    "low-pass",
+)
+valued("upsampled by lines", lambda w: np.interp(K / 4.0, np.arange(ROWS // 4 + 1), noise(ROWS // 4 + 1, 25.0)))
+valued("floats of 16 bits", lambda w: np.float16(w).astype(float))
+valued(
+    "a bias that is taken off each second", lambda w: w - np.repeat(w.reshape(-1, 100).mean(1), 100), "do not follow"
+)
+valued("jumps of the bias", lambda w: w + 0.05 * np.array([0, 1, 0, 2, 1, 3])[K * 6 // ROWS])
+valued("a dead band", lambda w: np.where(np.abs(w - 0.02) < 0.12, 0.0, w), "dead band")
+valued("a small dead band", lambda w: np.where(np.abs(w) < 0.02, 0.0, w), "a dead band")
+valued("two values", lambda w: np.rint((w - 0.02) / 0.5 + 0.5) * 0.5, "dead band|coarse")
+valued("one value in most rows", lambda w: np.rint(w / 0.5) * 0.5, "dead band|coarse")
+valued("steps of the noise", lambda w: np.rint(w / 0.05) * 0.05, "of its noise, and add to it")
+valued("steps of a fifth of the noise", lambda w: np.rint(w / 0.01) * 0.01)
+valued("one constant value", lambda w: np.full(ROWS, 0.25), "one value|does not change")
+valued("counts of 16 bits without a sign", lambda w: np.rint(w / 0.004) % 65536, "too large a unit")
+valued("the mean of 8 samples", lambda w: np.convolve(noise(ROWS + 7), np.ones(8) / 8, "valid"))
+valued("a sample that is read twice", lambda w: np.repeat(noise(ROWS // 2, 50.0), 2))
+valued("a sample that is read four times", lambda w: np.repeat(noise(ROWS // 4, 25.0), 4))
+valued("an angle instead of a rate", lambda w: np.cumsum(w) / HZ, "does not|no angle random walk|do not follow|trend")
+valued("a hum of the mains", lambda w: w + 0.3 * np.sin(2 * np.pi * 9.7 * K / HZ), "do not follow")
+valued("a sensor that was moved", lambda w: w + 30.0 * np.exp(-(((K - 6000) / 200.0) ** 2)), "do not follow|any gyro")
+
+
+def turned(periods: int):
+    """Several sensors in turns, a row each."""
+    return lambda w: w + np.array([0.0, 1.3, -0.9, 2.1])[K % periods]
+
+
+valued("two sensors in turns", turned(2), "several sensors in turns")
+valued("three sensors in turns", turned(3), "several sensors in turns")
+
+
+def lines(name: str, header: str, row: Callable[[int, float], str], more: str = "", asks: str | None = None, **options):
+    """A kind of text."""
+    rate = noise()
+    base = options.pop("base", MAP)
+    ZOO[name] = lambda folder: Recorded(
+        text(folder, [row(k, v) for k, v in enumerate(rate)], header, **options), base + more, asks
+    )
+
+
+def german(value: float, digits: int) -> str:
+    return f"{value:,.{digits}f}".replace(",", " ").replace(".", ",").replace(" ", ".")
+
+
+SEMI = '[csv]\ndelimiter = ";"\ndecimal = ","\n'
+COUNTS = HEAD + TIME + 'rate.x = { column = "gx", unit = "deg/s", scale = 5e-4, zero = 1000 }\n'
+lines("decimal commas", "t;gx", lambda k, v: f"{k / HZ:.2f};{v:.6f}".replace(".", ","), SEMI)
+lines("decimal commas, not said", "t;gx", lambda k, v: f"{k / HZ:.2f};{v:.6f}".replace(".", ","),
+      '[csv]\ndelimiter = ";"\n', "decimal comma")  # fmt: skip
+lines("marks of thousands", "t;gx", lambda k, v: f"{k / HZ:.2f}".replace(".", ",") + ";" + german(1000 + v / 5e-4, 0),
+      SEMI, "mark of thousands", base=COUNTS)  # fmt: skip
+lines("Swiss thousands", "t,gx", lambda k, v: f"{k / HZ:.2f}," + f"{1000 + v / 5e-4:,.0f}".replace(",", "'"),
+      "", "notation", base=COUNTS)  # fmt: skip
+lines("spaces between thousands", "t,gx", lambda k, v: f"{k / HZ:.2f}," + f"{1000 + v / 5e-4:,.0f}".replace(",", " "),
+      "", "notation", base=COUNTS)  # fmt: skip
+lines("a typographic minus", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}".replace("-", "\u2212"))
+lines("brackets for a minus", "t,gx", lambda k, v: f"{k / HZ:.2f}," + (f"({-v:.6f})" if v < 0 else f"{v:.6f}"),
+      "", "notation")  # fmt: skip
+lines("units in the cells", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f} deg/s", "", "no numbers")
+lines("hexadecimal counts", "t,gx", lambda k, v: f"{k / HZ:.2f},0x{round(1000 + v / 5e-4):04X}", "", "hexadecimal",
+      base=COUNTS)  # fmt: skip
+lines("times of day", "t,gx", lambda k, v: f"12:{k // 6000:02d}:{k % 6000 / 100:05.2f},{v:.6f}", "", "times of day")
+lines("exponents", "t,gx", lambda k, v: f"{k / HZ:.6e},{v:.6e}")
+lines("tabs", "t\tgx", lambda k, v: f"{k / HZ:.2f}\t{v:.6f}", '[csv]\ndelimiter = "tab"\n')
+lines("a row of units", "t,gx\ns,deg/s", lambda k, v: f"{k / HZ:.2f},{v:.6f}")
+lines("a preamble", "Logger 3\nStart: 12:00, SN 5\n\nDATA_START\nt,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}")
+lines("quotes", '"t","gx"', lambda k, v: f'"{k / HZ:.2f}","{v:.6f}"')
+lines("16 bits a letter", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}", '[csv]\nencoding = "utf-16"\n',
+      encoding="utf-16")  # fmt: skip
+lines("torn lines", "t,gx", lambda k, v: f"{k / HZ:.2f}" if k % 1500 == 7 else f"{k / HZ:.2f},{v:.6f}")
+lines("words for missing values", "t,gx", lambda k, v: f"{k / HZ:.2f}," + ("#N/A" if k % 300 == 9 else f"{v:.6f}"))
+lines("a checksum", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}*{k % 256:02X}")
+lines("an odd ending that is named", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}<{k % 97}>",
+      "[csv]\nstrip = '<[0-9]+>$'\n")  # fmt: skip
+lines("other messages between", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}\nINFO: {k % 97} alive",
+      "[csv]\nlines = '^[0-9]'\n")  # fmt: skip
+lines("an id, and whose", "t,id,gx", lambda k, v: f"{k / HZ:.4f},1,{v:.6f}\n{k / HZ + 0.003:.4f},2,{7 - 2 * v:.6f}",
+      'where = { column = "id", equals = 1 }\n')  # fmt: skip
+lines("an id, and not whose", "t,id,gx", lambda k, v: f"{k / HZ:.4f},1,{v:.6f}\n{k / HZ + 0.003:.4f},2,{v + 0.1:.6f}",
+      "", "several sensors")  # fmt: skip
+lines("names of sensors, and whose", "t,sensor,gx", lambda k, v: f"{k / HZ:.4f},gyr,{v:.6f}\n{k / HZ:.4f},acc,9.8",
+      'where = { column = "sensor", equals = "gyr" }\n')  # fmt: skip
+lines("rows of another channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f},\n{k / HZ + 0.004:.4f},,9.8")
+lines("a slower channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f}," + ("" if k % 4 else f"{9.8 + v:.4f}"),
+      'interpolate = true\n[force]\nx = { column = "ax", unit = "m/s^2" }\n')  # fmt: skip
+lines("rad/s by the header", "t,gx (rad/s)", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.9f}", "", "says rad/s",
+      base=HEAD + TIME + 'rate.x = { column = "gx (rad/s)", unit = "deg/s" }\n')  # fmt: skip
+lines("mdps by the header", "t,gx [mdps]", lambda k, v: f"{k / HZ:.2f},{1000 * v:.3f}", "", "says mdps",
+      base=HEAD + TIME + 'rate.x = { column = "gx [mdps]", unit = "deg/s" }\n')  # fmt: skip
+lines("deg/s as rad/s", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}", "", "any gyro|no gyro",
+      base=HEAD + TIME + 'rate.x = { column = "gx", unit = "rad/s" }\n')  # fmt: skip
+lines("a header again and again", "t,gx", lambda k, v: ("t,gx\n" if k % 1000 == 500 else "") + f"{k / HZ:.2f},{v:.6f}")
+
+
+@kind
+def thinned_and_said(folder: Path) -> Recorded:
+    """Single samples at 400 Hz, of which every 40th is written."""
+    return Recorded(table(folder, K / 10.0, noise(ROWS, 400.0)), HEAD + 'sensor_rate = "400 Hz"\n' + TIME + RATE)
+
+
+@kind
+def thinned_and_not_said(folder: Path) -> Recorded:
+    return Recorded(table(folder, K / 10.0, noise(ROWS, 400.0)), MAP, "every n-th of them")
+
+
+@kind
+def means_at_one_hertz(folder: Path) -> Recorded:
+    return Recorded(table(folder, K * 1.0, noise(ROWS, 1.0)), MAP)
+
+
+@kind
+def compressed_text(folder: Path) -> Recorded:
+    plain = table(folder, K / HZ, noise())
+    path = folder / "record.csv.gz"
+    path.write_bytes(gzip.compress(plain.read_bytes()))
+    return Recorded(path, MAP)
+
+
+@kind
+def parquet(folder: Path) -> Recorded:
+    import pyarrow
+    import pyarrow.parquet
+
+    columns = pyarrow.table({"t": 1_700_000_000_000_000_000 + K * 10_000_000, "gx": noise()})
+    pyarrow.parquet.write_table(columns, folder / "record.parquet")
+    return Recorded(folder / "record.parquet", in_unit("ns"))
+
+
+@kind
+def parquet_of_dates(folder: Path) -> Recorded:
+    import pyarrow
+    import pyarrow.parquet
+
+    stamps = pyarrow.array((1_700_000_000_000_000 + K * 10_000), type=pyarrow.timestamp("us"))
+    pyarrow.parquet.write_table(pyarrow.table({"t": stamps, "gx": noise()}), folder / "record.parquet")
+    return Recorded(folder / "record.parquet", in_unit("us"))
+
+
+@kind
+def struct_of_matlab(folder: Path) -> Recorded:
+    from scipy.io import savemat
+
+    held = {"t": K / HZ, "imu": {"wb": np.column_stack([noise(), noise(seed=2)]), "name": "SN-1"}}
+    savemat(folder / "record.mat", held)
+    rate = 'rate.x = { column = "imu.wb", index = 0, unit = "deg/s" }\n'
+    return Recorded(folder / "record.mat", HEAD + TIME + rate)
+
+
+def sentences(name: str, columns: str, asks: str | None = None, mixed: bool = False):
+    """A receiver's text: the last field ends in a checksum."""
+
+    def write(folder: Path) -> Recorded:
+        rows = [f"$VNIMU,1,2,3,0,0,-9.8,{w:.6f},0,{-w:.6f},21.5,101.3*{k % 256:02X}" for k, w in enumerate(noise())]
+        if mixed:
+            rows = [line for k, row in enumerate(rows) for line in (row, f"$VNYPR,{k},{k + 1},{k + 2},1,1,1,0.5,9*00")]
+        return Recorded(text(folder, rows[1:], rows[0], "record.txt"), columns, asks)
+
+    ZOO[name] = write
+
+
+VN = HEAD + 'sample_rate = "100 Hz"\nrate.x = { column = 7, unit = "deg/s" }\n[csv]\nheader = false\n'
+sentences("sentences of a receiver", VN)
+sentences("two kinds of sentences, and which", VN + "lines = '^.VNIMU'\n", mixed=True)
+sentences("two kinds of sentences", VN, "several kinds", mixed=True)

@@ -1,0 +1,97 @@
+"""Records by hand with rows lost, spikes and rows of zeros: filled, said, and no error beyond the covariance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_hand_estimate import AT, G, drawn, held, squared
+
+from gradcal_jax.api.hand_estimate import HandReport, estimate_by_hand
+from gradcal_jax.api.short_gaps import fill_short_gaps
+from gradcal_jax.files.log import Log
+
+
+@pytest.fixture(scope="module")
+def sound() -> tuple[dict[str, float], Log, HandReport]:
+    rng = np.random.default_rng(5)
+    truth = drawn(rng)
+    log = held(truth, rng)
+    (report,) = estimate_by_hand(log, G, options=AT)
+    return truth, log, report
+
+
+def lost(log: Log, rng: np.random.Generator, count: int) -> Log:
+    """Single rows and pairs are missing anywhere."""
+    kept = np.ones(len(log.time_s), bool)
+    begins = rng.choice(len(kept) - 20, count, replace=False) + 10
+    kept[begins] = False
+    kept[begins[::2] + 1] = False
+    after = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1) + 1
+    assert log.specific_force_m_per_s2 is not None
+    assert log.standstill is not None
+    return replace(
+        log,
+        time_s=log.time_s[kept],
+        rate_rad_per_s=log.rate_rad_per_s[:, kept],
+        specific_force_m_per_s2=log.specific_force_m_per_s2[:, kept],
+        standstill=log.standstill[kept],
+        stretch_starts=np.concatenate([[0], after]),
+        rows_read=-1,
+    )
+
+
+def test_lost_rows_in_turns_are_filled(sound):
+    truth, log, before = sound
+    thin = lost(log, np.random.default_rng(2), 150)
+    (report,) = estimate_by_hand(thin, G, options=AT)
+    assert report.solution.turns >= before.solution.turns - 2
+    assert any("rows in gaps of one or two are filled" in words for words in report.messages)
+    distance, count = squared(report, truth)
+    assert distance < 2.0 * count
+
+
+@pytest.mark.parametrize("kind", ["spikes", "zeros"])
+def test_rare_wrong_rows_are_left_out(sound, kind: str):
+    truth, log, _ = sound
+    rng = np.random.default_rng(3)
+    rate, force = log.rate_rad_per_s.copy(), log.specific_force_m_per_s2.copy()
+    rows = rng.choice(len(log.time_s) - 20, 40, replace=False) + 10
+    if kind == "spikes":
+        rate[0, rows, 1] += 5.0
+        force[0, rows[:20], 2] -= 40.0
+    else:
+        rate[0, rows], force[0, rows] = 0.0, 0.0
+    (report,) = estimate_by_hand(
+        replace(log, rate_rad_per_s=rate, specific_force_m_per_s2=force, standstill=None), G, options=AT
+    )
+    (alone,) = estimate_by_hand(replace(log, standstill=None), G, options=AT)
+    assert report.solution.turns >= 0.6 * alone.solution.turns
+    assert any("standard deviations from their neighbours" in words for words in report.messages)
+    distance, count = squared(report, truth)
+    assert distance < 2.0 * count
+
+
+def test_a_sound_record_is_left_as_it_is(sound):
+    _, log, report = sound
+    assert not any("filled" in words or "neighbours" in words for words in report.messages)
+    values = np.concatenate([log.rate_rad_per_s[0], log.specific_force_m_per_s2[0]], axis=1)
+    usable = np.ones(len(values), bool)
+    filled = fill_short_gaps(log.time_s, values, usable, log.standstill, log.stretch_starts, log.sample_interval_s)
+    assert filled.number == 0
+    assert np.array_equal(filled.values, values)
+    assert np.array_equal(filled.time, log.time_s)
+    assert np.array_equal(filled.standing, log.standstill)
+    assert filled.usable.tolist() == [False, *[True] * (len(values) - 1)]
+
+
+def test_a_cubic_is_filled_exactly_and_long_gaps_are_not():
+    t = np.arange(60) * 0.01
+    values = np.stack([t**3 - t, 2.0 - t**2], axis=1)
+    kept = ~np.isin(np.arange(60), [10, 20, 21, 40, 41, 42])
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1) + 1])
+    usable = np.ones(np.count_nonzero(kept), bool)
+    filled = fill_short_gaps(t[kept], values[kept], usable, None, starts, 0.01)
+    assert filled.number == 3
+    assert filled.values[:40] == pytest.approx(values[:40], abs=1e-12)
+    assert len(filled.time) == 57
+    assert np.flatnonzero(~filled.usable).tolist() == [0, 40]

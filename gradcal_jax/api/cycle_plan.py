@@ -143,9 +143,7 @@ class CyclePlan:
             own = self._course.coordinates.vector(*_own_course(self._schedule))
             self.start = self.start._replace(course=tuple(own.tolist()))
         elif not self.turns_free:
-            raise ValueError(
-                NO_COURSE if self.design.free else f"the table stands, and its course is fixed: {NO_COURSE}"
-            )
+            raise ValueError(f"nothing of the plan is free: the table stands, and {NO_COURSE}")
         self.descent = Descent(self._value)
 
     def _past(self, model: ImuModel) -> np.ndarray:

@@ -35,7 +35,7 @@ class FreeCourse(NamedTuple):
         """Stacked ramps of the course of a vector, with cycles of `period` s."""
         course, legs = self.coordinates.programme(z), self.coordinates.stretches
         each = max(_FEWEST, math.ceil(_SAMPLES / legs))
-        shares = (jnp.arange(each) + 0.5) / each
+        shares = (np.arange(each) + 0.5) / each
         knots = jnp.concatenate([jnp.asarray(self.before), jnp.reshape(course.start, (1,)), course.chamber()[1]])
         earlier, since = len(self.before), course.times()
         ramps: list[Ramp] = []

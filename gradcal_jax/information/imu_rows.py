@@ -318,7 +318,7 @@ def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> _Enco
             covariance.append(((every, now, now), spread))
             initial.append(((now, now), first))
             continue
-        stands = reads * xp.where(motion.turns[at.last, k], at_rest, 1.0)
+        stands = reads * xp.where(motion.turns[at.last, k], at_rest.astype(float), 1.0)
         white, drawn = of.reading[k] ** 2, of.offset[k] ** 2
         share = xp.asarray(line.share)[at.last]
         timed = xp.square(line.end_rate()[at.last] * (xp.zeros(axes) + of.timing)[k]) * (reads - stands)

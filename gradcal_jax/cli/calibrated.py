@@ -32,6 +32,7 @@ def apply(
 ) -> int:
     """Correct the rates and specific forces of a log by a calibration, and write them as a log.
 
+    A hysteresis in the calibration follows the temperature along the log.
     The exit status is 1 where rows lie outside the range of the calibration; there its value at the edge is used.
 
     Parameters
@@ -56,12 +57,18 @@ def apply(
     outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
     if json:
         rows = {"rows": corrected.log.counts(0), "outside": outside, "not_calibrated": list(corrected.left_alone)}
+        rows["unknown_branch"] = corrected.unknown_branch
         print(as_json({"log": str(output), "simulated": corrected.log.simulated, **rows}))
     else:
         print(described(corrected.log, str(log)))
         for what, count in outside.items():
             if count:
                 print(f"note: {count} {what} lie outside the range of the calibration: its value at the edge was used")
+        if corrected.unknown_branch:
+            print(
+                f"note: in {corrected.unknown_branch} rows the temperature has not gone far enough to tell the state "
+                "of the hysteresis: the middle of what it may be was used"
+            )
         if corrected.left_alone:
             print(f"note: not calibrated, and left unchanged: {', '.join(corrected.left_alone)}")
         print(f"wrote {output}")

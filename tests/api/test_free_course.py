@@ -65,8 +65,8 @@ def objective(plan: CyclePlan, sharpness: float):
 
 
 def test_the_gradient_goes_through_turning_points_and_slopes():
-    """Central differences at three steps: their error falls with the square of the step down to rounding. The course
-    has reversals within the width of the play, so that its state at each is that of a clamp."""
+    """Central differences at three steps: between the smaller ones the error falls with the square of the step, until
+    rounding; within the largest, a play may begin to move. The course has reversals within the width of the play."""
     plan = CyclePlan(turning())
     value, of = objective(plan, 30.0)
     random = np.random.default_rng(3)
@@ -86,7 +86,7 @@ def test_the_gradient_goes_through_turning_points_and_slopes():
             there[k] = step
             errors.append(abs((float(of_z(z + there)) - float(of_z(z - there))) / (2.0 * step) - slope[k]))
         assert errors[2] < 1e-5 * scale, (k, errors)
-        assert errors[1] < 0.05 * errors[0] or errors[1] < 1e-6 * scale, (k, errors)
+        assert errors[2] < 0.05 * errors[1] or errors[2] < 1e-6 * scale, (k, errors)
 
 
 @pytest.mark.parametrize("back", [False, True])
@@ -95,7 +95,7 @@ def test_the_objective_of_a_free_course_is_about_that_of_its_plan(back):
     value, of = objective(plan, np.inf)
     left = float(np.exp(jax.jit(value)(plan.point(plan.start, of))))
     found = plan.spec_of(plan.start)
-    assert found.schedule.stretches[0].cycles == plan.start.cycles
+    assert found.gradient_schedule.stretches[0].cycles == plan.start.cycles
     assert left == pytest.approx(np.exp(plan.value_of(plan.residuals(found))), rel=0.2)
 
 
@@ -110,7 +110,7 @@ def test_the_plan_of_the_file_is_a_start_and_others_keep_its_time():
     for one in others:
         first, second = [s for s in one.gradient_schedule.segments if s.kind == "ramp"]
         assert first.slope * second.slope < 0.0
-        assert one.schedule.duration == pytest.approx(spec.schedule.duration, abs=0.2)
+        assert one.gradient_schedule.duration == pytest.approx(spec.gradient_schedule.duration, abs=0.2)
         assert max(abs(s.slope) for s in one.gradient_schedule.segments) <= 3.0 / 60.0 + 1e-12
     assert plan.in_words(plan.starts()[1]).endswith("the chamber goes -20 → 60 → -20 degC")
 
@@ -124,16 +124,19 @@ def test_the_command_finds_a_plan_of_two_ways_from_one_way(tmp_path, capsys):
     best = gj.read_recipe(made).spec
     slopes = [s.slope for s in best.gradient_schedule.segments if s.kind == "ramp"]
     assert min(slopes) < 0.0 < max(slopes)
-    assert best.schedule.duration <= spec.schedule.duration + 0.2
+    assert best.gradient_schedule.duration <= spec.gradient_schedule.duration + 0.2
     assert "the chamber goes" in result["structure"]
     for row, old in zip(gj.predict(best).requirements, gj.predict(spec).requirements, strict=True):
+        assert row.decisive is not None
+        assert old.decisive is not None
         assert row.decisive < 0.5 * old.decisive
 
 
 def test_a_course_that_is_not_free_stays():
     spec = gj.changed(turning(), {"design": {"free": ["cycle"]}})
     plan = CyclePlan(spec)
-    assert plan.starts() == [plan.start] and plan.start.course == ()
+    assert plan.starts() == [plan.start]
+    assert plan.start.course == ()
     # Without a hysteresis the course is fixed, unless it is freed by name.
     plain = gj.changed(turning(), {"sensor.gyro.hysteresis": [], "sensor.gyro.scale_factor_hysteresis": []})
     held = gj.changed(plain, {"rig.table.standing": "held"})

@@ -2,12 +2,13 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from gradcal_jax import identify
+from gradcal_jax.api.branches import BRANCHES, branch_of
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.display import summary
 from gradcal_jax.files.log import EvenSeries, Log, LogError
@@ -43,6 +44,29 @@ class RestRecord:
     thermal: identify.ThermalBias | None
     messages: tuple[str, ...]
 
+    part: str = ""
+    """Which part of a record this is, in words; empty: all of it."""
+
+    def within(self, temperature_c: tuple[float, float] | None = None, branch: str | None = None) -> "RestRecord":
+        """The rows within a range of temperature, on a branch of it: "heating", "cooling" or "steady". **Raises:**
+        `LogError` where no usable row is left."""
+        if temperature_c is None and branch is None:
+            return self
+        if self.temperature_c is None:
+            raise LogError("the log has no temperature, so no range or branch of it can be looked at")
+        valid, words = self.valid, list[str]()
+        if temperature_c is not None:
+            low, high = temperature_c
+            valid = valid & (self.temperature_c >= low) & (self.temperature_c <= high)
+            words.append(f"between {low:.4g} and {high:.4g} °C")
+        if branch is not None:
+            of_rows = branch_of(self.temperature_c, self.time_s)
+            valid = valid & np.array([BRANCHES[way] == branch for way in of_rows.tolist()])
+            words.append(branch)
+        if not valid.any():
+            raise LogError(f"no usable row of the record lies {', '.join(words)}")
+        return replace(self, valid=valid, part=", ".join(words))
+
 
 @dataclass(frozen=True)
 class Instability:
@@ -56,6 +80,8 @@ class Instability:
     """The temperatures of the rows used; None: all of the record."""
     scatter: tuple[float, float] | None
     """Standard deviations of σ (rad/s) and of ln τ, from blocks of the record; None for too few blocks."""
+    branch: str | None = None
+    """The branch of the temperature of the rows used; None: all."""
 
     __repr__ = summary
 
@@ -195,22 +221,17 @@ def instability(
     margin: float = 2.5,
     angle_random_walk: float | None = None,
     temperature_c: tuple[float, float] | None = None,
+    branch: str | None = None,
     count: int = 200,
 ) -> Instability:
     """Allan deviation with its fit, and the paper's Direct Bound with that fit's random walk or `angle_random_walk`
     (rad/√s).
 
     Integration times are limited by the longest unbroken stretch. `temperature_c`: only windows of rows within this
-    range. **Raises:** `LogError` where too little is left.
+    range; `branch`: of that branch of the temperature. **Raises:** `LogError` where too little is left.
     """
+    rest = rest.within(temperature_c, branch)
     valid = rest.valid
-    if temperature_c is not None:
-        if rest.temperature_c is None:
-            raise LogError("the log has no temperature, so no range of it can be looked at")
-        low, high = temperature_c
-        valid = valid & (rest.temperature_c >= low) & (rest.temperature_c <= high)
-        if not valid.any():
-            raise LogError(f"no usable row lies between {low:g} and {high:g} °C")
     interval = rest.sample_interval_s
     room = identify.longest_integration_time(valid, interval, averaging_time_s)
     longest = min(longest_s, room)
@@ -235,15 +256,19 @@ def instability(
         observed, walk, margin=margin, rate_in_words=lambda rate: f"{rate * DEG_PER_H:.3g} deg/h"
     )
     scatter = identify.scatter_of_bound(bound, rest.rate, interval, valid=valid)
-    return Instability(rest, allan, fit, bound, temperature_c, scatter)
+    return Instability(rest, allan, fit, bound, temperature_c, scatter, branch)
 
 
-def temperature_ranges(rest: RestRecord, parts: int) -> list[tuple[float, float]]:
-    """The record's span of temperature in equal parts. **Raises:** `LogError` without temperatures."""
+def temperature_ranges(rest: RestRecord, parts: int, bin_k: float | None = None) -> list[tuple[float, float]]:
+    """The record's span of temperature in equal parts or, with `bin_k`, in ranges of that width (K) from whole
+    multiples of it on. **Raises:** `LogError` without temperatures."""
     if rest.temperature_c is None or not np.isfinite(rest.temperature_c[rest.valid]).any():
         raise LogError("the log has no temperature, so there are no ranges of it")
     known = rest.temperature_c[rest.valid]
-    edges = np.linspace(float(np.nanmin(known)), float(np.nanmax(known)), parts + 1)
+    low, high = float(np.nanmin(known)), float(np.nanmax(known))
+    edges = np.linspace(low, high, parts + 1)
+    if bin_k is not None:
+        edges = bin_k * np.arange(np.floor(low / bin_k), np.floor(high / bin_k) + 2.0)
     return [(float(a), float(b)) for a, b in itertools.pairwise(edges)]
 
 
@@ -254,6 +279,7 @@ def instability_row(result: Instability) -> dict[str, Any]:
         "axis": result.rest.axis,
         "unit": result.rest.unit,
         "temperature_c": result.temperature_c,
+        "branch": result.branch,
         "drift_shows": bound.drift_shows,
         "drift_std_deg_per_h": bound.drift_std * DEG_PER_H,
         "correlation_time_s": bound.correlation_time_s,
@@ -294,6 +320,7 @@ def allan_row(rest: RestRecord, allan: identify.AllanDeviation, fit: identify.Al
     return {
         "axis": rest.axis,
         "unit": rest.unit,
+        "part": rest.part,
         "sample_interval_s": rest.sample_interval_s,
         "confidence": fit.confidence,
         "coefficients": {

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import ForceOutput, Json, JsonNumbers, OptionalOutput, Output, as_json, writable
+from gradcal_jax.cli.output import Flag, ForceOutput, Json, JsonNumbers, OptionalOutput, Output, as_json, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
@@ -85,6 +85,8 @@ def validate(
     earth_rate: str | None = None,
     gravity: str | None = None,
     parts: int = 3,
+    bins: str | None = None,
+    branches: Flag = False,
     source: Recording = WHOLE,
     json: JsonNumbers = False,
 ) -> int:
@@ -105,11 +107,18 @@ def validate(
         The gravity at the place, such as "9.8123 m/s^2", for accelerometers; without it standard gravity.
     parts
         Number of ranges of temperature.
+    bins
+        Width of the ranges, such as "2 K", in the place of their number.
+    branches
+        Heating and cooling apart.
     """
     from gradcal_jax.files.calibration import read_calibration
 
     if parts < 1:
         raise ValueError(f"--parts must be 1 or more, not {parts}")
+    width = None if bins is None else quantity(bins, "temperature difference", "--bins")
+    if width is not None and width <= 0.0:
+        raise ValueError(f"--bins must be positive, not {bins}")
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
     place = {} if gravity is None else {"gravity": quantity(gravity, "acceleration", "--gravity")}
     content = read_calibration(calibration)
@@ -119,7 +128,15 @@ def validate(
 
     name = _unit(recorded, content.serial_number, unit)
     rows = work.validate(
-        content, recorded, unit=name, temperature_parts=parts, earth_rate=earth, table_axis=table_axis, **place
+        content,
+        recorded,
+        unit=name,
+        temperature_parts=parts,
+        bin_k=width,
+        by_branch=branches,
+        earth_rate=earth,
+        table_axis=table_axis,
+        **place,
     )
     judged = work.acceptances(content, rows)
     if json:
@@ -239,6 +256,7 @@ def _validation_text(row: "AxisValidation") -> str:
     for cell in row.cells:
         warm = cell.temperature_c
         where = "not known" if warm is None else f"{warm[0]:.1f} … {warm[1]:.1f} °C"
+        where += "" if cell.branch is None else f", {cell.branch}"
         rate = "at rest" if cell.rate_dps is None else f"{cell.rate_dps[0]:.4g} … {cell.rate_dps[1]:.4g} deg/s"
         numbers = (f"{cell.before:.5g}", f"{cell.after:.4g}", f"{cell.scatter:.3g}")
         shown.append((where, rate, str(cell.how_many), *numbers, cell.unit))

@@ -78,6 +78,10 @@ class OnPath(NamedTuple):
     scale: Floats
     known: NDArray[np.bool_]
 
+    def of_rows(self, rows: slice) -> "OnPath":
+        """Of some rows."""
+        return OnPath(self.bias[rows], self.scale[rows], self.known[rows])
+
 
 def basis_values(basis: TemperatureBasis | RateBasis, x: Floats) -> Floats:
     """Values of a basis's *reported* functions, `(n,) -> (n, size)`."""
@@ -182,7 +186,7 @@ def correct(
         rows = slice(begin, begin + _ROWS_AT_ONCE)
         slope = {} if temperature_rate is None else {TEMPERATURE_RATE: temperature_rate[rows]}
         result[:, rows] = _correct(
-            [(c, at[rows], None if path is None else OnPath(*(of[rows] for of in path))) for c, at, path in known],
+            [(c, at[rows], None if path is None else path.of_rows(rows)) for c, at, path in known],
             inputs,
             result[:, rows],
             slope,

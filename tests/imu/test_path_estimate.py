@@ -1,5 +1,6 @@
 """Estimates of units with a loop over temperature: what is said, offered, written and drawn."""
 
+import json
 from dataclasses import replace
 from functools import lru_cache
 
@@ -8,15 +9,17 @@ import pytest
 from loop_scene import WIDTHS, recorded, spec_of
 from matplotlib.figure import Figure
 
+import gradcal_jax as gj
 from gradcal_jax.api.estimate import EstimateReport, SensorEstimate, estimate_sensors
 from gradcal_jax.api.estimate_rows import estimate_rows
+from gradcal_jax.api.instability import at_rest, temperature_ranges
 from gradcal_jax.cli import main
 from gradcal_jax.cli.estimated import text_of_estimate
 from gradcal_jax.files.calibration import read_calibration, write_calibration
 from gradcal_jax.files.calibration.correction import apply, temperature_slope
 from gradcal_jax.files.calibration.exports import export
 from gradcal_jax.files.calibration.file import CalibratedChannel, PathCoefficient, build_term
-from gradcal_jax.files.log import Log
+from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.log_file import read_log, write_log
 from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth
@@ -183,3 +186,63 @@ def test_a_play_of_the_scale_factor_and_dt_dt_are_taken_off_exactly():
     done = apply(calibration, log)
     assert done.log.rate_rad_per_s[0, :, 0] == pytest.approx(true, rel=1e-12, abs=1e-12)
     assert done.unknown_branch == np.count_nonzero(states[1] - states[0] > 1e-6) > 0
+
+
+def at_rest_all_the_time() -> Log:
+    """Another record of the unit with a loop, as one rest."""
+    _, truth = estimated()
+    log = recorded(truth, spec_of(back=True, size=40.0), back=True, seed=8)
+    rate = log.rate_rad_per_s.copy()
+    (lost,) = np.flatnonzero(np.isnan(rate[0]).any(axis=1))
+    rate[:, lost] = rate[:, lost - 1]
+    return replace(log, rate_rad_per_s=rate, standstill=np.zeros(rate.shape[1], np.int64))
+
+
+def test_validation_by_branch_and_by_bins_shows_the_loop(tmp_path, capsys):
+    """Heating and cooling differ at the same temperature before the correction; the sum of both hides it."""
+    report, truth = estimated()
+    log, calibration = at_rest_all_the_time(), report.calibration
+    axis = int(np.argmax(np.abs(truth.triads["gyro"].loops[0].size)))
+    name = "xyz"[axis]
+    (of,) = [one for one in gj.validate(calibration, log, bin_k=2.0, by_branch=True) if one.axis == name]
+    cells = {(cell.temperature_c, cell.branch): cell for cell in of.cells}
+    assert {branch for _, branch in cells} >= {"heating", "cooling"}
+    warm = [(low, low + 2.0) for low in np.arange(-10.0, 50.0, 2.0)]
+    loop = np.array([cells[t, "heating"].before - cells[t, "cooling"].before for t in warm])
+    size = 2.0 * truth.triads["gyro"].loops[0].size[axis] / HOUR
+    assert np.mean(loop) == pytest.approx(size, abs=0.35 * abs(size))
+    left = np.array([cells[t, "heating"].after - cells[t, "cooling"].after for t in warm])
+    assert np.sqrt(np.mean(left[15:] ** 2)) < 0.5 * np.sqrt(np.mean(loop[15:] ** 2))
+    assert all(cell.branch is None for cell in gj.validate(calibration, log)[0].cells)
+    write_calibration(calibration, tmp_path / "calibration.toml")
+    write_log(log, tmp_path / "log.nc")
+    main(["validate", str(tmp_path / "calibration.toml"), str(tmp_path / "log.nc"), "--branches", "--bins", "20 K"])
+    assert "20.0 … 40.0 °C, heating" in capsys.readouterr().out
+
+
+def test_noise_is_stated_by_branch_and_by_bins(tmp_path, capsys):
+    log = at_rest_all_the_time()
+    rest = at_rest(log, "x", bias_degree=3, lag=0.0)
+    heating, cooling = (rest.within(branch=branch).valid for branch in ("heating", "cooling"))
+    assert not np.any(heating & cooling)
+    assert np.count_nonzero(heating) == pytest.approx(2400, abs=60)
+    assert np.flatnonzero(heating).max() < 2460 < 2340 + np.count_nonzero(cooling)
+    warm = rest.within((10.0, 12.0), "cooling")
+    assert warm.temperature_c is not None
+    assert np.all((warm.temperature_c[warm.valid] >= 10.0) & (warm.temperature_c[warm.valid] <= 12.0))
+    assert np.flatnonzero(warm.valid).min() > 2400
+    with pytest.raises(LogError, match="no usable row of the record lies between 70 and 80 °C, heating"):
+        rest.within((70.0, 80.0), "heating")
+    assert temperature_ranges(rest, 1, 2.0)[0] == (-20.0, -18.0)
+    write_log(log, tmp_path / "log.nc")
+    main(["instability", str(tmp_path / "log.nc"), "--axis", "x", "--branches", "--json"])
+    (whole,) = json.loads(capsys.readouterr().out)["channels"]
+    assert [part["branch"] for part in whole["ranges"]] == ["heating", "cooling"]
+    assert whole["branch"] is None
+    main(["allan", str(tmp_path / "log.nc"), "--axis", "x", "--branches", "--bins", "40 K", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert [one["part"] for one in found["channels"]][:3] == ["", "heating", "cooling"]
+    assert len(found["channels"]) + len(found["problems"]) == 9
+    for one in found["channels"]:
+        walk = one["coefficients"]["angle_random_walk_deg_per_sqrt_h"]
+        assert walk["value"] == pytest.approx(0.1, abs=0.01 + 3.0 * walk["standard_error"])

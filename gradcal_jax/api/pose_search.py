@@ -66,6 +66,20 @@ def search_poses(
         best = rounded(plan.spec_of(cycle)).spec
         after = plan.residuals(best)
         least, words = plan.value_of(after), plan.in_words(cycle)
+    # Other courses of the chamber, as they are, are plans too.
+    other_starts = [] if checkpoint is not None else plan.starts()[1:]
+
+    def improve(by: RepeatedCycle) -> None:
+        nonlocal best, after, least, cycle, words
+        with suppress(SpecError):
+            found = rounded(plan.spec_of(by)).spec
+            reached = plan.residuals(found)
+            if (value := plan.value_of(reached)) < least:
+                best, after, least, cycle, words = found, reached, value, by, plan.in_words(by)
+
+    met = until_met and plan.met(after)
+    for start in () if met else other_starts:
+        improve(start)
     met = until_met and plan.met(after)
     if not met:
         seen: RepeatedCycle | None = None
@@ -73,11 +87,7 @@ def search_poses(
             used = search.used
             if search.best is not seen:
                 seen = search.best
-                with suppress(SpecError):
-                    found = rounded(plan.spec_of(seen)).spec
-                    reached = plan.residuals(found)
-                    if (value := plan.value_of(reached)) < least:
-                        best, after, least, cycle, words = found, reached, value, seen, plan.in_words(seen)
+                improve(seen)
             now = factor * math.exp(least)
             yield SearchStep(name, unit, _finite(factor * math.exp(first)), now, share, words, "", search.state(cycle))
             met = until_met and plan.met(after)

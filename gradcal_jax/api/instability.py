@@ -64,7 +64,7 @@ class RestRecord:
             valid = valid & np.array([BRANCHES[way] == branch for way in of_rows.tolist()])
             words.append(branch)
         if not valid.any():
-            raise LogError(f"no usable row of the record lies {', '.join(words)}")
+            raise LogError(f"no usable row {'is' if temperature_c is None else 'lies'} {', '.join(words)}")
         return replace(self, valid=valid, part=", ".join(words))
 
 

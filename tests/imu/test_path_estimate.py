@@ -231,7 +231,7 @@ def test_noise_is_stated_by_branch_and_by_bins(tmp_path, capsys):
     assert warm.temperature_c is not None
     assert np.all((warm.temperature_c[warm.valid] >= 10.0) & (warm.temperature_c[warm.valid] <= 12.0))
     assert np.flatnonzero(warm.valid).min() > 2400
-    with pytest.raises(LogError, match="no usable row of the record lies between 70 and 80 °C, heating"):
+    with pytest.raises(LogError, match="no usable row lies between 70 and 80 °C, heating"):
         rest.within((70.0, 80.0), "heating")
     assert temperature_ranges(rest, 1, 2.0)[0] == (-20.0, -18.0)
     write_log(log, tmp_path / "log.nc")

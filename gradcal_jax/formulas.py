@@ -82,6 +82,37 @@ def b_spline(x: Array, knots: tuple[float, ...], degree: int) -> Array:
     return xp.stack(values, axis=-1)
 
 
+# --- plays ------------------------------------------------------------------------------------------------------------
+
+Clamps = tuple[Array, Array]
+"""Lower and upper bounds of clamps: `x -> max(low, min(high, x))`."""
+
+
+def then(first: Clamps, second: Clamps) -> Clamps:
+    """The clamp that applies one after the other."""
+    (a, b), (low, high) = first, second
+    xp = (a + low).__array_namespace__()
+    return xp.maximum(low, xp.minimum(high, a)), xp.maximum(low, xp.minimum(high, b))
+
+
+def running_clamps(low: Array, high: Array) -> Clamps:
+    """Compositions of all clamps `(…, n)` up to and including each one, along the last axis, in log₂ n rounds."""
+    xp, step = (low + high).__array_namespace__(), 1
+    while step < low.shape[-1]:
+        more = then((low[..., :-step], high[..., :-step]), (low[..., step:], high[..., step:]))
+        low, high = (
+            xp.concatenate([old[..., :step], new], axis=-1) for old, new in zip((low, high), more, strict=True)
+        )
+        step *= 2
+    return low, high
+
+
+def play_states(temperature: Array, width: float | Array) -> Clamps:
+    """The two extreme states `(n,)` (°C) of a play of half-width `width` (K) at turning points of a monotone course or
+    finer samples of any course `(n,)` (°C): see `model.path`."""
+    return running_clamps(temperature - width, temperature + width)
+
+
 # --- motion -----------------------------------------------------------------------------------------------------------
 
 MOTION_TERMS = ("1", "u", "u^2", "u^3", "cos pi u", "sin pi u", "cos 2 pi u", "sin 4 pi u", "sin 6 pi u", "sin 8 pi u")

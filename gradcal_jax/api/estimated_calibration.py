@@ -165,11 +165,11 @@ def _path_coefficients(built: BuiltImu, values: np.ndarray, deviations: np.ndarr
         for term in c.model.terms:
             own = slice(begin, begin + term.size)
             begin = own.stop
-            if not isinstance(term, PathTerm):
+            if not isinstance(term, PathTerm | GradientOfBias):
                 continue
             of_play = {"width": Quantity.of(float(term.width), "K")} if isinstance(term, Hysteresis) else {}
             for name, value, std in zip(term.names(), values[own], deviations[own], strict=True):
-                if name not in term.nuisances:
+                if not isinstance(term, PathTerm) or name not in term.nuisances:
                     yield PathCoefficient(
                         channel=c.name, name=name, value=float(value), standard_deviation=float(std), unit=term.unit,
                         **of_play,

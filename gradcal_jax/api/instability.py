@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gradcal_jax import formulas, identify, units
+from gradcal_jax.api.branches import BRANCHES, branch_of
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.display import summary
 from gradcal_jax.files.log import SENSOR_RATE, EvenSeries, Log, LogError, Reason
@@ -49,6 +50,28 @@ class RestRecord:
     """Of a record in pieces: how many rows were lost to what, and what helps."""
     samples_per_row: float = 1.0
     """Samples of the sensor for each row, where rows are single ones of them; NaN: many, by no stated number."""
+    part: str = ""
+    """Which part of a record this is, in words; empty: all of it."""
+
+    def within(self, temperature_c: tuple[float, float] | None = None, branch: str | None = None) -> "RestRecord":
+        """The rows within a range of temperature, on a branch of it: "heating", "cooling" or "steady". **Raises:**
+        `LogError` where no usable row is left."""
+        if temperature_c is None and branch is None:
+            return self
+        if self.temperature_c is None:
+            raise LogError("the log has no temperature, so no range or branch of it can be looked at")
+        valid, words = self.valid, list[str]()
+        if temperature_c is not None:
+            low, high = temperature_c
+            valid = valid & (self.temperature_c >= low) & (self.temperature_c <= high)
+            words.append(f"between {low:.4g} and {high:.4g} °C")
+        if branch is not None:
+            of_rows = branch_of(self.temperature_c, self.time_s)
+            valid = valid & np.array([BRANCHES[way] == branch for way in of_rows.tolist()])
+            words.append(branch)
+        if not valid.any():
+            raise LogError(f"no usable row {'is' if temperature_c is None else 'lies'} {', '.join(words)}")
+        return replace(self, valid=valid, part=", ".join(words))
 
     def walk_of_sensor(self, walk: float) -> float:
         """The sensor's angle random walk, where that of the rows is `walk` (rad/√s): single samples hold the noise of
@@ -102,6 +125,8 @@ class Instability:
     """Standard deviations of σ (rad/s) and of ln τ, from blocks of the record; None for too few blocks."""
     markov: identify.MarkovFit | None = None
     """One Markov process by maximum likelihood; None where none shows."""
+    branch: str | None = None
+    """The branch of the temperature of the rows used; None: all."""
 
     __repr__ = summary
 
@@ -299,22 +324,17 @@ def instability(
     margin: float = 2.5,
     angle_random_walk: float | None = None,
     temperature_c: tuple[float, float] | None = None,
+    branch: str | None = None,
     count: int = 200,
 ) -> Instability:
     """Allan deviation with its fit, and the paper's Direct Bound with that fit's random walk or `angle_random_walk`
     (rad/√s).
 
     Integration times are limited by the longest unbroken stretch. `temperature_c`: only windows of rows within this
-    range. **Raises:** `LogError` where too little is left.
+    range; `branch`: of that branch of the temperature. **Raises:** `LogError` where too little is left.
     """
+    rest = rest.within(temperature_c, branch)
     valid = rest.valid
-    if temperature_c is not None:
-        if rest.temperature_c is None:
-            raise LogError("the log has no temperature, so no range of it can be looked at")
-        low, high = temperature_c
-        valid = valid & (rest.temperature_c >= low) & (rest.temperature_c <= high)
-        if not valid.any():
-            raise LogError(f"no usable row lies between {low:g} and {high:g} °C")
     interval = rest.sample_interval_s
     room = identify.longest_integration_time(valid, interval, averaging_time_s)
     longest = min(longest_s, room)
@@ -341,16 +361,20 @@ def instability(
     scatter = identify.scatter_of_bound(bound, rest.rate, interval, valid=valid)
     markov = identify.fit_markov(rest.rate, interval, valid)
     return Instability(
-        rest, allan, fit, bound, temperature_c, scatter, markov if markov is not None and markov.shows else None
+        rest, allan, fit, bound, temperature_c, scatter, markov if markov is not None and markov.shows else None, branch
     )
 
 
-def temperature_ranges(rest: RestRecord, parts: int) -> list[tuple[float, float]]:
-    """The record's span of temperature in equal parts. **Raises:** `LogError` without temperatures."""
+def temperature_ranges(rest: RestRecord, parts: int, bin_k: float | None = None) -> list[tuple[float, float]]:
+    """The record's span of temperature in equal parts or, with `bin_k`, in ranges of that width (K) from whole
+    multiples of it on. **Raises:** `LogError` without temperatures."""
     if rest.temperature_c is None or not np.isfinite(rest.temperature_c[rest.valid]).any():
         raise LogError("the log has no temperature, so there are no ranges of it")
     known = rest.temperature_c[rest.valid]
-    edges = np.linspace(float(np.nanmin(known)), float(np.nanmax(known)), parts + 1)
+    low, high = float(np.nanmin(known)), float(np.nanmax(known))
+    edges = np.linspace(low, high, parts + 1)
+    if bin_k is not None:
+        edges = bin_k * np.arange(np.floor(low / bin_k), np.floor(high / bin_k) + 2.0)
     return [(float(a), float(b)) for a, b in itertools.pairwise(edges)]
 
 
@@ -361,6 +385,7 @@ def instability_row(result: Instability) -> dict[str, Any]:
         "axis": result.rest.axis,
         "unit": result.rest.unit,
         "temperature_c": result.temperature_c,
+        "branch": result.branch,
         "drift_shows": bound.drift_shows,
         "drift_std_deg_per_h": bound.drift_std * DEG_PER_H,
         "correlation_time_s": bound.correlation_time_s,
@@ -412,6 +437,7 @@ def allan_row(rest: RestRecord, allan: identify.AllanDeviation, fit: identify.Al
     return {
         "axis": rest.axis,
         "unit": rest.unit,
+        "part": rest.part,
         "sample_interval_s": rest.sample_interval_s,
         "confidence": fit.confidence,
         "coefficients": {

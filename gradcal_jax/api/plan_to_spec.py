@@ -37,7 +37,7 @@ def plan_to_spec(spec: Spec, coordinates: AnyCoordinates, point: np.ndarray) -> 
     if isinstance(coordinates, StandardCoordinates):
         return _standard(spec, *coordinates.plan_of(point))
     if isinstance(coordinates, ProgrammeCoordinates | ProgrammeKnots):
-        return _static(spec, coordinates, point)
+        return changed(spec, programme_keys(spec, coordinates, point))
     return _cycle(spec, coordinates, coordinates.cycle(point))
 
 
@@ -55,14 +55,17 @@ def _standard(spec: Spec, temperatures: np.ndarray, rates: np.ndarray, integrati
     return changed(spec, keys)
 
 
-def _static(spec: Spec, coordinates: ProgrammeCoordinates | ProgrammeKnots, point: np.ndarray) -> Spec:
-    """Stretches at slopes and temperatures of the controller's steps, no steeper than the chamber allows."""
+def programme_keys(
+    spec: Spec, coordinates: ProgrammeCoordinates | ProgrammeKnots, point: np.ndarray
+) -> dict[str, object]:
+    """The keys of a spec's course: stretches at slopes and temperatures of the controller's steps, no steeper than the
+    chamber allows."""
     programme, steps = coordinates.programme(point), steps_of(spec)
     here = _on_grid(float(programme.start), float(steps.temperature))
     soak = {"soak": _s(float(coordinates.soak)), "at": _c(here), "used": coordinates.soak_used}
     chamber = _Chamber(*(float(getattr(coordinates, name)) for name in _Chamber._fields))
     ends, goals = np.cumsum(programme.durations), programme.chamber()[1]
-    return changed(spec, _free_programme(soak, _stretches(here, ends, goals, chamber, steps)))
+    return _free_programme(soak, _stretches(here, ends, goals, chamber, steps))
 
 
 def _free_programme(soak: dict[str, object], stretches: list[dict[str, object]]) -> dict[str, object]:
@@ -91,7 +94,7 @@ def _stretches(
     """
     slope_step, step = float(steps.slope), float(steps.temperature)
     items: list[dict[str, object]] = []
-    written_s = 0.0
+    written_s, went_up = 0.0, False
     for end, goal in zip(ends, goals, strict=True):
         lasting = float(end) - written_s
         up = float(goal) > here
@@ -105,8 +108,12 @@ def _stretches(
             written_s += whole
             continue
         here = _on_grid(here + (change if up else -change), step)
-        items.append({"ramp_to": _c(here), "rate": f"{slope * 60.0:.12g} K/min"})
-        written_s += change / slope
+        ramp: dict[str, object] = {"ramp_to": _c(here), "rate": f"{slope * 60.0:.12g} K/min"}
+        if items and items[-1].get("rate") == ramp["rate"] and up == went_up:
+            items[-1] = ramp
+        else:
+            items.append(ramp)
+        written_s, went_up = written_s + change / slope, up
     if (left := float(ends[-1]) - written_s) > _TIME:
         items.append({"soak": _s(_TIME * math.ceil(left / _TIME - 1e-6)), "used": True})
     return items

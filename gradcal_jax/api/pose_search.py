@@ -9,56 +9,23 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from statistics import fmean
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.api.imu_build import (
-    BuiltImu,
-    build_imu,
-    course_before,
-    executed_motion,
-    geometry,
-    waves_of,
-)
-from gradcal_jax.api.imu_residual import ImuResidual, RequiredQuantity, quantity_of
-from gradcal_jax.api.scenarios import scenario_specs
-from gradcal_jax.api.search_results import MARGIN, MET, NO_TARGET, Optimised, RequirementChange, SearchStep
-from gradcal_jax.api.verdicts import UNIT_OF, limit_of
-from gradcal_jax.design.cycle_moves import Cycle, Neighbourhood
-from gradcal_jax.design.descent import Descent
-from gradcal_jax.design.pose_cycle import (
-    WINDOW,
-    CycleCoordinates,
-    CycleObjective,
-    CycleStructure,
-    GridElement,
-    PoseTurn,
-    Ramp,
-    Statistics,
-    TableLimits,
-    further,
-    largest_alike,
-    structure_of,
-)
-from gradcal_jax.files.design import ALL, TIMES, WORST, Design
-from gradcal_jax.files.motion_plan import PlanSchedule, quickest_turn
+from gradcal_jax.api.cycle_plan import CyclePlan, RepeatedCycle
+from gradcal_jax.api.search_results import MET, NO_TARGET, Optimised, RequirementChange, SearchStep
+from gradcal_jax.api.verdicts import UNIT_OF
+from gradcal_jax.design.cycle_moves import Neighbourhood
+from gradcal_jax.design.pose_cycle import PoseTurn
 from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.rounding import rounded
-from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.information import Posterior, imu_system, whiten
-from gradcal_jax.information.residual import Statistic
-from gradcal_jax.model import ImuModel, PathTerm
 
 EVALUATIONS, QUICK_EVALUATIONS = 12000, 800
 # Cycles that descend side by side.
 TOGETHER = 2
-_SEARCH_GRID = 21
 # Evaluations of a descent between two looks; sharpness of the maxima and evaluations of the first descents, of those
 # from a changed cycle, and of the last one.
 _LOOK, _FIRST, _HOP, _LAST = 20, ((8.0, 60), (30.0, 120)), (30.0, 120), (100.0, 300)
@@ -67,30 +34,8 @@ _LOOK, _FIRST, _HOP, _LAST = 20, ((8.0, 60), (30.0, 120)), (30.0, 120), (100.0, 
 _HOPELESS, _WARM = 0.04, 0.004
 # Probability of another number of cycles, and by how much (natural logarithm) it may differ.
 _RECOUNTED, _RECOUNT = 0.12, 0.3
-# Slots for turns that a search inserts, as a share, and multiples of slots, each of which is compiled once.
-_SPARE, _SLOTS = 0.5, 4
-_MOST_TURNS = 80
-# Turns up to this (rad) are tried, or up to the largest one of the file's plan.
-_LARGEST = 6.0 * math.pi
-# Temperatures at which cycles stand for all others of a slope, where bases are no polynomials.
-_SAMPLES = 5
-# ... and where a term depends on the path of temperature.
-_SAMPLES_ON_A_PATH = 12
-# Cycles whose noise is filtered together, from the longest correlation time over the period: the objective then agrees
-# with that of all cycles to a per cent at most.
-_BEFORE, _MEMORY, _LONGEST_WINDOW = 0.5, 1.2, 4
-# What is left of the time for rounding, s.
-_LEFT = 1e-3
-_SLACK = 1e-9
-# Resolution of turns (deg), rates (deg/s) and rests (s) in a plan.
-_ANGLE, _RATE, _REST = 0.01, 0.1, 0.1
-
-
-class RepeatedCycle(NamedTuple):
-    """A cycle, and how often the first stretch of the plan repeats it."""
-
-    turns: Cycle
-    cycles: int
+# Probability of another course of the chamber, and the size of its random steps.
+_COURSE, _COURSE_STEP = 0.2, 0.5
 
 
 def search_poses(
@@ -120,7 +65,21 @@ def search_poses(
     if cycle is not None:
         best = rounded(plan.spec_of(cycle)).spec
         after = plan.residuals(best)
-        least, words = plan.value_of(after), _in_words(cycle)
+        least, words = plan.value_of(after), plan.in_words(cycle)
+    # Other courses of the chamber, as they are, are plans too.
+    other_starts = [] if checkpoint is not None else plan.starts()[1:]
+
+    def improve(by: RepeatedCycle) -> None:
+        nonlocal best, after, least, cycle, words
+        with suppress(SpecError):
+            found = rounded(plan.spec_of(by)).spec
+            reached = plan.residuals(found)
+            if (value := plan.value_of(reached)) < least:
+                best, after, least, cycle, words = found, reached, value, by, plan.in_words(by)
+
+    met = until_met and plan.met(after)
+    for start in () if met else other_starts:
+        improve(start)
     met = until_met and plan.met(after)
     if not met:
         seen: RepeatedCycle | None = None
@@ -128,11 +87,7 @@ def search_poses(
             used = search.used
             if search.best is not seen:
                 seen = search.best
-                with suppress(SpecError):
-                    found = rounded(plan.spec_of(seen)).spec
-                    reached = plan.residuals(found)
-                    if (value := plan.value_of(reached)) < least:
-                        best, after, least, cycle, words = found, reached, value, seen, _in_words(seen)
+                improve(seen)
             now = factor * math.exp(least)
             yield SearchStep(name, unit, _finite(factor * math.exp(first)), now, share, words, "", search.state(cycle))
             met = until_met and plan.met(after)
@@ -161,10 +116,6 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _in_words(cycle: RepeatedCycle) -> str:
-    return f"{len(cycle.turns)} turns in each of {cycle.cycles} cycles"
-
-
 class _Search:
     """A search over structures, each of which descends along the gradient."""
 
@@ -180,7 +131,8 @@ class _Search:
         """Yields the completed share after every round of descents."""
         plan, rng = self._plan, self._rng
         for sharpness, count in _FIRST[self._begun :]:
-            ((self._now, self._here),) = self._descents([self._here], sharpness, count)
+            begins = [self._here] if self._begun else plan.starts()
+            self._now, self._here = min(self._descents(begins, sharpness, count), key=lambda found: found[0])
             self.best, self._value = self._here, self._now
             self._begun += 1
             yield self._share()
@@ -213,6 +165,7 @@ class _Search:
                 turns = () if of is None else of.turns
                 self._state[f"{name}_turns"] = np.array(turns, dtype=float).reshape(len(turns), 4)
                 self._state[f"{name}_cycles"] = np.array(0 if of is None else of.cycles)
+                self._state[f"{name}_course"] = np.array(() if of is None else of.course)
         return self._state
 
     def resume(self, arrays: Mapping[str, np.ndarray]) -> RepeatedCycle | None:
@@ -224,13 +177,15 @@ class _Search:
         def cycle(name: str) -> RepeatedCycle | None:
             turns = (PoseTurn(int(l), float(a), float(w), float(r)) for l, a, w, r in arrays[f"{name}_turns"])
             count = int(arrays[f"{name}_cycles"])
-            return RepeatedCycle(tuple(turns), count) if count else None
+            return RepeatedCycle(tuple(turns), count, tuple(arrays[f"{name}_course"].tolist())) if count else None
 
         self._here, self.best = cycle("here") or self._here, cycle("best") or self.best
         return cycle("reached")
 
     def _neighbour(self, of: RepeatedCycle, rng: np.random.Generator) -> RepeatedCycle:
         """A cycle of another structure, or more or fewer of the same one."""
+        if of.course and (not self._plan.turns_free or rng.random() < _COURSE):
+            return of._replace(course=tuple(np.array(of.course) + _COURSE_STEP * rng.standard_normal(len(of.course))))
         if of.cycles > 1 and rng.random() < _RECOUNTED:
             count = round(of.cycles * math.exp(rng.uniform(-_RECOUNT, _RECOUNT)))
             return of._replace(cycles=max(2, count if count != of.cycles else count + int(rng.choice((-1, 1)))))
@@ -254,346 +209,15 @@ class _Search:
 
         def descend(cycle: RepeatedCycle) -> tuple[float, RepeatedCycle, int]:
             of = plan.structure(cycle, turnable=turnable)
-            point, reached = plan.coordinates.encode(cycle.turns, of), None
+            point, reached = plan.point(cycle, of), None
             args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps, sharpness)
-            for reached in plan.descent(point.ravel(), args, evaluations=evaluations, together=_LOOK):
+            for reached in plan.descent(point, args, evaluations=evaluations, together=_LOOK):
                 if self._stop() or reached.value > least + _HOPELESS * _LOOK / reached.evaluations:
                     break
             assert reached is not None
-            end = plan.coordinates.cycle(reached.point.reshape(point.shape), of)
-            return reached.value, cycle._replace(turns=end), reached.evaluations
+            return reached.value, plan.cycle_at(reached.point, of, cycle.cycles), reached.evaluations
 
         with ThreadPoolExecutor(len(cycles)) as pool:
             results = list(pool.map(descend, cycles))
         self.used += sum(count for *_, count in results)
         return [(value, cycle) for value, cycle, _ in results]
-
-
-class CyclePlan:
-    """A spec's plan as the search sees it: the objective of a cycle, its start, and what a cycle's plan leaves."""
-
-    def __init__(self, spec: Spec) -> None:
-        self.spec, self.design = spec, spec.design or Design()
-        self.built = build_imu(spec)
-        self._fine = tuple(quantity_of(self.built, r) for r in spec.requirement)
-        self._aims = tuple(_aim_of(r, self.design) for r in spec.requirement)
-        scenarios = scenario_specs(spec)
-        models = [build_imu(one).model if one is not spec else self.built.model for one, _ in scenarios]
-        self._models = models
-        prior = self.built.model.prior_rows()
-        self._prior = prior.T @ prior
-        self._executed = executed_motion(self.built)
-        self._known = [self._prior + self._past(model) for model in models]
-        timed = self.design.minimise in TIMES
-        self.worst = timed or self.design.minimise == WORST
-        counts = [
-            (self.worst or self.design.minimise in (ALL, r.name)) and not (timed and r.target is None)
-            for r in spec.requirement
-        ]
-        minimised = [
-            _statistics_of(quantity_of(self.built, r, _SEARCH_GRID), aim)
-            for r, aim, own in zip(spec.requirement, self._aims, counts, strict=True)
-            if own
-        ]
-        self._counted = tuple(counts)
-        turns, stretches = _cycle_of(spec), spec.plain_schedule.stretches
-        self.start = RepeatedCycle(turns, max(1, stretches[0].cycles))
-        self.closed = max(s.cycles for s in stretches) > 1 or len(stretches) > 1
-        self.limits = _limits(spec, self.design, turns)
-        spare = math.ceil(len(turns) * (1.0 + _SPARE) / _SLOTS) * _SLOTS
-        self.slots = max(min(spare, self.design.moves or _MOST_TURNS), len(turns))
-        self.coordinates = CycleCoordinates(self.limits, self.slots)
-        self._courses: dict[int, CycleCourse] = {}
-        self._window = self._cycles_together(models)
-        self.objective = CycleObjective(
-            self.coordinates,
-            geometry(spec.rig),
-            models,
-            self._known,
-            minimised,
-            window=self._window,
-            points=self.built.points,
-            waves=waves_of(spec),
-            worst=self.worst,
-            worst_model=self.design.robust == "worst",
-        )
-        self.descent = Descent(self._value)
-
-    def _past(self, model: ImuModel) -> np.ndarray:
-        """The information of what was executed before; a search takes its drifts as independent of the plan's."""
-        if self._executed is None:
-            return np.zeros((model.size, model.size))
-        return _gram_of(self.built._replace(model=model, motion=self._executed))
-
-    def _value(self, z: Any, args: tuple[CycleStructure, Ramp, Any]) -> Any:
-        return self.objective.value(jnp.reshape(z, (3, self.slots)), *args)
-
-    def _cycles_together(self, models: Sequence[ImuModel]) -> int:
-        """How many cycles are filtered together."""
-        stretches = self.spec.plain_schedule.stretches
-        if not self.closed and len(_parts(self.spec.plain_schedule, (1,) * len(stretches), 0.0)) == 1:
-            return 1
-        decays = [d for m in models for c in m.channels for d in np.asarray(c.model.processes.decay) if d > 0.0]
-        longest = max((1.0 / d for d in decays), default=0.0)
-        fit = math.ceil(_BEFORE + _MEMORY * longest * self.start.cycles / stretches[0].duration)
-        return min(max(fit, WINDOW), _LONGEST_WINDOW)
-
-    def course(self, count: int) -> "CycleCourse":
-        """The course of the plan where its first stretch has `count` cycles."""
-        if count not in self._courses:
-            stretches = self.spec.plain_schedule.stretches
-            period = min(stretches[0].duration / count, *(s.duration for s in stretches)) - _LEFT / count
-            counts = tuple(max(1, int(s.duration / period)) for s in stretches)
-            self._courses[count] = CycleCourse(period, self._ramps(counts, period))
-        return self._courses[count]
-
-    def structure(self, cycle: RepeatedCycle, *, turnable: bool = True) -> CycleStructure:
-        """The structure of a cycle."""
-        period = self.course(cycle.cycles).period
-        return structure_of(cycle.turns, self.slots, self.limits, period, closed=self.closed, turnable=turnable)
-
-    def _ramps(self, counts: Sequence[int], period: float) -> Ramp:
-        """All parts of the plan with one slope: see `Ramp`."""
-        model, lag = self.built.model, self.spec.sensor.lag or 0.0
-        mountings = len(self.spec.rig.table.mounting)
-        polynomials, ramps = model.shifts(np.zeros(1)) is not None, []
-        of_path = any(isinstance(term, PathTerm) for c in model.channels for term in c.model.terms)
-        samples = _SAMPLES_ON_A_PATH if of_path else _SAMPLES
-        past = [] if (before := course_before(self.spec)) is None else before.tolist()
-        if self._executed is not None:
-            begin, end = self._executed.line.ends()
-            past += [*begin[:1].tolist(), *end.tolist()]
-        for part in _parts(self.spec.plain_schedule, counts, period):
-            mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0] - part.slope * lag
-            step, number = part.slope * period, len(part.temperatures)
-            if not polynomials:
-                at = np.linspace(0, number - 1, samples).round().astype(int)
-                every = math.sqrt(number / len(at)) * np.eye(model.size)[None]
-                before = self._window - 1
-                history = np.array([*past, *part.history]) if of_path else np.zeros(0)
-                ramps += [
-                    Ramp(begins + step * (k - before), part.slope, mounting, 0.0, every, elapsed, history)
-                    for k, elapsed in zip(at, part.begun_s + period * (at - before), strict=True)
-                ]
-                continue
-            # A stretch begins with cycles that nothing precedes; elsewhere a window's first cycles are those before.
-            begun = self._window - 1
-            first = part.first and number >= begun
-            later = part.temperatures[begun if first else 0 :] - part.temperatures[0] - (begun * step if first else 0.0)
-            shifts = model.shifts(later) if len(later) else None
-            matrices = np.zeros((1, model.size, model.size)) if shifts is None else further(shifts)
-            ramps.append(Ramp(begins - (0.0 if first else begun * step), part.slope, mounting, float(first), matrices))
-        if longest := max(len(r.history) for r in ramps):
-            padded = (np.pad(r.history, (longest - len(r.history), 0), mode="edge") for r in ramps)
-            ramps = [r._replace(history=history) for r, history in zip(ramps, padded, strict=True)]
-        most = self.built.points if polynomials else 1
-        ramps = [r._replace(further=np.pad(r.further, ((0, most - len(r.further)), (0, 0), (0, 0)))) for r in ramps]
-        return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
-
-    def residuals(self, spec: Spec) -> list[list[ImuResidual]]:
-        """What a spec's plan leaves by each model of the noise, in the order of its requirements."""
-        built = build_imu(spec)
-        return [_residuals(self._prior + _gram_of(built._replace(model=model)), self._fine) for model in self._models]
-
-    def value_of(self, residuals: Sequence[Sequence[ImuResidual]]) -> float:
-        """The objective of a plan that leaves these residuals."""
-        together, over_models = max if self.worst else fmean, max if self.design.robust == "worst" else fmean
-        counted = [
-            [_log(r, aim) for r, aim, own in zip(of, self._aims, self._counted, strict=True) if own] for of in residuals
-        ]
-        return over_models([together(logs) for logs in counted])
-
-    def shown(self) -> tuple[str, str, float]:
-        """Name and unit of the objective for people, and how many of the unit are one of `value_of`, exponentiated."""
-        counted = [r for r, own in zip(self.spec.requirement, self._counted, strict=True) if own]
-        if self.worst or len(counted) > 1:
-            name = "residual over target" if self.worst else "residual over target, geometric mean"
-            return name, "of the target" if all(r.target is not None for r in counted) else "", 1.0
-        (r,) = counted
-        name, limit = _aim_of(r, self.design)
-        return f"{r.name} ({name})", UNIT_OF[r.quantity][0], limit
-
-    def met(self, residuals: Sequence[Sequence[ImuResidual]]) -> bool:
-        """Whether every target is met by its rule with `MARGIN`, by every model."""
-        limited = [_log(r, aim) for of in residuals for r in of if (aim := limit_of(r.requirement)) is not None]
-        return max(limited) <= math.log(1.0 - MARGIN)
-
-    def on_steps(self, cycle: Cycle) -> Cycle:
-        """The cycle with its turns rounded to whole angle steps, without turns of none."""
-        step, turned, result = float(self.design.angle_step or 1.0), {}, []
-        for t in cycle:
-            if t.axis >= 0:
-                goal = turned.get(t.axis, (0.0, 0.0))[0] + t.angle
-                count = round((goal - turned.get(t.axis, (0.0, 0.0))[1]) / step)
-                turned[t.axis] = goal, turned.get(t.axis, (0.0, 0.0))[1] + count * step
-                t = t._replace(angle=count * step)
-            if t.angle or t.rest or t.axis < 0:
-                result.append(t)
-        return tuple(result)
-
-    def spec_of(self, cycle: RepeatedCycle) -> Spec:
-        """The spec with a cycle's moves, in numbers that a controller takes."""
-        if self.design.angle_step is not None:
-            cycle = cycle._replace(turns=self.on_steps(cycle.turns))
-        tables = self.spec.model_dump(mode="json", exclude_unset=True)
-        tables["plan"]["cycle"]["moves"] = self._moves(self._rounded(cycle))
-        return spec_of(tables)
-
-    def _rounded(self, cycle: RepeatedCycle) -> Cycle:
-        """Rounded turns, rates and rests that fit into the period and close as the cycle does."""
-        period, whole = self.course(cycle.cycles).period, self.structure(cycle).whole
-        axes, step = self.spec.rig.table.axis, _ANGLE if self.design.angle_step is None else 0.0
-        items, net = [], {}
-        for t in cycle.turns:
-            degrees, rate = math.degrees(t.angle), math.degrees(t.rate)
-            degrees = round(degrees / step) * step if step else degrees
-            if t.axis >= 0:
-                most = math.floor(math.degrees(float(self.limits.rates[t.axis])) / _RATE + _SLACK) * _RATE
-                rate = min(math.ceil(rate / _RATE - _SLACK) * _RATE, most)
-                net[t.axis] = net.get(t.axis, 0.0) + degrees
-            rest = max(round(t.rest / _REST) * _REST, self.limits.shortest) if t.rest > 0.0 else 0.0
-            items.append([t.axis, round(degrees, 6), round(rate, 6), round(rest, 6)])
-        for axis, total in net.items() if self.closed else ():
-            last = max(k for k, item in enumerate(items) if item[0] == axis)
-            items[last][1] = round(items[last][1] - total + math.degrees(float(whole[axis])), 6)
-        items = [item for item in items if item[1] or item[3]]
-
-        def left() -> float:
-            turns = (quickest_turn(math.radians(a), axes[l], math.radians(w)) for l, a, w, _ in items if l >= 0 and a)
-            return period - math.fsum([*(t.duration for t in turns), *(item[3] for item in items)])
-
-        # The longest rests give way to rounding, or take what it leaves.
-        rests = sorted((item for item in items if item[3]), key=lambda item: -item[3])
-        change = math.floor(left() / _REST)
-        for k in range(abs(change)) if rests else ():
-            item = rests[k % len(rests)]
-            item[3] = max(round(item[3] + math.copysign(_REST, change), 6), self.limits.shortest)
-        return tuple(PoseTurn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
-
-    def _moves(self, cycle: Cycle) -> list[dict[str, str]]:
-        """A cycle as a list of moves for a spec."""
-        axes, moves = self.spec.rig.table.axis, []
-        for t in cycle:
-            if t.axis >= 0 and t.angle:
-                turn = {"turn": f"{math.degrees(t.angle):.10g} deg", "axis": axes[t.axis].name}
-                moves.append(turn | {"peak_rate": f"{math.degrees(t.rate):.6g} deg/s"})
-            if t.rest:
-                moves.append({"rest": f"{t.rest:.6g} s"})
-        return moves
-
-
-class CycleCourse(NamedTuple):
-    """The `period` (s) of a number of cycles, and their ramps."""
-
-    period: float
-    ramps: Ramp
-
-
-class _Part(NamedTuple):
-    """Cycles on one slope (K/s): the `temperatures` (°C) at which they begin; whether the stretch begins with them; the
-    time of the first (s), and the chamber's turning points before it (°C)."""
-
-    stretch: int
-    first: bool
-    slope: float
-    temperatures: np.ndarray
-    begun_s: float
-    history: tuple[float, ...]
-
-
-def _parts(schedule: PlanSchedule, counts: Sequence[int], period: float) -> list[_Part]:
-    """The parts of a plan whose cycles differ in temperature alone; a cycle counts where it begins."""
-    parts = []
-    for number, stretch in enumerate(schedule.stretches):
-        times = stretch.start + period * np.arange(counts[number])
-        segments = [
-            s
-            for s in schedule.segments
-            if s.end > stretch.start + _SLACK and s.start < stretch.start + stretch.duration - _SLACK
-        ]
-        ends = np.array([s.end for s in segments])
-        where = np.minimum(np.searchsorted(ends, times + _SLACK, side="right"), len(segments) - 1)
-        for k in np.unique(where):
-            s, own = segments[k], times[where == k]
-            temperatures = s.temperature_start + s.slope * (own - s.start)
-            earlier = [e for e in schedule.segments if e.end <= s.start + _SLACK]
-            history = (schedule.segments[0].temperature_start, *(e.temperature_end for e in earlier))
-            at = float(own[0]), tuple(map(float, history))
-            parts.append(_Part(number, bool(where[0] == k), float(s.slope), temperatures, *at))
-    return parts
-
-
-def _cycle_of(spec: Spec) -> Cycle:
-    """The spec's own cycle: a rest belongs to the turn before it, the first one to the last turn."""
-    turns: list[PoseTurn] = []
-    begins = 0.0
-    for s in spec.plain_schedule.steps:
-        for _ in range(s.move.repeat):
-            if s.axis >= 0:
-                turns.append(PoseTurn(s.axis, s.move.angle, s.move.fastest, 0.0))
-            elif turns:
-                turns[-1] = turns[-1]._replace(rest=turns[-1].rest + s.move.duration)
-            else:
-                begins += s.move.duration
-    if begins and turns and max(x.cycles for x in spec.plain_schedule.stretches) > 1:
-        turns[-1] = turns[-1]._replace(rest=turns[-1].rest + begins)
-    elif begins:
-        turns.insert(0, PoseTurn(-1, 0.0, 0.0, begins))
-    return tuple(turns)
-
-
-def _limits(spec: Spec, design: Design, start: Cycle) -> TableLimits:
-    axes, gyro, forces = spec.rig.table.axis, spec.sensor.gyro, spec.sensor.accelerometer
-    usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
-    slow = 0.0 if forces is None else float(forces.read_on_moves_below or 0.0) * (1.0 + _SLACK)
-    return TableLimits(
-        np.array([min(float(a.max_rate), usable) for a in axes]),
-        np.array([float(a.max_acceleration) for a in axes]),
-        np.array([a.reach for a in axes], dtype=float),
-        np.array(spec.plain_schedule.start, dtype=float),
-        largest_alike(max(_LARGEST, *(abs(t.angle) for t in start)), waves_of(spec)),
-        float(design.shortest_rest),
-        max(float(design.longest_rest), *(t.rest for t in start)),
-        slow,
-    )
-
-
-def _aim_of(requirement: Requirement, design: Design) -> tuple[Statistic, float]:
-    """The statistic of a requirement that counts, and what it is divided by (`UNIT_OF`): its target by its rule, or 1.
-    Of a requirement that alone is minimised its own statistic counts."""
-    limit = None if requirement.name == design.minimise else limit_of(requirement)
-    return (requirement.statistic, 1.0) if limit is None else limit
-
-
-def _statistics_of(quantity: RequiredQuantity, aim: tuple[Statistic, float]) -> Statistics:
-    """A requirement's statistic over its limit, for the objective."""
-    requirement, elements = quantity.requirement, []
-    for e in quantity.elements:
-        rows, alone, added = e.contrasts()
-        alone = alone if np.any(alone) else None
-        elements.append(GridElement(e.where, np.asarray(rows), alone, added + quantity.beside**2, e.path))
-    shape = len(quantity.temperatures), len(quantity.rates)
-    factor = UNIT_OF[requirement.quantity][1] / aim[1]
-    return Statistics(tuple(elements), shape, aim[0], requirement.axis == "all", factor)
-
-
-def _log(residual: ImuResidual, aim: tuple[Statistic, float]) -> float:
-    """The logarithm of a statistic over its limit."""
-    value = residual.statistic(aim[0])
-    return math.log(value / aim[1]) if value else math.inf
-
-
-def _gram_of(built: BuiltImu) -> np.ndarray:
-    """The information (Gram matrix) of the whitened rows of a plan."""
-    rows = whiten(*imu_system(built.motion, built.model, built.body_nodes()))
-    return rows.T @ rows
-
-
-def _residuals(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[ImuResidual]:
-    """Every requirement's residual from the Gram matrix: its scaled columns are far from parallel where everything is
-    observable."""
-    scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(gram / (scale[:, None] * scale[None, :]))
-    seen = values > 1e-13 * values[-1]
-    known = Posterior(vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None], vectors[:, ~seen] / scale[:, None])
-    return [q.residual(known) for q in quantities]

@@ -8,11 +8,14 @@ of a turn about one table axis, less the rate at rest along it, is the turned an
 force and rate at rest are gravity and the Earth's rate.
 """
 
+import itertools
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from gradcal_jax import estimation, formulas
+from gradcal_jax.api.branches import BRANCHES, branch_of
 from gradcal_jax.api.log_rows import count_rows, table_axis_of, table_readings, usable_rows
 from gradcal_jax.display import summary
 from gradcal_jax.files.calibration import LOG_HASH, TEMPERATURE_RATE, Calibration, Result, correction
@@ -39,6 +42,8 @@ class Cell(NamedTuple):
     after: float
     scatter: float
     unit: str
+    branch: str | None = None
+    """Branch of the temperature; None: all of them together."""
 
 
 class Acceptance(NamedTuple):
@@ -84,6 +89,8 @@ def validate(
     *,
     unit: str | int = 0,
     temperature_parts: int = 3,
+    bin_k: float | None = None,
+    by_branch: bool = False,
     earth_rate: float = 0.0,
     table_axis: str | None = None,
     gravity: float = G,
@@ -91,7 +98,8 @@ def validate(
     """The errors that a calibration leaves on an independent log (its own is refused): ppm of moves' angles and deg/h
     at rest, rms before and after, by `temperature_parts` ranges of temperature (°C) and by rate (deg/s).
 
-    For every axis of both. `earth_rate` rad/s along the sensor's axis is subtracted; `table_axis`: the one that turns
+    For every axis of both. `bin_k`: width of the ranges (K), in the place of their number; `by_branch`: heating and
+    cooling apart. `earth_rate` rad/s along the sensor's axis is subtracted; `table_axis`: the one that turns
     it; `gravity`: m/s², at the place. Errors: `LogError` where the log holds neither moves with a reference nor rests.
     """
     number = log.unit_index(unit)
@@ -101,12 +109,13 @@ def validate(
             "with another log"
         )
     corrected = correction.apply(calibration, log, unit)
+    how = _Ranges(temperature_parts, bin_k, by_branch)
     result: list[AxisValidation] = []
     if _together(calibration):
-        result += _triads(log, corrected.log, number, temperature_parts, gravity, corrected.left_alone)
+        result += _triads(log, corrected.log, number, how, gravity, corrected.left_alone)
     for name in log.axes if not result else ():
         if f"gyro {name}" not in corrected.left_alone:
-            result.append(_axis(log, corrected.log, number, name, temperature_parts, earth_rate, table_axis))
+            result.append(_axis(log, corrected.log, number, name, how, earth_rate, table_axis))
     if not any(one.moves or one.rests for one in result):
         raise LogError("the log holds neither a move with a table angle nor a rest: there is nothing to compare with")
     return result
@@ -146,7 +155,7 @@ def _judged(result: Result, cell: Cell) -> Acceptance:
 
 
 def _axis(
-    log: Log, corrected: Log, unit: int, axis: str, parts: int, earth_rate: float, table_axis: str | None
+    log: Log, corrected: Log, unit: int, axis: str, how: "_Ranges", earth_rate: float, table_axis: str | None
 ) -> AxisValidation:
     messages: list[str] = []
     column = log.axis_index(axis)
@@ -179,6 +188,7 @@ def _axis(
     sums = [np.diff(integral[done.rows]) for integral in integrals]
     elapsed = np.diff(log.time_s[done.rows])
     at = 0.5 * (temperature[done.rows[1:]] + temperature[done.rows[:-1]])
+    branch = how.branch(temperature, log.time_s)
     cells: list[Cell] = []
     moves = rests = 0
     scale = bias = None
@@ -194,17 +204,19 @@ def _axis(
             lasting = np.array([elapsed[a : b + 1].sum() for a, b in groups])[turned]
             warm = np.array([np.mean(at[a : b + 1]) for a, b in groups])[turned]
             speed = truth[turned] / lasting * DEG_PER_S
+            middle = [(done.rows[a] + done.rows[b + 1]) // 2 for a, b in groups]
             moves = len(before)
             scale = (_rms(before), _rms(after))
-            cells += _cells(warm, speed, before, after, _edges(warm, parts), "ppm")
+            of_moves = branch[np.array(middle)[turned]]
+            cells += _cells(warm, speed, before, after, how.edges(warm), "ppm", of_moves)
     still = ~moving & ~done.broken & (elapsed > _BRIEF_S)
     if still.any():
-        # A rest in which the temperature changes is divided by its ranges.
+        # A rest in which the temperature changes is divided by its ranges and branches.
         piece = np.clip(np.searchsorted(done.rows, np.arange(len(raw))) - 1, 0, len(still) - 1)
         inside = usable & still[piece]
         inside[: done.rows[0] + 1] = inside[done.rows[-1] + 1 :] = False
-        edges = _edges(temperature[inside], parts)
-        number = (piece * (len(edges) - 1) + _ranges(temperature, edges))[inside]
+        edges = how.edges(temperature[inside])
+        number = ((piece * (len(edges) - 1) + _ranges(temperature, edges)) * 3 + branch + 1)[inside]
 
         def mean(values: np.ndarray, time: np.ndarray | float = 1.0) -> np.ndarray:
             return np.bincount(number, (values * step)[inside]) / time
@@ -216,7 +228,7 @@ def _axis(
         before, after = before * DEG_PER_H, after * DEG_PER_H
         rests = int(still.sum())
         bias = (_rms(before, time[kept]), _rms(after, time[kept]))
-        cells += _cells(warm, None, before, after, edges, "deg/h")
+        cells += _cells(warm, None, before, after, edges, "deg/h", np.arange(len(kept))[kept] % 3 - 1)
     rows = count_rows(log, unit, estimation.within(done.rows, ~done.broken, len(raw)))
     return AxisValidation(axis, moves, rests, scale, bias, tuple(cells), rows, tuple(messages))
 
@@ -232,7 +244,7 @@ def _together(calibration: Calibration) -> bool:
 
 
 def _triads(
-    log: Log, corrected: Log, unit: int, parts: int, gravity: float, left_alone: tuple[str, ...]
+    log: Log, corrected: Log, unit: int, how: "_Ranges", gravity: float, left_alone: tuple[str, ...]
 ) -> list[AxisValidation]:
     """The triads of gyros and of accelerometers that are calibrated and in the log."""
     number, messages = log.standstill, list[str]()
@@ -255,7 +267,9 @@ def _triads(
         return sums[rests] / lasts[rests, None]
 
     warm = mean(temperature[:, None])[:, 0] if np.isfinite(temperature).all() else np.full(len(rests), np.nan)
-    edges, result = _edges(warm, parts), list[AxisValidation]()
+    edges, result = how.edges(warm), list[AxisValidation]()
+    branch = how.branch(temperature, log.time_s)
+    at_rests = np.array([branch[np.flatnonzero(number == rest)].mean().round() for rest in rests], int)
     for kind, truth, factor, label in (
         ("gyro", EARTH_RATE, DEG_PER_H, "deg/h"),
         ("accelerometer", gravity, 1e6 / G, "ug"),
@@ -265,16 +279,16 @@ def _triads(
             continue
         at_rest = [mean(values) for values in before_and_after]
         before, after = ((np.linalg.norm(values, axis=1) - truth) * factor for values in at_rest)
-        cells, pair = _cells(warm, None, before, after, edges, label), (_rms(before), _rms(after))
+        cells, pair = _cells(warm, None, before, after, edges, label, at_rests), (_rms(before), _rms(after))
         if kind == "accelerometer":
             result.append(AxisValidation("accelerometers", 0, len(rests), None, None, tuple(cells), rows, (), pair))
             continue
-        turns = _turns(log, number, rests, temperature, before_and_after, at_rest, step)
+        turns = _turns(log, number, rests, (temperature, branch), before_and_after, at_rest, step)
         scale = None
         if len(turns):
-            uncorrected, left, heat, speed = turns.T
+            uncorrected, left, heat, speed, of_turns = turns.T
             scale = _rms(uncorrected), _rms(left)
-            cells += _cells(heat, speed, uncorrected, left, _edges(heat, parts), "ppm")
+            cells += _cells(heat, speed, uncorrected, left, how.edges(heat), "ppm", of_turns.astype(int))
         result.append(AxisValidation("gyros", len(turns), len(rests), scale, pair, tuple(cells), rows, tuple(messages)))
     return result
 
@@ -283,13 +297,14 @@ def _turns(
     log: Log,
     number: np.ndarray,
     rests: np.ndarray,
-    temperature: np.ndarray,
+    path: tuple[np.ndarray, np.ndarray],
     rates: list[np.ndarray],
     at_rest: list[np.ndarray],
     step: np.ndarray,
 ) -> np.ndarray:
-    """Turns between rests about one table axis, `(turns, 4)`: errors before and after the correction (ppm), temperature
-    (°C) and mean rate (deg/s)."""
+    """Turns between rests about one table axis, `(turns, 5)`: errors before and after the correction (ppm), temperature
+    (°C), mean rate (deg/s), and the number of the branch. `path`: temperature and branch at every row."""
+    temperature, branch = path
     angles: list[np.ndarray] = []
     for axis in range(len(log.table_axes)):
         read, _ = table_readings(log, axis, number >= 0, np.inf, [], every_kind=True)
@@ -312,19 +327,35 @@ def _turns(
             length = float(np.linalg.norm(whole))
             still = 0.5 * (rest[k] + rest[k + 1]) @ whole / length
             row.append(PPM * ((length - still * lasting) / turned[-1] - 1.0))
-        found.append((*row, float(np.mean(temperature[between])), turned[-1] / lasting * DEG_PER_S))
-    return np.array(found).reshape(-1, 4)
+        heat, of_turn = float(np.mean(temperature[between])), float(np.round(np.mean(branch[between])))
+        found.append((*row, heat, turned[-1] / lasting * DEG_PER_S, of_turn))
+    return np.array(found).reshape(-1, 5)
 
 
 def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:
     return float(np.sqrt(np.average(values**2, weights=weights)))
 
 
-def _edges(temperature: np.ndarray, parts: int) -> np.ndarray:
-    """The edges of equal ranges of temperature, one range where it hardly changes or is not known (°C)."""
-    known = temperature[np.isfinite(temperature)]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
-    return np.linspace(low, high, parts + 1) if high - low > _SAME_K else np.array([low, high])
+class _Ranges(NamedTuple):
+    """How cells are made: equal `parts` of the temperatures or, with `bin_k`, ranges of that width (K) from whole
+    multiples of it on; heating and cooling apart or together."""
+
+    parts: int
+    bin_k: float | None
+    by_branch: bool
+
+    def edges(self, temperature: np.ndarray) -> np.ndarray:
+        """The edges (°C); one range where the temperature hardly changes or is not known."""
+        known = temperature[np.isfinite(temperature)]
+        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+        if self.bin_k is not None and len(known):
+            first, last = math.floor(low / self.bin_k), math.floor(high / self.bin_k) + 1
+            return self.bin_k * np.arange(first, last + 1)
+        return np.linspace(low, high, self.parts + 1) if high - low > _SAME_K else np.array([low, high])
+
+    def branch(self, temperature: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+        """The number of the branch at every row; 0 for all where they are not told apart."""
+        return branch_of(temperature, time_s) if self.by_branch else np.zeros(len(time_s), int)
 
 
 def _ranges(temperature: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -333,21 +364,21 @@ def _ranges(temperature: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
 
 
-def _cells(temperature, speed, before, after, edges: np.ndarray, unit: str) -> list[Cell]:
-    """Cells of ranges of temperature and of like rates."""
+def _cells(temperature, speed, before, after, edges: np.ndarray, unit: str, branch: np.ndarray) -> list[Cell]:
+    """Cells of ranges of temperature, of like rates and of branches (all 0: not told apart)."""
     known = np.isfinite(temperature)
     warm = _ranges(temperature, edges)
     fast = np.zeros(len(before), int) if speed is None else estimation.like_rates(speed, 0.2)
     rows: list[Cell] = []
-    for i in range(len(edges) - 1):
-        for j in np.unique(fast):
-            inside = (warm == i) & (fast == j)
-            if not inside.any():
-                continue
-            rates = None if speed is None else (float(speed[inside].min()), float(speed[inside].max()))
-            warmth = (float(edges[i]), float(edges[i + 1])) if known.any() else None
-            was, left = float(np.mean(before[inside])), float(np.mean(after[inside]))
-            rows.append(Cell(warmth, rates, int(inside.sum()), was, left, float(np.std(after[inside])), unit))
+    for i, j, way in itertools.product(range(len(edges) - 1), np.unique(fast), (1, -1, 0)):
+        inside = (warm == i) & (fast == j) & (branch == way)
+        if not inside.any():
+            continue
+        rates = None if speed is None else (float(speed[inside].min()), float(speed[inside].max()))
+        warmth = (float(edges[i]), float(edges[i + 1])) if known.any() else None
+        was, left = float(np.mean(before[inside])), float(np.mean(after[inside]))
+        name = BRANCHES[way] if np.any(branch) else None
+        rows.append(Cell(warmth, rates, int(inside.sum()), was, left, float(np.std(after[inside])), unit, name))
     return rows
 
 

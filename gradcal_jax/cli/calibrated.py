@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import ForceOutput, Json, JsonNumbers, OptionalOutput, Output, as_json, writable
+from gradcal_jax.cli.output import Flag, ForceOutput, Json, JsonNumbers, OptionalOutput, Output, as_json, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
@@ -32,6 +32,7 @@ def apply(
 ) -> int:
     """Correct the rates and specific forces of a log by a calibration, and write them as a log.
 
+    A hysteresis in the calibration follows the temperature along the log.
     The exit status is 1 where rows lie outside the range of the calibration; there its value at the edge is used.
 
     Parameters
@@ -56,12 +57,18 @@ def apply(
     outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
     if json:
         rows = {"rows": corrected.log.counts(0), "outside": outside, "not_calibrated": list(corrected.left_alone)}
+        rows["unknown_branch"] = corrected.unknown_branch
         print(as_json({"log": str(output), "simulated": corrected.log.simulated, **rows}))
     else:
         print(described(corrected.log, str(log)))
         for what, count in outside.items():
             if count:
                 print(f"note: {count} {what} lie outside the range of the calibration: its value at the edge was used")
+        if corrected.unknown_branch:
+            print(
+                f"note: in {corrected.unknown_branch} rows the temperature has not gone far enough to tell the state "
+                "of the hysteresis: the middle of what it may be was used"
+            )
         if corrected.left_alone:
             print(f"note: not calibrated, and left unchanged: {', '.join(corrected.left_alone)}")
         print(f"wrote {output}")
@@ -78,6 +85,8 @@ def validate(
     earth_rate: str | None = None,
     gravity: str | None = None,
     parts: int = 3,
+    bins: str | None = None,
+    branches: Flag = False,
     source: Recording = WHOLE,
     json: JsonNumbers = False,
 ) -> int:
@@ -98,11 +107,18 @@ def validate(
         The gravity at the place, such as "9.8123 m/s^2", for accelerometers; without it standard gravity.
     parts
         Number of ranges of temperature.
+    bins
+        Width of the ranges, such as "2 K", in the place of their number.
+    branches
+        Heating and cooling apart.
     """
     from gradcal_jax.files.calibration import read_calibration
 
     if parts < 1:
         raise ValueError(f"--parts must be 1 or more, not {parts}")
+    width = None if bins is None else quantity(bins, "temperature difference", "--bins")
+    if width is not None and width <= 0.0:
+        raise ValueError(f"--bins must be positive, not {bins}")
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
     place = {} if gravity is None else {"gravity": quantity(gravity, "acceleration", "--gravity")}
     content = read_calibration(calibration)
@@ -112,7 +128,15 @@ def validate(
 
     name = _unit(recorded, content.serial_number, unit)
     rows = work.validate(
-        content, recorded, unit=name, temperature_parts=parts, earth_rate=earth, table_axis=table_axis, **place
+        content,
+        recorded,
+        unit=name,
+        temperature_parts=parts,
+        bin_k=width,
+        by_branch=branches,
+        earth_rate=earth,
+        table_axis=table_axis,
+        **place,
     )
     judged = work.acceptances(content, rows)
     if json:
@@ -232,6 +256,7 @@ def _validation_text(row: "AxisValidation") -> str:
     for cell in row.cells:
         warm = cell.temperature_c
         where = "not known" if warm is None else f"{warm[0]:.1f} … {warm[1]:.1f} °C"
+        where += "" if cell.branch is None else f", {cell.branch}"
         rate = "at rest" if cell.rate_dps is None else f"{cell.rate_dps[0]:.4g} … {cell.rate_dps[1]:.4g} deg/s"
         numbers = (f"{cell.before:.5g}", f"{cell.after:.4g}", f"{cell.scatter:.3g}")
         shown.append((where, rate, str(cell.how_many), *numbers, cell.unit))

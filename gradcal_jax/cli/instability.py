@@ -2,6 +2,7 @@
 
 import math
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -9,6 +10,7 @@ from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import (
+    Flag,
     ForceOutput,
     JsonNumbers,
     OptionalOutput,
@@ -25,8 +27,11 @@ from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 from gradcal_jax.pages.plain_text import columns
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.instability import Instability
+    from gradcal_jax.api.instability import Instability, RestRecord
     from gradcal_jax.identify import AllanFit
+
+    # A range of temperature, a branch (None: all), and the instability there or why there is none.
+    _Piece = tuple[tuple[float, float] | None, str | None, Instability | str]
 
 Axes = Annotated[
     tuple[str, ...], Parameter(name="--axis", negative="", help="Which axis; may be repeated. All, without it.")
@@ -58,6 +63,8 @@ def instability(
     lag: Lag = "auto",
     temperature: Annotated[tuple[str, str] | None, Parameter(negative="")] = None,
     ranges: int = 1,
+    bins: str | None = None,
+    branches: Flag = False,
     without: Without = (),
     source: Recording = WHOLE,
     json: JsonNumbers = False,
@@ -83,6 +90,10 @@ def instability(
         Only rows between two temperatures: --temperature "20 degC" "40 degC".
     ranges
         Also for each of this many equal ranges of temperature.
+    bins
+        Also for each range of temperature of this width, such as "2 K".
+    branches
+        Also for heating and cooling apart, as a whole and in each range.
     plot
         Draw the largest drifts with their bound into this file (.png, .svg, .pdf).
     """
@@ -97,6 +108,7 @@ def instability(
     lag_s = _lag(lag)
     if ranges < 1:
         raise ValueError(f"--ranges must be 1 or more, not {ranges}")
+    width = _width(bins)
     if not (delta_s > 0 and 0 < shortest_s <= longest_s and margin > 0):
         raise ValueError("--delta, --shortest and --margin must be positive, and --longest no shorter than --shortest")
     left_out = [span(text, "--without") for text in without]
@@ -108,7 +120,7 @@ def instability(
         work.instability, averaging_time_s=delta_s, shortest_s=shortest_s, longest_s=longest_s, margin=margin
     )
     results: list[Instability] = []
-    parts: list[list[tuple[tuple[float, float], Instability | str]]] = []
+    parts: list[list[_Piece]] = []
     for name in work.axes_asked_for(recorded, axis):
         rest = work.at_rest(
             recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s, without=left_out
@@ -116,22 +128,24 @@ def instability(
         rest.walk_of_sensor(0.0)  # asks before anything is printed
         whole = look(rest, angle_random_walk=walk, temperature_c=between)
         results.append(whole)
-        pieces: list[tuple[tuple[float, float], Instability | str]] = []
-        for part in work.temperature_ranges(rest, ranges) if ranges > 1 else []:
+        pieces: list[_Piece] = []
+        for part, way in _parts(rest, ranges, width, branches):
             try:
                 # The random walk is the sensor's own; a short range says less of it than the whole record.
-                one = look(rest, angle_random_walk=whole.bound.angle_random_walk, temperature_c=part)
-                pieces.append((part, one))
+                one = look(rest, angle_random_walk=whole.bound.angle_random_walk, temperature_c=part, branch=way)
+                pieces.append((part, way, one))
             except ValueError as error:
-                pieces.append((part, str(error)))
+                pieces.append((part, way, str(error)))
         parts.append(pieces)
     if json:
         rows = []
         for whole, pieces in zip(results, parts, strict=True):
             row = work.instability_row(whole)
             row["ranges"] = [
-                {"temperature_c": part, "problem": one} if isinstance(one, str) else work.instability_row(one)
-                for part, one in pieces
+                {"temperature_c": part, "branch": way, "problem": one}
+                if isinstance(one, str)
+                else work.instability_row(one)
+                for part, way, one in pieces
             ]
             rows.append(row)
         print(as_json({"simulated": recorded.simulated, "channels": rows}))
@@ -162,11 +176,29 @@ def _write_noise(
     return DONE
 
 
+def _width(bins: str | None) -> float | None:
+    width = None if bins is None else quantity(bins, "temperature difference", "--bins")
+    if width is not None and width <= 0.0:
+        raise ValueError(f"--bins must be positive, not {bins}")
+    return width
+
+
+def _parts(
+    rest: "RestRecord", ranges: int, width: float | None, branches: bool
+) -> list[tuple[tuple[float, float] | None, str | None]]:
+    """Ranges of temperature (None: all) and branches (None: both) besides the whole record."""
+    from gradcal_jax.api import instability as work
+
+    divided = work.temperature_ranges(rest, ranges, width) if ranges > 1 or width else []
+    ways = ("heating", "cooling")
+    return [*product([None, *divided], ways)] if branches else [(part, None) for part in divided]
+
+
 def _lag(text: str) -> float | str:
     return text if text in ("auto", "fit", "none") else quantity(text, "time", "--lag")
 
 
-def _instability_text(result: "Instability", parts) -> str:
+def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
     from gradcal_jax.api import instability as work
     from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
 
@@ -216,8 +248,10 @@ def _instability_text(result: "Instability", parts) -> str:
     ]
     if parts:
         rows = [("temperature", "drift (1σ)", "correlation time")]
-        for (low, high), one in parts:
-            where = f"{low:.1f} … {high:.1f} °C"
+        for part, way, one in parts:
+            where = ", ".join(
+                [*(() if part is None else [f"{part[0]:.1f} … {part[1]:.1f} °C"]), *(() if way is None else [way])]
+            )
             if isinstance(one, str):
                 rows.append((where, one, ""))
             elif one.bound.drift_shows:
@@ -240,6 +274,8 @@ def allan(
     delta: str = "10 s",
     bias_degree: BiasDegree = None,
     lag: Lag = "auto",
+    bins: str | None = None,
+    branches: Flag = False,
     without: Without = (),
     source: Recording = WHOLE,
     form: Annotated[Literal["kalibr", "ins"] | None, Parameter(name="--format")] = None,
@@ -290,6 +326,10 @@ def allan(
         The wanted relative error of each, such as "5 %": prints how long the record must be.
     rate
         Sample rate.
+    bins
+        Also for each range of temperature of this width, such as "2 K".
+    branches
+        Also for heating and cooling apart, as a whole and in each range.
     plot
         Draw the deviation, its fit and the Direct Bound's curve into this file.
     """
@@ -311,32 +351,43 @@ def allan(
     if output is not None:
         raise ValueError("--output needs --format kalibr or --format ins")
     drawable(plot)
-    delta_s, lag_s = quantity(delta, "time", "--delta"), _lag(lag)
+    delta_s, lag_s, width = quantity(delta, "time", "--delta"), _lag(lag), _width(bins)
     chosen = _terms(terms)
     left_out = [span(text, "--without") for text in without]
     recorded = load(log, source, unit=unit)
     use_float64()
     from gradcal_jax.api import instability as work
 
-    drawn = []
+    drawn, problems = [], list[str]()
     for name in work.axes_asked_for(recorded, axis):
-        rest = work.at_rest(
+        whole = work.at_rest(
             recorded, name, 0 if unit is None else unit, bias_degree=bias_degree, lag=lag_s, without=left_out
         )
-        deviation, fit = work.allan_of(rest, terms=chosen, confidence=confidence)
-        work.of_sensor(rest, fit)  # asks before anything is printed
-        drawn.append((rest, deviation, fit))
+        whole.walk_of_sensor(0.0)  # asks before anything is printed
+        for part, way in [(None, None), *_parts(whole, 1, width, branches)]:
+            try:
+                rest = whole.within(part, way)
+                deviation, fit = work.allan_of(rest, terms=chosen, confidence=confidence)
+            except ValueError as error:
+                if part is None and way is None:
+                    raise
+                where = ("" if part is None else f"{part[0]:g} to {part[1]:g} °C ") + (way or "")
+                problems.append(f"axis {name}, {where.strip()}: {error}")
+                continue
+            drawn.append((rest, deviation, fit))
     if json:
         rows = [work.allan_row(*one) for one in drawn]
-        print(as_json({"simulated": recorded.simulated, "channels": rows}))
+        print(as_json({"simulated": recorded.simulated, "channels": rows, "problems": problems}))
     else:
         print(described(recorded, str(log)))
         for rest, _, of_rows in drawn:
             fit = work.of_sensor(rest, of_rows)
-            print("\n" + strong(f"axis {rest.axis}, unit {rest.unit}"))
+            print("\n" + strong(f"axis {rest.axis}, unit {rest.unit}" + (f", {rest.part}" if rest.part else "")))
             print(_allan_text(fit))
             for message in (*work.allan_notes(fit), *rest.messages):
                 print(f"note: {message}")
+        for problem in problems:
+            print(f"note: {problem}")
     if plot is not None:
         bounds = []
         for rest, _, _ in drawn:
@@ -347,7 +398,8 @@ def allan(
                 if not json:
                     print(f"note: no Direct Bound of axis {rest.axis}: {problem}")
         save_figure(lambda plots: plots.identification.draw_allan_and_bound(drawn, bounds), plot, quiet=json)
-    return DONE if all(work.plausible(work.of_sensor(rest, fit)) for rest, _, fit in drawn) else NOT_AS_WISHED
+    plausible = (work.plausible(work.of_sensor(rest, fit)) for rest, _, fit in drawn if not rest.part)
+    return DONE if all(plausible) else NOT_AS_WISHED
 
 
 _TERMS = {"q": "quantisation", "n": "angle_random_walk", "b": "bias_instability", "k": "rate_random_walk"}

@@ -48,8 +48,9 @@ def optimise(
     """Minimise a plan's residual by gradient descent, within the limits of sensor, rig and time; write it as a recipe.
 
     Of one gyro along the only axis of a table, the spec's [design] says what to minimise and what is free. Of any other
-    IMU, the turns, poses, rates and rests of many cycles are changed along the gradient. Ctrl-C once finishes with the
-    best plan so far; twice stops at once. The exit status is 1 where the search did not converge.
+    IMU, the turns, poses, rates and rests of many cycles are changed along the gradient and, with a hysteresis in the
+    spec, the chamber's legs, turning points and slopes. Ctrl-C once finishes with the best plan so far; twice stops at
+    once. The exit status is 1 where the search did not converge.
 
     Of the folder of an interrupted run, plan the rest: the part that was done counts in every prediction,
     and the ramp begins where the chamber's course stopped. The unit must not have been switched off meanwhile: both

@@ -37,7 +37,8 @@ Free = Literal[
 ]  # fmt: skip
 """What may change. Gradient plans with motion: `duration` (of turns and rests: `rest` and `turn` say the same),
 `peak_rate`, `ramp` (its time), `gradient` (one slope a turn at the table), `cycle` (its length). Without motion:
-`programme`. Standard plans: `temperatures`, `rates`, `integration` (and with it the time of a point)."""
+`programme`. Standard plans: `temperatures`, `rates`, `integration` (and with it the time of a point). Cycles of turns
+and poses: `cycle` (all of it) and `programme` (the chamber's legs, turning points and slopes)."""
 
 
 class Scenario(Section):
@@ -79,7 +80,8 @@ class Design(Section):
     """A requirement's name, "motion time" or "total time". Of an axis also "A-optimality", "D-optimality" or
     "E-optimality"; of other IMUs "all requirements" (geometric mean of residual over target) or "worst ratio"."""
     free: Annotated[tuple[Free, ...], Field(min_length=1)] = ()
-    """Which parts of the plan of an axis may change."""
+    """Which parts of the plan may change. Of cycles of turns and poses "cycle" and "programme"; absent: the cycle and,
+    with a `hysteresis` in the spec, the programme."""
     max_motion: Time | None = None
     """Longest ramp."""
     max_total: Time | None = None
@@ -122,9 +124,10 @@ class Design(Section):
 
 
 # Keys that one of the two kinds of search alone reads.
-_OF_AXIS: Final = ("free", "cycles", "starts", "notice", "whole_turns", "scenario")
+_OF_AXIS: Final = ("cycles", "starts", "notice", "whole_turns", "scenario")
 _OF_POSES: Final = ("angle_step", "shortest_rest", "longest_rest")
 _MOVES_OF_AXIS: Final = 40
+_FREE_OF_POSES: Final = ("cycle", "programme")
 
 
 def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> Iterator[Problem]:
@@ -143,6 +146,10 @@ def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> I
             yield Problem((name,), f"has no effect on a search of {kind}; leave it out")
     if of_axis and not design.free:
         yield Problem(("free",), "this key is missing: it says which parts of the plan may change", kind="missing")
+    for k, name in enumerate(() if of_axis else design.free):
+        if name not in _FREE_OF_POSES:
+            message = f"a search of a cycle of turns and poses frees {' and '.join(_FREE_OF_POSES)}"
+            yield Problem(("free", k), message, name)
     if design.moves is not None:
         if of_axis and design.moves > _MOVES_OF_AXIS:
             yield Problem(("moves",), f"must be at most {_MOVES_OF_AXIS} in each turn at the table", design.moves)

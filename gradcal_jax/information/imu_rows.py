@@ -299,7 +299,8 @@ def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> _Enco
     moves = xp.where(at.sums(xp.where(motion.turns, 1.0, 0.0)) > 0.0, 1.0, 0.0)
     gap, read, at_rest = (np.asarray(x)[at.last] for x in (line.gap, line.read, line.at_rest))
     start, lasting = line.start[at.first], at.sums(line.duration)
-    reads = np.ones(count) if of.held else (read | gap).astype(float)
+    # The empty slots of a search take no time, and are not read.
+    reads = np.ones(count) if of.held else xp.where(lasting > 0.0, (read | gap).astype(float), 0.0)
     parts: tuple[list, list, list] = ([], [], [])
     for k in range(axes):
         now, before, still = k, k + axes, k + 2 * axes
@@ -317,7 +318,7 @@ def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> _Enco
             covariance.append(((every, now, now), spread))
             initial.append(((now, now), first))
             continue
-        stands = reads * xp.where(motion.turns[at.last, k], at_rest, 1.0)
+        stands = reads * xp.where(motion.turns[at.last, k], at_rest.astype(float), 1.0)
         white, drawn = of.reading[k] ** 2, of.offset[k] ** 2
         share = xp.asarray(line.share)[at.last]
         timed = xp.square(line.end_rate()[at.last] * (xp.zeros(axes) + of.timing)[k]) * (reads - stands)
@@ -393,7 +394,8 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Im
         along = xp.where(own[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0)
     else:
         directed = at.sums(nodes.integrals(lambda g: g.integral(g.axes), (axes, 3))[nodes.kind])
-        along = directed / at.sums(motion.line.duration)[:, None, None]
+        lasting = at.sums(motion.line.duration)[:, None, None]
+        along = directed / xp.where(lasting > 0.0, lasting, 1.0)
     along = xp.concatenate([along, xp.zeros(along.shape)], axis=-1)
     slow = slow + xp.stack([along, -along], axis=1)
     index = np.array([c.index for c in model.channels])[at.row_channel]

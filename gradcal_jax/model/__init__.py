@@ -20,7 +20,7 @@ from gradcal_jax.model.noise import (
     no_processes,
     rate_random_walk,
 )
-from gradcal_jax.model.path import GradientOfScale, HalfDifference, Hysteresis, PathTerm, TurnOnTransient, play_states
+from gradcal_jax.model.path import GradientOfScale, HalfDifference, Hysteresis, PathTerm, TurnOnTransient
 from gradcal_jax.model.sensor import SensorModel, gyro_model
 from gradcal_jax.model.terms import (
     BIAS,

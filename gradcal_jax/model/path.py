@@ -26,6 +26,7 @@ import equinox as eqx
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace, put
+from gradcal_jax.formulas import running_clamps, then
 from gradcal_jax.model.bases import BSpline
 from gradcal_jax.model.nodes import Nodes, SharedNodes
 from gradcal_jax.model.terms import Term
@@ -33,35 +34,6 @@ from gradcal_jax.model.terms import Term
 FREE = 3.0
 # dT/dt of a temperature that neither heats nor cools, K/s.
 _STEADY = 0.1 / 60.0
-Clamps = tuple[AnyArray, AnyArray]
-"""Lower and upper bounds of clamps: `x -> max(low, min(high, x))`."""
-
-
-def then(first: Clamps, second: Clamps) -> Clamps:
-    """The clamp that applies one after the other."""
-    (a, b), (low, high) = first, second
-    xp = namespace(a, low)
-    return xp.maximum(low, xp.minimum(high, a)), xp.maximum(low, xp.minimum(high, b))
-
-
-def running_clamps(low: Float[AnyArray, "*s n"], high: Float[AnyArray, "*s n"]) -> Clamps:
-    """Compositions of all clamps up to and including each one, along the last axis, in log₂ n rounds."""
-    xp, step = namespace(low, high), 1
-    while step < low.shape[-1]:
-        more = then((low[..., :-step], high[..., :-step]), (low[..., step:], high[..., step:]))
-        low, high = (
-            xp.concatenate([old[..., :step], new], axis=-1) for old, new in zip((low, high), more, strict=True)
-        )
-        step *= 2
-    return low, high
-
-
-def play_states(
-    temperature: Float[AnyArray, " n"], width: float | Float[AnyArray, ""]
-) -> tuple[Float[AnyArray, " n"], Float[AnyArray, " n"]]:
-    """The two extreme states (°C) of a play of half-width `width` (K) at turning points of a monotone course or finer
-    samples of any course (°C)."""
-    return running_clamps(temperature - width, temperature + width)
 
 
 class PathTerm(Term):

@@ -1,6 +1,7 @@
 """Figures. Functions take `ax=None`, label axes with units, return their artists and never call `show`."""
 
 from gradcal_jax.plots import calibration
+from gradcal_jax.plots.calibration import draw_loop
 from gradcal_jax.plots.calibration_maps import draw_calibrated_scale_factor
 from gradcal_jax.plots.design import draw_frontier, draw_sensitivities
 from gradcal_jax.plots.identification import draw_drift
@@ -18,6 +19,7 @@ __all__ = [
     "draw_drift",
     "draw_frontier",
     "draw_heading",
+    "draw_loop",
     "draw_map",
     "draw_over_temperature",
     "draw_poses",

@@ -133,7 +133,7 @@ def draw_estimate(report: EstimateReport) -> Figure:
 
 
 def _loops_of(report: SensorEstimate) -> Sequence[BiasCurve]:
-    return report.curves if report.path is not None or report.calibration.path else ()
+    return report.curves if report.path is not None or any(one.width for one in report.calibration.path) else ()
 
 
 def _over_rate(calibration: Calibration) -> list[CalibratedChannel]:

@@ -85,4 +85,4 @@ def draw_allan_and_bound(
 
 
 def _name(rest: RestRecord) -> str:
-    return f"axis {rest.axis}, unit {rest.unit}"
+    return f"axis {rest.axis}, unit {rest.unit}" + (f", {rest.part}" if rest.part else "")

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, size_class
-from gradcal_jax.model import BodyGroup, BodyNodes, play_states
+from gradcal_jax.formulas import play_states
+from gradcal_jax.model import BodyGroup, BodyNodes
 from gradcal_jax.trajectory.gauss import EDGE, temperature_crossings
 from gradcal_jax.trajectory.geometry import Geometry, frames
 from gradcal_jax.trajectory.trajectory import Trajectory, quadrature

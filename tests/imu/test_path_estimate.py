@@ -1,5 +1,6 @@
 """Estimates of units with a loop over temperature: what is said, offered, written and drawn."""
 
+import json
 from dataclasses import replace
 from functools import lru_cache
 
@@ -8,11 +9,18 @@ import pytest
 from loop_scene import WIDTHS, recorded, spec_of
 from matplotlib.figure import Figure
 
+import gradcal_jax as gj
 from gradcal_jax.api.estimate import EstimateReport, SensorEstimate, estimate_sensors
 from gradcal_jax.api.estimate_rows import estimate_rows
+from gradcal_jax.api.instability import at_rest, temperature_ranges
+from gradcal_jax.cli import main
 from gradcal_jax.cli.estimated import text_of_estimate
 from gradcal_jax.files.calibration import read_calibration, write_calibration
+from gradcal_jax.files.calibration.correction import apply, temperature_slope
 from gradcal_jax.files.calibration.exports import export
+from gradcal_jax.files.calibration.file import CalibratedChannel, PathCoefficient, build_term
+from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log_file import read_log, write_log
 from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth
 from gradcal_jax.plots.calibration import draw_estimate, draw_loop, legs_of
@@ -122,3 +130,119 @@ def test_legs_end_at_turning_points():
     )
     assert legs_of(temperature) == [(0, 40), (39, 120), (119, 160)]
     assert legs_of(np.linspace(0.0, 1.0, 9)) == [(0, 9)]
+
+
+def test_apply_follows_the_plays_along_a_log(tmp_path):
+    """Of a second log of the same unit, whose loop is of relays: less is left on both legs with the plays than with the
+    maps alone, and rows are counted until the widest play is known."""
+    report, truth = estimated()
+    log = recorded(truth, spec_of(back=True, size=40.0), back=True, seed=8)
+    calibration = report.calibration
+    without = calibration.model_copy(update={"path": ()})
+    left = []
+    for one in (calibration, without):
+        done = apply(one, log)
+        rate = done.log.rate_rad_per_s[0]
+        # Means over 10 K of each leg; the first 60 K tell the state of the widest play.
+        parts = np.nanmean(rate[: len(rate) // 16 * 16].reshape(16, -1, 3), axis=1)[6:] / HOUR
+        left.append(np.sqrt(np.mean(parts**2)))
+    assert left[0] < 0.33 * left[1]
+    assert apply(without, log).unknown_branch == 0
+    assert log.temperature_c is not None
+    warm = np.abs(log.temperature_c[0] - log.temperature_c[0, 0])
+    traversed = int(np.argmax(warm >= 2.0 * max(WIDTHS)))
+    assert apply(calibration, log).unknown_branch == pytest.approx(traversed, abs=2)
+    write_calibration(calibration, tmp_path / "calibration.toml")
+    write_log(log, tmp_path / "log.nc")
+    command = ["apply", str(tmp_path / "calibration.toml"), str(tmp_path / "log.nc"), "-o", str(tmp_path / "done.nc")]
+    main(command)
+    again = read_log(tmp_path / "done.nc").rate_rad_per_s
+    assert again == pytest.approx(apply(calibration, log).log.rate_rad_per_s, abs=1e-12, nan_ok=True)
+
+
+def test_a_play_of_the_scale_factor_and_dt_dt_are_taken_off_exactly():
+    """Of rates that were made by the definition, sample by sample: `measured = ω(1 + b + c·h + d·Ṫ)`."""
+    channel = CalibratedChannel(
+        kind="gyro", axis="x", valid_temperature=("-60 degC", "90 degC"), valid_rate=("-300 deg/s", "300 deg/s"),  # pyright: ignore[reportArgumentType]
+        term=(build_term("scale_factor", "1", ("rate x",), {"b00": 1e-3}),),
+    )  # fmt: skip
+    on_path = [
+        {"name": "scale_factor_hysteresis_8K", "value": 4e-5, "unit": "1/K", "width": "8 K"},
+        {"name": "scale_factor_temperature_gradient", "value": 2e-2, "unit": "s/K"},
+    ]
+    path = [PathCoefficient(channel="gyro_x", standard_deviation=1e-6, **of) for of in on_path]  # pyright: ignore[reportArgumentType]
+    base = estimated()[0].calibration
+    calibration = base.model_copy(update={"channel": (channel,), "path": tuple(path)})
+    time = np.arange(4000.0)
+    temperature = 20.0 + 30.0 * np.sin(2.0 * np.pi * time / 2500.0)
+    states = [np.empty_like(temperature), np.empty_like(temperature)]
+    for of, state in zip(states, (temperature[0] - 8.0, temperature[0] + 8.0), strict=True):
+        for k, t in enumerate(temperature):
+            state = of[k] = max(t - 8.0, min(t + 8.0, state))
+    true = 2.0 * np.sin(time / 7.0)
+    slope = temperature_slope(temperature, time)
+    scale = 4e-5 * (0.5 * (states[0] + states[1]) - temperature) + 2e-2 * slope
+    log = Log(time, (true * (1.0 + 1e-3 + scale))[None, :, None], ("u",), ("x",), temperature[None])
+    done = apply(calibration, log)
+    assert done.log.rate_rad_per_s[0, :, 0] == pytest.approx(true, rel=1e-12, abs=1e-12)
+    assert done.unknown_branch == np.count_nonzero(states[1] - states[0] > 1e-6) > 0
+
+
+def at_rest_all_the_time() -> Log:
+    """Another record of the unit with a loop, as one rest."""
+    _, truth = estimated()
+    log = recorded(truth, spec_of(back=True, size=40.0), back=True, seed=8)
+    rate = log.rate_rad_per_s.copy()
+    (lost,) = np.flatnonzero(np.isnan(rate[0]).any(axis=1))
+    rate[:, lost] = rate[:, lost - 1]
+    return replace(log, rate_rad_per_s=rate, standstill=np.zeros(rate.shape[1], np.int64))
+
+
+def test_validation_by_branch_and_by_bins_shows_the_loop(tmp_path, capsys):
+    """Heating and cooling differ at the same temperature before the correction; the sum of both hides it."""
+    report, truth = estimated()
+    log, calibration = at_rest_all_the_time(), report.calibration
+    axis = int(np.argmax(np.abs(truth.triads["gyro"].loops[0].size)))
+    name = "xyz"[axis]
+    (of,) = [one for one in gj.validate(calibration, log, bin_k=2.0, by_branch=True) if one.axis == name]
+    cells = {(cell.temperature_c, cell.branch): cell for cell in of.cells}
+    assert {branch for _, branch in cells} >= {"heating", "cooling"}
+    warm = [(low, low + 2.0) for low in np.arange(-10.0, 50.0, 2.0)]
+    loop = np.array([cells[t, "heating"].before - cells[t, "cooling"].before for t in warm])
+    size = 2.0 * truth.triads["gyro"].loops[0].size[axis] / HOUR
+    assert np.mean(loop) == pytest.approx(size, abs=0.35 * abs(size))
+    left = np.array([cells[t, "heating"].after - cells[t, "cooling"].after for t in warm])
+    assert np.sqrt(np.mean(left[15:] ** 2)) < 0.5 * np.sqrt(np.mean(loop[15:] ** 2))
+    assert all(cell.branch is None for cell in gj.validate(calibration, log)[0].cells)
+    write_calibration(calibration, tmp_path / "calibration.toml")
+    write_log(log, tmp_path / "log.nc")
+    main(["validate", str(tmp_path / "calibration.toml"), str(tmp_path / "log.nc"), "--branches", "--bins", "20 K"])
+    assert "20.0 … 40.0 °C, heating" in capsys.readouterr().out
+
+
+def test_noise_is_stated_by_branch_and_by_bins(tmp_path, capsys):
+    log = at_rest_all_the_time()
+    rest = at_rest(log, "x", bias_degree=3, lag=0.0)
+    heating, cooling = (rest.within(branch=branch).valid for branch in ("heating", "cooling"))
+    assert not np.any(heating & cooling)
+    assert np.count_nonzero(heating) == pytest.approx(2400, abs=60)
+    assert np.flatnonzero(heating).max() < 2460 < 2340 + np.count_nonzero(cooling)
+    warm = rest.within((10.0, 12.0), "cooling")
+    assert warm.temperature_c is not None
+    assert np.all((warm.temperature_c[warm.valid] >= 10.0) & (warm.temperature_c[warm.valid] <= 12.0))
+    assert np.flatnonzero(warm.valid).min() > 2400
+    with pytest.raises(LogError, match="no usable row lies between 70 and 80 °C, heating"):
+        rest.within((70.0, 80.0), "heating")
+    assert temperature_ranges(rest, 1, 2.0)[0] == (-20.0, -18.0)
+    write_log(log, tmp_path / "log.nc")
+    main(["instability", str(tmp_path / "log.nc"), "--axis", "x", "--branches", "--json"])
+    (whole,) = json.loads(capsys.readouterr().out)["channels"]
+    assert [part["branch"] for part in whole["ranges"]] == ["heating", "cooling"]
+    assert whole["branch"] is None
+    main(["allan", str(tmp_path / "log.nc"), "--axis", "x", "--branches", "--bins", "40 K", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert [one["part"] for one in found["channels"]][:3] == ["", "heating", "cooling"]
+    assert len(found["channels"]) + len(found["problems"]) == 9
+    for one in found["channels"]:
+        walk = one["coefficients"]["angle_random_walk_deg_per_sqrt_h"]
+        assert walk["value"] == pytest.approx(0.1, abs=0.01 + 3.0 * walk["standard_error"])

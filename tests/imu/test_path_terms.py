@@ -17,7 +17,7 @@ from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.schemas import schema
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.model import play_states
+from gradcal_jax.formulas import play_states
 from gradcal_jax.trajectory import TableMotion, body_nodes
 
 DEG = np.pi / 180.0

@@ -6,6 +6,9 @@ is solved for the inputs of all channels together: the residual of the equation 
 the linear part and added to them, until nothing changes. The error shrinks in each iteration by a factor of the size of
 the terms that are not linear, or that differ from their value at the middle temperature; so raw counts converge, too.
 Outside the range of the data, the maps keep their values at its edge.
+
+Plays ([[path]] of a calibration) follow the temperature along a log, row by row. Until it has traversed twice their
+half-width, their state at the log's beginning counts, of which the middle of what it may be is taken.
 """
 
 import importlib
@@ -29,7 +32,13 @@ from gradcal_jax.files.bases import (
     TemperaturePolynomial,
     TemperatureSpline,
 )
-from gradcal_jax.files.calibration.file import TEMPERATURE_RATE, CalibratedChannel, CalibratedTerm, Calibration
+from gradcal_jax.files.calibration.file import (
+    TEMPERATURE_RATE,
+    CalibratedChannel,
+    CalibratedTerm,
+    Calibration,
+    PathCoefficient,
+)
 from gradcal_jax.files.log import Floats, Log, LogError
 
 _ROUNDS, _SETTLED, _DIVERGED = 60, 1e-14, 1e-9
@@ -40,6 +49,8 @@ _SLOPE_WINDOW_S = 60.0
 # Over a shorter break the temperature is continuous; after a longer one a run begins with a stable chamber, and the
 # lag has decayed.
 _BRIDGED_S = 60.0
+# SI units of sensitivities to dT/dt of biases and of scale factors; difference of two states of a play that are one, K.
+_BIAS_BY_SLOPE, _SCALE_BY_SLOPE, _KNOWN_K = ("rad/K", "m/s/K"), "s/K", 1e-6
 SIGNALS = tuple(f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz")
 """The inputs of an IMU, in the order of its matrices."""
 
@@ -53,8 +64,23 @@ class Corrected(NamedTuple):
     outside_rate: int
     left_alone: tuple[str, ...]
     """Channels of the log that the calibration does not have."""
+    unknown_branch: int = 0
+    """Rows at the beginning in which the state of a hysteresis is not known."""
 
     __repr__ = summary
+
+
+class OnPath(NamedTuple):
+    """What the path of temperature adds to a channel at every row `(n,)`: to its bias, SI, and to its scale factor;
+    and whether it is `known`."""
+
+    bias: Floats
+    scale: Floats
+    known: NDArray[np.bool_]
+
+    def of_rows(self, rows: slice) -> "OnPath":
+        """Of some rows."""
+        return OnPath(self.bias[rows], self.scale[rows], self.known[rows])
 
 
 def basis_values(basis: TemperatureBasis | RateBasis, x: Floats) -> Floats:
@@ -143,20 +169,28 @@ def correct(
     readings: Mapping[str, Floats],
     temperature_c: Floats,
     temperature_rate: Floats | None = None,
+    on_paths: Sequence[OnPath | None] | None = None,
 ) -> dict[str, Floats]:
     """True inputs `(n,)` by name for measured ones ("rate x": rad/s, "force z": m/s²; NaN: not known).
 
-    `temperature_c`: `(n,)`, or `(channels, n)` where they lag; `temperature_rate`: K/s, where a term needs it. Readings
-    without a channel count as true. Raises `ValueError` where a map is so steep that it cannot be inverted.
+    `temperature_c`: `(n,)`, or `(channels, n)` where they lag; `temperature_rate`: K/s, where a term needs it;
+    `on_paths`: of the channels. Readings without a channel count as true. Raises `ValueError` where a map is so steep
+    that it cannot be inverted.
     """
     channels_at = np.broadcast_to(temperature_c, (len(channels), temperature_c.shape[-1]))
-    known = [(c, at) for c, at in zip(channels, channels_at, strict=True) if c.input in readings]
+    paths = on_paths or [None] * len(channels)
+    known = [(c, at, path) for c, at, path in zip(channels, channels_at, paths, strict=True) if c.input in readings]
     inputs = list(readings)
     result = np.stack([readings[name] for name in inputs])
     for begin in range(0, result.shape[1], _ROWS_AT_ONCE):
         rows = slice(begin, begin + _ROWS_AT_ONCE)
         slope = {} if temperature_rate is None else {TEMPERATURE_RATE: temperature_rate[rows]}
-        result[:, rows] = _correct([(c, at[rows]) for c, at in known], inputs, result[:, rows], slope)
+        result[:, rows] = _correct(
+            [(c, at[rows], None if path is None else path.of_rows(rows)) for c, at, path in known],
+            inputs,
+            result[:, rows],
+            slope,
+        )
     return dict(zip(inputs, result, strict=True))
 
 
@@ -171,23 +205,26 @@ def correct_triads(
 
 
 def _correct(
-    channels: Sequence[tuple[CalibratedChannel, Floats]],
+    channels: Sequence[tuple[CalibratedChannel, Floats, OnPath | None]],
     inputs: list[str],
     measured: Floats,
     slope: Mapping[str, Floats],
 ) -> Floats:
-    middle = float(np.median(np.concatenate([np.clip(at, *c.valid_temperature) for c, at in channels])))
-    matrix, _ = linear_part([c for c, _ in channels], middle, inputs)
+    middle = float(np.median(np.concatenate([np.clip(at, *c.valid_temperature) for c, at, _ in channels])))
+    matrix, _ = linear_part([c for c, *_ in channels], middle, inputs)
     inverse = np.linalg.inv(matrix)
     # The temperature stays as it is from round to round.
-    maps = [[_at_temperatures(term, np.clip(at, *c.valid_temperature)) for term in c.term] for c, at in channels]
+    maps = [[_at_temperatures(term, np.clip(at, *c.valid_temperature)) for term in c.term] for c, at, _ in channels]
     now, change = 0.0 * measured, 0.0 * measured
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_ROUNDS):
             signals = {**dict(zip(inputs, now, strict=True)), **slope}
             left = measured - now
-            for (channel, at), of_temperature in zip(channels, maps, strict=True):
-                left[inputs.index(channel.input)] -= channel_error(channel, at, signals, of_temperature)
+            for (channel, at, path), of_temperature in zip(channels, maps, strict=True):
+                own = inputs.index(channel.input)
+                left[own] -= channel_error(channel, at, signals, of_temperature)
+                if path is not None:
+                    left[own] -= path.bias + path.scale * now[own]
             settled = True
             for k in range(len(inputs)):
                 # Only channels with an effect: a missing reading does not affect the other triad.
@@ -198,7 +235,7 @@ def _correct(
                 settled &= bool(np.nanmax(np.abs(change[k]), initial=0.0) <= _SETTLED * size)
             if settled:
                 return now
-        for channel, at in channels:
+        for channel, at, _ in channels:
             _refuse_or_leave(channel, at, *(rows[inputs.index(channel.input)] for rows in (measured, change, now)))
     return now
 
@@ -264,7 +301,29 @@ def known_temperature(log: Log, unit: int) -> Floats:
 def needs_temperature(calibration: Calibration) -> bool:
     """Whether any term changes with temperature."""
     terms = [term for channel in calibration.channel for term in channel.term]
-    return any(TEMPERATURE_RATE in t.signals or (t.temperature is not None and t.temperature.size > 1) for t in terms)
+    changing = (TEMPERATURE_RATE in t.signals or (t.temperature is not None and t.temperature.size > 1) for t in terms)
+    return any(changing) or any(one.width is not None or _by_slope(one) for one in calibration.path)
+
+
+def _by_slope(one: PathCoefficient) -> bool:
+    return one.unit in (*_BIAS_BY_SLOPE, _SCALE_BY_SLOPE)
+
+
+def on_path(calibration: Calibration, channel: str, temperature_c: Floats, slope: Floats) -> OnPath | None:
+    """What the path of a channel's temperature `(n,)` adds, of the plays and the sensitivities to dT/dt (`slope`, K/s)
+    under [[path]]; None without any. The time since power-on is not known: no transient counts."""
+    here = [one for one in calibration.path if one.channel == channel and (one.width is not None or _by_slope(one))]
+    bias, scale = np.zeros((2, len(temperature_c)))
+    known = np.ones(len(temperature_c), bool)
+    for one in here:
+        function = slope
+        if one.width is not None:
+            low, high = formulas.play_states(temperature_c, float(one.width))
+            function = 0.5 * (low + high) - temperature_c
+            known &= high - low <= _KNOWN_K
+        to = scale if one.unit in ("1/K", _SCALE_BY_SLOPE) else bias
+        to += one.value * function
+    return OnPath(bias, scale, known) if here else None
 
 
 def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
@@ -286,7 +345,7 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
         columns |= {f"accelerometer {axis}": forces[:, k] for k, axis in enumerate(log.force_axes)}
     common = _common(calibration, columns)
     at = np.full((len(common), len(log.time_s)), float(common[0].valid_temperature[0]))
-    slope = None
+    slope, paths = None, None
     if needs_temperature(calibration):
         temperature = known_temperature(log, number)
         lags = [float(channel.thermal_lag or 0.0) for channel in common]
@@ -294,8 +353,11 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
         at = np.stack([lagged[lag] for lag in lags])
         if any(TEMPERATURE_RATE in term.signals for channel in common for term in channel.term):
             slope = temperature_slope(temperature, log.time_s)
+        if calibration.path:
+            of_log = temperature_slope(temperature, log.time_s)
+            paths = [on_path(calibration, c.name, own, of_log) for c, own in zip(common, at, strict=True)]
     readings = {_input(name): values for name, values in columns.items() if np.isfinite(values).any()}
-    corrected = correct(common, readings, at, slope)
+    corrected = correct(common, readings, at, slope, paths)
     usable = log.usable(number)
     beyond, outside_rate = np.zeros(len(log.time_s), bool), 0
     for channel, of_channel in zip(common, at, strict=True):
@@ -315,7 +377,8 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
         provenance={**log.provenance, "corrected": f"by the calibration of {calibration.serial_number}"},
     )
     alone = tuple(label for label in columns if label not in known)
-    return Corrected(done, int(np.count_nonzero(beyond[usable])), outside_rate, alone)
+    open_at = np.any([~path.known for path in paths or () if path is not None], axis=0) & usable
+    return Corrected(done, int(np.count_nonzero(beyond[usable])), outside_rate, alone, int(np.count_nonzero(open_at)))
 
 
 def _input(label: str) -> str:

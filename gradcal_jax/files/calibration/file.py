@@ -87,8 +87,8 @@ class CalibratedTerm(Section):
 
 
 class PathCoefficient(Section):
-    """An error that depends on the path of temperature, beside the maps, which are the mean of heating and cooling: no
-    correction takes it off."""
+    """An error that depends on the path of temperature, beside the maps, which are the mean of heating and cooling:
+    `apply` takes it off a log, whose temperatures it follows; exports cannot."""
 
     channel: Text
     """As in gyro_x."""

@@ -1,0 +1,81 @@
+"""The chamber's course among the free numbers of a search of cycles: its legs, turning points and slopes.
+
+On each leg a few cycles at fixed shares of its time stand for all of it, with the weight of their number. What they see
+(temperature, slope, time since power-on, and the turning points before, on which a hysteresis depends) is a function of
+the course's coordinates, whose derivative JAX takes with that of the motion. Plays are exact at reversals: a turning
+point acts through a minimum or maximum, of which the derivative is that of the side on which the course is.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from gradcal_jax.arrays import AnyArray
+from gradcal_jax.design.other_plans import ProgrammeCoordinates
+from gradcal_jax.design.pose_cycle import Ramp
+
+# Legs of a course at least, and cycles that stand for all others: on a leg at least, and in all about.
+_LEGS, _FEWEST, _SAMPLES = 4, 3, 12
+
+
+class FreeCourse(NamedTuple):
+    """Courses of the chamber, after a soak. `before` °C: turning points of the temperature before the plan; `lag` s;
+    `window`: cycles whose noise is filtered together; `parameters`: how many the model has."""
+
+    coordinates: ProgrammeCoordinates
+    before: Float[np.ndarray, " b"]
+    lag: float
+    window: int
+    parameters: int
+
+    def ramps(self, z: Float[AnyArray, " size"], period: AnyArray) -> Ramp:
+        """Stacked ramps of the course of a vector, with cycles of `period` s."""
+        course, legs = self.coordinates.programme(z), self.coordinates.stretches
+        each = max(_FEWEST, math.ceil(_SAMPLES / legs))
+        shares = (np.arange(each) + 0.5) / each
+        knots = jnp.concatenate([jnp.asarray(self.before), jnp.reshape(course.start, (1,)), course.chamber()[1]])
+        earlier, since = len(self.before), course.times()
+        ramps: list[Ramp] = []
+        for leg in range(legs):
+            slope, lasting = course.slopes[leg], course.durations[leg]
+            # The last cycle of a window is about its place; those before it lie on the leg or its continuation.
+            place = shares * lasting - (self.window - 0.5) * period
+            begins = knots[earlier + leg] + slope * (place - self.lag)
+            # As many turning points on each leg: the first one stands several times.
+            past = jnp.concatenate([jnp.repeat(knots[:1], legs - 1 - leg), knots[: earlier + leg + 1]])
+            weight = jnp.sqrt(lasting / (period * each))
+            one = jnp.ones(each)
+            ramps.append(
+                Ramp(
+                    begins,
+                    slope * one,
+                    jnp.zeros(each, int),
+                    0.0 * one,
+                    jnp.tile(weight * jnp.eye(self.parameters), (each, 1, 1, 1)),
+                    self.coordinates.soak + since[leg] + place,
+                    jnp.tile(past, (each, 1)),
+                )
+            )
+        return Ramp(*(jnp.concatenate(of) for of in zip(*ramps, strict=True)))
+
+    def starts(self, own: Float[np.ndarray, " size"]) -> list[Float[np.ndarray, " size"]]:
+        """Courses from which a search begins: the file's own, and there and back over the same range, from either
+        end."""
+        of, time = self.coordinates.programme(own), float(self.coordinates.time)
+        knots = np.append(of.start, of.chamber()[1])
+        low, high = float(np.min(knots)), float(np.max(knots))
+        first, last = (low, high) if knots[0] <= knots[-1] else (high, low)
+        result = [own]
+        for begin, turn, share in ((first, last, 0.5), (last, first, 0.5), (first, last, 0.65)):
+            durations = np.array([share, 1.0 - share]) * time
+            slopes = np.array([turn - begin, begin - turn]) / durations
+            result.append(self.coordinates.vector(begin, durations, slopes))
+        return result
+
+
+def legs_of(own: int) -> int:
+    """How many legs a search's courses have, of a plan with `own` ones."""
+    return max(own, _LEGS)

@@ -45,6 +45,12 @@ def imu_rows(built: BuiltImu, logs: Sequence[Log], name: str, options: Options) 
     fields = ([getattr(part, field) for part in parts] for field in ImuRows._fields)
     whole: Any = (None if any(x is None for x in field) else np.concatenate(field) for field in fields)
     whole = ImuRows(*whole)
+    if built.spec.rig.table.by_gravity:
+        try:
+            found = estimation.angles_by_gravity(whole, built.motion.geometry, np.asarray(built.motion.start_angles))
+        except ValueError as error:
+            raise LogError(f"{name}: {error}") from None
+        whole, messages = whole._replace(angles=found.angles), [*messages, *found.messages]
     return whole, tuple(dict.fromkeys(messages))
 
 
@@ -95,6 +101,9 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
             np.zeros(len(time), bool),
             _table_rate(built, log, options.table_axis),
         )
+    elif built.spec.rig.table.by_gravity:
+        # Whatever the log says of angles is where the table was meant to go.
+        angles, at_a_stop = np.full((len(time), len(built.spec.rig.table.axis)), np.nan), np.zeros(len(time), bool)
     elif read_by_events(built.spec):
         known = log.table_axes and (log.readings is not None or log.table_angle_rad is not None)
         place = _places_of(built, log, options.table_axis)[0] if known or options.table_axis else None

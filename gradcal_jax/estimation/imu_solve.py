@@ -26,6 +26,8 @@ from gradcal_jax.information import (
     SquareRootInformation,
     encoder_rows,
     estimator_of_means,
+    filter_readings,
+    filtered_states,
     imu_system,
     imu_unweighted,
     posterior,
@@ -56,6 +58,8 @@ _TURNS = np.radians(1.0)
 _SMALL_TURN = 1e-5
 # Least part of an encoder's error in the row of a gyro that is along its axis.
 _SEES_ENCODER = 0.5
+# Factor by which the angles' noise is narrowed to see which readings it absorbs, and the least part that counts.
+_NARROWER, _ABSORBED = 0.5, 1e-6
 
 
 class Installed(NamedTuple):
@@ -123,7 +127,8 @@ def _small(vector: np.ndarray) -> np.ndarray:
 class ImuReadings(NamedTuple):
     """A unit's readings, for comparison with any table: `observed` `(R,)`, integrals in rad and m/s; `felt` `(P, 3)`,
     the mean specific force over every piece, m/s², if known; `sigma` `(R,)`: standard deviations, in the place of the
-    model's noise of the channels (None: the model's).
+    model's noise of the channels (None: the model's); `free`: no encoder tells the angles of standstills, whose wide
+    noise then absorbs a reading each.
     """
 
     model: ImuModel
@@ -134,6 +139,7 @@ class ImuReadings(NamedTuple):
     observed: np.ndarray
     felt: np.ndarray | None
     sigma: np.ndarray | None = None
+    free: bool = False
 
     def expected(self, parameters: np.ndarray) -> np.ndarray:
         """`h(β)` `(R,)` of the parameters in the engine's coordinates."""
@@ -150,6 +156,12 @@ class ImuReadings(NamedTuple):
             rows = at.row_channel == i
             result[rows] = at.sums(output)[at.row_segment[rows]] * (1.0 + table.clock[c.kind])
         return result
+
+    @property
+    def angle_states(self) -> slice:
+        """The noise states that are the errors of the axes' angles now."""
+        begin = len(self.model.channels) + sum(c.model.processes.count for c in self.model.channels)
+        return slice(begin, begin + self.done.motion.geometry.axis_count)
 
     def by_steps(self, values: np.ndarray) -> np.ndarray:
         """Values of the rows in the order of the noise steps; zero for steps within a segment, which have no row."""
@@ -232,6 +244,8 @@ def readings_of(
     temperature_c: np.ndarray,
     points: int,
     felt: np.ndarray | None = None,
+    *,
+    free: bool = False,
 ) -> ImuReadings:
     """Integrals of every channel over its segments. `felt` `(n, 3)`: corrected specific force at the rows, m/s²."""
     at = segments_of(done.motion, model)
@@ -251,7 +265,7 @@ def readings_of(
             whole = whole + np.add.reduceat(shared[:, c.axis], at.first)
         rows = at.row_channel == i
         observed[rows] = whole[at.row_segment[rows]]
-    readings = ImuReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), felt)
+    readings = ImuReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), felt, free=free)
     if model.encoder.held or done.motion.line.rates:
         return readings
     # The motion is that of the mean angles; the reference is each reading.
@@ -338,6 +352,43 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
     return estimate._replace(weights=weights)
 
 
+def absorbed(steps: NoiseSteps, states: slice) -> np.ndarray:
+    """`(N,)`: the part of every reading that the wide noise of the angles, at `states`, absorbs: by how much its variance
+    grows with theirs."""
+    n, per_std = steps.observation.shape[1], []
+    for factor in (1.0, _NARROWER):
+        scale = np.ones(n)
+        scale[states] = factor
+        both = scale[:, None] * scale
+        of = steps._replace(covariance=steps.covariance * both, initial=steps.initial * both)
+        per_std.append(filter_readings(np.zeros((n, 0)), of.initial, of, np.zeros((len(of.used), 0))).per_std)
+    wide, narrow = per_std
+    ratio = np.divide(wide, narrow, out=np.ones(len(wide)), where=narrow > 0.0)
+    return np.clip((1.0 - ratio**2) / (1.0 - _NARROWER**2), 0.0, 1.0)
+
+
+def angle_errors(readings: ImuReadings, parameters: np.ndarray) -> np.ndarray:
+    """`(rows, L)`: where the table stands, the angle (rad) of every axis less that of the log, by the readings up to its
+    next turn, for these parameters; NaN elsewhere. For readings whose angles are `free`."""
+    steps, _ = readings.linear(parameters)
+    motion = readings.done.motion
+    at, row = segments_of(motion, readings.model), row_of_steps(motion, readings.model)
+    apart = readings.by_steps(np.where(at.used, readings.observed - readings.expected(parameters), 0.0))
+    states = filtered_states(steps, apart)[:, readings.angle_states]
+    result = np.full((len(readings.log.time_s), motion.geometry.axis_count), np.nan)
+    of_step = at.row_segment[np.maximum(row, 0)]
+    for axis in range(motion.geometry.axis_count):
+        moves = np.flatnonzero(motion.axis == axis)
+        begins, ends = np.append(0, moves + 1), np.append(moves, len(motion.axis))
+        for first, end in zip(begins, ends, strict=True):
+            if end <= first:
+                continue
+            known = np.flatnonzero((at.first[of_step] >= first) & (at.first[of_step] < end) & (row >= 0))
+            if len(known):
+                result[readings.done.rows[first] : readings.done.rows[end] + 1, axis] = states[known[-1], axis]
+    return result
+
+
 def estimate_unweighted(readings: ImuReadings) -> ImuEstimate:
     """Parameters by ordinary least squares on the mean errors of the points of a standard plan, without priors and
     weights; the installation's errors are taken as zero, and count in the covariance."""
@@ -388,6 +439,10 @@ def _solved(
     chi_squared = np.array([rest @ rest + np.sum((prior @ beta) ** 2)])
     degrees = np.array([len(design) - missing - np.count_nonzero(seen)])
     taken = orthogonal[: len(jacobian)] @ left[:, seen]
+    if readings.free:
+        lost = absorbed(steps, jacobian.shape[1], readings.angle_states)[kept]
+        degrees = degrees - round(float(np.sum(lost)))
+        taken = np.concatenate([taken, np.diag(np.sqrt(lost))[:, lost > _ABSORBED]], axis=1)
     estimate = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
     white = Whitened(jacobian[None], (rest + jacobian @ beta)[None], prior)
     channel = segments_of(readings.done.motion, model).row_channel[used]

@@ -378,6 +378,24 @@ def _accelerometer(spec: "Spec") -> Iterator[Problem]:
         yield Problem(key, message + "leave it out (and the lever arm)", limit)
 
 
+def _without_encoder(spec: "Spec") -> Iterator[Problem]:
+    """What gravity as the only reference of the angle needs."""
+    if not spec.rig.table.by_gravity:
+        return
+    key, sensor = ("rig", "table", "angle", "reference"), spec.sensor
+    if sensor.gyro is None or sensor.accelerometer is None or len(sensor.accelerometer.axes) < 3:
+        message = '"gravity" needs a gyro, which counts whole turns, and accelerometers along x, y and z'
+        yield Problem(key, message, "gravity")
+    if isinstance(spec.plan, StandardPlan):
+        message = 'a held rate needs an encoder; expected "encoder", or a plan of method = "gradient"'
+        yield Problem(key, message, "gravity")
+    steps = _steps(spec)
+    for step, after in zip(steps, (*steps[1:], *steps[:1]), strict=True):
+        if step.axis >= 0 and (after.axis >= 0 or step.move.repeat > 1):
+            message = "no rest follows this turn: without an encoder its end is known by gravity alone; add { rest = … }"
+            yield Problem(("plan", "cycle", "moves", step.source), message)
+
+
 def _design(spec: "Spec") -> Iterator[Problem]:
     assert spec.design is not None
     names = [requirement.name for requirement in spec.requirement]
@@ -398,6 +416,7 @@ _CHECKS: Final[tuple[tuple[str, Callable[["Spec"], Iterator[Problem]]], ...]] = 
     ("done rig plan", _done),
     ("done sensor", _done_of_sensor),
     ("sensor rig plan", _accelerometer),
+    ("sensor rig plan", _without_encoder),
     ("design requirement sensor rig plan", _design),
 )
 """The checks, by the sections that they need."""

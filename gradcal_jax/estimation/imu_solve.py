@@ -440,7 +440,7 @@ def _solved(
     degrees = np.array([len(design) - missing - np.count_nonzero(seen)])
     taken = orthogonal[: len(jacobian)] @ left[:, seen]
     if readings.free:
-        lost = absorbed(steps, jacobian.shape[1], readings.angle_states)[kept]
+        lost = absorbed(steps, readings.angle_states)[kept]
         degrees = degrees - round(float(np.sum(lost)))
         taken = np.concatenate([taken, np.diag(np.sqrt(lost))[:, lost > _ABSORBED]], axis=1)
     estimate = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)

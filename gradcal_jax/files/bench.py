@@ -138,6 +138,10 @@ class Site(Section):
 class AxisEncoder(AngleReference):
     """Error budget of an axis's angle."""
 
+    reference: Literal["encoder", "gravity"] = "encoder"
+    """"gravity": there is no encoder, on any axis. The device's accelerometers tell the angle of every standstill, and
+    its gyros count whole turns; the plan's angles need not be kept, each is estimated. All other keys but `read_every`
+    are then left out."""
     read_every: Spacing = Quantity(1.0, "1 s", "time")
     """Spacing of the readings while the axis stands; "rest": one, at the end of each rest."""
 
@@ -227,20 +231,9 @@ def _one_or_more(value: object) -> object:
     return (cast("object", value),) if isinstance(value, Mapping) else value
 
 
-class TableAngle(Section):
-    """What tells the angles of the table's axes."""
-
-    reference: Literal["encoder", "gravity"] = "encoder"
-    """"encoder": each axis's own, with the error budget of [rig.table.axis.angle]. "gravity": there is none; the
-    device's accelerometers give the angle of every standstill, and its gyros count whole turns. The angles of the plan
-    then need not be kept: each is estimated."""
-
-
 class RigTable(Section):
     """The table."""
 
-    angle: TableAngle = TableAngle()
-    """What tells the angles of its axes."""
     standing: Literal["held", "read"] = "held"
     """"held": a standing axis is known not to turn; "read": its angle is what each reading says, every `read_every`."""
     drive: Literal["motor", "hand"] = "motor"
@@ -269,14 +262,14 @@ class RigTable(Section):
     @property
     def by_gravity(self) -> bool:
         """Whether no encoder tells the angles, and gravity does."""
-        return self.angle.reference == "gravity"
+        return self.axis[0].angle.reference == "gravity"
 
     def _problems(self) -> Iterator[Problem]:
         yield from repeated_names("axis", "name", [axis.name for axis in self.axis], "two axes have this name")
         if self.axis[-1].orthogonality:
             message = "is told to the next axis inside, and there is none; leave it out of the innermost one"
             yield Problem(("axis", len(self.axis) - 1, "orthogonality"), message, str(self.axis[-1].orthogonality))
-        if self.by_gravity:
+        if any(axis.angle.reference == "gravity" for axis in self.axis):
             yield from self._without_encoder()
         every = [axis.angle.read_every for axis in self.axis]
         if self.standing == "read" and any(e != every[0] for e in every):
@@ -285,14 +278,17 @@ class RigTable(Section):
             yield Problem(("axis", k, "angle", "read_every"), message, str(every[k]))
 
     def _without_encoder(self) -> Iterator[Problem]:
-        """Keys that speak of an encoder beside `angle.reference = "gravity"`."""
-        message = 'is of an encoder, and rig.table.angle.reference is "gravity": leave it out'
+        """Keys that speak of an encoder where an axis has none."""
+        message = 'is of an encoder, and the angle\'s reference is "gravity": leave it out'
         if self.standing == "read":
             yield Problem(("standing",), message, self.standing)
         if self.rate_accuracy is not None:
             yield Problem(("rate_accuracy",), message, str(self.rate_accuracy))
         for k, axis in enumerate(self.axis):
-            for name in sorted(axis.angle.model_fields_set - {"read_every"}):
+            if axis.angle.reference != "gravity":
+                one = 'gravity is the reference of all axes or of none; expected "gravity"'
+                yield Problem(("axis", k, "angle", "reference"), one, axis.angle.reference)
+            for name in sorted(axis.angle.model_fields_set - {"read_every", "reference"}):
                 yield Problem(("axis", k, "angle", name), message)
 
 

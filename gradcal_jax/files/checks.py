@@ -382,7 +382,7 @@ def _without_encoder(spec: "Spec") -> Iterator[Problem]:
     """What gravity as the only reference of the angle needs."""
     if not spec.rig.table.by_gravity:
         return
-    key, sensor = ("rig", "table", "angle", "reference"), spec.sensor
+    key, sensor = ("rig", "table", "axis", 0, "angle", "reference"), spec.sensor
     if sensor.gyro is None or sensor.accelerometer is None or len(sensor.accelerometer.axes) < 3:
         message = '"gravity" needs a gyro, which counts whole turns, and accelerometers along x, y and z'
         yield Problem(key, message, "gravity")

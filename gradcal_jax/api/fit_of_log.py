@@ -128,10 +128,18 @@ def _read(
     for _ in range(_LINEARISED if built.spec.rig.table.by_gravity else 0):
         errors = estimation.angle_errors(fit.readings, fit.solution.parameters)
         if np.nanmax(np.abs(errors)) < _STANDS:
-            return fit
+            break
         angles = rows.angles + np.where(np.isfinite(errors), errors, 0.0)
         rows, seen = rows._replace(angles=angles), seen._replace(angles=angles)
         fit = _read_once(built, name, rows, seen, temperature, threshold, points, felt, fit.solution.parameters)
+    solution = fit.solution
+    _refuse_the_implausible(built, name, solution)
+    scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
+    if scale > _ABSURD:
+        raise LogError(
+            f"{name}: the unit's readings differ from the table's by {scale:.3g} times what noise explains: are the "
+            "mounting, the unit's axes and signs and the table's angles those of the spec?"
+        )
     return fit
 
 
@@ -153,7 +161,9 @@ def _read_once(
         done = done._replace(motion=replace(done.motion, history=course_before(built.spec)))
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
-    readings = estimation.readings_of(built.model, done, rows, temperature, 0 if built.rough else built.points, felt, free=free)
+    readings = estimation.readings_of(
+        built.model, done, rows, temperature, 0 if built.rough else built.points, felt, free=free
+    )
     own = None if points is None else points.sigma
     if own is not None:
         readings = readings._replace(sigma=own * done.motion.line.duration)
@@ -162,13 +172,6 @@ def _read_once(
         solution = estimation.estimate_unweighted(readings)
     else:
         solution = estimation.solve_imu(readings, about, threshold=threshold)
-    _refuse_the_implausible(built, name, solution)
-    scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
-    if scale > _ABSURD:
-        raise LogError(
-            f"{name}: the unit's readings differ from the table's by {scale:.3g} times what noise explains: are the "
-            "mounting, the unit's axes and signs and the table's angles those of the spec?"
-        )
     return Fit(done, readings, solution, seen.rates)
 
 

@@ -65,8 +65,8 @@ _WAVES = 3
 _FEWEST = 16
 # Standard deviation of an angle that is known exactly, rad: far below any encoder's.
 _EXACT = 1e-12
-# Standard deviation (rad) of a standstill's angle that no encoder tells: unknown beside what gravity and the gyros say of
-# it, and small enough for a covariance in double precision to hold 0.1 µrad beside it.
+# Standard deviation (rad) of a standstill's angle that no encoder tells: unknown beside what gravity and the gyros say,
+# and small enough for a covariance in double precision to hold 0.1 µrad beside it.
 _UNKNOWN = 3.0
 # Rounding of a move's rate, at the rate up to which accelerometers are read.
 _SLACK = 1e-9

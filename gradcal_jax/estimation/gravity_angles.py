@@ -6,8 +6,8 @@ is. It is where
 
     C(s) = Σ w cos(Δ − φ̃/(1 + s))                     w: squared sine of the angle between axis and vertical
 
-is greatest, for every direction of the axis in the body by itself; then whole turns are counted with it. Where another s
-in the range fits as well, the turns cannot be counted. About a vertical axis the gyros' integral is all that is known.
+is greatest, for every direction of the axis in the body by itself; then whole turns are counted with it. Where another
+s in the range fits as well, the turns cannot be counted. About a vertical axis the gyros' integral is all that is known.
 
 These angles are a start: `imu_solve` estimates each with the calibration, and linearises about the result again.
 """
@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.estimation.imu_executed import SEEN, ImuRows
+from gradcal_jax.estimation.imu_executed import SEEN, ImuRows, stops_between
 from gradcal_jax.formulas import runs
 from gradcal_jax.trajectory import Geometry, frames
 
@@ -62,10 +62,9 @@ class _Chain(NamedTuple):
 
 
 class _Turn(NamedTuple):
-    """A turn between two standstills: the axis, its direction in the body, the gyros' integral along it (rad), and what
-    gravity adds to it, within half a turn, with its weight."""
+    """The only turn between two standstills: the axis's direction in the body, the gyros' integral along it (rad), and
+    what gravity adds to it, within half a turn, with its weight."""
 
-    axis: int
     direction: np.ndarray
     integral: float
     beyond: float
@@ -86,7 +85,8 @@ def angles_by_gravity(log: ImuRows, geometry: Geometry, start: np.ndarray) -> Gr
         result[first : last + 1] = own
     large = [s for s in scales.values() if abs(s) > _LARGE]
     said = [
-        f"the gyros' scale is off by {100.0 * s:+.3g} %: whole turns are counted with it; is it in rad/s?" for s in large
+        f"the gyros' scale is off by {100.0 * s:+.3g} %: whole turns are counted with it; is it in rad/s?"
+        for s in large
     ]
     return GravityAngles(result, tuple(dict.fromkeys(said)))
 
@@ -110,7 +110,8 @@ def _standstills(log: ImuRows) -> _Still:
 
 
 def _integrals(log: ImuRows, still: _Still) -> list[np.ndarray | None]:
-    """The gyros' integrals (rad, `(3,)`) between standstills, less what they show at rest; None across a gap."""
+    """The gyros' integrals (rad, `(n, 3)`) over the turns between standstills, less what they show at rest; None across
+    a gap."""
     step, result = np.diff(log.time_s, prepend=log.time_s[0]), []
     for k, ((_, last), (first, _)) in enumerate(itertools.pairwise(still.rows)):
         inner = slice(last + 1, first + 1)
@@ -118,7 +119,9 @@ def _integrals(log: ImuRows, still: _Still) -> list[np.ndarray | None]:
             result.append(None)
             continue
         quiet = 0.5 * (still.rates[k] + still.rates[k + 1])
-        result.append(step[inner] @ (log.rates[inner] - quiet))
+        rates = log.rates[inner] - quiet
+        edges = [0, *stops_between(rates[:, np.isfinite(quiet)]), len(rates)]
+        result.append(np.array([step[inner][a:b] @ rates[a:b] for a, b in itertools.pairwise(edges)]))
     return result
 
 
@@ -136,13 +139,16 @@ def _starts(geometry: Geometry, still: _Still, start: np.ndarray) -> list[np.nda
     return sorted(kept, key=lambda a: float(np.linalg.norm(a - start)))[:6]
 
 
-def _by_gravity(geometry: Geometry, angles: np.ndarray, up: np.ndarray, mounting: int) -> np.ndarray:
-    """Angles near `angles` at which the body sees this vertical: Gauss-Newton of least norm."""
+def _by_gravity(
+    geometry: Geometry, angles: np.ndarray, up: np.ndarray, mounting: int, free: np.ndarray | bool = True
+) -> np.ndarray:
+    """Angles near `angles` at which the body sees this vertical, of the axes that are `free`: Gauss-Newton of least
+    norm."""
     for _ in range(_STEPS):
         stages = frames(geometry, angles[None], np.array([mounting]))
         seen = stages.attitude[0][2]
         # A rotation δ about a table axis a turns what the body sees of the vertical by −δ a × u.
-        slope = -np.cross(stages.axes[0], seen).T
+        slope = -np.cross(stages.axes[0], seen).T * free
         move = np.linalg.lstsq(slope, up - seen, rcond=1e-3)[0]
         angles = angles + move * min(1.0, 0.5 / max(float(np.linalg.norm(move)), 1e-12))
         if np.linalg.norm(move) < 1e-9:
@@ -181,31 +187,45 @@ def _chain(
     angles, turns, misfit = [start], list[_Turn | None](), 0.0
     for k, integral in enumerate(turned):
         here, mounting, up = angles[-1].copy(), still.mounting[k + 1], still.up[k + 1]
+        own: list[tuple[int, np.ndarray, float]] = []
         if integral is None:
             # Across a gap, or hung anew: near the plan's begin if hung anew, else near where it stood.
             near = here if mounting == still.mounting[k] else start
             angles.append(near + _wrapped(_by_gravity(geometry, near, up, mounting) - near))
             turns.append(None)
             continue
-        axes = frames(geometry, here[None], np.array([mounting])).axes[0]
-        along = axes * seen
-        size = np.sum(along**2, axis=1)
-        angle = np.where(size > SEEN**2, along @ np.where(seen, integral, 0.0) / np.maximum(size, SEEN**2), 0.0)
-        missed = np.linalg.norm(np.where(seen, integral, 0.0) - angle[:, None] * along, axis=1)
-        axis = int(np.argmin(missed))
-        if abs(angle[axis]) < _LEAST_TURN:
-            angles.append(here)
+        for part in integral:
+            axes = frames(geometry, here[None], np.array([mounting])).axes[0]
+            axis, angle, missed = _turned_axis(axes, part, seen)
+            if abs(angle) < _LEAST_TURN:
+                continue
+            before = own.pop()[2] if own and own[-1][0] == axis else 0.0
+            own.append((axis, axes[axis], before + angle))
+            misfit += (missed / abs(angle)) ** 2
+            here[axis] += angle / (1.0 + scales.get(_direction(axes[axis]), 0.0))
+        if len(own) == 1:
+            (axis, direction, angle), reached = own[0], here[own[0][0]]
+            beyond, weight = _beyond(_up(geometry, here, mounting), up, direction)
+            here[axis] += beyond if weight > _VERTICAL**2 else 0.0
+            turns.append(_Turn(direction, angle, float(reached - angles[-1][axis] + beyond - angle), weight))
+        else:
+            # Of several turns at once whole ones are not counted anew: those of the gyros are corrected a little.
             turns.append(None)
-            continue
-        true = angle[axis] / (1.0 + scales.get(_direction(axes[axis]), 0.0))
-        here[axis] += true
-        beyond, weight = _beyond(_up(geometry, here, mounting), up, axes[axis])
-        if weight > _VERTICAL**2:
-            here[axis] += beyond
-        turns.append(_Turn(axis, axes[axis], float(angle[axis]), true + beyond - float(angle[axis]), weight))
-        misfit += float(np.sum((_up(geometry, here, mounting) - up) ** 2) + (missed[axis] / abs(angle[axis])) ** 2)
+            free = np.isin(np.arange(len(here)), [axis for axis, _, _ in own])
+            here = _by_gravity(geometry, here, up, mounting, free) if len(own) else here
+        misfit += float(np.sum((_up(geometry, here, mounting) - up) ** 2))
         angles.append(here)
     return np.array(angles), turns, misfit / max(len(turned), 1)
+
+
+def _turned_axis(axes: np.ndarray, integral: np.ndarray, seen: np.ndarray) -> tuple[int, float, float]:
+    """The axis along which an integral points, its angle, and how far the integral is off that line (rad)."""
+    along, total = axes * seen, np.where(seen, integral, 0.0)
+    size = np.sum(along**2, axis=1)
+    angle = np.where(size > SEEN**2, along @ total / np.maximum(size, SEEN**2), 0.0)
+    missed = np.linalg.norm(total - angle[:, None] * along, axis=1)
+    axis = int(np.argmin(missed))
+    return axis, float(angle[axis]), float(missed[axis])
 
 
 def _beyond(expected: np.ndarray, up: np.ndarray, axis: np.ndarray) -> tuple[float, float]:

@@ -353,8 +353,8 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
 
 
 def absorbed(steps: NoiseSteps, states: slice) -> np.ndarray:
-    """`(N,)`: the part of every reading that the wide noise of the angles, at `states`, absorbs: by how much its variance
-    grows with theirs."""
+    """`(N,)`: the part of every reading that the wide noise of the angles, at `states`, absorbs: by how much its
+    variance grows with theirs."""
     n, per_std = steps.observation.shape[1], []
     for factor in (1.0, _NARROWER):
         scale = np.ones(n)
@@ -368,8 +368,8 @@ def absorbed(steps: NoiseSteps, states: slice) -> np.ndarray:
 
 
 def angle_errors(readings: ImuReadings, parameters: np.ndarray) -> np.ndarray:
-    """`(rows, L)`: where the table stands, the angle (rad) of every axis less that of the log, by the readings up to its
-    next turn, for these parameters; NaN elsewhere. For readings whose angles are `free`."""
+    """`(rows, L)`: where the table stands, the angle (rad) of every axis less that of the log, by the readings up to
+    its next turn, for these parameters; NaN elsewhere. For readings whose angles are `free`."""
     steps, _ = readings.linear(parameters)
     motion = readings.done.motion
     at, row = segments_of(motion, readings.model), row_of_steps(motion, readings.model)

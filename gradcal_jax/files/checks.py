@@ -389,11 +389,17 @@ def _without_encoder(spec: "Spec") -> Iterator[Problem]:
     if isinstance(spec.plan, StandardPlan):
         message = 'a held rate needs an encoder; expected "encoder", or a plan of method = "gradient"'
         yield Problem(key, message, "gravity")
-    steps = _steps(spec)
-    for step, after in zip(steps, (*steps[1:], *steps[:1]), strict=True):
-        if step.axis >= 0 and (after.axis >= 0 or step.move.repeat > 1):
-            message = "no rest follows this turn: without an encoder its end is known by gravity alone; add { rest = … }"
+    turned: set[int] = set()
+    # The cycle begins anew where it ends.
+    for step in _steps(spec) * 2:
+        if step.axis in turned or (step.axis >= 0 and step.move.repeat > 1):
+            message = (
+                "no rest lies between this turn and one of the same axis: without an encoder the angle in between is "
+                "not known; add { rest = … }"
+            )
             yield Problem(("plan", "cycle", "moves", step.source), message)
+            return
+        turned = {*turned, step.axis} if step.axis >= 0 else set()
 
 
 def _design(spec: "Spec") -> Iterator[Problem]:

@@ -7,7 +7,7 @@ is. It is where
     C(s) = Σ w cos(Δ − φ̃/(1 + s))                     w: squared sine of the angle between axis and vertical
 
 is greatest, for every direction of the axis in the body by itself; then whole turns are counted with it. Where another
-s in the range fits as well, the turns cannot be counted. About a vertical axis the gyros' integral is all that is known.
+s in the range fits as well, turns cannot be counted. About a vertical axis the gyros' integral is all that is known.
 
 These angles are a start: `imu_solve` estimates each with the calibration, and linearises about the result again.
 """

@@ -62,12 +62,16 @@ _SEES_ENCODER = 0.5
 _NARROWER, _ABSORBED = 0.5, 1e-6
 
 
+# Of an axis and its angles (rad): their errors, and the derivatives of these.
+AngleError = Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
 class Installed(NamedTuple):
     """Estimated table: `error_of(axis, angle)`: encoder error and derivative, rad; `clock`: relative clock error
     that a kind of channel sees."""
 
     geometry: Geometry
-    error_of: Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]] | None
+    error_of: AngleError | None
     clock: dict[ChannelKind, float]
 
 
@@ -141,11 +145,12 @@ class ImuReadings(NamedTuple):
     sigma: np.ndarray | None = None
     free: bool = False
 
-    def expected(self, parameters: np.ndarray) -> np.ndarray:
-        """`h(β)` `(R,)` of the parameters in the engine's coordinates."""
+    def expected(self, parameters: np.ndarray, error_of: AngleError | None = None) -> np.ndarray:
+        """`h(β)` `(R,)` of the parameters in the engine's coordinates; `error_of`: of the axes' angles, in the place of
+        the installation's."""
         model = self.model
         table = installed(self.done.motion.geometry, model, parameters[model.calibrated :])
-        nodes = self._nodes(table.geometry, table.error_of)
+        nodes = self._nodes(table.geometry, error_of or table.error_of)
         at = segments_of(self.done.motion, model)
         ideal = nodes.integrals(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
         result, begin = np.zeros(len(at.row_segment)), 0
@@ -219,7 +224,35 @@ class ImuReadings(NamedTuple):
                     there = about + _SMALL_TURN * np.eye(model.size)[k]
                     columns[:, k] = self.by_steps((self.expected(there) - here) / _SMALL_TURN)
             begin += term.size
-        return steps, columns
+        return self._with_own_angles(steps, about, here) if self.free else steps, columns
+
+    def _with_own_angles(self, steps: NoiseSteps, about: np.ndarray, here: np.ndarray) -> NoiseSteps:
+        """The steps with the readings' derivatives by the errors of angles as the channels' own errors make them, as
+        those by the installation are: else a tilt about an axis, which resembles them, would seem to be observable.
+
+        A constant error is that of both standstills, one in proportion to the angle that of each by its own angle."""
+        motion, at = self.done.motion, segments_of(self.done.motion, self.model)
+        before, after = motion.angles()
+        observation = np.array(steps.observation)
+        for k in range(motion.geometry.axis_count):
+            now = self.angle_states.start + k
+            by: list[np.ndarray] = []
+            for slope in (0.0, 1.0):
+
+                def error_of(axis: int, angle: np.ndarray, k: int = k, slope: float = slope):
+                    size = _SMALL_TURN * (axis == k)
+                    return size * (angle * slope + 1.0 - slope), np.full(angle.shape, size * slope)
+
+                by.append((self.expected(about, error_of) - here) / _SMALL_TURN)
+            begin, end = (a[at.row_segment, k] for a in (before[at.first], after[at.last]))
+            way = end - begin
+            turns = np.abs(way) > _TURNS
+            whole = np.where(turns, way, 1.0)
+            of_end = np.where(turns, (by[1] - begin * by[0]) / whole, by[0])
+            of_begin = np.where(turns, (end * by[0] - by[1]) / whole, 0.0)
+            observation[:, now] = self.by_steps(of_end)
+            observation[:, now + motion.geometry.axis_count] = self.by_steps(of_begin)
+        return steps._replace(observation=observation)
 
     def _system(self, nodes: BodyNodes) -> tuple[NoiseSteps, np.ndarray]:
         steps, columns = imu_system(self.done.motion, self.model, nodes)

@@ -92,6 +92,12 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
         )
     else:
         raise LogError("a log without gyros must mark its standstills (a column standstill in the column map)")
+    if built.spec.rig.table.by_gravity and log.standstill is not None and gyros.any():
+        # Nobody knows but the gyros when a hand, or a motor that was switched off, came to rest.
+        quiet = estimation.find_standstills(
+            np.nan_to_num(log.rate_rad_per_s[number]), log.sample_interval_s, valid=usable
+        )
+        standing &= quiet >= 0
     smooth = estimation.smoothed_temperature(time, temperature)
     mounting = np.zeros(len(time), int) if log.mounting is None else log.mounting
     worth = rate = at_end = None

@@ -1,4 +1,4 @@
-"""A box on axles that a hand turns, with nothing that reads its angle: recordings by the simulated laboratory's physics.
+"""A box on axles that a hand turns, with nothing that reads its angle: recordings by the simulator's physics.
 
 The unit is `hardware.simulate.imu.SimulatedImu`: finite rotations, lever arms, drifts and noise of its own. Every turn
 ends off the plan's angle by a draw of the standard deviation `spoilt`, takes more or less time than planned, and is
@@ -77,7 +77,7 @@ def course_of(spec: Spec, rng: np.random.Generator, spoilt: float):
             knots[k][0].extend((now - 0.5 * _HANGS_S, now))
             knots[k][1].extend((knots[k][1][-1], meant[k] + miss[k]))
         while True:
-            steps = [s for s in schedule.every_step]
+            steps = schedule.every_step
             lasts = [s.move.duration * (1.0 if s.axis < 0 else 1.0 + 0.05 * rng.standard_normal()) for s in steps]
             if now + sum(lasts) > end + 1e-6:
                 break

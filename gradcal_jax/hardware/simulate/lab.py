@@ -4,8 +4,9 @@ The seed draws the true parameters from the spec's priors: each device's own coe
 attitudes of base and axes, harmonics of the encoders, the mountings. The accelerometers are a few centimetres off the
 axes and sense it. With the frame "table axes" the mounting has no error, by definition of the frame. Where the spec's
 table is driven by hand, a person turns it, and types its angles where the plan does not read the axes at rest; else an
-encoder is read. The operator hangs the devices anew where there are several mountings. The devices are STIM300. The
-structure is the spec's: a `discrepancy` is not drawn.
+encoder is read. Where gravity is the reference nothing is read, and axes stop some degrees off. The operator hangs the
+devices anew where there are several mountings. The devices are STIM300. The structure is the spec's: a `discrepancy` is
+not drawn.
 """
 
 from typing import Any, Final
@@ -101,9 +102,11 @@ class SimulatedLab:
         self.rig = rig_of(tables)
         self.bench = Bench(self.rig, SimulatedChamber(self.chamber_plant, clock, cold - 5.0, hot + 5.0), simulated=True)
         for number, (axis, plant) in enumerate(zip(axes, self.axis_plants, strict=True)):
-            limits = _limits_of(axis, by_hand, typed)
+            limits = _limits_of(axis, by_hand, typed, told=spec.rig.table.by_gravity)
             self.bench.axes[axis.name] = (
-                HandTurnedAxis(plant, clock, limits, SimulatedPerson(seed), number)
+                HandTurnedAxis(
+                    plant, clock, limits, SimulatedPerson(seed, miss_deg=3.0 if limits.told else 0.3), number
+                )
                 if by_hand
                 else SimulatedAxis(plant, clock, limits)
             )
@@ -123,11 +126,11 @@ class SimulatedLab:
             unit.mounting = number - 1
 
 
-def _limits_of(says: TableAxis, by_hand: bool, typed: bool) -> AxisLimits:
+def _limits_of(says: TableAxis, by_hand: bool, typed: bool, *, told: bool) -> AxisLimits:
     """The limits of a table's axis in the spec."""
     rate, acceleration = to_unit(float(says.max_rate), "deg/s"), to_unit(float(says.max_acceleration), "deg/s^2")
     travel = float(np.degrees(float(says.travel)))
     lowest, highest = (None, None) if np.isinf(travel) else (-travel, travel)
     step = _HAND_STEP_DEG if by_hand else _AXIS_STEP_DEG
-    hand: dict[str, bool] = {"by_hand": by_hand, "typed": by_hand and typed}
+    hand: dict[str, bool] = {"by_hand": by_hand, "typed": by_hand and typed and not told, "told": told}
     return AxisLimits(rate, acceleration, lowest, highest, step, hardware_watchdog=False, **hand)

@@ -50,7 +50,8 @@ def imu_rows(built: BuiltImu, logs: Sequence[Log], name: str, options: Options) 
             found = estimation.angles_by_gravity(whole, built.motion.geometry, np.asarray(built.motion.start_angles))
         except ValueError as error:
             raise LogError(f"{name}: {error}") from None
-        whole, messages = whole._replace(angles=found.angles), [*messages, *found.messages]
+        kept, messages = ~found.doubtful, [*messages, *found.messages]
+        whole = whole._replace(angles=found.angles, standing=whole.standing & kept, usable=whole.usable & kept)
     return whole, tuple(dict.fromkeys(messages))
 
 
@@ -84,7 +85,10 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
     elif gyros.any():
         # Also by gyros that are not calibrated: a turn about another axis is no rest.
         standstill = estimation.find_standstills(
-            np.nan_to_num(log.rate_rad_per_s[number]), log.sample_interval_s, valid=usable
+            np.nan_to_num(log.rate_rad_per_s[number]),
+            log.sample_interval_s,
+            valid=usable,
+            divide=built.spec.rig.table.by_gravity,
         )
         standing = standstill >= 0
         messages.append(
@@ -95,7 +99,7 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
     if built.spec.rig.table.by_gravity and log.standstill is not None and gyros.any():
         # Nobody knows but the gyros when a hand, or a motor that was switched off, came to rest.
         quiet = estimation.find_standstills(
-            np.nan_to_num(log.rate_rad_per_s[number]), log.sample_interval_s, valid=usable
+            np.nan_to_num(log.rate_rad_per_s[number]), log.sample_interval_s, valid=usable, divide=True
         )
         standing &= quiet >= 0
     smooth = estimation.smoothed_temperature(time, temperature)

@@ -30,16 +30,19 @@ _COARSE = 0.05
 # Sine of the angle to the vertical below which gravity says nothing of an axis's angle.
 _VERTICAL = 0.05
 # An integral (rad) below which no axis has turned.
-_LEAST_TURN = np.radians(0.5)
+_LEAST_TURN = np.radians(0.06)
+# Turns smaller than this (rad) are not read, nor the standstills within this time of them.
+_SMALL_TURN, _BESIDE_S = np.radians(1.0), 0.5
 _STEPS = 40
 _PASSES = 3
 
 
 class GravityAngles(NamedTuple):
-    """`angles` `(n, L)` rad: at the rows where the table stands, NaN at the others; `messages` on large scale-factor
-    errors."""
+    """`angles` `(n, L)` rad: at the rows where the table stands, NaN at the others; `doubtful` `(n,)`: rows about turns
+    so small that they can hardly be told from standing; `messages` on large scale-factor errors."""
 
     angles: np.ndarray
+    doubtful: np.ndarray
     messages: tuple[str, ...]
 
 
@@ -83,12 +86,17 @@ def angles_by_gravity(log: ImuRows, geometry: Geometry, start: np.ndarray) -> Gr
     result = np.full((len(log.time_s), geometry.axis_count), np.nan)
     for (first, last), own in zip(still.rows, angles, strict=True):
         result[first : last + 1] = own
+    doubtful = np.zeros(len(log.time_s), bool)
+    for k in range(len(angles) - 1):
+        if np.max(np.abs(angles[k + 1] - angles[k])) < _SMALL_TURN and turned[k] is not None:
+            near = np.searchsorted(log.time_s, log.time_s[still.rows[[k, k + 1], [1, 0]]] + [-_BESIDE_S, _BESIDE_S])
+            doubtful[near[0] : near[1]] = True
     large = [s for s in scales.values() if abs(s) > _LARGE]
     said = [
         f"the gyros' scale is off by {100.0 * s:+.3g} %: whole turns are counted with it; is it in rad/s?"
         for s in large
     ]
-    return GravityAngles(result, tuple(dict.fromkeys(said)))
+    return GravityAngles(result, doubtful, tuple(dict.fromkeys(said)))
 
 
 def _standstills(log: ImuRows) -> _Still:

@@ -115,15 +115,14 @@ def recorded(spec: Spec, seed: int, spoilt: float, **changes: Any) -> tuple[Log,
         setattr(truth, name, value)
     rows: list[np.ndarray] = []
     hung: list[np.ndarray] = []
-    # The dies follow the room's course slowly; each stretch has its own part of it.
+    # Each stretch has its own part of the course; nothing holds the temperature to it.
     times, values = [], []
-    for (begin, end), stretch in zip(spans, schedule.stretches, strict=True):
-        at = np.linspace(0.0, end - begin, 50)
-        there = np.interp(stretch.start + at, *zip(*course, strict=True))
-        wobble = 0.4 * np.sin(2.0 * np.pi * (at / 170.0 + seed))
+    for (begin, _), stretch in zip(spans, schedule.stretches, strict=True):
+        at = np.linspace(0.0, stretch.duration, 400)
         times.append(begin + at)
-        values.append(there + wobble)
-    die = Course(np.concatenate(times), np.concatenate(values))
+        values.append(np.interp(stretch.start + at, *zip(*course, strict=True)))
+    at = np.concatenate(times)
+    die = Course(at, np.concatenate(values) + 0.4 * np.sin(2.0 * np.pi * (at / 170.0 + 0.01 * seed)))
     unit = SimulatedImu(truth, table, die, axes, sample_rate_hz=RATE_HZ, seed=seed)  # pyright: ignore[reportArgumentType]
     starts, count = [], 0
     for number, (begin, end) in enumerate(spans):

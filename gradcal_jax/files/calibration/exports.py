@@ -65,9 +65,9 @@ def export(
     """The calibration for a target of `FORMATS`: ardupilot, px4, kalibr, matrices, c-header, template, csv.
 
     `temperature_c`: for targets of one temperature; `instance`: number of the sensor on the controller (from 1 for
-    ArduPilot, from 0 for PX4); `device_id`: PX4's; `template`: the text of a template; `zeroed`: coefficients that did not pass a validation, which are
-    left out ("gyro_x.a3", "x.a3" or, for every channel, "a3"). Returns the text, and every loss with its largest value
-    and unit. The formulas are those of the targets' firmware, which their functions here name. Errors: `ValueError`
+    ArduPilot, from 0 for PX4); `device_id`: PX4's; `template`: the text of one; `zeroed`: coefficients that did not
+    pass a validation, which are left out ("gyro_x.a3", "x.a3" or, for every channel, "a3"). Returns the text, and every
+    loss with its largest value and unit; the functions here name the targets' formulas. Errors: `ValueError`
     with a sentence for what cannot be exported.
     """
     if target not in FORMATS:

@@ -14,7 +14,7 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
     output
         The directory for spec.toml, rig.toml and columns.toml; it is made where there is none.
     preset
-        Ask nothing, and take the answers for drone-imu or tactical-imu.
+        Ask nothing, and take the answers for drone-imu, tactical-imu or no-encoder.
     force
         Overwrite existing files.
     """

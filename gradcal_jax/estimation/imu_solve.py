@@ -386,8 +386,8 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
 
 
 def absorbed(steps: NoiseSteps, states: slice) -> np.ndarray:
-    """`(N,)`: the part of every reading that the wide noise of the angles, at `states`, absorbs: by how much its
-    variance grows with theirs."""
+    """`(N,)`: the part of every reading that the wide noise of the angles, at `states`, absorbs: by how much the
+    logarithm of its variance grows with theirs, so that the parts add up to the number of angles."""
     n, per_std = steps.observation.shape[1], []
     for factor in (1.0, _NARROWER):
         scale = np.ones(n)
@@ -397,7 +397,7 @@ def absorbed(steps: NoiseSteps, states: slice) -> np.ndarray:
         per_std.append(filter_readings(np.zeros((n, 0)), of.initial, of, np.zeros((len(of.used), 0))).per_std)
     wide, narrow = per_std
     ratio = np.divide(wide, narrow, out=np.ones(len(wide)), where=narrow > 0.0)
-    return np.clip((1.0 - ratio**2) / (1.0 - _NARROWER**2), 0.0, 1.0)
+    return np.clip(np.log(ratio) / np.log(_NARROWER), 0.0, 1.0)
 
 
 def angle_errors(readings: ImuReadings, parameters: np.ndarray) -> np.ndarray:

@@ -90,7 +90,7 @@ def test_wide_noise_of_the_angles_is_as_free_parameters():
     still = steps._replace(covariance=np.array(steps.covariance), initial=np.array(steps.initial))
     count = len(steps.used)
     draws = np.flatnonzero(steps.covariance[:, n, n] > 0.0)
-    # The first standstill has an angle, too; a tenth of a reading each is that of a standstill hardly seen.
+    # The first standstill has an angle, too.
     assert np.sum(lost) == pytest.approx(len(draws) + 1, abs=1.0)
     effect = np.zeros((count, len(draws) + 1))
     state = np.zeros((len(draws) + 1, steps.observation.shape[1]))
@@ -176,7 +176,7 @@ def test_of_mirror_images_the_one_near_the_plans_begin_counts():
 
 @pytest.mark.parametrize(("plan", "spoilt"), [("two axes", 5.0), ("by hand", 20.0)])
 def test_angles_that_nobody_knows_are_estimated(plan, spoilt, monkeypatch):
-    """The table stands degrees beside the plan, as a twin of quaternions turns it, and the log's angles are the plan's."""
+    """The table stands degrees beside the plan, by a twin of quaternions, and the log's angles are the plan's."""
     spec = without_encoder(scene(plan, 0.1))
     usual = imu_twin.bench_of
     off = (np.radians(spoilt),) * len(spec.rig.table.axis)

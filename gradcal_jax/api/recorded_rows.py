@@ -18,6 +18,8 @@ from gradcal_jax.model import PathTerm
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
 _REHUNG_S = 6 * 3600.0
+# Time over which a temperature is smoothed that nobody controls, and that may turn at once, s.
+_UNCONTROLLED_S = 16.0
 # Spacing of the readings of a log with the angle at every row, if nothing says it, s.
 _READ_EVERY_S = 1.0
 
@@ -102,7 +104,8 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
             np.nan_to_num(log.rate_rad_per_s[number]), log.sample_interval_s, valid=usable, divide=True
         )
         standing &= quiet >= 0
-    smooth = estimation.smoothed_temperature(time, temperature)
+    over = {"over_s": _UNCONTROLLED_S} if built.spec.rig.chamber.control == "none" else {}
+    smooth = estimation.smoothed_temperature(time, temperature, **over)
     mounting = np.zeros(len(time), int) if log.mounting is None else log.mounting
     worth = rate = at_end = None
     if standard:

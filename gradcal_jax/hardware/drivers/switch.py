@@ -1,9 +1,9 @@
 """An axis whose motor is told to turn and to stop, and nothing else: a drill, a record player, a motor behind a relay.
 
-It turns at one rate, `rate`, more or less; a turn is "forward" or "backward", a time, and "stop". Nothing shows where it
-stands or whether it does: its readings are where it was told to go, for plans whose reference is gravity. After "stop"
-it counts as moving for another `coast`. The words are lines of text on the port; with `answer`, the device confirms each
-with that line.
+It turns at one rate, `rate`, more or less; a turn is "forward" or "backward", a time, and "stop". Nothing shows where
+it stands or whether it does: its readings are where it was told to go, for plans whose reference is gravity. After
+"stop" it counts as moving for another `coast`. The words are lines of text on the port; with `answer`, the device
+confirms each with that line.
 """
 
 import threading

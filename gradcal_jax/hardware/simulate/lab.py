@@ -26,7 +26,7 @@ from .datagrams import RATES_HZ
 from .devices import HandTurnedAxis, HangingOperator, SimulatedAxis, SimulatedChamber, SimulatedPerson, SimulatedStream
 from .draws import draw_table, draw_truth
 from .imu import SimulatedImu
-from .plants import AxisPlant, ChamberPlant, ChamberTruth
+from .plants import AxisPlant, ChamberPlant, ChamberTruth, UncontrolledRoom
 
 # Bits/s. 2000 datagrams/s of rates, forces and temperatures leave no margin on the usual line.
 _BAUDRATE: Final = 921_600
@@ -66,13 +66,18 @@ class SimulatedLab:
             load_time_constant_s=max(float(spec.sensor.thermal_lag or 0.0), 1.0),
         )
         self.chamber_plant = ChamberPlant(physics, now)
+        climate = self.chamber_plant
+        if chamber.control == "none":
+            segments = spec.gradient_schedule.segments
+            course = [segments[0].temperature_start, *(s.temperature_end for s in segments)]
+            climate = UncontrolledRoom([0.0, *(s.end for s in segments)], course, now, physics.load_time_constant_s)
         truth, encoders, self._installation = draw_table(spec, seed)
         self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
         self.units: dict[str, SimulatedImu] = {
             f"unit{number}": SimulatedImu(
                 draw_truth(spec, seed, number),
                 truth,
-                self.chamber_plant,
+                climate,
                 self.axis_plants,
                 sample_rate_hz=sample_rate_hz,
                 seed=64 * seed + number,
@@ -100,7 +105,12 @@ class SimulatedLab:
             "imu": [{"name": name, "port": f"/simulated/{name}", **unit} for name in self.units],
         }
         self.rig = rig_of(tables)
-        self.bench = Bench(self.rig, SimulatedChamber(self.chamber_plant, clock, cold - 5.0, hot + 5.0), simulated=True)
+        if spec.rig.chamber.control == "none":
+            del tables["chamber"]
+            self.rig = rig_of(tables)
+        self.bench = Bench(self.rig, simulated=True)
+        if spec.rig.chamber.control == "chamber":
+            self.bench.chamber = SimulatedChamber(self.chamber_plant, clock, cold - 5.0, hot + 5.0)
         for number, (axis, plant) in enumerate(zip(axes, self.axis_plants, strict=True)):
             limits = _limits_of(axis, by_hand, typed, told=spec.rig.table.by_gravity)
             self.bench.axes[axis.name] = (

@@ -74,7 +74,7 @@ class Chamber(Section):
     """Steepest slope downwards, as a size."""
     control: Literal["chamber", "none"] = "chamber"
     """"none": a fridge, a hair dryer, a bag of ice. A run commands and awaits no temperature, needs no chamber in its
-    rig file and goes on by the clock; the plan's course is what the operator tries to follow; what comes is recorded."""
+    rig file and goes on by the clock; the operator tries to follow the plan's course, and what comes is recorded."""
 
     def _problems(self) -> Iterable[Problem]:
         return increasing(self.range, "range")

@@ -38,6 +38,8 @@ _SURE = 3.0
 _ABSURD = 100.0
 # Temperatures (°C) and rates (rad/s) of a calibration that is used at those of its own data alone.
 _EVERYWHERE = (-273.0, 1000.0), (-1e4, 1e4)
+# Change of an estimated angle (rad) below which it stands still, and the most linearisations until then.
+_STANDS, _LINEARISED = 2e-6, 12
 # Parts of a planned move's time at which its angle is tabulated.
 _PROFILE = 512
 
@@ -87,7 +89,9 @@ def fitted_twice(
 
     A rate-dependent scale factor of a per cent would be estimated at wrong rates if they were not corrected.
     """
-    first = _read(built, name, rows, rows, temperature, threshold, points).solution
+    fit = _read(built, name, rows, rows, temperature, threshold, points)
+    # Angles that no encoder tells are estimated.
+    first, rows = fit.solution, rows._replace(angles=fit.readings.log.angles)
     held = tuple(calibrated_channels(built, built.model.to_reported @ first.parameters, _EVERYWHERE))
     rates, felt = correct_triads(held, rows.rates, rows.force, temperature)
     # Data that hardly determine a map give one that no gyro has, which corrects nothing.
@@ -118,13 +122,48 @@ def _read(
     about: np.ndarray | None = None,
 ) -> Fit:
     """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
-    estimate, linearised about `about`."""
+    estimate, linearised about `about`; where no encoder tells the table's angles, again about those of the estimate,
+    until they stand still."""
+    fit = _read_once(built, name, rows, seen, temperature, threshold, points, felt, about)
+    for _ in range(_LINEARISED if built.spec.rig.table.by_gravity else 0):
+        errors = estimation.angle_errors(fit.readings, fit.solution.parameters)
+        if np.nanmax(np.abs(errors)) < _STANDS:
+            break
+        angles = rows.angles + np.where(np.isfinite(errors), errors, 0.0)
+        rows, seen = rows._replace(angles=angles), seen._replace(angles=angles)
+        fit = _read_once(built, name, rows, seen, temperature, threshold, points, felt, fit.solution.parameters)
+    solution = fit.solution
+    _refuse_the_implausible(built, name, solution)
+    scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
+    if scale > _ABSURD:
+        raise LogError(
+            f"{name}: the unit's readings differ from the table's by {scale:.3g} times what noise explains: are the "
+            "mounting, the unit's axes and signs and the table's angles those of the spec?"
+        )
+    return fit
+
+
+def _read_once(
+    built: BuiltImu,
+    name: str,
+    rows: ImuRows,
+    seen: ImuRows,
+    temperature: np.ndarray,
+    threshold: float | None,
+    points: TablePoints | None,
+    felt: np.ndarray | None,
+    about: np.ndarray | None,
+) -> Fit:
+    """One fit, at the angles of `rows`."""
+    free = built.spec.rig.table.by_gravity
     try:
         done = _executed(built, seen, points)
         done = done._replace(motion=replace(done.motion, history=course_before(built.spec)))
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
-    readings = estimation.readings_of(built.model, done, rows, temperature, 0 if built.rough else built.points, felt)
+    readings = estimation.readings_of(
+        built.model, done, rows, temperature, 0 if built.rough else built.points, felt, free=free
+    )
     own = None if points is None else points.sigma
     if own is not None:
         readings = readings._replace(sigma=own * done.motion.line.duration)
@@ -133,13 +172,6 @@ def _read(
         solution = estimation.estimate_unweighted(readings)
     else:
         solution = estimation.solve_imu(readings, about, threshold=threshold)
-    _refuse_the_implausible(built, name, solution)
-    scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
-    if scale > _ABSURD:
-        raise LogError(
-            f"{name}: the unit's readings differ from the table's by {scale:.3g} times what noise explains: are the "
-            "mounting, the unit's axes and signs and the table's angles those of the spec?"
-        )
     return Fit(done, readings, solution, seen.rates)
 
 

@@ -65,6 +65,9 @@ _WAVES = 3
 _FEWEST = 16
 # Standard deviation of an angle that is known exactly, rad: far below any encoder's.
 _EXACT = 1e-12
+# Standard deviation (rad) of a standstill's angle that no encoder tells: unknown beside what gravity and the gyros say,
+# and small enough for a covariance in double precision to hold 0.1 µrad beside it.
+_UNKNOWN = 3.0
 # Rounding of a move's rate, at the rate up to which accelerometers are read.
 _SLACK = 1e-9
 
@@ -190,6 +193,8 @@ def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str
     table, angles = spec.rig.table, [axis.angle for axis in spec.rig.table.axis]
     numbers = ("standstill_offset", "reading_noise", "read_every", "timing_error")
     offset, reading, every, timing = (np.array([float(getattr(a, name)) for a in angles]) for name in numbers)
+    if table.by_gravity:
+        offset, reading, every = np.full(len(angles), _UNKNOWN), np.zeros(len(angles)), np.full(len(angles), np.inf)
     rate = np.asarray(float(table.rate_accuracy or 0.0))
     held = table.standing == "held"
     encoder = model.EncoderNoise(offset, reading, every, held, timing, rate, held or bool(np.any(offset)))

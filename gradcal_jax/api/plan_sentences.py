@@ -42,6 +42,8 @@ _NEARLY = 1e-3
 _PLACES = 33
 # Change of temperature within a piece that counts as none, K.
 _SAME_K = 1e-6
+# Cosine to the vertical beyond which gravity does not see an axis's turns, and the tilt that is offered.
+_UPRIGHT, _TILT_DEG = 0.995, 30.0
 # Smallest over largest singular value of up-directions that do not lie in one plane.
 _FLAT = 0.05
 
@@ -118,6 +120,7 @@ def plan_warnings(built: BuiltImu, known: Posterior) -> list[str]:
         groups.setdefault(channel, []).append(symbol)
     sentences += [f"the plan says nothing of {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
     sentences += of_path or _one_way_of_class(built)
+    sentences += _unseen_by_gravity(built)
     sentences += _limited_by_priors(built, known) + _as_before(built, known)
     fastest = _fastest(built, axes)
     sentences += _saturated(built, fastest) + _beyond(built) + _beyond_rates(built, fastest)
@@ -388,6 +391,44 @@ def _distinct_rates(built: BuiltImu, axes: np.ndarray, axis: int) -> int | None:
         return None
     along = line.end_rate()[constant] * axes[constant, motion.axis[constant], axis]
     return len(np.unique(np.round(np.degrees(along), 6)))
+
+
+def _unseen_by_gravity(built: BuiltImu) -> list[str]:
+    """Sentences on axes that are vertical in all of their turns, where gravity is the only reference of their angles;
+    for the outermost one with what a tilt makes of the scale factor."""
+    motion, table = built.motion, built.spec.rig.table
+    if not table.by_gravity:
+        return []
+    moves = np.flatnonzero((motion.axis >= 0) & ~motion.line.gap)
+    stages = frames(motion.geometry, motion.angles()[0][moves], motion.mounting[moves])
+    sentences: list[str] = []
+    for k, axis in enumerate(table.axis):
+        own = np.flatnonzero(motion.axis[moves] == k)
+        vertical = np.einsum("ni,ni->n", stages.axes[own, k], stages.attitude[own, 2])
+        if not len(own) or np.min(np.abs(vertical)) < _UPRIGHT:
+            continue
+        cure = f'turn "{axis.name}" also where it is not vertical'
+        if k == 0:
+            cure = f'tilt the axis "{axis.name}" by {_TILT_DEG:g} deg{_when_tilted(built)}'
+        sentences.append(
+            f'gravity does not see turns of "{axis.name}", which is vertical in all of them, nor the azimuth: without '
+            f"an encoder the scale factor of gyros along it is not observable: {cure}"
+        )
+    return sentences
+
+
+def _when_tilted(built: BuiltImu) -> str:
+    """The gyros' scale factor with the outermost axis tilted, after a colon."""
+    spec, up = built.spec, built.spec.rig.table.axis[0].unit_vector
+    wanted = next((r for r in spec.requirement if isinstance(r, GyroScaleFactorRequirement)), None)
+    if wanted is None:
+        return ""
+    tilt = np.radians(_TILT_DEG)
+    direction = [up[0], up[1] + np.tan(tilt) * abs(up[2]), up[2]]
+    tilted = build_imu(changed(spec, {"rig.table.axis[0].direction": [float(round(x, 6)) for x in direction]}))
+    quantity, known = quantity_of(tilted, wanted, _FEW), imu_posterior(tilted)
+    now = quantity.residual(known).statistic()
+    return "" if now is None else f": '{wanted.name}' is then {now:.3g} ppm"
 
 
 def _number(count: int) -> str:

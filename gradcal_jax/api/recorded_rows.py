@@ -18,6 +18,8 @@ from gradcal_jax.model import PathTerm
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
 _REHUNG_S = 6 * 3600.0
+# Time over which a temperature is smoothed that nobody controls, and that may turn at once, s.
+_UNCONTROLLED_S = 16.0
 # Spacing of the readings of a log with the angle at every row, if nothing says it, s.
 _READ_EVERY_S = 1.0
 
@@ -45,6 +47,13 @@ def imu_rows(built: BuiltImu, logs: Sequence[Log], name: str, options: Options) 
     fields = ([getattr(part, field) for part in parts] for field in ImuRows._fields)
     whole: Any = (None if any(x is None for x in field) else np.concatenate(field) for field in fields)
     whole = ImuRows(*whole)
+    if built.spec.rig.table.by_gravity:
+        try:
+            found = estimation.angles_by_gravity(whole, built.motion.geometry, np.asarray(built.motion.start_angles))
+        except ValueError as error:
+            raise LogError(f"{name}: {error}") from None
+        kept, messages = ~found.doubtful, [*messages, *found.messages]
+        whole = whole._replace(angles=found.angles, standing=whole.standing & kept, usable=whole.usable & kept)
     return whole, tuple(dict.fromkeys(messages))
 
 
@@ -78,7 +87,10 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
     elif gyros.any():
         # Also by gyros that are not calibrated: a turn about another axis is no rest.
         standstill = estimation.find_standstills(
-            np.nan_to_num(log.rate_rad_per_s[number]), log.sample_interval_s, valid=usable
+            np.nan_to_num(log.rate_rad_per_s[number]),
+            log.sample_interval_s,
+            valid=usable,
+            divide=built.spec.rig.table.by_gravity,
         )
         standing = standstill >= 0
         messages.append(
@@ -86,7 +98,14 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
         )
     else:
         raise LogError("a log without gyros must mark its standstills (a column standstill in the column map)")
-    smooth = estimation.smoothed_temperature(time, temperature)
+    if built.spec.rig.table.by_gravity and log.standstill is not None and gyros.any():
+        # Nobody knows but the gyros when a hand, or a motor that was switched off, came to rest.
+        quiet = estimation.find_standstills(
+            np.nan_to_num(log.rate_rad_per_s[number]), log.sample_interval_s, valid=usable, divide=True
+        )
+        standing &= quiet >= 0
+    over = {"over_s": _UNCONTROLLED_S} if built.spec.rig.chamber.control == "none" else {}
+    smooth = estimation.smoothed_temperature(time, temperature, **over)
     mounting = np.zeros(len(time), int) if log.mounting is None else log.mounting
     worth = rate = at_end = None
     if standard:
@@ -95,6 +114,9 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
             np.zeros(len(time), bool),
             _table_rate(built, log, options.table_axis),
         )
+    elif built.spec.rig.table.by_gravity:
+        # Whatever the log says of angles is where the table was meant to go.
+        angles, at_a_stop = np.full((len(time), len(built.spec.rig.table.axis)), np.nan), np.zeros(len(time), bool)
     elif read_by_events(built.spec):
         known = log.table_axes and (log.readings is not None or log.table_angle_rad is not None)
         place = _places_of(built, log, options.table_axis)[0] if known or options.table_axis else None

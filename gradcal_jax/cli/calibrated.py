@@ -158,7 +158,8 @@ def export(
     calibration: Calibrated,
     /,
     *,
-    format: str,
+    format: str | None = None,
+    template: Path | None = None,
     output: OptionalOutput = None,
     temperature: str | None = None,
     instance: int | None = None,
@@ -172,11 +173,13 @@ def export(
     Parameters
     ----------
     format
-        The format: ardupilot, px4, kalibr, matrices, c-header or csv.
+        The format: ardupilot, px4, kalibr, matrices, c-header or csv; without it that of --template.
+    template
+        A template of your own, in the language of Jinja; gradcal new --list names some to start from.
     output
         Write here; without it the text is printed, and the report goes to stderr.
     temperature
-        The temperature of a kalibr or matrices file, such as "25 degC".
+        The temperature of a kalibr or matrices file, or of a template's matrices, such as "25 degC".
     instance
         Number of the sensor on the controller: 1 to 3 for ArduPilot, 0 to 3 for PX4.
     device_id
@@ -187,15 +190,19 @@ def export(
         Print text, losses and notes as JSON.
     """
     from gradcal_jax.files.calibration import exports, read_calibration
+    from gradcal_jax.files.document import read_text
     from gradcal_jax.files.writing import write_whole
 
     at = None if temperature is None else quantity(temperature, "temperature", "--temperature")
     content = read_calibration(calibration)
     if output is not None:
         writable(output, force)
+    if (format is None) == (template is None):
+        raise ValueError("give the format with --format, or a template with --template: one of them")
+    text = None if template is None else read_text(template)
     number = (0 if format == "px4" else 1) if instance is None else instance
     chosen = {"temperature_c": at, "instance": number, "device_id": device_id}
-    done = exports.export(content, format, **chosen, zeroed=zero)
+    done = exports.export(content, format or "template", **chosen, zeroed=zero, template=text)
     if output is not None:
         write_whole(output, done.text)
     if json:

@@ -12,6 +12,11 @@ from gradcal_jax.pages.plain_text import columns
 
 _COLUMN_MAP: Final = "column-map"
 _POINT_MAP: Final = "point-map"
+_TEMPLATES: Final = {
+    "export-gains": "Zeros and gains of a flight controller, for export --template",
+    "export-tracker": "Matrices of a body or head tracker in JSON, for export --template",
+    "export-ins": "Noise and errors for an inertial navigation filter, for export --template",
+}
 
 
 def new(
@@ -27,7 +32,7 @@ def new(
     Parameters
     ----------
     preset
-        Its name, see --list; or column-map or point-map.
+        Its name, see --list; or column-map, point-map, or a template of an export.
     output
         The file to write; - prints it.
     listing
@@ -38,11 +43,13 @@ def new(
     if listing:
         rows = [(name, presets.title(name)) for name in presets.names()]
         rows += [(_COLUMN_MAP, "What the columns of a recording mean, for --columns")]
+        rows += _TEMPLATES.items()
         print(columns([*rows, (_POINT_MAP, "What the columns of a table of points mean, for --points")], indent=""))
         return DONE
     if preset is None:
         raise ValueError("which preset? List them with: gradcal new --list")
     examples = {_COLUMN_MAP: column_guess.EXAMPLE, _POINT_MAP: points.EXAMPLE}
+    examples |= {preset: presets.template(f"{preset}.j2")} if preset in _TEMPLATES else {}
     text = examples[preset] if preset in examples else presets.text(preset)
     if output is None or output == "-":
         if output is None:
@@ -62,6 +69,8 @@ def new(
     following = {
         _COLUMN_MAP: f"gradcal allan LOG --columns {output}",
         _POINT_MAP: f"gradcal estimate TABLE --points {output} --spec SPEC",
-    }.get(preset, f"gradcal check {output}")
+    }.get(
+        preset, f"gradcal export CALIBRATION --template {output}" if preset in _TEMPLATES else f"gradcal check {output}"
+    )
     print(f"wrote {output}; next: {following}")
     return DONE

@@ -14,7 +14,7 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
     output
         The directory for spec.toml, rig.toml and columns.toml; it is made where there is none.
     preset
-        Ask nothing, and take the answers for drone-imu or tactical-imu.
+        Ask nothing, and take the answers for drone-imu, tactical-imu or no-encoder.
     force
         Overwrite existing files.
     """
@@ -33,9 +33,11 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
         write_whole(output / name, text)
     print(f"wrote {', '.join(str(output / name) for name in texts)}")
     print("next, in this order:")
+    # A search makes turns of a motor, and a hand's are as they are.
+    makes = "recipe" if answers["angle"] == begin.NO_ENCODER else "optimise"
     for line in (
         f"gradcal predict {output / 'spec.toml'}",
-        f"gradcal optimise {output / 'spec.toml'} -o {output / 'recipe.toml'}",
+        f"gradcal {makes} {output / 'spec.toml'} -o {output / 'recipe.toml'}",
         f"gradcal run {output / 'recipe.toml'} --simulate -o {output / 'rehearsal'}",
         f"gradcal rig check {output / 'rig.toml'}",
     ):

@@ -12,10 +12,12 @@ from gradcal_jax.estimation.consistency import (
 )
 from gradcal_jax.estimation.diagnosis import diagnosis as diagnosis
 from gradcal_jax.estimation.executed import Executed, column_readings, executed, standing_with, within
+from gradcal_jax.estimation.gravity_angles import angles_by_gravity
 from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, executed_imu
 from gradcal_jax.estimation.imu_solve import (
     ImuEstimate,
     ImuReadings,
+    angle_errors,
     estimate_unweighted,
     readings_of,
     solve_imu,

@@ -229,7 +229,7 @@ def _felt_legs(
     which are set to those at the end, to the angles `goal`."""
     step = np.diff(log.time_s[whole.begin : whole.end + 1])
     legs: list[_Leg] = []
-    edges = [0, *(1 + w for w in _valleys(np.linalg.norm(rates, axis=1))), len(rates)]
+    edges = [0, *stops_between(rates), len(rates)]
     for a, b in itertools.pairwise(edges):
         axis, angle = _which(geometry, at, goal - at, int(log.mounting[whole.begin]), step[a:b] @ rates[a:b], seen)
         at[axis] += angle
@@ -245,6 +245,11 @@ def _mean_rates(rates: np.ndarray) -> np.ndarray:
     known = np.isfinite(rates)
     count = np.sum(known, axis=0)
     return np.where(count > 0, np.sum(np.where(known, rates, 0.0), axis=0) / np.maximum(count, 1), np.nan)
+
+
+def stops_between(rates: np.ndarray) -> list[int]:
+    """Rows `(n, axes)` at which the table stops for an instant between two turns, counted from the end of each."""
+    return [1 + row for row in _valleys(np.linalg.norm(rates, axis=1))]
 
 
 def _valleys(speed: np.ndarray) -> list[int]:

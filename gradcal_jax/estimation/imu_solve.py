@@ -26,6 +26,8 @@ from gradcal_jax.information import (
     SquareRootInformation,
     encoder_rows,
     estimator_of_means,
+    filter_readings,
+    filtered_states,
     imu_system,
     imu_unweighted,
     posterior,
@@ -56,6 +58,12 @@ _TURNS = np.radians(1.0)
 _SMALL_TURN = 1e-5
 # Least part of an encoder's error in the row of a gyro that is along its axis.
 _SEES_ENCODER = 0.5
+# Factor by which the angles' noise is narrowed to see which readings it absorbs, and the least part that counts.
+_NARROWER, _ABSORBED = 0.5, 1e-6
+
+
+# Of an axis and its angles (rad): their errors, and the derivatives of these.
+AngleError = Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 class Installed(NamedTuple):
@@ -63,7 +71,7 @@ class Installed(NamedTuple):
     that a kind of channel sees."""
 
     geometry: Geometry
-    error_of: Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]] | None
+    error_of: AngleError | None
     clock: dict[ChannelKind, float]
 
 
@@ -123,7 +131,8 @@ def _small(vector: np.ndarray) -> np.ndarray:
 class ImuReadings(NamedTuple):
     """A unit's readings, for comparison with any table: `observed` `(R,)`, integrals in rad and m/s; `felt` `(P, 3)`,
     the mean specific force over every piece, m/s², if known; `sigma` `(R,)`: standard deviations, in the place of the
-    model's noise of the channels (None: the model's).
+    model's noise of the channels (None: the model's); `free`: no encoder tells the angles of standstills, whose wide
+    noise then absorbs a reading each.
     """
 
     model: ImuModel
@@ -134,12 +143,14 @@ class ImuReadings(NamedTuple):
     observed: np.ndarray
     felt: np.ndarray | None
     sigma: np.ndarray | None = None
+    free: bool = False
 
-    def expected(self, parameters: np.ndarray) -> np.ndarray:
-        """`h(β)` `(R,)` of the parameters in the engine's coordinates."""
+    def expected(self, parameters: np.ndarray, error_of: AngleError | None = None) -> np.ndarray:
+        """`h(β)` `(R,)` of the parameters in the engine's coordinates; `error_of`: of the axes' angles, in the place of
+        the installation's."""
         model = self.model
         table = installed(self.done.motion.geometry, model, parameters[model.calibrated :])
-        nodes = self._nodes(table.geometry, table.error_of)
+        nodes = self._nodes(table.geometry, error_of or table.error_of)
         at = segments_of(self.done.motion, model)
         ideal = nodes.integrals(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
         result, begin = np.zeros(len(at.row_segment)), 0
@@ -150,6 +161,12 @@ class ImuReadings(NamedTuple):
             rows = at.row_channel == i
             result[rows] = at.sums(output)[at.row_segment[rows]] * (1.0 + table.clock[c.kind])
         return result
+
+    @property
+    def angle_states(self) -> slice:
+        """The noise states that are the errors of the axes' angles now."""
+        begin = len(self.model.channels) + sum(c.model.processes.count for c in self.model.channels)
+        return slice(begin, begin + self.done.motion.geometry.axis_count)
 
     def by_steps(self, values: np.ndarray) -> np.ndarray:
         """Values of the rows in the order of the noise steps; zero for steps within a segment, which have no row."""
@@ -207,7 +224,35 @@ class ImuReadings(NamedTuple):
                     there = about + _SMALL_TURN * np.eye(model.size)[k]
                     columns[:, k] = self.by_steps((self.expected(there) - here) / _SMALL_TURN)
             begin += term.size
-        return steps, columns
+        return self._with_own_angles(steps, about, here) if self.free else steps, columns
+
+    def _with_own_angles(self, steps: NoiseSteps, about: np.ndarray, here: np.ndarray) -> NoiseSteps:
+        """The steps with the readings' derivatives by the errors of angles as the channels' own errors make them, as
+        those by the installation are: else a tilt about an axis, which resembles them, would seem to be observable.
+
+        A constant error is that of both standstills, one in proportion to the angle that of each by its own angle."""
+        motion, at = self.done.motion, segments_of(self.done.motion, self.model)
+        before, after = motion.angles()
+        observation = np.array(steps.observation)
+        for k in range(motion.geometry.axis_count):
+            now = self.angle_states.start + k
+            by: list[np.ndarray] = []
+            for slope in (0.0, 1.0):
+
+                def error_of(axis: int, angle: np.ndarray, k: int = k, slope: float = slope):
+                    size = _SMALL_TURN * (axis == k)
+                    return size * (angle * slope + 1.0 - slope), np.full(angle.shape, size * slope)
+
+                by.append((self.expected(about, error_of) - here) / _SMALL_TURN)
+            begin, end = (a[at.row_segment, k] for a in (before[at.first], after[at.last]))
+            way = end - begin
+            turns = np.abs(way) > _TURNS
+            whole = np.where(turns, way, 1.0)
+            of_end = np.where(turns, (by[1] - begin * by[0]) / whole, by[0])
+            of_begin = np.where(turns, (end * by[0] - by[1]) / whole, 0.0)
+            observation[:, now] = self.by_steps(of_end)
+            observation[:, now + motion.geometry.axis_count] = self.by_steps(of_begin)
+        return steps._replace(observation=observation)
 
     def _system(self, nodes: BodyNodes) -> tuple[NoiseSteps, np.ndarray]:
         steps, columns = imu_system(self.done.motion, self.model, nodes)
@@ -232,6 +277,8 @@ def readings_of(
     temperature_c: np.ndarray,
     points: int,
     felt: np.ndarray | None = None,
+    *,
+    free: bool = False,
 ) -> ImuReadings:
     """Integrals of every channel over its segments. `felt` `(n, 3)`: corrected specific force at the rows, m/s²."""
     at = segments_of(done.motion, model)
@@ -251,7 +298,7 @@ def readings_of(
             whole = whole + np.add.reduceat(shared[:, c.axis], at.first)
         rows = at.row_channel == i
         observed[rows] = whole[at.row_segment[rows]]
-    readings = ImuReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), felt)
+    readings = ImuReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), felt, free=free)
     if model.encoder.held or done.motion.line.rates:
         return readings
     # The motion is that of the mean angles; the reference is each reading.
@@ -338,6 +385,43 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
     return estimate._replace(weights=weights)
 
 
+def absorbed(steps: NoiseSteps, states: slice) -> np.ndarray:
+    """`(N,)`: the part of every reading that the wide noise of the angles, at `states`, absorbs: by how much the
+    logarithm of its variance grows with theirs, so that the parts add up to the number of angles."""
+    n, per_std = steps.observation.shape[1], []
+    for factor in (1.0, _NARROWER):
+        scale = np.ones(n)
+        scale[states] = factor
+        both = scale[:, None] * scale
+        of = steps._replace(covariance=steps.covariance * both, initial=steps.initial * both)
+        per_std.append(filter_readings(np.zeros((n, 0)), of.initial, of, np.zeros((len(of.used), 0))).per_std)
+    wide, narrow = per_std
+    ratio = np.divide(wide, narrow, out=np.ones(len(wide)), where=narrow > 0.0)
+    return np.clip(np.log(ratio) / np.log(_NARROWER), 0.0, 1.0)
+
+
+def angle_errors(readings: ImuReadings, parameters: np.ndarray) -> np.ndarray:
+    """`(rows, L)`: where the table stands, the angle (rad) of every axis less that of the log, by the readings up to
+    its next turn, for these parameters; NaN elsewhere. For readings whose angles are `free`."""
+    steps, _ = readings.linear(parameters)
+    motion = readings.done.motion
+    at, row = segments_of(motion, readings.model), row_of_steps(motion, readings.model)
+    apart = readings.by_steps(np.where(at.used, readings.observed - readings.expected(parameters), 0.0))
+    states = filtered_states(steps, apart)[:, readings.angle_states]
+    result = np.full((len(readings.log.time_s), motion.geometry.axis_count), np.nan)
+    of_step = at.row_segment[np.maximum(row, 0)]
+    for axis in range(motion.geometry.axis_count):
+        moves = np.flatnonzero(motion.axis == axis)
+        begins, ends = np.append(0, moves + 1), np.append(moves, len(motion.axis))
+        for first, end in zip(begins, ends, strict=True):
+            if end <= first:
+                continue
+            known = np.flatnonzero((at.first[of_step] >= first) & (at.first[of_step] < end) & (row >= 0))
+            if len(known):
+                result[readings.done.rows[first] : readings.done.rows[end] + 1, axis] = states[known[-1], axis]
+    return result
+
+
 def estimate_unweighted(readings: ImuReadings) -> ImuEstimate:
     """Parameters by ordinary least squares on the mean errors of the points of a standard plan, without priors and
     weights; the installation's errors are taken as zero, and count in the covariance."""
@@ -388,6 +472,10 @@ def _solved(
     chi_squared = np.array([rest @ rest + np.sum((prior @ beta) ** 2)])
     degrees = np.array([len(design) - missing - np.count_nonzero(seen)])
     taken = orthogonal[: len(jacobian)] @ left[:, seen]
+    if readings.free:
+        lost = absorbed(steps, readings.angle_states)[kept]
+        degrees = degrees - round(float(np.sum(lost)))
+        taken = np.concatenate([taken, np.diag(np.sqrt(lost))[:, lost > _ABSORBED]], axis=1)
     estimate = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
     white = Whitened(jacobian[None], (rest + jacobian @ beta)[None], prior)
     channel = segments_of(readings.done.motion, model).row_channel[used]

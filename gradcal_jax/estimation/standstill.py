@@ -34,8 +34,10 @@ def find_standstills(
     factor: float = 3.0,
     largest_bias: float = np.radians(10.0),
     valid: np.ndarray | None = None,
+    divide: bool = False,
 ) -> np.ndarray:
     """`(n,)`: the number of the standstill of each row, counted from 0; −1 while moving. Rates `(n, axes)`, rad/s.
+    `divide`: a turn within a quiet stretch that is slow beside others divides it.
 
     A window has four rows at least, whatever the sample rate. Errors: `ValueError` where the record is shorter than two
     windows, or nothing is quiet enough.
@@ -59,12 +61,13 @@ def find_standstills(
     number = np.full(len(still), -1, np.int64)
     count = 0
     for first, end in formulas.runs(still):
-        calm = np.flatnonzero(spread[first:end] <= factor * max(float(np.median(spread[first:end])), least))
+        calm = spread[first:end] <= factor * max(float(np.median(spread[first:end])), least)
         # A window that overlaps a move shortens the standstill by half its width at both ends, on the safe side.
-        first, end = first + int(calm[0]), first + int(calm[-1]) + 1
-        if (end - first) * sample_interval_s >= shortest_s:
-            number[first:end] = count
-            count += 1
+        parts = formulas.runs(calm) if divide else np.flatnonzero(calm)[[0, -1]][None] + np.array([0, 1])
+        for begin, stop in (first + parts).tolist():
+            if (stop - begin) * sample_interval_s >= shortest_s:
+                number[begin:stop] = count
+                count += 1
     if not count:
         raise ValueError(
             f"nothing in the record is quiet for {shortest_s:g} s: is the sensor ever at rest? Otherwise mark the "

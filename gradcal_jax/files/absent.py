@@ -122,7 +122,8 @@ def _of_imu(spec: Spec) -> Iterator[AbsentTerm]:
     for k, axis in enumerate(table.axis):
         if k < len(table.axis) - 1:
             yield from _unnamed(axis, f"rig.table.axis[{k}]", [t for t in of_table if t.key == "orthogonality"])
-        yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", within)
+        if not table.by_gravity:
+            yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", within)
 
 
 _OF_BRANCHES: Final = {

@@ -16,6 +16,8 @@ from gradcal_jax.files.column_guess import EXAMPLE
 from gradcal_jax.files.problems import instead
 from gradcal_jax.files.rig import TEMPLATE
 
+NO_ENCODER: Final = "none"
+
 
 class Question(NamedTuple):
     """A question: its name, its words, and the kinds of its answers, which commas separate."""
@@ -32,7 +34,9 @@ QUESTIONS: Final = (
     Question("full_scale", "Its full scale?", ("angular rate",)),
     Question("rate", "How fast does the table turn at most?", ("angular rate",)),
     Question("acceleration", "How fast does it speed up?", ("angular acceleration",)),
-    Question("angle", "By how much is its angle off where it comes to rest?", ("angle",)),
+    Question(
+        "angle", 'By how much is its angle off where it comes to rest (or "none": nothing reads it)?', ("offset",)
+    ),
     Question("travel", 'How far each way, before a cable ends it (or "unlimited")?', ("travel",)),
     Question(
         "chamber",
@@ -67,6 +71,18 @@ PRESETS: Final[Mapping[str, Mapping[str, str]]] = {
         "chamber": "-40 degC, 85 degC, 1 K/min",
         "targets": "300 ppm, 35 deg/h",
     },
+    "no-encoder": {
+        "sensor": "ICM-42688 class",
+        "grade": "consumer",
+        "walk": "0.2 deg/sqrt(h)",
+        "full_scale": "1000 deg/s",
+        "rate": "400 deg/s",
+        "acceleration": "800 deg/s^2",
+        "angle": "none",
+        "travel": "unlimited",
+        "chamber": "10 degC, 40 degC, 5.5 K/min",
+        "targets": "150 ppm, 40 deg/h",
+    },
 }
 """Answers to all questions, for a class of unit and bench; the first are the defaults of the questions."""
 
@@ -97,6 +113,10 @@ def _one(kind: str, text: str) -> float | str:
         if text not in grades():
             raise ValueError(instead(text, grades()))
         return text
+    if kind == "offset":
+        if text == NO_ENCODER:
+            return math.inf
+        kind = "angle"
     if kind == "travel":
         if text == "unlimited":
             return math.inf
@@ -115,6 +135,11 @@ def files_of(answers: Mapping[str, str]) -> dict[str, str]:
             known[question.name] = understood(question, answers[question.name])
         except ValueError as error:
             raise ValueError(f"{question.asks} {answers[question.name]!r}: {error}") from None
+    if answers["angle"].strip() == NO_ENCODER:
+        columns = EXAMPLE.replace(
+            '# full_scale = "500 deg/s" ', f'full_scale = "{_deg(known["full_scale"][0])} deg/s" '
+        )
+        return {"spec.toml": _without_encoder(answers, known), "rig.toml": _RIG, "columns.toml": columns}
     rate, acceleration = (f"{math.degrees(known[name][0]):.6g}" for name in ("rate", "acceleration"))
     rig = TEMPLATE.replace('"300 deg/s"', f'"{rate} deg/s"').replace('"300 deg/s^2"', f'"{acceleration} deg/s^2"')
     columns = EXAMPLE.replace('# full_scale = "500 deg/s" ', f'full_scale = "{_deg(known["full_scale"][0])} deg/s" ')
@@ -125,10 +150,67 @@ def _deg(value: float) -> str:
     return f"{math.degrees(value):.6g}"
 
 
-def _spec(answers: Mapping[str, str], known: Mapping[str, tuple[Any, ...]]) -> str:
-    cold, warm, slope = cast("tuple[float, float, float]", known["chamber"])
+# A person turns and says that it stands; there is no chamber, and the unit's own thermometer is recorded.
+_RIG: Final = """# Made by gradcal start: no encoder, no chamber. gradcal rig check FILE asks the devices.
+format = "gradcal-rig/1"
+
+[[axis]]
+name    = "axle"                        # as in the spec
+driver  = "operator"
+port    = "terminal"
+safe    = "hold"
+gravity_loaded = false
+options = { angle = "none", max_rate = "400 deg/s", max_acceleration = "800 deg/s^2" }
+
+[[imu]]
+name    = "unit"
+driver  = "stim300"                     # or another: gradcal rig --help
+port    = "/dev/ttyUSB0"
+"""
+
+
+def _without_encoder(answers: Mapping[str, str], known: Mapping[str, tuple[Any, ...]]) -> str:
+    """The preset without an encoder, with the answers that it has a place for."""
+    cold, warm, _ = cast("tuple[float, float, float]", known["chamber"])
+    _require_range(cold, warm)
+    coldest, warmest, ramp = (part.strip() for part in answers["chamber"].split(","))
+    scale_factor, bias = (part.strip() for part in answers["targets"].split(","))
+    half, middle, inset = round(0.5 * (warm - cold)), round(0.5 * (warm + cold)), 0.07 * (warm - cold)
+    text = presets.text("no-encoder")
+    # A slower hand, or a weaker one.
+    slower = max(1.0, 6.3 / known["rate"][0], math.sqrt(10.0 / known["acceleration"][0]))
+    for duration in (5.0, 3.0, 1.5):
+        text = text.replace(
+            f'duration = "{duration:g} s"', f'duration = "{math.ceil(10.0 * duration * slower) / 10.0:g} s"'
+        )
+    for usual, own in (
+        ("a typical consumer MEMS unit", known["sensor"][0]),
+        ("0.2 deg/√h", answers["walk"]),
+        ("1000 deg/s", answers["full_scale"]),
+        ("400 deg/s", answers["rate"]),
+        ("800 deg/s^2", answers["acceleration"]),
+        ('centre = "25 degC", scale = "15 K"', f'centre = "{middle} degC", scale = "{half} K"'),
+        ('["5 degC", "45 degC"]', f'["{coldest}", "{warmest}"]'),
+        ('["12 degC", "38 degC"]', f'["{cold + inset:.0f} degC", "{warm - inset:.0f} degC"]'),
+        ('"10 degC"', f'"{coldest}"'),
+        ('"40 degC"', f'"{warmest}"'),
+        ("8 K/min", ramp),
+        ("5.5 K/min", ramp),
+        ("150 ppm", scale_factor),
+        ("40 deg/h", bias),
+    ):
+        text = text.replace(usual, str(own))
+    return text
+
+
+def _require_range(cold: float, warm: float) -> None:
     if warm - cold < 10.0:
         raise ValueError(f"{QUESTIONS[8].asks} a range of at least 10 K is wanted, and this has {warm - cold:g} K")
+
+
+def _spec(answers: Mapping[str, str], known: Mapping[str, tuple[Any, ...]]) -> str:
+    cold, warm, slope = cast("tuple[float, float, float]", known["chamber"])
+    _require_range(cold, warm)
     grade = str(known["grade"][0])
     terms = {term.key: term for term in terms_of("sensor", grade)}
     lag = units.parse(str(terms["thermal_lag"].value), "time")

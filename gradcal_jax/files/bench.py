@@ -72,6 +72,9 @@ class Chamber(Section):
     """Steepest slope upwards."""
     max_cooling: PositiveTemperatureSlope
     """Steepest slope downwards, as a size."""
+    control: Literal["chamber", "none"] = "chamber"
+    """"none": a fridge, a hair dryer, a bag of ice. A run commands and awaits no temperature, needs no chamber in its
+    rig file and goes on by the clock; the operator tries to follow the plan's course, and what comes is recorded."""
 
     def _problems(self) -> Iterable[Problem]:
         return increasing(self.range, "range")
@@ -138,6 +141,10 @@ class Site(Section):
 class AxisEncoder(AngleReference):
     """Error budget of an axis's angle."""
 
+    reference: Literal["encoder", "gravity"] = "encoder"
+    """"gravity": there is no encoder, on any axis. The device's accelerometers tell the angle of every standstill, and
+    its gyros count whole turns; the plan's angles need not be kept, each is estimated. All other keys but `read_every`
+    are then left out."""
     read_every: Spacing = Quantity(1.0, "1 s", "time")
     """Spacing of the readings while the axis stands; "rest": one, at the end of each rest."""
 
@@ -252,18 +259,40 @@ class RigTable(Section):
     @property
     def typed(self) -> bool:
         """Whether an operator types angles, and none where no cycle fills a stretch of used data."""
-        return self.drive == "hand" and all(math.isinf(axis.angle.read_every) for axis in self.axis)
+        told = self.drive == "hand" and all(math.isinf(axis.angle.read_every) for axis in self.axis)
+        return told and not self.by_gravity
+
+    @property
+    def by_gravity(self) -> bool:
+        """Whether no encoder tells the angles, and gravity does."""
+        return self.axis[0].angle.reference == "gravity"
 
     def _problems(self) -> Iterator[Problem]:
         yield from repeated_names("axis", "name", [axis.name for axis in self.axis], "two axes have this name")
         if self.axis[-1].orthogonality:
             message = "is told to the next axis inside, and there is none; leave it out of the innermost one"
             yield Problem(("axis", len(self.axis) - 1, "orthogonality"), message, str(self.axis[-1].orthogonality))
+        if any(axis.angle.reference == "gravity" for axis in self.axis):
+            yield from self._without_encoder()
         every = [axis.angle.read_every for axis in self.axis]
         if self.standing == "read" and any(e != every[0] for e in every):
             message = 'the axes of a table whose standing is "read" are read together; expected one time for all'
             k = next(i for i, e in enumerate(every) if e != every[0])
             yield Problem(("axis", k, "angle", "read_every"), message, str(every[k]))
+
+    def _without_encoder(self) -> Iterator[Problem]:
+        """Keys that speak of an encoder where an axis has none."""
+        message = 'is of an encoder, and the angle\'s reference is "gravity": leave it out'
+        if self.standing == "read":
+            yield Problem(("standing",), message, self.standing)
+        if self.rate_accuracy is not None:
+            yield Problem(("rate_accuracy",), message, str(self.rate_accuracy))
+        for k, axis in enumerate(self.axis):
+            if axis.angle.reference != "gravity":
+                one = 'gravity is the reference of all axes or of none; expected "gravity"'
+                yield Problem(("axis", k, "angle", "reference"), one, axis.angle.reference)
+            for name in sorted(axis.angle.model_fields_set - {"read_every", "reference"}):
+                yield Problem(("axis", k, "angle", name), message)
 
 
 class Rig(Section):

@@ -378,6 +378,30 @@ def _accelerometer(spec: "Spec") -> Iterator[Problem]:
         yield Problem(key, message + "leave it out (and the lever arm)", limit)
 
 
+def _without_encoder(spec: "Spec") -> Iterator[Problem]:
+    """What gravity as the only reference of the angle needs."""
+    if not spec.rig.table.by_gravity:
+        return
+    key, sensor = ("rig", "table", "axis", 0, "angle", "reference"), spec.sensor
+    if sensor.gyro is None or sensor.accelerometer is None or len(sensor.accelerometer.axes) < 3:
+        message = '"gravity" needs a gyro, which counts whole turns, and accelerometers along x, y and z'
+        yield Problem(key, message, "gravity")
+    if isinstance(spec.plan, StandardPlan):
+        message = 'a held rate needs an encoder; expected "encoder", or a plan of method = "gradient"'
+        yield Problem(key, message, "gravity")
+    turned: set[int] = set()
+    # The cycle begins anew where it ends.
+    for step in _steps(spec) * 2:
+        if step.axis in turned or (step.axis >= 0 and step.move.repeat > 1):
+            message = (
+                "no rest lies between this turn and one of the same axis: without an encoder the angle in between is "
+                "not known; add { rest = … }"
+            )
+            yield Problem(("plan", "cycle", "moves", step.source), message)
+            return
+        turned = {*turned, step.axis} if step.axis >= 0 else set()
+
+
 def _design(spec: "Spec") -> Iterator[Problem]:
     assert spec.design is not None
     names = [requirement.name for requirement in spec.requirement]
@@ -398,6 +422,7 @@ _CHECKS: Final[tuple[tuple[str, Callable[["Spec"], Iterator[Problem]]], ...]] = 
     ("done rig plan", _done),
     ("done sensor", _done_of_sensor),
     ("sensor rig plan", _accelerometer),
+    ("sensor rig plan", _without_encoder),
     ("design requirement sensor rig plan", _design),
 )
 """The checks, by the sections that they need."""

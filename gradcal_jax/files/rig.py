@@ -100,7 +100,7 @@ class AxisDevice(Section):
     name: Name
     """Its name, which runs and logs refer to."""
     driver: Text
-    """Name of its driver: zaber, odrive or operator."""
+    """Name of its driver: zaber, odrive, switch or operator."""
     port: Port
     """Where it is connected; "terminal" for an operator."""
     safe: Literal["hold", "controlled stop", "unpower"]

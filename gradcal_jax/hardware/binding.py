@@ -9,6 +9,7 @@ at its beginning, for resuming there.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from ..files.recipe import Recipe
 from ..files.sensor import Sensor
@@ -46,6 +47,9 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
             steps.append(_unused(segments[0], recipe.stability, first=not steps))
         else:
             steps += _stretch(block, segments, recipe.stability, names, first=not steps, ends=ends)
+    if recipe.spec.rig.chamber.control == "none":
+        alone: dict[str, Any] = {"temperature_c": None, "ramp_k_per_min": None, "ready": None, "start_c": None}
+        steps = [replace(step, **alone, courses=(), again=None) for step in steps]
     return Track(tuple(steps), _gyro_errors(recipe.spec.sensor), read_at_rest(recipe.motion))
 
 

@@ -106,8 +106,9 @@ class TemperatureChamber(Protocol):
 
 @dataclass(frozen=True)
 class AxisLimits:
-    """The axis's limits. Travel is None for an endless axis; `by_hand`: the operator turns it; `typed`: and types its
-    angle; accelerations are multiples of `acceleration_step_dps2` (0: any)."""
+    """The axis's limits. Travel is None for an endless axis; accelerations are multiples of `acceleration_step_dps2`
+    (0: any). `by_hand`: the operator turns it; `typed`: and types its angle; `told`: nothing reads the angle, and a
+    reading is where the axis was told to go."""
 
     max_rate_dps: float
     max_acceleration_dps2: float
@@ -118,6 +119,7 @@ class AxisLimits:
     by_hand: bool = False
     acceleration_step_dps2: float = 0.0
     typed: bool = False
+    told: bool = False
 
     @property
     def travel_deg(self) -> tuple[float, float]:

@@ -77,6 +77,7 @@ DRIVERS: Final[Mapping[str, Driver]] = {
     "lines": Driver(None, f"{_HERE}.lines", "lines_device", "LinesConfig", text=False),
     "zaber": Driver("axis", f"{_HERE}.zaber", "ZaberAxis", "ZaberConfig"),
     "odrive": Driver("axis", f"{_HERE}.odrive", "ODriveAxis", "ODriveConfig"),
+    "switch": Driver("axis", f"{_HERE}.switch", "SwitchAxis", "SwitchConfig"),
     OPERATOR: Driver("axis", f"{_HERE}.operator", "OperatorAxis", "OperatorConfig"),
     "stim300": Driver("imu", f"{_HERE}.stim300", "Stim300Stream", "Stim300Config"),
     "text_unit": Driver("imu", f"{_HERE}.text_unit", "TextUnitStream", "TextUnitConfig", text=False),

@@ -1,6 +1,7 @@
 """From a timeline and an error model to square-root information, the residual map and its Monte Carlo twin."""
 
 from gradcal_jax.information.adjoint import gram, whitened_factor
+from gradcal_jax.information.by_reading import filter_readings, filtered_states
 from gradcal_jax.information.imu_rows import (
     encoder_rows,
     estimator_of_means,

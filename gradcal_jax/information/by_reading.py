@@ -49,6 +49,19 @@ def filter_readings(
     return Readings(rows, gain, per_std, mean, covariance)
 
 
+def filtered_states(steps: NoiseSteps, values: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N n"]:
+    """The state after each reading, estimated from the `values` of all readings up to it."""
+    n = steps.observation.shape[1]
+    of = filter_readings(np.zeros((n, 1)), np.asarray(steps.initial), steps, values[:, None])
+    innovation = np.divide(of.rows[:, 0], of.per_std, out=np.zeros(len(values)), where=of.per_std > 0.0)
+    stays = np.zeros(len(values), bool) if steps.stays is None else steps.stays
+    state, result = np.zeros(n), np.empty((len(values), n))
+    for k, (f, gain) in enumerate(zip(steps.transition, of.gain, strict=True)):
+        state = (state if stays[k] else f @ state) + gain * innovation[k]
+        result[k] = state
+    return result
+
+
 def adjoint_parts(
     steps: NoiseSteps, readings: Readings
 ) -> Iterator[tuple[slice, Float[np.ndarray, "K p"], Float[np.ndarray, "K n p"]]]:

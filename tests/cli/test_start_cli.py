@@ -26,7 +26,7 @@ def sound(texts):
     return spec
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", [name for name in PRESETS if name != "no-encoder"])
 def test_a_preset_asks_nothing_and_its_files_are_sound_and_met(preset, tmp_path, capsys):
     out = tmp_path / "mine"
     assert main(["start", "--preset", preset, "-o", str(out)]) == 0
@@ -41,6 +41,22 @@ def test_a_preset_asks_nothing_and_its_files_are_sound_and_met(preset, tmp_path,
     # Nothing is overwritten unasked.
     assert main(["start", "--preset", preset, "-o", str(out)]) == 2
     assert "exists" in capsys.readouterr().err
+
+
+def test_without_an_encoder_a_person_and_gravity_do(tmp_path, monkeypatch, capsys):
+    """By the preset, and by the answer "none" with a slower hand."""
+    asked = "box\n\n\n\n200 deg/s\n400 deg/s^2\nnone\n\n0 degC, 50 degC, 4 K/min\n200 ppm, 60 deg/h\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(asked))
+    assert main(["start", "--preset", "no-encoder", "-o", str(tmp_path / "a")]) == 0
+    assert main(["start", "-o", str(tmp_path / "b")]) == 0
+    assert f"gradcal recipe {tmp_path / 'b' / 'spec.toml'}" in capsys.readouterr().out
+    for name, warm in (("a", 40.0), ("b", 50.0)):
+        spec = gj.read_spec(tmp_path / name / "spec.toml")
+        assert spec.rig.table.by_gravity
+        assert float(spec.plan.programme[1].ramp_to) == warm
+        assert [row.verdict for row in gj.predict(spec).requirements] == ["met"] * 4
+        (axis,) = parse_rig((tmp_path / name / "rig.toml").read_text(encoding="utf-8")).axis
+        assert axis.options["angle"] == "none"
 
 
 def test_ten_questions_are_asked_and_enter_takes_what_is_usual(tmp_path, monkeypatch, capsys):

@@ -5,6 +5,7 @@
     kalibr      imu.yaml at one temperature: scale, misalignment (triangular), gyros' sensitivity to acceleration
     matrices    YAML at one temperature: corrected = matrix · (raw − bias) for gyros and accelerometers
     c-header    a function in float32 with all that the calibration has (polynomials)
+    template    whatever a template of the user's makes of maps, matrices and noise, in the language of Jinja
     csv         every coefficient with its standard deviation, for spreadsheets; nothing is lost
 
 Each export reports in numbers what its target cannot carry: the largest error against the calibration over its range.
@@ -23,6 +24,7 @@ from gradcal_jax.files.calibration import c_header
 from gradcal_jax.files.calibration.correction import linear_part, term_values, value_at
 from gradcal_jax.files.calibration.file import TEMPERATURE_RATE, CalibratedChannel, CalibratedTerm, Calibration, Noise
 from gradcal_jax.files.calibration.polynomials import bias_polynomial
+from gradcal_jax.files.calibration.text_template import rendered
 from gradcal_jax.files.log import Floats
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
@@ -58,19 +60,21 @@ def export(
     instance: int = 1,
     device_id: int | None = None,
     zeroed: Sequence[str] = (),
+    template: str | None = None,
 ) -> Export:
-    """The calibration for a target of `FORMATS`: ardupilot, px4, kalibr, matrices, c-header, csv.
+    """The calibration for a target of `FORMATS`: ardupilot, px4, kalibr, matrices, c-header, template, csv.
 
     `temperature_c`: for targets of one temperature; `instance`: number of the sensor on the controller (from 1 for
-    ArduPilot, from 0 for PX4); `device_id`: PX4's; `zeroed`: coefficients that did not pass a validation, which are
-    left out ("gyro_x.a3", "x.a3" or, for every channel, "a3"). Returns the text, and every loss with its largest value
-    and unit. The formulas are those of the targets' firmware, which their functions here name. Errors: `ValueError`
+    ArduPilot, from 0 for PX4); `device_id`: PX4's; `template`: the text of one; `zeroed`: coefficients that did not
+    pass a validation, which are left out ("gyro_x.a3", "x.a3" or, for every channel, "a3"). Returns the text, and every
+    loss with its largest value and unit; the functions here name the targets' formulas. Errors: `ValueError`
     with a sentence for what cannot be exported.
     """
     if target not in FORMATS:
         raise ValueError(f'there is no export format "{target}": known are {", ".join(FORMATS)}')
     plain, left_out = _without(calibration, zeroed)
     options: dict[str, Any] = {"temperature_c": temperature_c, "instance": instance, "device_id": device_id}
+    options["template"] = template
     done = FORMATS[target](plain, options | {"left_out": left_out})
     notes = [*done.notes]
     if target != "csv":
@@ -552,11 +556,45 @@ def _basis_words(basis: Any) -> str:
     return "; ".join(parts)
 
 
+def _template(calibration: Calibration, options: Mapping[str, Any]) -> Export:
+    template, at = options["template"], options["temperature_c"]
+    if template is None:
+        raise ValueError("which template? Give it with --template; gradcal new --list names some to start from")
+
+    def linear(temperature_c: float) -> dict[str, dict[str, Any]]:
+        of = linear_at(calibration, temperature_c)
+        return {
+            name: {"matrix": matrix.tolist(), "inverse": np.linalg.inv(matrix).tolist(), "bias": bias.tolist()}
+            for name, matrix, bias in (
+                ("gyro", of.gyro, of.gyro_bias),
+                ("accelerometer", of.accelerometer, of.accelerometer_bias),
+            )
+        } | {"sensitivity": {"matrix": of.sensitivity.tolist()}}
+
+    noise = {} if calibration.noise is None else dict(calibration.noise)
+    known = {
+        "serial_number": calibration.serial_number,
+        "simulated": calibration.simulated,
+        "frame": calibration.frame,
+        "temperature_range": [float(t) for t in calibration.valid_temperature],
+        "coefficients": calibration.values(),
+        "noise": {name: float(value) for name, value in noise.items() if value is not None},
+        "at": linear,
+    }
+    losses, notes = [], ["what the template leaves out is not known, and not counted"]
+    if at is not None:
+        at, _, losses, more = _at_one_temperature(calibration, options, "a template")
+        known |= linear(at) | {"temperature": at}
+        notes += more
+    return Export(rendered(template, known), tuple(losses), tuple(notes))
+
+
 FORMATS: Final[Mapping[str, Callable[[Calibration, Mapping[str, Any]], Export]]] = {
     "ardupilot": _ardupilot,
     "px4": _px4,
     "kalibr": _kalibr,
     "matrices": _matrices,
     "c-header": _c_header,
+    "template": _template,
     "csv": _csv,
 }

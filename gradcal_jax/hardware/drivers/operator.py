@@ -8,7 +8,8 @@ The program writes a question without a line end, with a bell, and waits for a l
 An angle has its unit, by the grammar of all files (`359° 58′ 30″` is valid, `360,02` is not), or `unit` is the unit of
 bare numbers. The question is repeated for an invalid answer, and once for an angle further than `miss` from the goal. A
 dial of one turn suffices: of the angles that look alike the nearest to the goal counts. With an encoder, Enter alone
-means that the axis stands.
+means that it stands. So it does with `angle = "none"`, where nothing tells the angle, of a plan whose reference is
+gravity: the reading is then the angle that was asked for.
 
 The axis counts as moving from the question to the answer; a typed angle is one reading, at the time when its line
 ended. The port is "terminal", where `gradcal run` was started, or any other with an operator: text with CR or LF at the
@@ -42,12 +43,15 @@ class OperatorConfig:
     resolution_deg: float = 0.01
     miss_deg: float = 5.0
     unit: str = ""
+    angle: str = "typed"
     remind_s: float = 30.0
     baudrate: int = 9600
 
     def __post_init__(self) -> None:
         if self.unit:
             units.parse(f"1 {self.unit}", "angle")
+        if self.angle not in ("typed", "none"):
+            raise ValueError(f'angle is "typed" or "none", not {self.angle!r}')
         if not (self.travel_deg > 0.0 and self.miss_deg > 0.0 and self.remind_s > 0.0):
             raise ValueError("travel, miss and remind are above zero.")
 
@@ -139,10 +143,12 @@ class OperatorAxis(Unwatched):
         self._doubted = False
         # The newest reading confirmed by the operator; None: unknown.
         self._stands: AxisReading | None = None
+        # Nothing tells the angle: it is where the operator was told to turn.
+        self._told = config.angle == "none"
 
     def identify(self) -> Identity:
         if self._encoder is None:
-            return Identity("operator", "turned by hand, angles typed")
+            return Identity("operator", f"turned by hand, {'no angle' if self._told else 'angles typed'}")
         encoder = self._encoder.identify()
         return replace(encoder, driver="operator", model=f"turned by hand, encoder of {encoder.driver} {encoder.model}")
 
@@ -157,7 +163,8 @@ class OperatorAxis(Unwatched):
             grid,
             hardware_watchdog=False,
             by_hand=True,
-            typed=self._encoder is None,
+            typed=self._encoder is None and not self._told,
+            told=self._encoder is None and self._told,
         )
 
     def read(self) -> AxisReading:
@@ -211,7 +218,8 @@ class OperatorAxis(Unwatched):
             self._encoder.close()
 
     def _ask(self, what: str) -> None:
-        answer = "press Enter" if self._encoder is not None else "type the angle that it shows"
+        enter = self._told or self._encoder is not None
+        answer = "press Enter" if enter else "type the angle that it shows"
         self._question = f"{what}; let it stand and {answer}:"
         self._doubted = False
         self._ring_s = self._clock.now() + self._config.remind_s
@@ -241,6 +249,11 @@ class OperatorAxis(Unwatched):
         self._question, self._stands = "", reading
 
     def _understood(self, text: str, time_s: float) -> AxisReading | None:
+        if self._told and self._encoder is None:
+            if not text.strip():
+                return AxisReading(time_s, self._goal_deg, 0.0, False, True, (), ())
+            self._console.ask(f"{self._name}: nothing is typed here; press Enter alone when it stands:")
+            return None
         if self._encoder is not None:
             if text.strip():
                 self._console.ask(f"{self._name}: the encoder is read; press Enter alone when it stands:")

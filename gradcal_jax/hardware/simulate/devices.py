@@ -37,6 +37,8 @@ from .sensor import SampledSensor
 
 _HANG: Final = re.compile(r"hang the units so: mounting (\d+)")
 _HOME_S, _HANGS_S, _HOMES_AT_DPS = 5.0, 120.0, 30.0
+# Where a motor without feedback stops, about its goal (standard deviation), deg.
+_STOPS_OFF_DEG = 5.0
 _RANGES: Final = "400,400,400,10,10,10,1.7,1.7,1.7,NA"
 
 
@@ -100,6 +102,7 @@ class SimulatedAxis(Unwatched):
         self.plant, self._clock, self._limits = plant, clock, limits
         self.settings = KeptSettings()
         self._referenced = False
+        self._off_deg, self._random = 0.0, np.random.default_rng([plant.truth.seed, 5])
         self._acceleration_dps2 = limits.max_acceleration_dps2
 
     def identify(self) -> Identity:
@@ -111,6 +114,7 @@ class SimulatedAxis(Unwatched):
     def read(self) -> AxisReading:
         now = self._clock.now()
         angle, rate = self._on_grid(self.plant.reading(now)), self.plant.state(now)[1]
+        angle -= self._off_deg
         return AxisReading(now, angle, rate, self.plant.moving(now), self._referenced, (), ())
 
     def home(self) -> None:
@@ -120,11 +124,14 @@ class SimulatedAxis(Unwatched):
         self.plant.move_to(now, angle - away, _HOMES_AT_DPS, self._acceleration_dps2)
         self._clock.sleep(abs(away) / _HOMES_AT_DPS + 1.0)
         self.plant.set_zero(self._clock.now())
-        self._referenced = True
+        self._referenced, self._off_deg = True, 0.0
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         self._require(position_deg, rate_dps, acceleration_dps2)
-        goal_deg = self._on_grid(position_deg)
+        if self._limits.told:
+            # A motor that is switched on and off stops anywhere near, and nothing shows where.
+            self._off_deg = _STOPS_OFF_DEG * float(self._random.standard_normal())
+        goal_deg = self._on_grid(position_deg) + self._off_deg
         self.plant.move_to(self._clock.now(), goal_deg, rate_dps, acceleration_dps2)
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
@@ -184,19 +191,25 @@ class HandTurnedAxis(Unwatched):
         self._stands: AxisReading | None = None
 
     def identify(self) -> Identity:
-        return Identity("simulated", f"turned by hand, {'angles typed' if self._limits.typed else 'with an encoder'}")
+        how = "no angle" if self._limits.told else "angles typed" if self._limits.typed else "with an encoder"
+        return Identity("simulated", f"turned by hand, {how}")
 
     def limits(self) -> AxisLimits:
         return self._limits
 
     def read(self) -> AxisReading:
         now = self._clock.now()
+        if now >= self._answers_s and self._limits.told:
+            self._stands, self._answers_s = (
+                AxisReading(self._answers_s, self._goal_deg, 0.0, False, True, (), ()),
+                math.inf,
+            )
         if now >= self._answers_s:
             shown = round(self.plant.reading(self._answers_s) % 360.0, self._hand.digits)
             angle = nearest_turn_deg(shown, self._goal_deg)
             self._stands = AxisReading(self._answers_s, angle, 0.0, False, True, (), ())
             self._answers_s = math.inf
-        if not self._limits.typed:
+        if not (self._limits.typed or self._limits.told):
             return AxisReading(now, self.plant.reading(now), 0.0, self._stands is None, True, (), ())
         return self._stands or AxisReading(now, math.nan, 0.0, True, False, (), ())
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from ..pose import turn_about, turn_by
 from .loops import Loop, LoopTruth
-from .plants import AxisPlant, ChamberPlant
+from .plants import AxisPlant, ChamberPlant, UncontrolledRoom
 from .sensor import Drifts, Process, SampledSensor, SensorSamples, TruthBasis, Vectors
 
 EARTH_RATE = 7.292115e-5
@@ -125,7 +125,7 @@ class SimulatedImu(SampledSensor):
         self,
         truth: ImuTruth,
         table: TableTruth,
-        chamber: ChamberPlant,
+        chamber: ChamberPlant | UncontrolledRoom,
         axes: Sequence[AxisPlant],
         *,
         sample_rate_hz: float,

@@ -4,8 +4,9 @@ The seed draws the true parameters from the spec's priors: each device's own coe
 attitudes of base and axes, harmonics of the encoders, the mountings. The accelerometers are a few centimetres off the
 axes and sense it. With the frame "table axes" the mounting has no error, by definition of the frame. Where the spec's
 table is driven by hand, a person turns it, and types its angles where the plan does not read the axes at rest; else an
-encoder is read. The operator hangs the devices anew where there are several mountings. The devices are STIM300. The
-structure is the spec's: a `discrepancy` is not drawn.
+encoder is read. Where gravity is the reference nothing is read, and axes stop some degrees off. The operator hangs the
+devices anew where there are several mountings. The devices are STIM300. The structure is the spec's: a `discrepancy` is
+not drawn.
 """
 
 from typing import Any, Final
@@ -25,7 +26,7 @@ from .datagrams import RATES_HZ
 from .devices import HandTurnedAxis, HangingOperator, SimulatedAxis, SimulatedChamber, SimulatedPerson, SimulatedStream
 from .draws import draw_table, draw_truth
 from .imu import SimulatedImu
-from .plants import AxisPlant, ChamberPlant, ChamberTruth
+from .plants import AxisPlant, ChamberPlant, ChamberTruth, UncontrolledRoom
 
 # Bits/s. 2000 datagrams/s of rates, forces and temperatures leave no margin on the usual line.
 _BAUDRATE: Final = 921_600
@@ -65,13 +66,18 @@ class SimulatedLab:
             load_time_constant_s=max(float(spec.sensor.thermal_lag or 0.0), 1.0),
         )
         self.chamber_plant = ChamberPlant(physics, now)
+        climate = self.chamber_plant
+        if chamber.control == "none":
+            segments = spec.gradient_schedule.segments
+            course = [segments[0].temperature_start, *(s.temperature_end for s in segments)]
+            climate = UncontrolledRoom([0.0, *(s.end for s in segments)], course, now, physics.load_time_constant_s)
         truth, encoders, self._installation = draw_table(spec, seed)
         self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
         self.units: dict[str, SimulatedImu] = {
             f"unit{number}": SimulatedImu(
                 draw_truth(spec, seed, number),
                 truth,
-                self.chamber_plant,
+                climate,
                 self.axis_plants,
                 sample_rate_hz=sample_rate_hz,
                 seed=64 * seed + number,
@@ -99,11 +105,18 @@ class SimulatedLab:
             "imu": [{"name": name, "port": f"/simulated/{name}", **unit} for name in self.units],
         }
         self.rig = rig_of(tables)
-        self.bench = Bench(self.rig, SimulatedChamber(self.chamber_plant, clock, cold - 5.0, hot + 5.0), simulated=True)
+        if spec.rig.chamber.control == "none":
+            del tables["chamber"]
+            self.rig = rig_of(tables)
+        self.bench = Bench(self.rig, simulated=True)
+        if spec.rig.chamber.control == "chamber":
+            self.bench.chamber = SimulatedChamber(self.chamber_plant, clock, cold - 5.0, hot + 5.0)
         for number, (axis, plant) in enumerate(zip(axes, self.axis_plants, strict=True)):
-            limits = _limits_of(axis, by_hand, typed)
+            limits = _limits_of(axis, by_hand, typed, told=spec.rig.table.by_gravity)
             self.bench.axes[axis.name] = (
-                HandTurnedAxis(plant, clock, limits, SimulatedPerson(seed), number)
+                HandTurnedAxis(
+                    plant, clock, limits, SimulatedPerson(seed, miss_deg=3.0 if limits.told else 0.3), number
+                )
                 if by_hand
                 else SimulatedAxis(plant, clock, limits)
             )
@@ -123,11 +136,11 @@ class SimulatedLab:
             unit.mounting = number - 1
 
 
-def _limits_of(says: TableAxis, by_hand: bool, typed: bool) -> AxisLimits:
+def _limits_of(says: TableAxis, by_hand: bool, typed: bool, *, told: bool) -> AxisLimits:
     """The limits of a table's axis in the spec."""
     rate, acceleration = to_unit(float(says.max_rate), "deg/s"), to_unit(float(says.max_acceleration), "deg/s^2")
     travel = float(np.degrees(float(says.travel)))
     lowest, highest = (None, None) if np.isinf(travel) else (-travel, travel)
     step = _HAND_STEP_DEG if by_hand else _AXIS_STEP_DEG
-    hand: dict[str, bool] = {"by_hand": by_hand, "typed": by_hand and typed}
+    hand: dict[str, bool] = {"by_hand": by_hand, "typed": by_hand and typed and not told, "told": told}
     return AxisLimits(rate, acceleration, lowest, highest, step, hardware_watchdog=False, **hand)

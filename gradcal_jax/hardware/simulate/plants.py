@@ -11,6 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+# How an uncontrolled temperature wavers.
+_WAVERS_K, _WAVES_S = 0.7, 210.0
+
 
 @dataclass(frozen=True)
 class ChamberTruth:
@@ -141,6 +144,25 @@ class _Phase:
     position_deg: float
     rate_dps: float
     acceleration_dps2: float
+
+
+class UncontrolledRoom:
+    """A temperature that nobody controls, about a course (s, °C) that somebody tries to follow: late and wavering."""
+
+    def __init__(self, times_s: Sequence[float], course_c: Sequence[float], start_s: float, lag_s: float) -> None:
+        step = 1.0
+        self._times = np.arange(0.0, times_s[-1] + 1.0, step)
+        aim = np.interp(self._times, times_s, course_c) + _WAVERS_K * np.sin(2.0 * np.pi * self._times / _WAVES_S)
+        self._values = np.empty_like(aim)
+        value = float(aim[0])
+        for k, goal in enumerate(aim):
+            value += (float(goal) - value) * -math.expm1(-step / lag_s)
+            self._values[k] = value
+        self._times += start_s
+
+    def load_at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Temperature of the device, °C: `(n,) -> (n,)`."""
+        return np.interp(times_s, self._times, self._values)
 
 
 class AxisPlant:

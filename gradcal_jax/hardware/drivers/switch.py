@@ -1,0 +1,132 @@
+"""An axis whose motor is told to turn and to stop, and nothing else: a drill, a record player, a motor behind a relay.
+
+It turns at one rate, `rate`, more or less; a turn is "forward" or "backward", a time, and "stop". Nothing shows where
+it stands or whether it does: its readings are where it was told to go, for plans whose reference is gravity. After
+"stop" it counts as moving for another `coast`. The words are lines of text on the port; with `answer`, the device
+confirms each with that line.
+"""
+
+import threading
+from dataclasses import dataclass
+
+from ..clock import Clock
+from ..errors import LimitExceeded, NotVerified, Rejected
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
+from ..settings import KeptSettings
+from ..transport import Transport
+from .base import Unwatched
+
+_ANSWERS_S = 1.0
+
+
+@dataclass(frozen=True)
+class SwitchConfig:
+    """Options of the rig file: the words that are sent, each a line, and what the motor does."""
+
+    rate_dps: float = 60.0
+    coast_s: float = 1.0
+    forward: str = "forward"
+    backward: str = "backward"
+    stop: str = "stop"
+    answer: str = ""
+    baudrate: int = 9600
+
+    def __post_init__(self) -> None:
+        if not (self.rate_dps > 0.0 and self.coast_s >= 0.0):
+            raise ValueError("rate is above zero, coast not below.")
+
+    def lacks_for(self, safe: str) -> str:
+        """A motor that is switched off holds nothing."""
+        return 'it is switched off and holds nothing; expected "unpower"' if safe != AxisSafe.UNPOWER.value else ""
+
+
+@dataclass
+class SwitchLine:
+    """One line, one motor."""
+
+    transport: Transport
+    clock: Clock
+
+
+def open_exchange(line: Transport, clock: Clock, config: SwitchConfig) -> SwitchLine:
+    del config
+    return SwitchLine(line, clock)
+
+
+class SwitchAxis(Unwatched):
+    """Role `MotionAxis`."""
+
+    def __init__(self, line: SwitchLine, config: SwitchConfig) -> None:
+        self._transport, self._clock, self._config = line.transport, line.clock, config
+        self.settings = KeptSettings()
+        self._at_deg, self._stands_s = 0.0, -1.0
+        self._turn = 0
+        self._lock = threading.Lock()
+
+    def identify(self) -> Identity:
+        return Identity("switch", "told to turn and to stop, no angle")
+
+    def limits(self) -> AxisLimits:
+        rate = self._config.rate_dps
+        # It reaches its rate at once, as far as anybody knows.
+        return AxisLimits(rate, 100.0 * rate, None, None, 0.01, hardware_watchdog=False, told=True)
+
+    def read(self) -> AxisReading:
+        now = self._clock.now()
+        return AxisReading(now, self._at_deg, 0.0, now < self._stands_s, True, (), ())
+
+    def home(self) -> None:
+        """Wherever it stands is its zero."""
+        self.stop()
+        self._at_deg = 0.0
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        if rate_dps > self._config.rate_dps * (1.0 + 1e-9):
+            raise LimitExceeded(f"{rate_dps:g} deg/s is more than its rate, {self._config.rate_dps:g} deg/s.")
+        way, now = position_deg - self._at_deg, self._clock.now()
+        lasts_s = abs(way) / self._config.rate_dps
+        self._at_deg, self._stands_s = position_deg, now + lasts_s + self._config.coast_s
+        if not way:
+            return
+        with self._lock:
+            self._turn += 1
+            turn = self._turn
+            self._say(self._config.forward if way > 0.0 else self._config.backward)
+
+        def stop_in_time() -> None:
+            self._clock.sleep_until(now + lasts_s)
+            with self._lock:
+                # A later command, or a stop, came first.
+                if turn == self._turn:
+                    self._say(self._config.stop)
+
+        threading.Thread(target=stop_in_time, daemon=True, name="stopping a switched axis").start()
+
+    def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
+        raise Rejected("a motor that is switched on and off keeps no rate that anybody knows.")
+
+    def stop(self) -> None:
+        with self._lock:
+            self._turn += 1
+            self._say(self._config.stop)
+        self._stands_s = self._clock.now() + self._config.coast_s
+        self._clock.sleep(self._config.coast_s)
+
+    def safe(self, policy: AxisSafe) -> SafeReport:
+        self.stop()
+        said = "confirmed" if self._config.answer else "sent; nothing shows that it stands: look at it"
+        return SafeReport(policy.value, bool(self._config.answer), f'"{self._config.stop}" {said}')
+
+    def close(self) -> None:
+        self._transport.close()
+
+    def _say(self, word: str) -> None:
+        self._transport.drain()
+        self._transport.write(f"{word}\n".encode())
+        if not self._config.answer:
+            return
+        heard, end = b"", self._clock.now() + _ANSWERS_S
+        while self._config.answer.encode() not in heard.split(b"\n") and self._clock.now() < end:
+            heard = (heard + self._transport.read(0.1)).replace(b"\r", b"")
+        if self._config.answer.encode() not in heard.split(b"\n"):
+            raise NotVerified(f"the motor did not confirm {word!r} with {self._config.answer!r}, but said {heard!r}.")

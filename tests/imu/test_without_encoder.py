@@ -1,0 +1,195 @@
+"""Gravity as the only reference of a table's angles: what a spec may say, what is predicted, counted and estimated."""
+
+import tomllib
+from dataclasses import replace
+
+import imu_twin
+import numpy as np
+import pytest
+from estimate_scenes import draw_truth, record, scene
+
+import gradcal_jax as gj
+from gradcal_jax.api.estimate import estimate_sensors
+from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.estimation.gravity_angles import angles_by_gravity
+from gradcal_jax.estimation.imu_executed import ImuRows
+from gradcal_jax.estimation.imu_solve import absorbed
+from gradcal_jax.files import presets
+from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.information import imu_system, whiten
+from gradcal_jax.trajectory import Geometry, frames
+
+GRAVITY = {"reference": "gravity"}
+PRESET = gj.parse_spec(presets.text("no-encoder"))
+
+
+def without_encoder(spec):
+    return gj.changed(spec, {f"rig.table.axis[{k}].angle": GRAVITY for k in range(len(spec.rig.table.axis))})
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"rig.table.axis[0].angle.reading_noise": "1 deg"}, "is of an encoder"),
+        ({"rig.table.standing": "read"}, "is of an encoder"),
+        ({"sensor.accelerometer.axes": ["x", "y"]}, "accelerometers along x, y and z"),
+        ({"plan.cycle.moves": [{"turns": 1, "duration": "5 s", "shape": "hand", "axis": "axle"},
+                               {"turns": -1, "duration": "5 s", "shape": "hand", "axis": "axle"}, {"rest": "2 s"}]},
+         "no rest lies between"),
+    ],
+)  # fmt: skip
+def test_what_needs_an_encoder_is_refused(change, said):
+    with pytest.raises(SpecError, match=said):
+        gj.changed(PRESET, change)
+
+
+def test_gravity_is_the_reference_of_all_axes_or_of_none():
+    document = tomllib.loads(presets.text("gimbal-by-hand"))
+    document["rig"]["table"]["axis"][1]["angle"] = GRAVITY
+    with pytest.raises(SpecError, match="of all axes or of none"):
+        spec_of(document)
+
+
+# --- prediction -------------------------------------------------------------------------------------------------------
+
+
+def test_a_level_axis_without_an_encoder_costs_little():
+    """As an encoder with a hopeless standstill offset: 6.33 ppm in the place of 5.84."""
+    spec = gj.parse_spec(presets.text("one-axis-table"))
+    hopeless = gj.changed(spec, {"rig.table.axis[0].angle": {"reading_noise": "5 deg", "standstill_offset": "5 deg"}})
+    figures = [gj.predict(of).requirements[0].mean_of_max for of in (spec, without_encoder(spec), hopeless)]
+    assert figures[0] == pytest.approx(5.836, abs=0.01)
+    assert figures[1] == pytest.approx(6.327, abs=0.01)
+    assert figures[1] == pytest.approx(figures[2], rel=1e-3)
+
+
+def test_a_vertical_axis_is_said_with_what_a_tilt_makes_of_it():
+    upright = gj.changed(PRESET, {"rig.table.axis[0].direction": [0.0, 0.0, 1.0]})
+    (said,) = [s for s in gj.predict(upright).warnings if "gravity does not see" in s]
+    assert 'tilt the axis "axle" by 30 deg' in said
+    tilted = gj.changed(PRESET, {"rig.table.axis[0].direction": [0.0, 0.57735, 1.0]})
+    prediction = gj.predict(tilted)
+    assert not any("gravity does not see" in s for s in prediction.warnings)
+    figure = prediction.requirements[0].mean_of_max
+    assert float(said.rsplit("then ", 1)[1].split(" ppm")[0]) == pytest.approx(figure, rel=0.03)
+    assert gj.predict(upright).requirements[0].mean_of_max > 50.0 * figure
+
+
+def test_wide_noise_of_the_angles_is_as_free_parameters():
+    """One reading for each standstill is absorbed, and the covariance is that of angles without a prior."""
+    built = build_imu(PRESET)
+    motion, model, nodes = built.motion, built.model, built.body_nodes()
+    steps, columns = imu_system(motion, model, nodes)
+    n = len(model.channels) + sum(c.model.processes.count for c in model.channels)
+    lost = absorbed(steps, slice(n, n + 1))
+    # Dense: the noise without the angles' own, and a column for every angle.
+    still = steps._replace(covariance=np.array(steps.covariance), initial=np.array(steps.initial))
+    count = len(steps.used)
+    draws = np.flatnonzero(steps.covariance[:, n, n] > 0.0)
+    # The first standstill has an angle, too.
+    assert np.sum(lost) == pytest.approx(len(draws) + 1, abs=1.0)
+    effect = np.zeros((count, len(draws) + 1))
+    state = np.zeros((len(draws) + 1, steps.observation.shape[1]))
+    state[-1, n] = 1.0
+    stays = np.zeros(count, bool) if steps.stays is None else steps.stays
+    for k in range(count):
+        if not stays[k]:
+            state = state @ np.asarray(steps.transition[k]).T
+            state[np.flatnonzero(draws == k), n] += 1.0
+        effect[k] = state @ np.asarray(steps.observation[k])
+    still.covariance[:, n, n], still.initial[n, n] = 0.0, 0.0
+    used = np.asarray(steps.used)
+    white = np.asarray(whiten(still, np.concatenate([columns, effect], axis=1)))[used]
+    angles, own = white[:, columns.shape[1] :], white[:, : columns.shape[1]]
+    basis = np.linalg.qr(angles)[0]
+    rest = np.concatenate([own - basis @ (basis.T @ own), model.prior_rows()])
+    dense = np.sqrt(np.diag(np.linalg.inv(rest.T @ rest)))
+    wide = imu_posterior(built).deviations(np.eye(model.size))
+    assert wide[: model.calibrated] == pytest.approx(dense[: model.calibrated], rel=1e-3)
+
+
+# --- counting ---------------------------------------------------------------------------------------------------------
+
+
+def turning(turns_deg, scale=0.0, tilt=0.0):
+    """Rows of one axis, level but for `tilt` (rad), with rests of 2 s between turns of 4 s, and the true angles."""
+    geometry = Geometry(
+        np.array([[np.cos(tilt), 0.0, np.sin(tilt)]]), np.eye(3), np.eye(3)[None], np.asarray(0.8), np.asarray(9.81)
+    )
+    angle, standing = [np.zeros(100)], [np.ones(100, bool)]
+    for turn in np.radians(turns_deg):
+        way = np.linspace(0.0, 1.0, 201)[1:]
+        angle += [angle[-1][-1] + turn * (way - np.sin(2 * np.pi * way) / (2 * np.pi))]
+        angle += [np.full(100, angle[-1][-1])]
+        standing += [np.zeros(200, bool), np.ones(100, bool)]
+    whole, stands = np.concatenate(angle), np.concatenate(standing)
+    stages = frames(geometry, whole[:, None], np.zeros(len(whole), int))
+    rate = np.diff(whole, prepend=0.0) * 50.0 * (1.0 + scale)
+    count = len(whole)
+    rows = ImuRows(
+        np.arange(count) / 50.0, rate[:, None] * stages.axes[:, 0], 9.81 * stages.attitude[:, 2], np.zeros(count),
+        np.full((count, 1), np.nan), stands, np.ones(count, bool), np.zeros(count, int), np.zeros(count, bool),
+    )  # fmt: skip
+    return rows, geometry, whole
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.07, -0.13, 0.17])
+def test_whole_turns_are_counted_whatever_the_scale(scale):
+    rows, geometry, true = turning([90.0, 1080.0, -360.0, 170.0, -3600.0, 45.0], scale)
+    found = angles_by_gravity(rows, geometry, np.zeros(1))
+    stands = rows.standing
+    assert found.angles[stands, 0] == pytest.approx(true[stands], abs=1e-3)
+    assert bool(found.messages) == (abs(scale) > 0.1)
+
+
+def test_turns_that_cannot_be_counted_are_refused():
+    """Ten turns each: a scale factor 10 % off would be a turn more or less."""
+    rows, geometry, _ = turning([3600.0, -3600.0, 3600.0], 0.02)
+    with pytest.raises(ValueError, match="whole turns cannot be counted"):
+        angles_by_gravity(rows, geometry, np.zeros(1))
+
+
+def test_about_a_vertical_axis_the_gyros_integral_is_kept():
+    rows, geometry, true = turning([90.0, 360.0, -200.0], 0.01, tilt=np.pi / 2)
+    found = angles_by_gravity(rows, geometry, np.zeros(1))
+    assert found.angles[rows.standing, 0] == pytest.approx(1.01 * true[rows.standing], abs=1e-3)
+
+
+def test_of_mirror_images_the_one_near_the_plans_begin_counts():
+    rows, geometry, true = turning([90.0, 180.0])
+    turned = geometry.axes[0]
+    two = replace(geometry, axes=np.array([turned, [0.0, 0.0, 1.0]]))
+    for start in (np.array([0.3, 0.2]), np.array([0.3, np.pi])):
+        found = angles_by_gravity(rows._replace(angles=np.full((len(true), 2), np.nan)), two, start).angles
+        first = found[0]
+        up = frames(two, first[None], np.zeros(1, int)).attitude[0, 2]
+        assert up == pytest.approx([0.0, 0.0, 1.0], abs=1e-6)
+        assert np.linalg.norm(first - start) < np.pi
+
+
+# --- estimates --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("plan", "spoilt"), [("two axes", 5.0), ("by hand", 20.0)])
+def test_angles_that_nobody_knows_are_estimated(plan, spoilt, monkeypatch):
+    """The table stands degrees beside the plan, by a twin of quaternions, and the log's angles are the plan's."""
+    spec = without_encoder(scene(plan, 0.1))
+    usual = imu_twin.bench_of
+    off = (np.radians(spoilt),) * len(spec.rig.table.axis)
+    monkeypatch.setattr(imu_twin, "bench_of", lambda *of: replace(usual(*of), offset=off))
+    rng = np.random.default_rng(5)
+    truth = draw_truth(spec, rng)
+    (report,) = estimate_sensors(spec, record(spec, truth, rng))
+    model, solution = report.built.model, report.solution
+    own = slice(model.calibrated)
+    error = (model.to_reported @ solution.parameters - np.array([truth[name] for name in model.names()]))[own]
+    spread = (model.to_reported @ solution.known.spread)[own]
+    sigma = np.sqrt(np.sum(spread**2, axis=1))
+    white = np.linalg.solve(np.linalg.cholesky(spread @ spread.T / np.outer(sigma, sigma)), error / sigma)
+    assert np.sum(white**2) < model.calibrated + 4.5 * np.sqrt(2.0 * model.calibrated)
+    assert 1e-3 < report.consistency.fit.probability < 1.0 - 1e-3
+    assert not report.calibration.contradicted

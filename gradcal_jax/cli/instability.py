@@ -368,11 +368,11 @@ def allan(
             try:
                 rest = whole.within(part, way)
                 deviation, fit = work.allan_of(rest, terms=chosen, confidence=confidence)
-            except ValueError as error:
+            except ValueError as problem:
                 if part is None and way is None:
                     raise
                 where = ("" if part is None else f"{part[0]:g} to {part[1]:g} °C ") + (way or "")
-                problems.append(f"axis {name}, {where.strip()}: {error}")
+                problems.append(f"axis {name}, {where.strip()}: {problem}")
                 continue
             drawn.append((rest, deviation, fit))
     if json:

@@ -34,10 +34,10 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
     print(f"wrote {', '.join(str(output / name) for name in texts)}")
     print("next, in this order:")
     # A search makes turns of a motor, and a hand's are as they are.
-    makes = "recipe" if answers["angle"] == begin.NO_ENCODER else "optimise"
+    as_it_is = " --steps 0" * (answers["angle"] == begin.NO_ENCODER)
     for line in (
         f"gradcal predict {output / 'spec.toml'}",
-        f"gradcal {makes} {output / 'spec.toml'} -o {output / 'recipe.toml'}",
+        f"gradcal optimise {output / 'spec.toml'}{as_it_is} -o {output / 'recipe.toml'}",
         f"gradcal run {output / 'recipe.toml'} --simulate -o {output / 'rehearsal'}",
         f"gradcal rig check {output / 'rig.toml'}",
     ):

@@ -1,4 +1,4 @@
-"""Every technical word of the help texts is one that `gradcal glossary` explains.
+"""Every technical word of the help texts is one that `gradcal schema words` explains.
 
 A word is technical unless it stands in `everyday_words.txt`: English that a reader needs no glossary for, the names of
 other programs and of file formats among it. A word that is new to the help texts has to go into one of the two.

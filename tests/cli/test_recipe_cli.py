@@ -1,4 +1,4 @@
-"""`gradcal recipe` and `show`, and recipes where other commands take specs: the same numbers as the file carries."""
+"""`gradcal optimise --steps 0` and `check`, and recipes where other commands take specs: the same numbers as the file carries."""
 
 import json
 

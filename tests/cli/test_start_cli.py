@@ -49,7 +49,7 @@ def test_without_an_encoder_a_person_and_gravity_do(tmp_path, monkeypatch, capsy
     monkeypatch.setattr("sys.stdin", io.StringIO(asked))
     assert main(["start", "--preset", "no-encoder", "-o", str(tmp_path / "a")]) == 0
     assert main(["start", "-o", str(tmp_path / "b")]) == 0
-    assert f"gradcal recipe {tmp_path / 'b' / 'spec.toml'}" in capsys.readouterr().out
+    assert f"gradcal optimise {tmp_path / 'b' / 'spec.toml'} --steps 0" in capsys.readouterr().out
     for name, warm in (("a", 40.0), ("b", 50.0)):
         spec = gj.read_spec(tmp_path / name / "spec.toml")
         assert spec.rig.table.by_gravity

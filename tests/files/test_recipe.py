@@ -217,7 +217,7 @@ def test_what_was_changed_by_hand_is_refused_with_the_key():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda t: t.update(format="gradcal-spec/1"), "gradcal recipe SPEC -o recipe.toml"),
+        (lambda t: t.update(format="gradcal-spec/1"), "gradcal optimise SPEC --steps 0 -o recipe.toml"),
         (lambda t: t.update(format="gradcal-recipe/9"), 'this version of the program reads "gradcal-recipe/1"'),
         (lambda t: t.pop("spec"), "spec: this key is missing"),
         (lambda t: t.update(statu="x"), "statu"),

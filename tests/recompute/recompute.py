@@ -1,6 +1,6 @@
 """The standard deviations that a plan leaves, from a timeline (gradcal-timeline/2) alone.
 
-    python recompute.py timeline.json        # as `gradcal timeline SPEC --json` writes it
+    python recompute.py timeline.json        # as `gradcal check SPEC --timeline segments --json` writes it
 
 A second opinion: it reads the JSON, knows the contract's words, and shares no code and no method with the program that
 wrote it. Symbols: `A(t)` integrated error of the sensor (rad), `c(t) = bias gain + rate gain·ω(t)` what drives it.

@@ -114,8 +114,17 @@ def rounded(spec: Spec, steps: ControllerSteps | None = None, *, keep_shapes: bo
     changes = (
         f"{dotted(key)}: {_shown(before)} -> {_shown(after)}"
         for key, before, after in differences(tables_of(spec)["plan"], tables_of(result)["plan"], ("plan",))
+        if not _names_its_axis(before, after)
     )
     return Rounded(result, tuple(changes), tuple(rounder.notes))
+
+
+def _names_its_axis(before: object, after: object) -> bool:
+    """Whether a move is as it was, but that it names the table's axis."""
+    if not (isinstance(before, dict) and isinstance(after, dict)):
+        return False
+    was, now = cast("Table", before), cast("Table", after)
+    return {**was, "axis": now.get("axis")} == now
 
 
 class _Rounder:

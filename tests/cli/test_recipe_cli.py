@@ -1,4 +1,4 @@
-"""`gradcal optimise --steps 0` and `check`, and recipes where other commands take specs: the same numbers as the file carries."""
+"""`gradcal optimise --steps 0`, `check`, and recipes in the place of specs: the same numbers as the file carries."""
 
 import json
 

@@ -1,6 +1,7 @@
 """Recipes of whole units: plans rounded to what the controllers of several axes accept, and read back."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,10 @@ import pytest
 
 from gradcal_jax.files import changed, presets, to_toml
 from gradcal_jax.files.bench_tables import block_heading, move_rows
+from gradcal_jax.files.changes import tables_of
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin, parse_recipe
+from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin, parse_recipe, spec_in
 from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.files.spec_sections import Spec
@@ -94,6 +96,14 @@ def test_poses_off_the_grid_do_not_wander(seed: int) -> None:
         assert at[said.axis] == pytest.approx(exact[said.axis], abs=0.5001 * step)
         assert at[said.axis] / step == pytest.approx(round(at[said.axis] / step), abs=1e-4)
     assert rounded(made).changes == ()
+
+
+def test_a_move_that_names_the_only_axis_is_as_it_was() -> None:
+    """The moves of a recipe of the earlier form name no axis, and those of its rounded plan do."""
+    spec = spec_in(Path(__file__).parents[2] / "experiments" / "demo" / "recipe.toml")
+    made = rounded(spec)
+    assert any("axis" in move for move in tables_of(made.spec)["plan"]["cycle"]["moves"])
+    assert made.changes == ()
 
 
 def test_coarse_controllers_keep_an_axis_that_hardly_turns() -> None:

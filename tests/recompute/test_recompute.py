@@ -1,7 +1,8 @@
 """What `predict` leaves against the recomputation from the timeline's JSON alone, on random specs of every kind.
 
 `recompute.py` shares no code with the package: it is handed the text that
-`gradcal check --timeline segments --json` prints. Twelve specs are part of every run, `-m evidence` takes two hundred more.
+`gradcal check --timeline segments --json` prints. Twelve specs are part of every run, `-m evidence` takes two hundred
+more.
 """
 
 import ast

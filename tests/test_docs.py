@@ -214,6 +214,7 @@ NO_DEVICE = {
     "rig record rig.toml -o bench.txt --move",
     "run recipe.toml --rig rig.toml -o run1",
     "run recipe.toml --rig mine/rig.toml -o monday",
+    "run recipe.toml --rig mine/rig.toml -o run1",
 }
 """Lines that want hardware: without it they say so, and end with status 3."""
 PAGES = [page for page, text in WRITTEN.items() if lines_of(text)]

@@ -191,7 +191,7 @@ def _chain(
 ) -> tuple[np.ndarray, list[_Turn | None], float]:
     """The angles of all standstills, one turn after the other; the turns; and the mean square misfit of the vertical
     and of the turns' directions."""
-    seen = np.isfinite(still.rates).all(axis=0)
+    seen = np.asarray(np.isfinite(still.rates).all(axis=0))
     angles, turns, misfit = [start], list[_Turn | None](), 0.0
     for k, integral in enumerate(turned):
         here, mounting, up = angles[-1].copy(), still.mounting[k + 1], still.up[k + 1]

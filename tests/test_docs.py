@@ -196,6 +196,7 @@ ELSEWHERE = {
     "estimate run/log.nc --recipe recipe.toml -o calibration.toml --plot fit.png": (
         "tests/cli/test_imu_estimate_cli.py"
     ),
+    "run recipe.toml --rig mine/rig.toml -o run1": "tests/cli/test_run_cli.py",
     "sensitivity mine/spec.toml": "tests/cli/test_design_cli.py",
     "sweep experiments/sweeps/tactical_bench.toml -o results.nc --plot results.png": "tests/cli/test_sweep_cli.py",
 }
@@ -214,7 +215,6 @@ NO_DEVICE = {
     "rig record rig.toml -o bench.txt --move",
     "run recipe.toml --rig rig.toml -o run1",
     "run recipe.toml --rig mine/rig.toml -o monday",
-    "run recipe.toml --rig mine/rig.toml -o run1",
 }
 """Lines that want hardware: without it they say so, and end with status 3."""
 PAGES = [page for page, text in WRITTEN.items() if lines_of(text)]

@@ -16,8 +16,7 @@ def rendered(template: str, values: Mapping[str, Any], source: str = "the templa
     room = ImmutableSandboxedEnvironment(
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, autoescape=False
     )
-    filters: dict[str, Any] = room.filters  # pyright: ignore[reportUnknownMemberType]
-    filters["unit"] = units.to_unit
+    vars(room)["filters"]["unit"] = units.to_unit
     try:
         return room.from_string(template).render(values)
     except TemplateSyntaxError as problem:

@@ -297,7 +297,7 @@ def test_what_a_target_cannot_take_is_a_sentence():
     for target in ("ardupilot", "px4"):
         with pytest.raises(ValueError, match="none of them fits"):
             export(named, target)
-    assert set(FORMATS) == {"ardupilot", "px4", "kalibr", "matrices", "c-header", "csv"}
+    assert set(FORMATS) == {"ardupilot", "px4", "kalibr", "matrices", "c-header", "template", "csv"}
     assert all("SIMULATED" in export(CALIBRATION, t, temperature_c=20.0).notes[-1] for t in FORMATS)
 
 

@@ -175,7 +175,7 @@ def export(
     format
         The format: ardupilot, px4, kalibr, matrices, c-header or csv; without it that of --template.
     template
-        A template of your own, in the language of Jinja; gradcal new --list names some to start from.
+        A template of your own, in the language of Jinja; gradcal new export-gains writes one to start from.
     output
         Write here; without it the text is printed, and the report goes to stderr.
     temperature

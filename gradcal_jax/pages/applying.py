@@ -58,7 +58,7 @@ def exports_of(calibration: Calibration, name: str) -> list[ExportFact]:
     """Every export with its command and losses; those of one temperature at room temperature, where it is covered."""
     at = _room(calibration)
     facts: list[ExportFact] = []
-    for target in FORMATS:
+    for target in (one for one in FORMATS if one != "template"):
         option = f' --temperature "{at:g} degC"' if target in _AT_ONE_TEMPERATURE else ""
         command = f"gradcal export {name} --format {target}{option} -o calibration.{_ENDINGS[target]}"
         try:

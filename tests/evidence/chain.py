@@ -62,7 +62,7 @@ def recipe_of(path: Path, folder: Path) -> Path:
     """The recipe of a spec; a recipe is its own."""
     if tomllib.loads(path.read_text(encoding="utf-8"))["format"].startswith("gradcal-recipe"):
         return path
-    status, printed = say("recipe", path, "-o", folder / "recipe.toml", "--force")
+    status, printed = say("optimise", path, "--steps", "0", "-o", folder / "recipe.toml", "--force")
     assert status in (0, 1), printed
     return folder / "recipe.toml"
 

@@ -81,4 +81,4 @@ def test_units_turned_by_hand_are_as_well_known_as_predicted(spoilt):
     residual = float(np.mean([o.residual for o in found]))
     print(f"sigma over predicted {ratio.min():.3f} … {ratio.max():.3f}; chi-squared over its degrees {residual:.4f}")
     assert np.all(np.abs(ratio - 1.0) < 0.1)
-    assert abs(residual - 1.0) < 0.02
+    assert abs(residual - 1.0) < 0.05

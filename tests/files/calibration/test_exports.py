@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+import json
 import re
 import shutil
 import subprocess
@@ -23,6 +24,7 @@ from calibration_samples import (
     readings,
 )
 
+from gradcal_jax.files import presets
 from gradcal_jax.files.calibration import parse_calibration
 from gradcal_jax.files.calibration.c_header import inputs_of, rounds_in_single
 from gradcal_jax.files.calibration.correction import correct, term_values
@@ -295,8 +297,9 @@ def test_what_a_target_cannot_take_is_a_sentence():
     for target in ("ardupilot", "px4"):
         with pytest.raises(ValueError, match="none of them fits"):
             export(named, target)
-    assert set(FORMATS) == {"ardupilot", "px4", "kalibr", "matrices", "c-header", "csv"}
-    assert all("SIMULATED" in export(CALIBRATION, t, temperature_c=20.0).notes[-1] for t in FORMATS)
+    assert set(FORMATS) == {"ardupilot", "px4", "kalibr", "matrices", "c-header", "template", "csv"}
+    done = [export(CALIBRATION, t, temperature_c=20.0, template="x") for t in FORMATS]
+    assert all("SIMULATED" in of.notes[-1] for of in done)
 
 
 @pytest.mark.parametrize("target", ["ardupilot", "px4"])
@@ -308,3 +311,47 @@ def test_a_bias_that_is_unknown_is_not_exported_as_zeros(target):
     with pytest.raises(ValueError, match="none of gyro y: zeros would pass for a calibration"):
         export(without, target, instance=1, device_id=7)
     assert export(without, "csv").text
+
+
+# --- a template of one's own ------------------------------------------------------------------------------------------
+
+
+def test_a_template_sees_matrices_maps_and_noise():
+    form = linear_at(CALIBRATION, 25.0)
+    text = (
+        '{{ "%.12g" | format(gyro.bias[0] | unit("deg/h")) }} {{ "%.12g" | format(accelerometer.inverse[1][2]) }} '
+        '{{ "%.12g" | format(at(40).gyro.matrix[2][0]) }} {{ serial_number }}'
+    )
+    done = export(CALIBRATION, "template", temperature_c=25.0, template=text)
+    bias, inverse, later, name = done.text.split(maxsplit=3)
+    assert float(bias) == pytest.approx(form.gyro_bias[0] * DEG_PER_H, rel=1e-9)
+    assert float(inverse) == pytest.approx(np.linalg.inv(form.accelerometer)[1, 2], rel=1e-9)
+    assert float(later) == pytest.approx(linear_at(CALIBRATION, 40.0).gyro[2, 0], rel=1e-9)
+    assert name == CALIBRATION.serial_number
+    assert done.losses
+    assert not export(CALIBRATION, "template", template="nothing").losses
+
+
+@pytest.mark.parametrize("name", ["export-gains", "export-tracker", "export-ins"])
+def test_the_templates_that_are_shipped_fill_in(name):
+    text = export(CALIBRATION, "template", temperature_c=25.0, template=presets.template(f"{name}.j2")).text
+    assert CALIBRATION.serial_number in text
+    assert "{{" not in text
+    if name == "export-tracker":
+        matrix = np.array(json.loads(text)["gyro"]["matrix"])
+        assert matrix == pytest.approx(np.linalg.inv(linear_at(CALIBRATION, 25.0).gyro))
+
+
+@pytest.mark.parametrize(
+    ("template", "said"),
+    [
+        ("{{ nothing }}", "the names with values are"),
+        ("{{ gyro.bias }}", "'gyro' is undefined"),
+        ("{% for %}", "line 1"),
+        ("{{ serial_number.__class__.__mro__ }}", "__mro__|unsafe"),
+        ('{{ 1.0 | unit("parrot") }}', "parrot"),
+    ],
+)
+def test_templates_that_cannot_be_filled_in_are_sentences(template, said):
+    with pytest.raises(ValueError, match=said):
+        export(CALIBRATION, "template", template=template)

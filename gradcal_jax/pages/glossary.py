@@ -4,8 +4,12 @@ from typing import Final
 
 # Terms on pages.
 OF_THE_FIELD: Final[dict[str, str]] = {
+    "branch": "Rising or falling temperature; with a hysteresis the error differs from one to the other.",
     "certificate": "Two pages for a laboratory to sign: a unit's corrections and their uncertainty.",
     "coverage": "k: an expanded uncertainty is k standard deviations; 2 covers 95 % of normal errors.",
+    "hysteresis": "An error that depends on how the temperature came about, and not only on what it is.",
+    "leg": "Of a temperature programme: what lies between two turning points.",
+    "template": "A text with places for values, which an export fills in.",
     "guard band": "What an acceptance limit stays below its target, so that the risk of a wrong acceptance is small.",
     "guarded": "Of acceptance: a unit passes only where the risk that it exceeds its limit is below a chosen one.",
     "risk": "The chance of a wrong decision: of one unit (specific), or of any unit beforehand (global).",

@@ -39,7 +39,7 @@ BLIND = "gradient-three-axes"
 
 
 def test_the_presets_of_imus_are_among_all():
-    assert len(presets.names()) == 21
+    assert len(presets.names()) == 22
     assert set(presets.names()) > set(LEFT)
 
 

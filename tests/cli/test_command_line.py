@@ -95,6 +95,9 @@ def test_new_prints_and_lists(capsys):
     assert [line.split(" ")[0] for line in lines if not line.startswith(" ")] == [
         *presets.names(),
         "column-map",
+        "export-gains",
+        "export-tracker",
+        "export-ins",
         "point-map",
     ]
 

@@ -67,7 +67,7 @@ validate missing.toml empty.nc --parts 0 | export good.toml --format csv | expor
 export missing.toml --format px4 --instance 99 | report | report -o x.html | report good.toml -o x.html
 report nowhere -o x.html | sweep good.toml -o x.nc | sweep missing.toml -o x.nc | sweep good.toml -o x.nc --workers 0
 sweep good.toml -o x.nc --workers -2 | sweep good.toml -o x.nc --scheduler tcp://127.0.0.1:1
-recipes good.toml -o out | recipes empty.toml -o out | glossary zzzz | schema | schema nothing | demo --seed x
+schema words zzzz | schema | schema nothing | demo --seed x
 demo -o good.toml | demo --data nowhere -o out
 """
 CASES = [case.strip() for line in ARGUMENTS.strip().splitlines() for case in line.split("|")]
@@ -180,7 +180,7 @@ assert open("log.nc", "rb").read() == before
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is full")
 @pytest.mark.parametrize(
-    "arguments", [["glossary"], ["check", "--files-only", "good.toml"], ["schema", "spec"], ["--help"]]
+    "arguments", [["schema", "words"], ["check", "--files-only", "good.toml"], ["schema", "spec"], ["--help"]]
 )
 def test_a_full_standard_output_is_no_success(arguments, folder):
     with Path("/dev/full").open("w") as full:
@@ -199,7 +199,7 @@ def test_a_full_standard_output_is_no_success(arguments, folder):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes")
 @pytest.mark.parametrize(
-    "arguments", [["glossary"], ["schema", "spec"], ["--help"], ["check", "--files-only", "good.toml"]]
+    "arguments", [["schema", "words"], ["schema", "spec"], ["--help"], ["check", "--files-only", "good.toml"]]
 )
 def test_a_reader_that_goes_away_is_no_success(arguments, folder):
     reading, writing = os.pipe()

@@ -104,7 +104,7 @@ def test_unknown_names_get_a_sentence():
 
 
 def test_presets_are_commented_titled_and_sound():
-    assert len(presets.names()) == 21
+    assert len(presets.names()) == 22
     for name in presets.names():
         text = presets.text(name)
         assert text.startswith("# ")

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from gradcal_jax.identify.allan import (
     MISFIT,
-    _design,
+    design_of_noise,
     averaging_times,
     fit_allan,
     overlapping_allan,
@@ -101,7 +101,7 @@ def test_coefficients_and_confidence_hold_what_they_say():
         for term, value in truth.items():
             result = getattr(fit, term)
             pulls[term].append((result.value**2 - value**2) / (2 * value * result.standard_error))
-        true = np.sqrt(_design(allan.averaging_time_s) @ np.square([0.03, 0.5, 0.0, 0.05]))
+        true = np.sqrt(design_of_noise(allan.averaging_time_s) @ np.square([0.03, 0.5, 0.0, 0.05]))
         inside.append((fit.lower < true) & (true < fit.upper))
     for term in ("angle_random_walk", "rate_random_walk"):
         assert abs(np.mean(pulls[term])) < 0.5
@@ -253,7 +253,7 @@ def test_a_period_is_no_model_and_the_errors_are_widened():
 def test_model_variance_is_the_standards():
     tau = np.array([0.5, 2.0])
     expected = 3 * 4.0 / tau**2 + 9.0 / tau + 2 * np.log(2) / np.pi * 0.25 + 0.01 * tau / 3
-    np.testing.assert_allclose(_design(tau) @ np.square([2.0, 3.0, 0.5, 0.1]), expected, rtol=1e-14)
+    np.testing.assert_allclose(design_of_noise(tau) @ np.square([2.0, 3.0, 0.5, 0.1]), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ from scipy.signal import lfilter
 
 from gradcal_jax.identify.allan import (
     MISFIT,
-    design_of_noise,
     averaging_times,
+    design_of_noise,
     fit_allan,
     overlapping_allan,
 )

@@ -69,13 +69,13 @@ def make_safe(
             return chamber.safe(ChamberSafe(how.safe), float(how.ambient))
 
         begin("chamber", how.safe, chamber_safe)
-    for entry in bench.rig.imu:
-        begin(entry.name, "left streaming", bench.imus[entry.name].safe)
     with clock.aside():
         for _, began_s, thread in attempts:
             thread.join(max(0.0, began_s + deadline_s - time.monotonic()))
     now_s = time.monotonic()
-    return [replace(attempt, took_s=attempt.took_s or now_s - began_s) for attempt, began_s, _ in attempts]
+    outcomes = [replace(attempt, took_s=attempt.took_s or now_s - began_s) for attempt, began_s, _ in attempts]
+    streams = [SafeOutcome(entry.name, "left streaming", True, "it cannot be unsafe") for entry in bench.rig.imu]
+    return outcomes + streams
 
 
 def put_back(bench: Bench) -> dict[str, str]:

@@ -1,11 +1,13 @@
-"""Base classes of drivers whose device answers requests: its exchange, its closing, and the safe state of a chamber."""
+"""Base classes of drivers whose device answers requests: its exchange, verified commands, and the safe state of a
+chamber; the scale of an axis, and the wait until it stands."""
 
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 from ..errors import DeviceFault, LimitExceeded, NotVerified
-from ..request_reply import Exchange
+from ..request_reply import Exchange, Reply, command_and_verify
 from ..roles import AxisReading, ChamberLimits, ChamberReading, ChamberSafe, SafeReport
 
 Config = TypeVar("Config")
@@ -17,20 +19,25 @@ class ExchangeDriver(Generic[Config]):
 
     def __init__(self, exchange: Exchange, config: Config) -> None:
         self._exchange, self._config, self._clock = exchange, config, exchange.clock
+        self._title = exchange.device
 
-    def close(self) -> None:
-        self._exchange.transport.close()
+    def _verify(
+        self,
+        what: str,
+        send: Callable[[], object],
+        read: Callable[[], Reply],
+        shows: Callable[[Reply], bool],
+        looks: int = 3,
+    ) -> Reply:
+        """Command until the read-back shows it (`command_and_verify`)."""
+        return command_and_verify(send, read, shows, what=what, clock=self._clock, looks=looks)
 
 
 class ImuDriver(ExchangeDriver[Config]):
-    """A unit that streams: it has no unsafe state."""
+    """A unit that streams."""
 
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
         return self._exchange.transport.read_stamped(timeout_s)
-
-    def safe(self) -> SafeReport:
-        unit = self._exchange.device.replace("The", "a", 1)
-        return SafeReport("left streaming", True, f"{unit} has nothing that can be unsafe")
 
 
 class ChamberDriver(ExchangeDriver[Config], ABC):
@@ -57,8 +64,7 @@ class ChamberDriver(ExchangeDriver[Config], ABC):
     def _check(self, temperature_c: float) -> None:
         limits = self.limits()
         if not limits.lowest_c <= temperature_c <= limits.highest_c:
-            device = self._exchange.device
-            bounds = self._BOUNDS.format(low=limits.lowest_c, high=limits.highest_c, device=device)
+            bounds = self._BOUNDS.format(low=limits.lowest_c, high=limits.highest_c, device=self._title)
             raise LimitExceeded(f"{temperature_c:.1f} degC lies outside {bounds}")
 
     def _evidence(self, reading: ChamberReading) -> str:

@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar
 from ... import units
 from ...files.line_protocol import Condition, DeviceLimits, DeviceUnits, RequiredSetting
 from ..errors import FramingError, LimitExceeded, Rejected
-from ..request_reply import Exchange, command_and_verify
+from ..request_reply import Exchange
 from ..roles import ChamberLimits, ChamberReading, Identity
 from .base import ChamberDriver, ExchangeDriver
 
@@ -52,7 +52,7 @@ class DescribedDevice(ExchangeDriver[Options], ABC):
 
     def __init__(self, exchange: Exchange, config: Options, description: Description, *, require: bool) -> None:
         super().__init__(exchange, config)
-        self._description, self._title, self._requires = description, description.title, require
+        self._description, self._requires = description, require
 
     @abstractmethod
     def _read(self, *names: str) -> Texts:
@@ -76,12 +76,11 @@ class DescribedDevice(ExchangeDriver[Options], ABC):
         """Send "on" or "off" until the device shows that state, unless it does already."""
         names = self._asks_of(state)
         if self._is(state, self._read(*names)) is not on:
-            command_and_verify(
+            self._verify(
+                f"{self._title} {name}",
                 lambda: self._tell(name),
                 lambda: self._read(*names),
                 lambda texts: self._is(state, texts) is on,
-                what=f"{self._title} {name}",
-                clock=self._clock,
             )
 
     def _is(self, name: str, texts: Texts) -> bool:

@@ -24,17 +24,9 @@ from ... import units
 from ...files.line_protocol import LineProtocol, LineQuestion, formatted, protocol_of, reply_pattern, shows
 from ..checksums import xor8
 from ..clock import Clock
-from ..errors import (
-    ChecksumError,
-    DeviceFault,
-    FramingError,
-    NotVerified,
-    Rejected,
-    ReplyTimeout,
-    printable,
-)
+from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, ReplyTimeout, printable
 from ..framing import LineFramer
-from ..request_reply import Exchange, NotThisReply, command_and_verify
+from ..request_reply import Exchange, NotThisReply
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
@@ -229,12 +221,11 @@ class _Spoken(DescribedDevice[LinesConfig]):
     def _tell_shown(self, name: str, values: Mapping[str, float], shown_by: tuple[str, ...]) -> Texts:
         """Send a value until the device shows it; returns the value shown."""
         (value,) = {text for send in self._protocol.tell[name].send for text in formatted(send, values)[1].values()}
-        return command_and_verify(
+        return self._verify(
+            f"{name} {value}",
             lambda: self._tell(name, values),
             lambda: self._read(*shown_by),
             lambda shown: all(shows(value, shown[part]) for part in shown_by),
-            what=f"{name} {value}",
-            clock=self._clock,
         )
 
 
@@ -327,13 +318,11 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         self._stop_if_moving()
         self._prepare(rate_dps, acceleration_dps2)
         values = {"position": self._own(position_deg), **self._motion(rate_dps, acceleration_dps2)}
-        near = limits.resolution_deg
-        command_and_verify(
+        self._verify(
+            f"The move to {position_deg:g} deg",
             lambda: self._tell("move", values),
             self.read,
-            lambda reading: reading.moving or abs(reading.position_deg - position_deg) <= near,
-            what=f"The move to {position_deg:g} deg",
-            clock=self._clock,
+            lambda reading: reading.moving or abs(reading.position_deg - position_deg) <= limits.resolution_deg,
         )
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
@@ -354,13 +343,8 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         if shown_by:
             self._tell_shown("spin", values, shown_by)
             return
-        command_and_verify(
-            lambda: self._tell("spin", values),
-            self.read,
-            lambda reading: reading.moving,
-            what=f"The rate {rate_dps:g} deg/s",
-            clock=self._clock,
-        )
+        what = f"The rate {rate_dps:g} deg/s"
+        self._verify(what, lambda: self._tell("spin", values), self.read, lambda reading: reading.moving)
 
     def stop(self) -> None:
         # A stop is harmless when repeated: it is sent until the axis stands.

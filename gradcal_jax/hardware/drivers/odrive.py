@@ -29,6 +29,7 @@ its index or was switched on: there is no homing by default (`home_state` 11 ask
 import math
 import re
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -36,7 +37,7 @@ from ..checksums import xor8
 from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, printable
 from ..framing import LineFramer
-from ..request_reply import Exchange, command_and_verify
+from ..request_reply import Exchange
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
@@ -309,13 +310,8 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
     def _shown(self, words: str, path: str, value: float) -> None:
         """Send a line that has no reply until the property shows it (the reply of a property has ten characters)."""
-        command_and_verify(
-            lambda: self._tell(words),
-            lambda: self._property(path),
-            lambda shown: _near(shown, value),
-            what=f"{words!r}",
-            clock=self._clock,
-        )
+        read = partial(self._property, path)
+        self._verify(f"{words!r}", lambda: self._tell(words), read, lambda shown: _near(shown, value))
 
     def _error_code(self) -> int:
         return int(self._property(self._config.errors_in))
@@ -353,14 +349,8 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
             # In position control the loop closes at the motor's position; at a velocity it would begin to turn.
             self._set(self._config.input_velocity_property, 0.0)
             self.settings.change(_CONTROL_MODE, str(POSITION_CONTROL))
-            command_and_verify(
-                lambda: self._tell(f"w axis{self._config.motor}.requested_state {CLOSED_LOOP}"),
-                self._state,
-                lambda state: state == CLOSED_LOOP,
-                what="Closing the loop",
-                clock=self._clock,
-                looks=10,
-            )
+            words = f"w axis{self._config.motor}.requested_state {CLOSED_LOOP}"
+            self._verify("Closing the loop", lambda: self._tell(words), self._state, CLOSED_LOOP.__eq__, looks=10)
         self._powered = True
 
     def _wait_for_state(self, state: int, timeout_s: float, doing: str) -> None:
@@ -390,12 +380,11 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
             return self._property(_CONTROL_MODE), self._property(path) - self._feedback()[0]
 
         self.settings.change(_CONTROL_MODE, str(POSITION_CONTROL))
-        command_and_verify(
+        self._verify(
+            "Position control where the axis stands (mode, turns from there to the set point)",
             lambda: self._tell(f"w axis{self._config.motor}.{_CONTROL_MODE} {POSITION_CONTROL}"),
             astray,
             lambda shown: shown[0] == POSITION_CONTROL and abs(shown[1]) <= tolerance,
-            what="Position control where the axis stands (mode, turns from there to the set point)",
-            clock=self._clock,
         )
 
     def _brake(self) -> AxisReading:

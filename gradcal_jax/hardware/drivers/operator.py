@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from ... import units
 from ..clock import Clock
 from ..errors import Disconnected, HardwareError, LimitExceeded, Rejected
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, SafeReport
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, OperatorAsked, SafeReport
 from ..settings import KeptSettings
 from ..terminal import TextLine
 from ..track import AxisCommand
@@ -102,9 +102,6 @@ class Console:
             self._open = False
             self._line.write(f"\r\n{why}\r\n".encode())
 
-    def close(self) -> None:
-        self._line.close()
-
     def _listen(self) -> None:
         """Runs in a separate thread: the operator answers at any time, and the stamp is the time of the line's end."""
         while True:
@@ -127,7 +124,7 @@ class OperatorAxis(Unwatched):
     """Role `MotionAxis`. `name` is shown to the operator; `encoder` is an axis whose motor gets no commands."""
 
     def __init__(
-        self, console: Console, config: OperatorConfig, clock: Clock, name: str, encoder: MotionAxis | None = None
+        self, console: OperatorAsked, config: OperatorConfig, clock: Clock, name: str, encoder: MotionAxis | None = None
     ) -> None:
         self._console, self._config, self._clock, self._name = console, config, clock, name
         self._encoder = encoder
@@ -204,11 +201,6 @@ class OperatorAxis(Unwatched):
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
         return SafeReport(policy.value, True, "nothing drives it: it stands where it was left")
-
-    def close(self) -> None:
-        self._console.close()
-        if self._encoder is not None:
-            self._encoder.close()
 
     def _ask(self, what: str) -> None:
         answer = "press Enter" if self._encoder is not None else "type the angle that it shows"

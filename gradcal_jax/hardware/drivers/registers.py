@@ -19,7 +19,7 @@ from ...files.register_protocol import Register, RegisterProtocol, register_prot
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded
 from ..modbus import Modbus, Rtu, Tcp, parse_words, parse_written, read_body, write_body
-from ..request_reply import Exchange, command_and_verify
+from ..request_reply import Exchange
 from ..roles import ChamberSafe
 from ..transport import Transport
 from .described import DescribedChamber, Texts
@@ -168,13 +168,8 @@ class RegistersChamber(DescribedChamber[RegistersConfig]):
             self._exchange.query(sent, lambda frame: parse_written(self._modbus, frame, sent), repeat=False)
 
         rounded = value if entry.type == "float32" else number / 10.0**decimals
-        command_and_verify(
-            send,
-            lambda: self._number(shown_in),
-            lambda shown: abs(shown - rounded) <= near,
-            what=f"{self._title}: {command} ({name} = {value:g})",
-            clock=self._clock,
-        )
+        what = f"{self._title}: {command} ({name} = {value:g})"
+        self._verify(what, send, lambda: self._number(shown_in), lambda shown: abs(shown - rounded) <= near)
         return f"{rounded:.6g}"
 
     def _text(self, name: str) -> str:

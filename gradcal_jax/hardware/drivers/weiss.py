@@ -19,13 +19,14 @@ of the record moves: a ramp counts as begun only when that moves at about the re
 repeated otherwise. `hold`, `standby` and `safe` remove the gradient.
 """
 
+import math
 import re
 from dataclasses import dataclass
 
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
 from ..framing import LineFramer
-from ..request_reply import Exchange, NotThisReply, command_and_verify
+from ..request_reply import Exchange, NotThisReply
 from ..roles import ChamberLimits, ChamberReading, Identity
 from ..transport import Transport
 from .base import ChamberDriver
@@ -211,9 +212,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
 
     def limits(self) -> ChamberLimits:
         layout = self._layout()
-        return ChamberLimits(
-            layout.lowest_c, layout.highest_c, 0.1, self._config.hardware_ramp, 0.1, ramp_step_k_per_min=0.1
-        )
+        return ChamberLimits(layout.lowest_c, layout.highest_c, 0.1, self._config.hardware_ramp, 0.1, math.inf, 0.1)
 
     def read(self) -> ChamberReading:
         record = self._record()
@@ -317,14 +316,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             arrived = abs(self._nominal(now) - float(value_text(temperature_c))) < 0.05
             return (now.digital[channel] == "1") == start and arrived
 
-        command_and_verify(
-            lambda: self._tell(temperature_c, 0.0, 0.0, start=start),
-            self._record,
-            shows,
-            what=f"Set point {temperature_c:.1f} degC with start {'on' if start else 'off'}",
-            clock=self._clock,
-            looks=1,
-        )
+        what = f"Set point {temperature_c:.1f} degC with start {'on' if start else 'off'}"
+        self._verify(what, lambda: self._tell(temperature_c, 0.0, 0.0, start=start), self._record, shows, looks=1)
 
     def _tell(self, temperature_c: float, up: float, down: float, *, start: bool) -> None:
         layout, channel = self._layout(), self._config.start_channel

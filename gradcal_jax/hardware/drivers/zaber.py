@@ -24,7 +24,7 @@ from ..checksums import lrc_zaber
 from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, Rejected, printable
 from ..framing import LineFramer
-from ..request_reply import Exchange, NotThisReply, command_and_verify
+from ..request_reply import Exchange, NotThisReply
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
@@ -258,12 +258,11 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
     def _set(self, name: str, value: str) -> None:
         if (name, value) == ("comm.checksum", "0"):
             self.reply_checksum = False
-        command_and_verify(
+        self._verify(
+            f"The setting {name} = {value}",
             lambda: self._ask(f"set {name} {value}", axis=_axis_of(name)),
             lambda: self._setting(name),
             lambda shown: shown == value,
-            what=f"The setting {name} = {value}",
-            clock=self._clock,
         )
 
     def _prepare(self, rate_dps: float, acceleration_dps2: float) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from .clock import Clock
 from .errors import Disconnected, sentence_of
 from .roles import AxisSafe, ChamberSafe, SafeReport
-from .setup import Bench
+from .setup import LEFT, Bench
 from .transport import Transport
 
 _RETRY_PAUSE_S = 0.2
@@ -74,7 +74,7 @@ def make_safe(
             thread.join(max(0.0, began_s + deadline_s - time.monotonic()))
     now_s = time.monotonic()
     outcomes = [replace(attempt, took_s=attempt.took_s or now_s - began_s) for attempt, began_s, _ in attempts]
-    streams = [SafeOutcome(entry.name, "left streaming", True, "it cannot be unsafe") for entry in bench.rig.imu]
+    streams = [SafeOutcome(entry.name, LEFT, True, "it cannot be unsafe") for entry in bench.rig.imu]
     return outcomes + streams
 
 

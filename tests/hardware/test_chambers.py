@@ -589,5 +589,7 @@ def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on
         assert device.plant.conditioning
         device.memory.words[16598] = 62
         assert not chamber.read().conditioning
-    with pytest.raises(ValueError, match="address is 256"):
-        RegistersConfig("watlow-f4t", address=256)
+    table = {"driver": "registers", "port": "COM1", "safe": "hold"}
+    table["options"] = {"protocol": "watlow-f4t", "address": 256}
+    with pytest.raises(SpecError, match=r"chamber.options.address = 256: must be at most 255"):
+        configs_of(rig_of({"format": "gradcal-rig/1", "chamber": table}))

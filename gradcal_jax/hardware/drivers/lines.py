@@ -48,7 +48,7 @@ class LinesConfig:
     changes: Any = None
     baudrate: int = 0
     reply_timeout_s: float = 0.0
-    direction: int = 1
+    direction: Literal[-1, 1] = 1
     zero_deg: float = 0.0
     max_rate_dps: float | None = None
     max_acceleration_dps2: float | None = None
@@ -61,8 +61,6 @@ class LinesConfig:
     def __post_init__(self) -> None:
         if not self.baudrate:
             object.__setattr__(self, "baudrate", self.described.line.baudrate)
-        if self.direction not in (-1, 1):
-            raise ValueError(f"direction is {self.direction}; it is 1 or -1.")
 
     @cached_property
     def described(self) -> LineProtocol:

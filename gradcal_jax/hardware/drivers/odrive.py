@@ -30,8 +30,10 @@ import math
 import re
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from ..checksums import xor8
 from ..clock import Clock
@@ -85,13 +87,13 @@ _CONTROL_MODE, _INPUT_MODE = "controller.config.control_mode", "controller.confi
 class ODriveConfig:
     """Options of the rig file. `generation` is the firmware's, "0.5" or "0.6"; zero `watchdog_s`: no watchdog."""
 
-    motor: int = 0
-    generation: str = "0.5"
+    motor: Literal[0, 1] = 0
+    generation: Literal["0.5", "0.6"] = "0.5"
     baudrate: int = 115200
     reply_timeout_s: float = 0.3
     watchdog_s: float = 1.0
-    turns_per_table_turn: float = 1.0
-    direction: int = 1
+    turns_per_table_turn: Annotated[float, Field(gt=0.0)] = 1.0
+    direction: Literal[-1, 1] = 1
     zero_deg: float = 0.0
     max_rate_dps: float = 300.0
     max_acceleration_dps2: float = 300.0
@@ -106,12 +108,6 @@ class ODriveConfig:
     input_velocity_property: str = "controller.input_vel"
     input_position_property: str = "controller.input_pos"
     setpoint_property: str = "controller.pos_setpoint"
-
-    def __post_init__(self) -> None:
-        if self.generation not in ("0.5", "0.6"):
-            raise ValueError(f"generation is {self.generation!r}; the driver knows firmware '0.5' and '0.6'.")
-        if self.motor not in (0, 1) or self.direction not in (-1, 1) or not self.turns_per_table_turn > 0.0:
-            raise ValueError("motor is 0 or 1, direction is 1 or -1, turns_per_table_turn is above zero.")
 
     @property
     def errors_in(self) -> str:

@@ -12,7 +12,9 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from ... import units
 from ...files.register_protocol import Register, RegisterProtocol, register_protocol_of
@@ -36,14 +38,12 @@ class RegistersConfig:
 
     protocol: Any = ""
     changes: Any = None
-    address: int = 1
+    address: Annotated[int, Field(ge=0, le=255)] = 1
     baudrate: int = 0
     reply_timeout_s: float = 0.0
     require: bool = True
 
     def __post_init__(self) -> None:
-        if not 0 <= self.address <= 255:
-            raise ValueError(f"The controller's address is {self.address}; Modbus addresses are 0 to 255.")
         if not self.baudrate:
             object.__setattr__(self, "baudrate", self.described.line.baudrate)
 

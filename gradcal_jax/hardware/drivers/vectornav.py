@@ -20,6 +20,7 @@ from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -67,17 +68,15 @@ _NUMBER = re.compile(r"[+-]?\d+(\.\d+)?")
 
 @dataclass(frozen=True)
 class VectorNavConfig:
-    """Options of the rig file. `output` is "binary" or "ascii"."""
+    """Options of the rig file."""
 
     baudrate: int = 115200
-    output: str = "binary"
+    output: Literal["binary", "ascii"] = "binary"
     sample_rate_hz: float = 200.0
     base_rate_hz: float = 800.0
     reply_timeout_s: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.output not in ("binary", "ascii"):
-            raise ValueError(f"output is {self.output!r}; it is 'binary' or 'ascii'.")
         if self.output == "ascii" and self.sample_rate_hz not in _ASCII_RATES:
             raise ValueError(f"sample_rate is {self.sample_rate_hz:g} /s; ASCII output has {_ASCII_RATES}.")
         divisor = self.base_rate_hz / self.sample_rate_hz

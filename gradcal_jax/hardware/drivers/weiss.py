@@ -22,6 +22,9 @@ repeated otherwise. `hold`, `standby` and `safe` remove the gradient.
 import math
 import re
 from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
@@ -46,7 +49,7 @@ class WeissConfig:
     """Options of the rig file. `read_layout`, `write_layout` (channel names, blanks between) only for a chamber that
     does not answer `$aa?`; with them `lowest_c` and `highest_c`."""
 
-    address: int = 1
+    address: Annotated[int, Field(ge=0, le=31)] = 1
     baudrate: int = 9600
     min_interval_s: float = 5.0
     reply_timeout_s: float = 5.0
@@ -64,8 +67,6 @@ class WeissConfig:
     read_faults: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 <= self.address <= 31:
-            raise ValueError(f"The chamber's address is {self.address}; ASCII-2 addresses are 0 to 31.")
         if bool(self.read_layout) != bool(self.write_layout):
             raise ValueError("Give read_layout and write_layout together, or neither.")
 

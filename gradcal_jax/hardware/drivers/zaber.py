@@ -19,6 +19,9 @@ they differ (whether a stage writes them to its flash memory at each `set` is op
 import re
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from ..checksums import lrc_zaber
 from ..clock import Clock
@@ -66,8 +69,8 @@ _REPLY = re.compile(r"@(\d{1,2}) (\d) (?:(\d{1,2}) )?(OK|RJ) (BUSY|IDLE) (--|[A-
 class ZaberConfig:
     """Options of the rig file. `zero_deg` is the rig's angle at the device's position 0, `direction` +1 or -1."""
 
-    device: int = 1
-    axis: int = 1
+    device: Annotated[int, Field(ge=1, le=99)] = 1
+    axis: Annotated[int, Field(ge=1, le=9)] = 1
     baudrate: int = 115200
     reply_timeout_s: float = 0.5
     microsteps_per_turn: int = 0
@@ -75,17 +78,11 @@ class ZaberConfig:
     acceleration_factor: float = 1.6384e-4
     max_rate_dps: float = 360.0
     max_acceleration_dps2: float = 300.0
-    direction: int = 1
+    direction: Literal[-1, 1] = 1
     zero_deg: float = 0.0
     home_timeout_s: float = 120.0
     stop_timeout_s: float = 30.0
     unpower_command: str = ""
-
-    def __post_init__(self) -> None:
-        if not (1 <= self.device <= 99 and 1 <= self.axis <= 9):
-            raise ValueError(f"Device {self.device}, axis {self.axis}: devices are 1 to 99, axes 1 to 9.")
-        if self.direction not in (-1, 1):
-            raise ValueError(f"direction is {self.direction}; it is 1 or -1.")
 
     def lacks_for(self, safe: str) -> str:
         """What a safe state needs and these options lack, empty where nothing."""

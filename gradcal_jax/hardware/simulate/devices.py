@@ -161,7 +161,7 @@ class SimulatedHand:
 
 
 class SimulatedPerson:
-    """Role `OperatorAsked`, for `drivers.operator`: turns the axes, by name, on their plants as the questions say, types
+    """Role `OperatorAsked`, for `drivers.operator`: turns axes, by name, on their plants as the questions say, types
     angles, and hangs the units anew by `hang` with the number of the mounting."""
 
     def __init__(

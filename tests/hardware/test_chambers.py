@@ -33,6 +33,8 @@ from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import WeissOptions
 
+from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.rig import rig_of
 from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.registers import RegistersChamber, RegistersConfig, open_exchange
@@ -49,7 +51,7 @@ from gradcal_jax.hardware.errors import (
 from gradcal_jax.hardware.modbus import Tcp, parse_words, parse_written, read_body, write_body
 from gradcal_jax.hardware.request_reply import NotThisReply
 from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
-from gradcal_jax.hardware.setup import DRIVERS
+from gradcal_jax.hardware.setup import DRIVERS, configs_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.track import Course
 from gradcal_jax.hardware.transport import Transport

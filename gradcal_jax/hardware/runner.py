@@ -28,6 +28,7 @@ from ..files.rig import ImuDevice
 from .axis_control import AxisControl
 from .chamber_control import ChamberControl
 from .clock import Clock, beside
+from .dry_run import beyond_limits
 from .errors import HardwareError, LimitExceeded, sentence_of
 from .interlocks import Interlocks, Situation, standard_rules
 from .journal import Journal, event_fields
@@ -36,7 +37,7 @@ from .roles import ImuSettings, MotionAxis
 from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, require_identity
 from .states import WAYS, RunProgress, RunResult, RunState
-from .track import Course, Stable, Track, TrackStep, beyond_limits
+from .track import Course, Stable, Track, TrackStep
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
 _SLICE_S = 0.25

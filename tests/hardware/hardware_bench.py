@@ -7,6 +7,7 @@ from typing import Any
 from simulated_devices.espec import EspecOptions, SimulatedEspec
 from simulated_devices.gyro import Mounting, SensorTruth, SimulatedSensor
 from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
+from simulated_devices.line_clock import CountedTransport
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
 from simulated_devices.port import SimulatedPort
@@ -31,7 +32,7 @@ from gradcal_jax.hardware.transport import Transport
 @contextmanager
 def served(device: Any, clock: Clock, baudrate: int, **options: Any) -> Iterator[tuple[SimulatedPort, Transport]]:
     with SimulatedPort(device, clock, **options) as port:
-        transport = Transport(port.url, clock=clock, baudrate=baudrate)
+        transport = CountedTransport(port.url, clock=clock, baudrate=baudrate)
         try:
             with clock.party():
                 yield port, transport

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from simulated_devices.line_clock import FastClock
 from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.files.recipe import read_recipe
@@ -20,14 +21,13 @@ from gradcal_jax.files.rig import read_rig
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.writing import write_toml, write_whole
 from gradcal_jax.hardware import guard as watching
-from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.interlocks import InterlockLimits, standard_rules
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder, prepare_resume
 from gradcal_jax.hardware.session import run_session
 
 
 def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: float) -> None:
-    clock, spec = RealClock(speed=speed), read_recipe(folder / "recipe.toml").spec
+    clock, spec = FastClock(speed), read_recipe(folder / "recipe.toml").spec
     if isinstance(spec, Spec):
         burst_s = 0.016 if speed == 1.0 else 0.5
         made = SimulatedLab(
@@ -46,7 +46,7 @@ def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: flo
 
 
 def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
-    clock = RealClock(speed=speed)
+    clock = FastClock(speed)
     if (path / "run.json").exists():
         made, first = RunFolder(path), prepare_resume(RunFolder(path))
     else:

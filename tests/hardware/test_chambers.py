@@ -37,7 +37,7 @@ from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import rig_of
 from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers.registers import RegistersChamber, RegistersConfig, open_exchange
+from gradcal_jax.hardware.drivers.registers import RegistersChamber, open_exchange
 from gradcal_jax.hardware.drivers.weiss import WeissConfig
 from gradcal_jax.hardware.errors import (
     Disconnected,

@@ -33,6 +33,7 @@ from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.clock import Clock, RealClock
 from gradcal_jax.hardware.drivers import operator, zaber
+from gradcal_jax.hardware.dry_run import beyond_limits
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded
 from gradcal_jax.hardware.execute import run
 from gradcal_jax.hardware.journal import Chunk, read_journal
@@ -44,7 +45,7 @@ from gradcal_jax.hardware.simulate.devices import SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.terminal import Terminal
-from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, beyond_limits
+from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep
 from gradcal_jax.units import UnitError
 
 # ------------------------------------------------------------------------------------------------------------ words

@@ -17,13 +17,14 @@ from simulated_devices.gyro import EARTH_RATE_DPS, SensorTruth
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.decoding.clockmap import fit_clock
+from gradcal_jax.hardware.dry_run import beyond_limits
 from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation, standard_rules
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import ChamberLimits, join
 from gradcal_jax.hardware.runner import WAYS, Runner, RunProgress, RunState
 from gradcal_jax.hardware.session import signals_to
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep, beyond_limits
+from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
 
 TURN = AxisCommand(2.0, "table", "go", position_deg=360.0, rate_dps=120.0, acceleration_dps2=240.0)
 BACK = AxisCommand(12.0, "table", "go", position_deg=0.0, rate_dps=60.0, acceleration_dps2=240.0)
@@ -84,7 +85,7 @@ def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path
     by_name: dict[str, list[Event]] = {}
     for event in contents.events:
         by_name.setdefault(event.name, []).append(event)
-    assert [event.data["device"] for event in by_name["identity"]] == ["table", "chamber", "unit1"]
+    assert [event.data["device"] for event in by_name["identity"]] == ["chamber", "table", "unit1"]
     # The moves began when the track says, after the temperature had become stable.
     ramp = next(event for event in by_name["step begins"] if event.data["step"] == "ramp")
     # A step counts as done only when a burst that was being fetched as it ended is in the journal, too.

@@ -30,7 +30,7 @@ from .chamber_control import ChamberControl
 from .clock import Clock, beside
 from .dry_run import beyond_limits
 from .errors import HardwareError, LimitExceeded, sentence_of
-from .interlocks import Interlocks, Situation, standard_rules
+from .interlocks import Interlocks, Situation
 from .journal import Journal, event_fields
 from .losses import ExecutedStep, SampleLosses, StepNotDone
 from .roles import ImuSettings, MotionAxis
@@ -70,7 +70,7 @@ class Runner:
     bench: Bench
     journal: Journal
     clock: Clock
-    interlocks: Interlocks = field(default_factory=standard_rules)
+    interlocks: Interlocks = field(default_factory=Interlocks)
     on_progress: Callable[[RunProgress], None] | None = None
     on_alarm: Callable[[str], None] | None = None
     chamber_every_s: float = 5.0

@@ -30,7 +30,7 @@ from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware import guard, runner, session
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused
-from gradcal_jax.hardware.interlocks import InterlockLimits, standard_rules
+from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.runner import RunProgress, RunResult
@@ -234,7 +234,7 @@ def test_a_guard_that_died_is_announced_and_replaced(
     monkeypatch.setattr(runner, "make_safe", hindered)
     with SimulatedLab(made.spec, clock) as lab:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
-        result = run_of(lab, folder, clock, on_progress=look, interlocks=standard_rules(InterlockLimits(latest_s=20.0)))
+        result = run_of(lab, folder, clock, on_progress=look, interlocks=Interlocks(InterlockLimits(latest_s=20.0)))
         assert not result.verified_safe
         end = time.monotonic() + 60.0
         # Until it is through: a guard whose devices vanish tries them again for an hour.

@@ -29,7 +29,7 @@ from ..clock import Clock
 from ..errors import ChecksumError, NotVerified, Rejected, printable
 from ..framing import LengthFramer
 from ..request_reply import Exchange, NotThisReply
-from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, join
+from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, imu_batch, join
 from ..settings import KeptSettings
 from ..transport import Transport
 from .base import ImuDriver
@@ -175,17 +175,14 @@ class VectorNavDecoder:
         previous = times[0] - 1.0 / self._rate if self._last_time_s is None else self._last_time_s
         steps = np.rint(np.diff(times, prepend=previous) * self._rate).astype(np.int64)
         self._last_time_s = float(times[-1])
-        count = len(rows)
-        return ImuBatch(
-            host_time_s=np.zeros(count) + host_time_s,
-            device_time_s=times,
-            gyro_dps=np.degrees(table[:, 4:7]),
-            acceleration_g=table[:, 1:4] / STANDARD_GRAVITY,
-            temperature_c=np.repeat(table[:, 7:8], 3, axis=1),
-            raw_gyro=np.zeros((count, 3), np.int32),
+        return imu_batch(
+            host_time_s,
+            times,
+            np.degrees(table[:, 4:7]),
+            table[:, 1:4] / STANDARD_GRAVITY,
+            np.repeat(table[:, 7:8], 3, axis=1),
             status=np.array([row[1] for row in rows], np.int64),
             gap_before=np.maximum(steps - 1, 0),
-            disturbed=np.zeros(count, np.bool_),
             restarted=np.diff(times, prepend=previous) < 0.0,
         )
 

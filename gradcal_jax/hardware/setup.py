@@ -244,11 +244,12 @@ def _spelt(name: str) -> tuple[str, str, str]:
 
 
 def _entries(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], str, Device]]:
-    """All devices of a rig: role, place in the file, name and table; the chamber's name is "chamber"."""
+    """All devices of a rig: role, place in the file, name and table; the chamber's name is "chamber". Axes are first,
+    because what turns is made safe first."""
     entries: list[tuple[Role, tuple[str | int, ...], str, Device]] = []
+    entries.extend(("axis", ("axis", index), axis.name, axis) for index, axis in enumerate(rig.axis))
     if rig.chamber is not None:
         entries.append(("chamber", ("chamber",), "chamber", rig.chamber))
-    entries.extend(("axis", ("axis", index), axis.name, axis) for index, axis in enumerate(rig.axis))
     entries.extend(("imu", ("imu", index), imu.name, imu) for index, imu in enumerate(rig.imu))
     return entries
 
@@ -281,7 +282,7 @@ class Bench(AbstractContextManager["Bench"]):
         return within_rig(self.chamber.limits(), self.rig.chamber)
 
     def devices(self) -> list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]]:
-        """Name, entry in the rig file, and device: of the chamber, the axes and the units."""
+        """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
         opened: dict[str, Any] = {
             **self.axes,
             **self.imus,
@@ -415,7 +416,8 @@ def lines_of(rig: RigFile) -> dict[str, tuple[str, str]]:
 
 def check_rig(bench: Bench) -> list[DeviceReport]:
     """Ask every device for identity, limits and a reading; compare serial numbers with the rig file. Nothing moves."""
-    reports = [_report(*device) for device in bench.devices()]
+    # The chamber first, as in the rig file.
+    reports = [_report(*device) for device in sorted(bench.devices(), key=lambda device: device[0] != "chamber")]
     late = {name: line.late for name, line in bench.lines.items()}
     return [dataclasses.replace(report, remark=late.get(report.name, "")) for report in reports]
 
@@ -424,7 +426,7 @@ def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:
     """Open and ask one device after the other; a refused port becomes a report. Raises `SpecError`."""
     configs_of(rig)
     reports: list[DeviceReport] = []
-    for _, _, name, device in _entries(rig):
+    for _, _, name, device in sorted(_entries(rig), key=lambda entry: entry[0] != "chamber"):
         try:
             with open_rig(only_of(rig, {name}), clock) as bench:
                 reports += check_rig(bench)

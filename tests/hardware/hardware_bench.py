@@ -1,7 +1,9 @@
 """A bench for the tests: simulated devices behind pseudo-terminals, and the drivers that talk to them."""
 
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from simulated_devices.espec import EspecOptions, SimulatedEspec
@@ -25,6 +27,7 @@ from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import lines, odrive, registers, stim300, vectornav, weiss, zaber
+from gradcal_jax.hardware.journal import JournalContents, read_journal
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.transport import Transport
 
@@ -252,6 +255,14 @@ class Rig:
     def __exit__(self, *_: object) -> None:
         for port in self.ports:
             port.close()
+
+
+def parse_journal(data: bytes) -> JournalContents:
+    """What a journal of these bytes holds."""
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(data)
+        file.flush()
+        return read_journal(Path(file.name))
 
 
 def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict[str, Any] | None = None) -> Recipe:

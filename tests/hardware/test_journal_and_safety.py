@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hardware_bench import Rig
+from hardware_bench import Rig, parse_journal
 from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 
@@ -22,7 +22,6 @@ from gradcal_jax.hardware.journal import (
     Chunk,
     Event,
     Journal,
-    parse_journal,
     read_journal,
 )
 from gradcal_jax.hardware.safety import make_safe

@@ -85,7 +85,7 @@ def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path
     by_name: dict[str, list[Event]] = {}
     for event in contents.events:
         by_name.setdefault(event.name, []).append(event)
-    assert [event.data["device"] for event in by_name["identity"]] == ["chamber", "table", "unit1"]
+    assert [event.data["device"] for event in by_name["identity"]] == ["table", "chamber", "unit1"]
     # The moves began when the track says, after the temperature had become stable.
     ramp = next(event for event in by_name["step begins"] if event.data["step"] == "ramp")
     # A step counts as done only when a burst that was being fetched as it ended is in the journal, too.

@@ -247,9 +247,7 @@ class SimulatedStream:
         self._clock.sleep_until(self.sensor.next_time_s(ahead))
         now = self._clock.now()
         first, samples = self.sensor.taken, self.sensor.take(self.sensor.due(now))
-        starting = np.zeros(len(samples.time_s), np.bool_)
-        rate_hz, kind = self._config.sample_rate_hz, self._config.datagram
-        return datagrams(samples, first, starting, rate_hz=rate_hz, kind=kind).tobytes(), now
+        return datagrams(samples, first, self._config.sample_rate_hz).tobytes(), now
 
     def decoder(self) -> Stim300Decoder:
         return decoder_of(self._config, self._registers)

@@ -6,12 +6,13 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-from ..errors import DeviceFault, LimitExceeded, NotVerified
+from ..errors import DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected
 from ..request_reply import Exchange, Reply, command_and_verify
-from ..roles import AxisReading, ChamberLimits, ChamberReading, ChamberSafe, SafeReport
+from ..roles import AxisReading, AxisSafe, ChamberLimits, ChamberReading, ChamberSafe, SafeReport
 
 Config = TypeVar("Config")
 _OVER_S = 0.4
+_LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 
 
 class ExchangeDriver(Generic[Config]):
@@ -60,6 +61,12 @@ class ChamberDriver(ExchangeDriver[Config], ABC):
 
     @abstractmethod
     def _air_c(self) -> float: ...
+
+    def _plausible(self, temperature_c: float) -> float:
+        if not _LOWEST_PLAUSIBLE_C <= temperature_c <= _HIGHEST_PLAUSIBLE_C:
+            what = f"{self._title} reports {temperature_c} degC, which is not plausible"
+            raise FramingError(f"{what}. Check the line, the sensor, and what is known of the protocol.")
+        return temperature_c
 
     def _check(self, temperature_c: float) -> None:
         limits = self.limits()
@@ -130,6 +137,24 @@ class AxisDriver(ExchangeDriver[Place], ABC):
         ):
             if not 0.0 < value <= most * (1.0 + 1e-9):
                 raise LimitExceeded(f"{value:g} {unit} lies outside 0 to {most:g} {unit}.")
+
+    def _require_ready(self, *, referenced: bool) -> None:
+        """Raise where the axis has a fault, or no reference though a move needs it."""
+        reading = self.read()
+        if reading.faults or (referenced and not reading.referenced):
+            raise DeviceFault(
+                f"The axis cannot be moved: {', '.join(reading.faults) or 'it has no reference'}. Home it first."
+            )
+
+    def _left_safe(self, policy: AxisSafe, lack: str, unpower: Callable[[], object]) -> SafeReport:
+        """The end of `safe`, where the axis stands: without power, if that is wanted and nothing lacks for it."""
+        if policy is AxisSafe.UNPOWER:
+            if lack:
+                raise Rejected(f"{self._title} cannot be unpowered: {lack}.")
+            unpower()
+        reading = self.read()
+        state = "; ".join((*reading.faults, *reading.warnings)) or "no faults"
+        return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
 
     def _until_still(self, longest_s: float, doing: str, *, raise_faults: bool = True) -> AxisReading:
         end = self._clock.now() + longest_s

@@ -19,7 +19,6 @@ from .base import ChamberDriver, ExchangeDriver
 Texts = dict[str, str]
 """Fields in the device's own text."""
 
-_LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _SETTLED_K = 2.0
 
 
@@ -201,10 +200,7 @@ class DescribedChamber(DescribedDevice[Options], ChamberDriver[Options]):
         return texts[self._description.state["conditioning"].field]
 
     def _celsius(self, text: str) -> float:
-        value = units.convert(float(text), self._description.units.temperature, "degC")
-        if not _LOWEST_PLAUSIBLE_C <= value <= _HIGHEST_PLAUSIBLE_C:
-            raise FramingError(f"{self._title} reports {value} degC, which is not plausible. Check line and sensor.")
-        return value
+        return self._plausible(units.convert(float(text), self._description.units.temperature, "degC"))
 
 
 def _same_number(left: str, right: str) -> bool:

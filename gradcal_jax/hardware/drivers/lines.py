@@ -313,6 +313,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         limits = self._check(rate_dps, acceleration_dps2)
         self._require_travel(position_deg, limits.travel_deg)
         self._require_ready(referenced=True)
+        self._power_on()
         self._stop_if_moving()
         self._prepare(rate_dps, acceleration_dps2)
         values = {"position": self._own(position_deg), **self._motion(rate_dps, acceleration_dps2)}
@@ -328,6 +329,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
             raise Rejected(f"The protocol of {self._title} has no constant rates: make turns of them.")
         self._check(abs(rate_dps), acceleration_dps2)
         self._require_ready(referenced=False)
+        self._power_on()
         shown_by = self._protocol.tell["spin"].shown_by
         if not shown_by:
             self._stop_if_moving()
@@ -363,13 +365,8 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
-        if policy is AxisSafe.UNPOWER:
-            if lack := self._config.lacks_for(policy.value):
-                raise Rejected(f"{self._title} cannot be unpowered: {lack}.")
-            self._switch("off", "powered", False)
-        reading = self.read()
-        state = "; ".join(reading.faults) or "no faults"
-        return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
+        lack = self._config.lacks_for(policy.value)
+        return self._left_safe(policy, lack, lambda: self._switch("off", "powered", False))
 
     def _per_turn(self) -> float:
         return units.convert(360.0, "deg", self._protocol.units.angle)
@@ -383,13 +380,6 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         limits = self.limits()
         self._require_motion(rate_dps, limits.max_rate_dps, acceleration_dps2, limits.max_acceleration_dps2)
         return limits
-
-    def _require_ready(self, *, referenced: bool) -> None:
-        reading = self.read()
-        if reading.faults or (referenced and not reading.referenced):
-            why = ", ".join(reading.faults) or "it has no reference"
-            raise DeviceFault(f"The axis cannot be moved: {why}. Home it first.")
-        self._power_on()
 
     def _power_on(self) -> None:
         if "on" in self._protocol.tell:

@@ -34,7 +34,6 @@ from ..roles import ChamberLimits, ChamberReading, Identity
 from ..transport import Transport
 from .base import ChamberDriver
 
-LOWEST_PLAUSIBLE_C, HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _NUMBER = re.compile(r"-?\d{1,5}\.\d")
 _CHANNEL = re.compile(r"(?:CV|SV|MV|DO)\d\d")
 _DEFINITION = re.compile(r"((?:CV|SV|MV|DO)\d\d)\s+(?!(?:CV|SV|MV|DO)\d)(.*[A-Za-z].*)")
@@ -294,9 +293,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             if frame.strip() == b"0":
                 raise NotThisReply  # a late acknowledgement
             record = parse_record(frame, layout, self._config.digital_channels)
-            here = self._actual(record)
-            if not LOWEST_PLAUSIBLE_C <= here <= HIGHEST_PLAUSIBLE_C:
-                raise FramingError(f"The chamber reports {here} degC, which is not plausible. Check line and layout.")
+            self._plausible(self._actual(record))
             return record
 
         return self._exchange.query(self._request("I"), parse)

@@ -194,11 +194,7 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         self._require_travel(position_deg, self.limits().travel_deg)
-        reading = self.read()
-        if reading.faults or not reading.referenced:
-            raise DeviceFault(
-                f"The axis cannot go to an angle: {', '.join(reading.faults) or 'it has no reference'}. Home it first.",
-            )
+        self._require_ready(referenced=True)
         self._prepare(rate_dps, acceleration_dps2)
         self.settings.change("maxspeed", str(round(rate_dps * self._velocity_data())))
         steps = round(self._own(position_deg))
@@ -215,13 +211,9 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self._ask("stop")
-        reading = self._until_still(self._config.stop_timeout_s, "stopping", raise_faults=False)
-        if policy is AxisSafe.UNPOWER:
-            if lack := self._config.lacks_for(policy.value):
-                raise Rejected(f"This stage cannot be unpowered: {lack}.")
-            self._ask(self._config.unpower_command)
-        state = "; ".join((*reading.faults, *reading.warnings)) or "no warnings"
-        return SafeReport(policy.value, not reading.moving, f"idle at {reading.position_deg:.4f} deg, {state}")
+        self._until_still(self._config.stop_timeout_s, "stopping", raise_faults=False)
+        lack = self._config.lacks_for(policy.value)
+        return self._left_safe(policy, lack, lambda: self._ask(self._config.unpower_command))
 
     def _ask(self, words: str, *, axis: int | None = None) -> Reply:
         """Send a command. All commands of this driver are absolute, hence harmless when repeated."""

@@ -35,11 +35,7 @@ class SafeOutcome:
 
 
 def make_safe(
-    bench: Bench,
-    clock: Clock,
-    *,
-    deadline_s: float = 60.0,
-    before_chamber: Callable[[], None] | None = None,
+    bench: Bench, clock: Clock, *, deadline_s: float = 60.0, before_chamber: Callable[[], None] | None = None
 ) -> list[SafeOutcome]:
     """Bring every device of the bench to the safe state of the rig file.
 

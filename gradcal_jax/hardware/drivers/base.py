@@ -131,10 +131,7 @@ class AxisDriver(ExchangeDriver[Place], ABC):
             raise LimitExceeded(f"{position_deg:g} deg lies outside the travel {lowest:g} to {highest:g} deg.")
 
     def _require_motion(self, rate_dps: float, fastest_dps: float, acceleration_dps2: float, most_dps2: float) -> None:
-        for value, most, unit in (
-            (rate_dps, fastest_dps, "deg/s"),
-            (acceleration_dps2, most_dps2, "deg/s²"),
-        ):
+        for value, most, unit in ((rate_dps, fastest_dps, "deg/s"), (acceleration_dps2, most_dps2, "deg/s²")):
             if not 0.0 < value <= most * (1.0 + 1e-9):
                 raise LimitExceeded(f"{value:g} {unit} lies outside 0 to {most:g} {unit}.")
 

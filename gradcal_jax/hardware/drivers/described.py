@@ -7,10 +7,11 @@ A description has `fields` (readings as the device's own text, by name), `state`
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, Protocol, TypeVar
+from typing import TypeVar
 
 from ... import units
-from ...files.line_protocol import Condition, DeviceLimits, DeviceUnits, RequiredSetting
+from ...files.line_protocol import LineProtocol
+from ...files.register_protocol import RegisterProtocol
 from ..errors import FramingError, LimitExceeded, Rejected
 from ..request_reply import Exchange
 from ..roles import ChamberLimits, ChamberReading, Identity
@@ -22,25 +23,7 @@ Texts = dict[str, str]
 _SETTLED_K = 2.0
 
 
-class Description(Protocol):
-    """What every description has."""
-
-    @property
-    def title(self) -> str: ...
-    @property
-    def units(self) -> DeviceUnits: ...
-    @property
-    def limits(self) -> DeviceLimits: ...
-    @property
-    def tell(self) -> Mapping[str, Any]: ...
-    @property
-    def state(self) -> Mapping[str, Condition]: ...
-    @property
-    def require(self) -> tuple[RequiredSetting, ...]: ...
-    @property
-    def fields(self) -> Mapping[str, str]: ...
-
-
+Description = LineProtocol | RegisterProtocol
 Options = TypeVar("Options")
 
 

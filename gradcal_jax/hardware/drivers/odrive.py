@@ -330,7 +330,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         self._tell("sc")
         if self._faults():
             raise DeviceFault(
-                f"The controller reports {', '.join(faults)}, also after its errors were cleared. See to the cause.",
+                f"The controller reports {', '.join(faults)}, also after its errors were cleared. See to the cause."
             )
         self._cleared = faults
 

@@ -18,16 +18,7 @@ from ..drivers.base import ChamberDriver, Unwatched
 from ..drivers.stim300 import Stim300Config, decoder_of
 from ..drivers.stim300_datagrams import INTERNAL_RATE_HZ, Stim300Decoder
 from ..errors import LimitExceeded
-from ..roles import (
-    AxisLimits,
-    AxisReading,
-    AxisSafe,
-    ChamberLimits,
-    ChamberReading,
-    Identity,
-    ImuSettings,
-    SafeReport,
-)
+from ..roles import AxisLimits, AxisReading, AxisSafe, ChamberLimits, ChamberReading, Identity, ImuSettings, SafeReport
 from ..settings import KeptSettings
 from .datagrams import datagrams
 from .plants import AxisPlant, ChamberPlant

@@ -11,6 +11,7 @@ rate. The allowed rate of an axis (`allowed`) follows from its commands, and `in
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 from .chamber_control import Tell
 from .clock import Clock, beside
@@ -71,6 +72,7 @@ class AxisControl:
         self._stands: dict[str, tuple[float, float]] = {}
         # An axis is left to its search for the reference: nothing else is asked of it.
         self._searching: set[str] = set()
+        self._homing: set[str] = set()
         self._spins: dict[str, tuple[float, float]] = {}
         self._off_rate: dict[str, int] = {}
         # Axes of which the recipe takes a reading as soon as they stand.
@@ -89,10 +91,21 @@ class AxisControl:
                 self._by_hand.add(name)
             # The device chooses the rate of its search for the reference.
             self._asked_dps[name] = math.inf
-            beside(self._axes[name].home, self._clock, meanwhile)
+            beside(partial(self._home, name), self._clock, meanwhile)
             self._searching.discard(name)
             self.settle(name, meanwhile)
             self._goal_deg[name] = 0.0
+
+    def _home(self, name: str) -> None:
+        self._homing.add(name)
+        try:
+            self._axes[name].home()
+        finally:
+            self._homing.discard(name)
+
+    def is_homing(self, name: str) -> bool:
+        """Whether an axis is still being told to find its reference, also after a run has been ended."""
+        return name in self._homing
 
     @property
     def turned_by_hand(self) -> bool:

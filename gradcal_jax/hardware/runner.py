@@ -575,16 +575,20 @@ class Runner:
         """Make safe. What happens is noted for the journal, and nothing waits for the disk before all is safe."""
         # A chamber that is being made safe gets no other commands.
         self._watching.clear()
-        chamber = self._chamber
-        waits = None if chamber is None else lambda: chamber.end(0.5 * self.safe_deadline_s)
         self._enter(RunState.ABORTING if status == "aborted" else RunState.STOPPING, at_once=False)
         self._event("ending", at_once=False, exit_status=status, reason=reason)
-        outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s, before_chamber=waits))
+        outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s, busy=self._is_busy))
         for outcome in outcomes:
             self._event("made safe", **event_fields(outcome))
         good = all(outcome.verified for outcome in outcomes)
         self._enter(RunState.SAFE if good else RunState.FAILED)
         return outcomes
+
+    def _is_busy(self, name: str) -> bool:
+        """Whether an earlier command to a device goes on."""
+        if self._chamber is not None and name == "chamber":
+            return not self._chamber.end(0.5 * self.safe_deadline_s)
+        return self._axes.is_homing(name)
 
     def _enter(self, state: RunState, *, at_once: bool = True) -> None:
         if state not in WAYS[self.state] and not (self.state is RunState.IDLE and state is RunState.STOPPING):

@@ -40,8 +40,8 @@ def make_safe(
 ) -> list[SafeOutcome]:
     """Bring every device of the bench to the safe state of the rig file.
 
-    `busy` is called in a device's thread, with its name: whether an earlier command to it still goes on, for whose end it
-    may wait. Such a device is made safe at once, and again: the command could undo it.
+    `busy` is called in a device's thread, with its name: whether an earlier command to it goes on, for whose end it may
+    wait. Such a device is made safe at once, and again: the command could undo it.
 
     Returns after all devices are verified, or after `deadline_s` real seconds: the others then have a reason. Raises no
     error of a device.

@@ -20,6 +20,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
@@ -41,9 +42,7 @@ from .track import Course, Stable, Track, TrackStep
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
 _SLICE_S = 0.25
-_ARRIVAL_S = 0.1
-_PIECES_S = 0.2
-_LONGEST_ARRIVAL_S = 60.0
+_ARRIVAL_S, _PIECES_S, _LONGEST_ARRIVAL_S = 0.1, 0.2, 60.0
 _TRIES = 3
 _ALARM_AGAIN_S = 300.0
 # The chamber's temperature while the operator reaches into it.
@@ -303,11 +302,10 @@ class Runner:
 
     def _pause_between(self, step: TrackStep) -> None:
         """Stop every axis: nothing turns while a run is paused, not even a spin that the next step continues."""
-        try:
+        # Interrupted: every axis was stopped.
+        with suppress(_Interrupted):
             self._axes.end_spins(step.name, step.duration_s)
             self._axes.settle_all(self._duties)
-        except _Interrupted:
-            pass  # every axis was stopped
         if self.state is RunState.PAUSING:
             self._wait_paused()
 

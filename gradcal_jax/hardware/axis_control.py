@@ -11,6 +11,7 @@ rate. The allowed rate of an axis (`allowed`) follows from its commands, and `in
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 from .chamber_control import Tell
 from .clock import Clock, beside
@@ -31,6 +32,8 @@ _OFF_RATE, _OFF_RATE_DPS = 0.1, 3.0
 _OFF_READINGS = 3
 # An axis that should have arrived so long ago, and went less than a share of its way at its rate since, is jammed.
 _STALL_S, _STALL_SHARE = 5.0, 0.1
+# A driver sends the commands of a search for the reference within this time, and then only looks.
+_SEARCH_TOLD_S = 10.0
 
 Draw = Callable[[Mapping[str, float]], str]
 """How a unit stands when the axes are at these angles, deg."""
@@ -71,6 +74,7 @@ class AxisControl:
         self._stands: dict[str, tuple[float, float]] = {}
         # An axis is left to its search for the reference: nothing else is asked of it.
         self._searching: set[str] = set()
+        self._homing: dict[str, float] = {}
         self._spins: dict[str, tuple[float, float]] = {}
         self._off_rate: dict[str, int] = {}
         # Axes of which the recipe takes a reading as soon as they stand.
@@ -89,10 +93,21 @@ class AxisControl:
                 self._by_hand.add(name)
             # The device chooses the rate of its search for the reference.
             self._asked_dps[name] = math.inf
-            beside(self._axes[name].home, self._clock, meanwhile)
+            beside(partial(self._home, name), self._clock, meanwhile)
             self._searching.discard(name)
             self.settle(name, meanwhile)
             self._goal_deg[name] = 0.0
+
+    def _home(self, name: str) -> None:
+        self._homing[name] = self._clock.now()
+        try:
+            self._axes[name].home()
+        finally:
+            del self._homing[name]
+
+    def is_homing(self, name: str) -> bool:
+        """Whether an axis may still be told to find its reference, also after a run has been ended."""
+        return self._clock.now() < self._homing.get(name, -math.inf) + _SEARCH_TOLD_S
 
     @property
     def turned_by_hand(self) -> bool:

@@ -119,12 +119,14 @@ class ChamberControl:
         """Whether the newest reading is of a chamber that had been commanded to condition."""
         return self.newest is not None and self.newest.time_s > self._conditions_since_s
 
-    def end(self, longest_s: float) -> None:
-        """Send no further command; returns when the current one has ended, or after `longest_s` real seconds."""
+    def end(self, longest_s: float) -> bool:
+        """Send no further command; returns when the current one has ended, or after `longest_s` real seconds; whether
+        it has."""
         self._ended = True
         with self._clock.aside():
-            if self._telling.acquire(timeout=longest_s):
+            if ended := self._telling.acquire(timeout=longest_s):
                 self._telling.release()
+        return ended
 
     @contextmanager
     def _alone(self) -> Generator[bool, None, None]:

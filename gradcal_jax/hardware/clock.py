@@ -14,10 +14,6 @@ from typing import Protocol
 _RUNS_ON = getattr(time, "CLOCK_BOOTTIME", None)
 
 
-def _running_s() -> float:
-    return time.monotonic() if _RUNS_ON is None else time.clock_gettime(_RUNS_ON)
-
-
 @contextmanager
 def holding(lock: threading.RLock, clock: "Clock") -> Generator[None, None, None]:
     """Context that holds a lock. Waiting for it does not hold virtual time, because the thread that has the lock may
@@ -29,16 +25,6 @@ def holding(lock: threading.RLock, clock: "Clock") -> Generator[None, None, None
         yield
     finally:
         lock.release()
-
-
-class Link:
-    """Accounts for the bytes on their way over one line, so that virtual time does not overtake them. On real time
-    there is nothing to account for."""
-
-    def change(
-        self, *, to_device: int = 0, to_host: int = 0, attached: bool | None = None, host_is_there: bool = False
-    ) -> None:
-        """Add to the bytes under way (negative: they arrived), or note that the host opened or left the line."""
 
 
 class Clock(Protocol):
@@ -62,29 +48,16 @@ class Clock(Protocol):
         """Context in which a party lets time pass: for waiting on something that is not this clock."""
         ...
 
-    def real_pace(self) -> AbstractContextManager[None]:
-        """Context in which a party lets time pass at the real rate: for waiting on a silent line."""
-        ...
-
-    def link(self, url: str) -> Link: ...
-
 
 class RealClock:
-    """The computer's monotonic clock: steps of the wall clock do not change it, and it includes the computer's sleep.
-
-    `speed` shortens its second, for rehearsals with simulated devices in another process whose clock has the same
-    speed. Never for real devices.
-    """
-
-    def __init__(self, *, speed: float = 1.0) -> None:
-        self._link = Link()
-        self._speed = speed
+    """The computer's monotonic clock: steps of the wall clock do not change it, and it includes the computer's
+    sleep."""
 
     def now(self) -> float:
-        return _running_s() * self._speed
+        return time.monotonic() if _RUNS_ON is None else time.clock_gettime(_RUNS_ON)
 
     def sleep_until(self, time_s: float) -> None:
-        while (left := time_s / self._speed - _running_s()) > 0.0:
+        while (left := time_s - self.now()) > 0.0:
             time.sleep(left)
 
     def sleep(self, duration_s: float) -> None:
@@ -93,10 +66,7 @@ class RealClock:
     def party(self) -> AbstractContextManager[None]:
         return nullcontext()
 
-    aside = real_pace = party
-
-    def link(self, url: str) -> Link:
-        return self._link
+    aside = party
 
 
 _BESIDE_S = 0.1

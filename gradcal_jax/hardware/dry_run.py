@@ -13,12 +13,16 @@ from .clock import Clock
 from .errors import HardwareError
 from .roles import AxisLimits, ChamberLimits, ImuSettings
 from .setup import Bench
-from .track import AxisCommand, Course, Track, beyond_limits
+from .track import AxisCommand, Course, Track
 
 _STREAM_S, _LONGEST_S = 3.0, 12.0
 _RATE_OFF = 0.05
 _OFF_GOAL_DEG = 1.0
 _LATE_S = 2.0
+# Relative error of an acceleration that changes nothing of a turn.
+_LIKE_ACCELERATION = 0.05
+# How a spec says it.
+_ONE_READING = 'rests with read = "none", or rig.table.axis[].angle.read_every = "rest"'
 
 
 @dataclass(frozen=True)
@@ -44,29 +48,54 @@ class DryRun:
 
 
 def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> DryRun:
-    """The commands of a track to devices with these limits."""
+    """The commands of a track to devices with these limits, and what these do not accept."""
     steps: list[PlannedStep] = []
     rounded: list[str] = []
+    problems = [
+        f"The recipe reads axis {name!r} while it stands, and its angle is typed, once in each rest: give it an "
+        f"[axis.encoder] in the rig file, or make the recipe of a plan with one reading in each rest ({_ONE_READING})."
+        for name in track.moved
+        if track.read_at_rest and name in axes and axes[name].typed
+    ]
     begins_s = 0.0
-    at = dict.fromkeys(axes, 0.0)
+    at: dict[str, float] = {}
     for step in track.steps:
         commands: list[str] = []
+        where = f"Step {step.name!r}"
         if step.ready is not None and step.begins_c is not None:
             commands.append(f"chamber: hold {step.begins_c:g} degC, until it is stable")
-        courses = [course for course in step.courses if step.follows or course.start_s > 0.0]
-        if not step.follows and step.temperature_c is not None:
-            courses.insert(0, Course(0.0, step.temperature_c, step.ramp_k_per_min))
-        for course in courses:
+        own = [] if step.temperature_c is None else [Course(0.0, step.temperature_c, step.ramp_k_per_min)]
+        start = [] if step.start_c is None else [Course(0.0, step.start_c)]
+        for course in (*own, *start, *step.courses):
+            problems += [f"{where} {text}" for text in _beyond_chamber(course, chamber)]
+        later = [course for course in step.courses if step.follows or course.start_s > 0.0]
+        for course in later if step.follows else own + later:
             command, rounding = _chamber_command(course, chamber)
             commands.append(f"chamber: {command}")
-            if rounding:
-                rounded.append(f"step {step.name!r}: {rounding}")
+            rounded += [f"step {step.name!r}: {rounding}"] if rounding else []
+        at |= step.start_deg if step.goes_there else {}
         for name in dict.fromkeys(move.axis for move in step.moves):
-            commands.append(_moves(name, [move for move in step.moves if move.axis == name], at))
+            if name not in axes:
+                problems.append(f"{where} moves axis {name!r}, which the rig does not have ({', '.join(axes)}).")
+            places = [at.get(name, 0.0)]
+            moves = [move for move in step.moves if move.axis == name]
+            for move in moves:
+                if move.kind in ("go", "turn"):
+                    places.append(places[-1] + move.angle_deg if move.kind == "turn" else move.position_deg)
+                beyond = _beyond_axis(move, places[-1], axes[name]) if name in axes else []
+                problems += [f"{where}, axis {name!r}, {text}" for text in beyond]
+            at[name] = places[-1]
+            reach = f", {min(places):g} to {max(places):g} deg" if len(places) > 1 else ""
+            count = f"{len(moves)} command{'s' * (len(moves) > 1)}"
+            commands.append(f"{name}: {count}, up to {max(abs(move.rate_dps) for move in moves):.4g} deg/s{reach}")
         steps.append(PlannedStep(step.name, begins_s, step.duration_s, step.ready is not None, tuple(commands)))
         begins_s += step.duration_s
-    problems = beyond_limits(track, chamber, axes)
-    return DryRun(tuple(steps), begins_s, tuple(dict.fromkeys(rounded)), tuple(problems))
+    return DryRun(tuple(steps), begins_s, tuple(dict.fromkeys(rounded)), tuple(dict.fromkeys(problems)))
+
+
+def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> list[str]:
+    """Every sentence names a step and what the devices do not accept. Empty: the run may start."""
+    return list(dry_run_of(track, chamber, axes).problems)
 
 
 def _chamber_command(course: Course, limits: ChamberLimits | None) -> tuple[str, str]:
@@ -83,15 +112,45 @@ def _chamber_command(course: Course, limits: ChamberLimits | None) -> tuple[str,
     return command + " (by steps of its set point, every 5 s)", f"{rounded}: the run steps its set point"
 
 
-def _moves(name: str, moves: list[AxisCommand], at: dict[str, float]) -> str:
-    fastest = max(abs(move.rate_dps) for move in moves)
-    places = [at.get(name, 0.0)]
-    for move in moves:
-        if move.kind in ("go", "turn"):
-            places.append(places[-1] + move.angle_deg if move.kind == "turn" else move.position_deg)
-    at[name] = places[-1]
-    reach = f", {min(places):g} to {max(places):g} deg" if len(places) > 1 else ""
-    return f"{name}: {len(moves)} command{'s' * (len(moves) > 1)}, up to {fastest:.4g} deg/s{reach}"
+def _beyond_chamber(course: Course, limits: ChamberLimits | None) -> list[str]:
+    if limits is None:
+        return ["sets a temperature and the rig has no chamber."]
+    problems: list[str] = []
+    if not limits.lowest_c <= course.temperature_c <= limits.highest_c:
+        problems.append(
+            f"sets {course.temperature_c:g} degC; the chamber accepts {limits.lowest_c:g} to {limits.highest_c:g}."
+        )
+    slowest, fastest = limits.slowest_ramp_k_per_min, limits.fastest_ramp_k_per_min
+    if course.ramp_k_per_min is not None and limits.hardware_ramp and not slowest <= course.ramp_k_per_min <= fastest:
+        problems.append(f"ramps at {course.ramp_k_per_min:g} K/min; the chamber accepts {slowest:g} to {fastest:g}.")
+    return problems
+
+
+def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str]:
+    if move.kind == "stop":
+        return []
+    problems: list[str] = []
+    if not 0.0 < abs(move.rate_dps) <= limits.max_rate_dps * (1.0 + 1e-9):
+        problems.append(f"turns at {abs(move.rate_dps):g} deg/s; it accepts up to {limits.max_rate_dps:g}.")
+    if not 0.0 < move.acceleration_dps2 <= limits.max_acceleration_dps2 * (1.0 + 1e-9):
+        problems.append(
+            f"accelerates at {move.acceleration_dps2:g} deg/s²; it accepts up to {limits.max_acceleration_dps2:g}."
+        )
+    step = limits.acceleration_step_dps2
+    made = step * max(1, round(move.acceleration_dps2 / step)) if step else move.acceleration_dps2
+    if move.kind == "turn" and abs(made - move.acceleration_dps2) > _LIKE_ACCELERATION * move.acceleration_dps2:
+        problems.append(
+            f"accelerates at {move.acceleration_dps2:g} deg/s², of which its controller makes {made:g}: make the "
+            f'recipe with acceleration = "{step:.9g} deg/s^2" in [rig.resolution] of the spec.'
+        )
+    lowest, highest = limits.travel_deg
+    if move.kind in ("go", "turn") and not lowest - 1e-6 <= goal <= highest + 1e-6:
+        problems.append(f"goes to {goal:g} deg; its travel is {lowest:g} to {highest:g} deg.")
+    if move.kind == "spin" and limits.by_hand:
+        problems.append("turns at a constant rate, and it is turned by hand: make turns of it, or use a driven axis.")
+    elif move.kind == "spin" and (limits.lowest_deg is not None or limits.highest_deg is not None):
+        problems.append("spins, and its travel is limited.")
+    return problems
 
 
 @dataclass(frozen=True)

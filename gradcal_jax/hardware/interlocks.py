@@ -43,18 +43,8 @@ class Situation:
 
 
 @dataclass(frozen=True)
-class InterlockRule:
-    """`look` returns a sentence when something is wrong, else an empty text."""
-
-    name: str
-    action: Action
-    patience_s: float
-    look: Callable[[Situation], str]
-
-
-@dataclass(frozen=True)
 class InterlockLimits:
-    """The limits of the standard rules, and of a step's execution; None switches a rule off.
+    """The limits of the rules, and of a step's execution; an infinite one switches a rule off.
 
     The air may be `temperature_band_k` off its course, and `temperature_lag_s` behind it; in a pause it may go to
     `room_c`, where the chamber's door is open. Air and load are never above `never_above_c` or below `never_below_c`. A
@@ -62,7 +52,7 @@ class InterlockLimits:
     `latest_s` late, or if it lacks more than `lost_share` of a unit's samples.
     """
 
-    temperature_band_k: float | None = 3.0
+    temperature_band_k: float = 3.0
     temperature_lag_s: float = 300.0
     room_c: float = 23.0
     never_above_c: float = math.inf
@@ -70,39 +60,8 @@ class InterlockLimits:
     longest_pause_s: float = 1800.0
     latest_s: float = 1.0
     lost_share: float = 0.02
-    imu_stale_s: float | None = 2.0
+    imu_stale_s: float = 2.0
     free_bytes: int = 200_000_000
-
-
-@dataclass
-class Interlocks:
-    """Rules, with the time since when each has been violated."""
-
-    rules: tuple[InterlockRule, ...]
-    limits: InterlockLimits = field(default_factory=InterlockLimits)
-    _since: dict[str, float] = field(default_factory=dict[str, float])
-
-    def check(self, situation: Situation) -> tuple[InterlockRule, str] | None:
-        """The first rule that trips, with its sentence; aborts before pauses."""
-        tripped: list[tuple[InterlockRule, str]] = []
-        for rule in self.rules:
-            text = rule.look(situation)
-            if not text:
-                self._since.pop(rule.name, None)
-            elif situation.time_s - self._since.setdefault(rule.name, situation.time_s) >= rule.patience_s:
-                tripped.append((rule, text))
-        return min(tripped, key=lambda pair: pair[0].action != "abort", default=None)
-
-    def forget(self) -> None:
-        """Restart the patience of every rule, after a pause."""
-        self._since.clear()
-
-
-def standard_rules(limits: InterlockLimits | None = None) -> Interlocks:
-    """The rules of every run."""
-    bounds = limits or InterlockLimits()
-    rules = (InterlockRule(name, action, borne_s, partial(look, bounds)) for name, action, borne_s, look in _RULES)
-    return Interlocks(tuple(rules), bounds)
 
 
 def _alarm(bounds: InterlockLimits, now: Situation) -> str:
@@ -127,7 +86,8 @@ def _stalled(bounds: InterlockLimits, now: Situation) -> str:
 
 
 def _limit(bounds: InterlockLimits, now: Situation) -> str:
-    margin, chamber = bounds.temperature_band_k or 0.0, now.chamber
+    band_k, chamber = bounds.temperature_band_k, now.chamber
+    margin = band_k if math.isfinite(band_k) else 0.0
     lowest, highest = now.range_c[0] - margin, now.range_c[1] + margin
     lowest, highest = max(bounds.never_below_c, lowest), min(bounds.never_above_c, highest)
     for what, value in () if chamber is None else (("air", chamber.air_c), ("load", chamber.product_c)):
@@ -138,7 +98,7 @@ def _limit(bounds: InterlockLimits, now: Situation) -> str:
 
 def _off_course(bounds: InterlockLimits, now: Situation, *, paused: bool) -> str:
     """A sentence where the air is off its course. A pause may open the door: then the room belongs to the course."""
-    if now.chamber is None or bounds.temperature_band_k is None or now.course_c is None:
+    if now.chamber is None or now.course_c is None:
         return ""
     low, high = now.course_c
     if paused:
@@ -169,8 +129,7 @@ def _idle_chamber(bounds: InterlockLimits, now: Situation) -> str:
 
 
 def _stale(bounds: InterlockLimits, now: Situation) -> str:
-    longest_s = math.inf if bounds.imu_stale_s is None else bounds.imu_stale_s
-    old = ", ".join(f"{name} for {age:.1f} s" for name, age in now.imu_age_s.items() if age > longest_s)
+    old = ", ".join(f"{name} for {age:.1f} s" for name, age in now.imu_age_s.items() if age > bounds.imu_stale_s)
     return f"no bytes from {old}" if old else ""
 
 
@@ -178,17 +137,51 @@ def _disk(bounds: InterlockLimits, now: Situation) -> str:
     return f"only {now.free_bytes / 1e6:.0f} MB are free on the disk" if now.free_bytes < bounds.free_bytes else ""
 
 
-_RULES: Final[tuple[tuple[str, Action, float, Callable[[InterlockLimits, Situation], str]], ...]] = (
-    ("chamber alarm", "abort", 0.0, _alarm),
-    ("axis fault", "abort", 0.0, _faults),
-    ("over-speed", "abort", 0.0, _over_speed),
-    ("stalled axis", "abort", 0.0, _stalled),
-    ("temperature limit", "abort", 0.0, _limit),
-    ("temperature in a pause", "abort", _PATIENCE_S, partial(_off_course, paused=True)),
-    ("longest pause", "abort", 0.0, _long_pause),
-    ("temperature course", "pause", _PATIENCE_S, partial(_off_course, paused=False)),
-    ("idle chamber", "pause", _PATIENCE_S, _idle_chamber),
-    ("stale unit", "pause", 0.0, _stale),
-    ("disk space", "pause", 0.0, _disk),
+@dataclass(frozen=True)
+class InterlockRule:
+    """What happens where `look` returns a sentence for longer than it is borne."""
+
+    name: str
+    action: Action
+    patience_s: float
+    look: Callable[[InterlockLimits, Situation], str]
+
+
+RULES: Final = (
+    InterlockRule("chamber alarm", "abort", 0.0, _alarm),
+    InterlockRule("axis fault", "abort", 0.0, _faults),
+    InterlockRule("over-speed", "abort", 0.0, _over_speed),
+    InterlockRule("stalled axis", "abort", 0.0, _stalled),
+    InterlockRule("temperature limit", "abort", 0.0, _limit),
+    InterlockRule("temperature in a pause", "abort", _PATIENCE_S, partial(_off_course, paused=True)),
+    InterlockRule("longest pause", "abort", 0.0, _long_pause),
+    InterlockRule("temperature course", "pause", _PATIENCE_S, partial(_off_course, paused=False)),
+    InterlockRule("idle chamber", "pause", _PATIENCE_S, _idle_chamber),
+    InterlockRule("stale unit", "pause", 0.0, _stale),
+    InterlockRule("disk space", "pause", 0.0, _disk),
 )
-"""Name, what happens, how long it is borne (s), and what is wrong."""
+"""The rules of every run."""
+
+
+@dataclass
+class Interlocks:
+    """Rules with their limits, and the time since when each has been violated."""
+
+    limits: InterlockLimits = field(default_factory=InterlockLimits)
+    rules: tuple[InterlockRule, ...] = RULES
+    _since: dict[str, float] = field(default_factory=dict[str, float])
+
+    def check(self, situation: Situation) -> tuple[InterlockRule, str] | None:
+        """The first rule that trips, with its sentence; aborts before pauses."""
+        tripped: list[tuple[InterlockRule, str]] = []
+        for rule in self.rules:
+            text = rule.look(self.limits, situation)
+            if not text:
+                self._since.pop(rule.name, None)
+            elif situation.time_s - self._since.setdefault(rule.name, situation.time_s) >= rule.patience_s:
+                tripped.append((rule, text))
+        return min(tripped, key=lambda pair: pair[0].action != "abort", default=None)
+
+    def forget(self) -> None:
+        """Restart the patience of every rule, after a pause."""
+        self._since.clear()

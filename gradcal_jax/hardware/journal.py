@@ -29,7 +29,6 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, cast
 
@@ -241,12 +240,6 @@ def records_of(path: Path, contents: JournalContents | None = None) -> Iterator[
             yield from _parse(file, contents or JournalContents())
     except OSError as problem:
         raise HardwareError(f"The journal {path} cannot be read: {problem.strerror}.") from None
-
-
-def parse_journal(data: bytes) -> JournalContents:
-    contents = JournalContents()
-    contents.records += _parse(BytesIO(data), contents)
-    return contents
 
 
 def _parse(file: BinaryIO, contents: JournalContents) -> Iterator[Event | Chunk]:

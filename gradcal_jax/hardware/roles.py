@@ -9,13 +9,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .settings import KeptSettings
 
+Floats = NDArray[np.float64]
 STANDARD_GRAVITY = 9.80665  # m/s² in one g of every data sheet here
 
 
@@ -101,7 +102,6 @@ class TemperatureChamber(Protocol):
 
     def standby(self) -> None: ...
     def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport: ...
-    def close(self) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,6 @@ class MotionAxis(Protocol):
     def heartbeat(self) -> None: ...
 
     def safe(self, policy: AxisSafe) -> SafeReport: ...
-    def close(self) -> None: ...
 
 
 @runtime_checkable
@@ -187,6 +186,10 @@ class OperatorAsked(Protocol):
     """A person at a terminal, who is asked one question at a time."""
 
     def ask(self, question: str) -> None: ...
+    def ring(self) -> None:
+        """Remind of the question."""
+        ...
+
     def answer(self) -> tuple[str, float] | None:
         """The typed line and the time of its end; None until there is one."""
         ...
@@ -238,21 +241,27 @@ class ImuBatch:
         return self.host_time_s.shape[0]
 
 
+def imu_batch(
+    host_time_s: float,
+    device_time_s: Floats,
+    gyro_dps: Floats,
+    acceleration_g: Floats,
+    temperature_c: Floats,
+    **more: Any,
+) -> ImuBatch:
+    """Samples that came together; fields that are not given are zero."""
+    count = len(device_time_s)
+    none: dict[str, Any] = {"raw_gyro": np.zeros((count, 3), np.int32)}
+    none |= {name: np.zeros(count, np.int64) for name in ("status", "gap_before")}
+    none |= {name: np.zeros(count, np.bool_) for name in ("disturbed", "restarted")}
+    host = np.full(count, float(host_time_s))
+    return ImuBatch(host, device_time_s, gyro_dps, acceleration_g, temperature_c, **(none | more))
+
+
 def join(batches: Sequence[ImuBatch]) -> ImuBatch:
     """One batch of several; an empty one of none."""
     if not batches:
-        return ImuBatch(
-            host_time_s=np.zeros(0),
-            device_time_s=np.zeros(0),
-            gyro_dps=np.zeros((0, 3)),
-            acceleration_g=np.zeros((0, 3)),
-            temperature_c=np.zeros((0, 3)),
-            raw_gyro=np.zeros((0, 3), np.int32),
-            status=np.zeros(0, np.int64),
-            gap_before=np.zeros(0, np.int64),
-            disturbed=np.zeros(0, np.bool_),
-            restarted=np.zeros(0, np.bool_),
-        )
+        return imu_batch(0.0, np.zeros(0), *(np.zeros((0, 3)) for _ in range(3)))
     names = ImuBatch.__dataclass_fields__
     return ImuBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names})
 
@@ -279,6 +288,8 @@ class ImuDecoder(Protocol):
 
 @runtime_checkable
 class ImuStream(Protocol):
+    """A unit that streams; it has no unsafe state."""
+
     settings: KeptSettings
 
     def identify(self) -> Identity: ...
@@ -295,6 +306,3 @@ class ImuStream(Protocol):
     def decoder(self) -> ImuDecoder:
         """A new decoder for this unit's settings."""
         ...
-
-    def safe(self) -> SafeReport: ...
-    def close(self) -> None: ...

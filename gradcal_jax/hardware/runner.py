@@ -20,6 +20,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
@@ -28,21 +29,20 @@ from ..files.rig import ImuDevice
 from .axis_control import AxisControl
 from .chamber_control import ChamberControl
 from .clock import Clock, beside
+from .dry_run import beyond_limits
 from .errors import HardwareError, LimitExceeded, sentence_of
-from .interlocks import Interlocks, Situation, standard_rules
+from .interlocks import Interlocks, Situation
 from .journal import Journal, event_fields
 from .losses import ExecutedStep, SampleLosses, StepNotDone
 from .roles import ImuSettings, MotionAxis
 from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, require_identity
 from .states import WAYS, RunProgress, RunResult, RunState
-from .track import Course, Stable, Track, TrackStep, beyond_limits
+from .track import Course, Stable, Track, TrackStep
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
 _SLICE_S = 0.25
-_ARRIVAL_S = 0.1
-_PIECES_S = 0.2
-_LONGEST_ARRIVAL_S = 60.0
+_ARRIVAL_S, _PIECES_S, _LONGEST_ARRIVAL_S = 0.1, 0.2, 60.0
 _TRIES = 3
 _ALARM_AGAIN_S = 300.0
 # The chamber's temperature while the operator reaches into it.
@@ -69,7 +69,7 @@ class Runner:
     bench: Bench
     journal: Journal
     clock: Clock
-    interlocks: Interlocks = field(default_factory=standard_rules)
+    interlocks: Interlocks = field(default_factory=Interlocks)
     on_progress: Callable[[RunProgress], None] | None = None
     on_alarm: Callable[[str], None] | None = None
     chamber_every_s: float = 5.0
@@ -302,11 +302,10 @@ class Runner:
 
     def _pause_between(self, step: TrackStep) -> None:
         """Stop every axis: nothing turns while a run is paused, not even a spin that the next step continues."""
-        try:
+        # Interrupted: every axis was stopped.
+        with suppress(_Interrupted):
             self._axes.end_spins(step.name, step.duration_s)
             self._axes.settle_all(self._duties)
-        except _Interrupted:
-            pass  # every axis was stopped
         if self.state is RunState.PAUSING:
             self._wait_paused()
 
@@ -574,16 +573,20 @@ class Runner:
         """Make safe. What happens is noted for the journal, and nothing waits for the disk before all is safe."""
         # A chamber that is being made safe gets no other commands.
         self._watching.clear()
-        chamber = self._chamber
-        waits = None if chamber is None else lambda: chamber.end(0.5 * self.safe_deadline_s)
         self._enter(RunState.ABORTING if status == "aborted" else RunState.STOPPING, at_once=False)
         self._event("ending", at_once=False, exit_status=status, reason=reason)
-        outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s, before_chamber=waits))
+        outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s, busy=self._is_busy))
         for outcome in outcomes:
             self._event("made safe", **event_fields(outcome))
         good = all(outcome.verified for outcome in outcomes)
         self._enter(RunState.SAFE if good else RunState.FAILED)
         return outcomes
+
+    def _is_busy(self, name: str) -> bool:
+        """Whether an earlier command to a device goes on."""
+        if self._chamber is not None and name == "chamber":
+            return not self._chamber.end(0.5 * self.safe_deadline_s)
+        return self._axes.is_homing(name)
 
     def _enter(self, state: RunState, *, at_once: bool = True) -> None:
         if state not in WAYS[self.state] and not (self.state is RunState.IDLE and state is RunState.STOPPING):

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 from .clock import Clock
 from .errors import Disconnected, sentence_of
 from .roles import AxisSafe, ChamberSafe, SafeReport
-from .setup import Bench
+from .setup import LEFT, Bench
 from .transport import Transport
 
 _RETRY_PAUSE_S = 0.2
+_GOES_ON = "an earlier command to it goes on"
 
 
 @dataclass
@@ -35,15 +36,12 @@ class SafeOutcome:
 
 
 def make_safe(
-    bench: Bench,
-    clock: Clock,
-    *,
-    deadline_s: float = 60.0,
-    before_chamber: Callable[[], None] | None = None,
+    bench: Bench, clock: Clock, *, deadline_s: float = 60.0, busy: Callable[[str], bool] = lambda name: False
 ) -> list[SafeOutcome]:
     """Bring every device of the bench to the safe state of the rig file.
 
-    `before_chamber` is called in the chamber's thread, to let a command that is under way end first.
+    `busy` is called in a device's thread, with its name: whether an earlier command to it goes on, for whose end it may
+    wait. Such a device is made safe at once, and again: the command could undo it.
 
     Returns after all devices are verified, or after `deadline_s` real seconds: the others then have a reason. Raises no
     error of a device.
@@ -52,7 +50,12 @@ def make_safe(
 
     def begin(name: str, action: str, act: Callable[[], SafeReport]) -> None:
         attempt, began_s = SafeOutcome(name, action), time.monotonic()
-        arguments = (attempt, act, bench.lines.get(name), clock, began_s, deadline_s)
+
+        def alone() -> SafeReport:
+            goes_on, report = busy(name), act()
+            return replace(report, verified=False, evidence=f"{report.evidence}; {_GOES_ON}") if goes_on else report
+
+        arguments = (attempt, alone, bench.lines.get(name), clock, began_s, deadline_s)
         thread = threading.Thread(target=_try, args=arguments, daemon=True, name=f"making {name} safe")
         attempts.append((attempt, began_s, thread))
         thread.start()
@@ -63,19 +66,14 @@ def make_safe(
     if bench.chamber is not None and bench.rig.chamber is not None:
         chamber, how = bench.chamber, bench.rig.chamber
 
-        def chamber_safe() -> SafeReport:
-            if before_chamber is not None:
-                before_chamber()
-            return chamber.safe(ChamberSafe(how.safe), float(how.ambient))
-
-        begin("chamber", how.safe, chamber_safe)
-    for entry in bench.rig.imu:
-        begin(entry.name, "left streaming", bench.imus[entry.name].safe)
+        begin("chamber", how.safe, lambda: chamber.safe(ChamberSafe(how.safe), float(how.ambient)))
     with clock.aside():
         for _, began_s, thread in attempts:
             thread.join(max(0.0, began_s + deadline_s - time.monotonic()))
     now_s = time.monotonic()
-    return [replace(attempt, took_s=attempt.took_s or now_s - began_s) for attempt, began_s, _ in attempts]
+    outcomes = [replace(attempt, took_s=attempt.took_s or now_s - began_s) for attempt, began_s, _ in attempts]
+    streams = [SafeOutcome(entry.name, LEFT, True, "it cannot be unsafe") for entry in bench.rig.imu]
+    return outcomes + streams
 
 
 def put_back(bench: Bench) -> dict[str, str]:

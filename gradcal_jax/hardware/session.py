@@ -19,7 +19,7 @@ from .binding import track_of
 from .clock import Clock
 from .errors import HardwareError
 from .guard import BEAT_S, Guard, guarded
-from .interlocks import InterlockLimits, Interlocks, standard_rules
+from .interlocks import InterlockLimits, Interlocks
 from .journal import Journal, Recorder
 from .pose import drawn
 from .run_folder import RunFolder, begin_session, mounting_of, require_same_devices, sessions
@@ -101,7 +101,7 @@ def run_session(
             bench,
             journal,
             clock,
-            interlocks or standard_rules(limits_of(rig)),
+            interlocks or Interlocks(limits_of(rig)),
             show,
             None if rig.alarm is None else partial(sound_alarm, rig),
             safe_deadline_s=safe_deadline_s,

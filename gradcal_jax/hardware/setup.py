@@ -13,11 +13,15 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
-from .. import units
-from ..files.problems import Problem, SpecError, nearest, one_of
+from pydantic import ConfigDict, ValidationError, create_model
+
+from ..files.problems import Problem, SpecError, from_validation, hint, one_of
+from ..files.quantity import Of, Quantity
 from ..files.rig import OPERATOR, TERMINAL, AxisDevice, ChamberDevice, EncoderDevice, ImuDevice, OperatorPlace, RigFile
+from ..files.section import Section
+from ..units import to_unit
 from .clock import Clock
 from .drivers.operator import Console, OperatorConfig
 from .errors import HardwareError, WrongIdentity
@@ -36,6 +40,8 @@ from .settings import KeptSettings
 from .terminal import Terminal, TextLine
 from .transport import Transport, same_port
 
+LEFT: Final = "left streaming"
+"""What happens to a unit at the end of a run: it has no unsafe state."""
 Role = Literal["chamber", "axis", "imu"]
 Device = ChamberDevice | AxisDevice | ImuDevice
 
@@ -138,12 +144,12 @@ _UNITS: Final = (
 )
 
 
-# Options of every device on a serial line, beside its driver's, and their values.
-_LINE_OPTIONS: Final[Mapping[str, tuple[object, ...]]] = {
-    "bytesize": (7, 8),
-    "parity": ("N", "E", "O"),
-    "stopbits": (1, 2),
-    "terminator": ("CR", "LF", "CRLF"),
+# Options of every device on a serial line, beside its driver's.
+_LINE_OPTIONS: Final[Mapping[str, Any]] = {
+    "bytesize": Literal[7, 8],
+    "parity": Literal["N", "E", "O"],
+    "stopbits": Literal[1, 2],
+    "terminator": Literal["CR", "LF", "CRLF"],
 }
 _TERMINATORS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n"}
 
@@ -151,6 +157,24 @@ _TERMINATORS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n"}
 def option_names(driver: str) -> dict[str, str]:
     """The options of a driver, in the file's spelling -> the fields of its configuration."""
     return {_spelt(f.name)[0]: f.name for f in dataclasses.fields(_known(driver).config())}
+
+
+class _Options(Section):
+    """The options of a device, whose fields are made from its driver's configuration."""
+
+    model_config = ConfigDict(strict=True)
+
+
+def _options_of(driver: Driver, *, line: bool = True) -> type[Section]:
+    """The table of a driver's options; `line`: with those of a serial line."""
+    fields: dict[str, Any] = {}
+    for name, kind in typing.get_type_hints(driver.config(), include_extras=True).items():
+        spelt, dimension, _ = _spelt(name)
+        fields[spelt] = (Annotated[Quantity, Of(dimension)] if dimension else kind, None)
+    for name, choices in _LINE_OPTIONS.items() if line else ():
+        if driver.text or name != "terminator":
+            fields.setdefault(name, (choices, None))
+    return create_model("Options", __base__=_Options, **fields)
 
 
 def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int, ...]) -> Any:
@@ -165,47 +189,34 @@ def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int
         raise SpecError([Problem((*place, "driver"), str(problem), device.driver)]) from None
     if driver is None or not _fits(driver, role):
         fitting = driver_names(role)
-        close = nearest(device.driver, fitting)
-        ending = f'; nearest: "{close}"' if close else ""
+        ending = hint(device.driver, fitting)
         raise SpecError([Problem((*place, "driver"), f"expected {one_of(fitting)}{ending}", device.driver)])
-    config = driver.config()
-    names, hints = option_names(device.driver), typing.get_type_hints(config)
-    problems: list[Problem] = []
+    config, place = driver.config(), (*place, "options")
+    try:
+        options = _options_of(driver, line=device.port != TERMINAL).model_validate(device.options)
+    except ValidationError as error:
+        raise SpecError([problem.under(*place) for problem in from_validation(error)]) from None
     values: dict[str, Any] = {}
-    for name, value in device.options.items():
-        key = (*place, "options", name)
-        choices = _LINE_OPTIONS.get(name, ()) if driver.text or name != "terminator" else ()
-        if choices and device.port != TERMINAL and name not in names:
-            if not any(value == choice and type(value) is type(choice) for choice in choices):
-                problems.append(Problem(key, f"expected {' or '.join(map(repr, choices))}", value))
-            continue
-        if name not in names:
-            close = nearest(name, (*names, *_LINE_OPTIONS))
-            ending = f'; nearest: "{close}"' if close else f"; known here: {', '.join((*names, *_LINE_OPTIONS))}"
-            problems.append(Problem(key, "this key is unknown" + ending, value, "unknown"))
-            continue
-        try:
-            values[names[name]] = _value(value, names[name], hints[names[name]])
-        except ValueError as problem:
-            problems.append(Problem(key, str(problem), value))
-    if not problems:
-        try:
-            built = config(**values)
-            if driver.role is not None or built.role == role:
-                return built
-            problems.append(Problem((*place, "options", "protocol"), f"describes an {built.role}; expected a {role}"))
-        except SpecError as error:
-            problems += [problem.under(*place, "options", "protocol") for problem in error.problems]
-        except ValueError as problem:
-            problems.append(Problem((*place, "options"), str(problem)))
-    raise SpecError(problems)
+    for spelt, name in option_names(device.driver).items():
+        if spelt in options.model_fields_set:
+            value, unit = getattr(options, spelt), _spelt(name)[2]
+            values[name] = to_unit(float(value), unit) if unit else value
+    try:
+        built = config(**values)
+    except SpecError as error:
+        raise SpecError([problem.under(*place, "protocol") for problem in error.problems]) from None
+    except ValueError as problem:
+        raise SpecError([Problem(place, str(problem))]) from None
+    if driver.role is None and built.role != role:
+        raise SpecError([Problem((*place, "protocol"), f"describes an {built.role}; expected a {role}")])
+    return built
 
 
 def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     """The configurations of all devices, by their place in the file. Raises `SpecError` with every problem."""
     configs: dict[tuple[str | int, ...], Any] = {}
     problems: list[Problem] = []
-    for role, place, device in _devices(rig):
+    for role, place, _, device in _entries(rig):
         try:
             configs[place] = config_of(device, role, place)
             if not isinstance(device, ImuDevice) and (lack := _lacks_for(configs[place], device.safe)):
@@ -233,31 +244,15 @@ def _spelt(name: str) -> tuple[str, str, str]:
     return name, "", ""
 
 
-def _value(value: object, name: str, hint: Any) -> object:
-    if hint is Any:
-        return value
-    _, dimension, unit = _spelt(name)
-    plain = next((kind for kind in (bool, int, float, str) if kind is hint or kind in typing.get_args(hint)), str)
-    if dimension:
-        described = units.DIMENSIONS[dimension]
-        if not isinstance(value, str):
-            raise ValueError(f'expected {described.described} as text with a unit, such as "{described.example}"')
-        return units.to_unit(units.parse(value, dimension), unit)
-    if plain is float and type(value) in (int, float):
-        return float(typing.cast("float", value))
-    if type(value) is not plain:
-        words = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
-        raise ValueError(f"expected {words[plain]}")
-    return value
-
-
-def _devices(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], Device]]:
-    devices: list[tuple[Role, tuple[str | int, ...], Device]] = []
+def _entries(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], str, Device]]:
+    """All devices of a rig: role, place in the file, name and table; the chamber's name is "chamber". Axes are first,
+    because what turns is made safe first."""
+    entries: list[tuple[Role, tuple[str | int, ...], str, Device]] = []
+    entries.extend(("axis", ("axis", index), axis.name, axis) for index, axis in enumerate(rig.axis))
     if rig.chamber is not None:
-        devices.append(("chamber", ("chamber",), rig.chamber))
-    devices.extend(("axis", ("axis", index), axis) for index, axis in enumerate(rig.axis))
-    devices.extend(("imu", ("imu", index), imu) for index, imu in enumerate(rig.imu))
-    return devices
+        entries.append(("chamber", ("chamber",), "chamber", rig.chamber))
+    entries.extend(("imu", ("imu", index), imu.name, imu) for index, imu in enumerate(rig.imu))
+    return entries
 
 
 @dataclass
@@ -289,11 +284,12 @@ class Bench(AbstractContextManager["Bench"]):
 
     def devices(self) -> list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]]:
         """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
-        devices: list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]] = []
-        devices += [(entry.name, entry, self.axes[entry.name]) for entry in self.rig.axis]
-        if self.chamber is not None and self.rig.chamber is not None:
-            devices.append(("chamber", self.rig.chamber, self.chamber))
-        return devices + [(entry.name, entry, self.imus[entry.name]) for entry in self.rig.imu]
+        opened: dict[str, Any] = {
+            **self.axes,
+            **self.imus,
+            **({} if self.chamber is None else {"chamber": self.chamber}),
+        }
+        return [(name, entry, opened[name]) for _, _, name, entry in _entries(self.rig) if name in opened]
 
     def close(self) -> None:
         self._ports.close()
@@ -346,7 +342,7 @@ def open_rig(
         return getattr(module, driver.device_class)(exchanges[same_port(device.port)], config, *more)
 
     try:
-        for _, place, device in _devices(rig):
+        for _, place, _, device in _entries(rig):
             config = configs[place]
             if isinstance(device, ImuDevice):
                 driver = _known(device.driver)
@@ -415,18 +411,14 @@ def within_rig(limits: ChamberLimits, chamber: ChamberDevice) -> ChamberLimits:
 
 
 def lines_of(rig: RigFile) -> dict[str, tuple[str, str]]:
-    """The port and the safe state of every device, by its name: axes, chamber, units."""
-    lines = {entry.name: (entry.port, entry.safe) for entry in rig.axis}
-    if rig.chamber is not None:
-        lines["chamber"] = rig.chamber.port, rig.chamber.safe
-    return lines | {entry.name: (entry.port, "left streaming") for entry in rig.imu}
+    """The port and the safe state of every device, by its name."""
+    return {name: (device.port, getattr(device, "safe", LEFT)) for _, _, name, device in _entries(rig)}
 
 
 def check_rig(bench: Bench) -> list[DeviceReport]:
     """Ask every device for identity, limits and a reading; compare serial numbers with the rig file. Nothing moves."""
     # The chamber first, as in the rig file.
-    devices = sorted(bench.devices(), key=lambda device: device[0] != "chamber")
-    reports = [_report(*device) for device in devices]
+    reports = [_report(*device) for device in sorted(bench.devices(), key=lambda device: device[0] != "chamber")]
     late = {name: line.late for name, line in bench.lines.items()}
     return [dataclasses.replace(report, remark=late.get(report.name, "")) for report in reports]
 
@@ -435,8 +427,7 @@ def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:
     """Open and ask one device after the other; a refused port becomes a report. Raises `SpecError`."""
     configs_of(rig)
     reports: list[DeviceReport] = []
-    for _, _, device in _devices(rig):
-        name = "chamber" if isinstance(device, ChamberDevice) else device.name
+    for _, _, name, device in sorted(_entries(rig), key=lambda entry: entry[0] != "chamber"):
         try:
             with open_rig(only_of(rig, {name}), clock) as bench:
                 reports += check_rig(bench)
@@ -482,27 +473,8 @@ def with_options(schema: dict[str, Any]) -> dict[str, Any]:
     for device, role in roles.items():
         cases: list[dict[str, Any]] = []
         for name in driver_names(role):
-            definitions[f"options of {name}"] = _schema_of(name)
+            definitions[f"options of {name}"] = _options_of(_known(name)).model_json_schema()
             when = {"properties": {"driver": {"const": name}}, "required": ["driver"]}
             cases.append({"if": when, "then": {"properties": {"options": {"$ref": f"#/$defs/options of {name}"}}}})
         definitions[device] = {**definitions[device], "allOf": cases}
     return {**schema, "$defs": definitions}
-
-
-def _schema_of(name: str) -> dict[str, Any]:
-    driver = _known(name)
-    hints = typing.get_type_hints(driver.config())
-    options: dict[str, Any] = {}
-    for spelt, own in option_names(name).items():
-        _, dimension, _ = _spelt(own)
-        kinds = {bool: "boolean", int: "integer", float: "number", str: "string"}
-        if dimension:
-            described = units.DIMENSIONS[dimension]
-            options[spelt] = {"type": "string", "description": f"{described.described}, such as '{described.example}'"}
-        else:
-            plain = next((k for k in kinds if k is hints[own] or k in typing.get_args(hints[own])), None)
-            options[spelt] = {} if hints[own] is Any else {"type": kinds[plain or str]}
-    for option, choices in _LINE_OPTIONS.items():
-        if driver.text or option != "terminator":
-            options.setdefault(option, {"enum": list(choices)})
-    return {"type": "object", "properties": options, "additionalProperties": False}

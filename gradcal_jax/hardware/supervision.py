@@ -36,12 +36,10 @@ class StatusFile:
     def __init__(self, folder: Path, *, simulated: bool, knows: Knows | None = None) -> None:
         self._path = folder / STATUS
         self._knows = knows
-        self._known: Any = None
-        self._simulated = simulated
-        self._newest: dict[str, Any] | None = None
-        self._last: dict[str, Any] = {}
-        self._change = threading.Condition()
-        self._over = False
+        self._known: dict[str, Any] = {}
+        self._head = {"format": FORMAT, "simulated": simulated}
+        self._status: dict[str, Any] = {}
+        self._over = threading.Event()
         self._writer = threading.Thread(target=self._write_on, daemon=True, name="status file")
 
     def __enter__(self) -> "StatusFile":
@@ -51,48 +49,35 @@ class StatusFile:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with self._change:
-            self._over = True
-            self._change.notify_all()
+        self._over.set()
         self._writer.join(timeout=5.0)
 
     def show(self, progress: RunProgress) -> None:
         """The progress of the run."""
-        self._put({**asdict(progress), "state": progress.state.value})
+        self._status = {"at_s": time.time(), **asdict(progress), "state": progress.state.value}
 
     def end(self, result: RunResult) -> None:
         """How the run ended."""
         state = "safe" if result.verified_safe else "failed"
         ended = {"exit_status": result.exit_status, "reason": result.reason, "verified_safe": result.verified_safe}
-        self._put({**self._last, "state": state, "steps_done": result.steps_done, **ended})
-
-    def _put(self, status: dict[str, Any]) -> None:
-        with self._change:
-            self._last = status
-            head = {"format": FORMAT, "at_s": time.time(), "simulated": self._simulated}
-            self._newest = {**head, **status} | ({} if self._known is None else {"known": self._known})
-            self._change.notify_all()
+        self._status = {**self._status, "at_s": time.time(), "state": state, "steps_done": result.steps_done, **ended}
 
     def _ask_on(self, knows: Knows) -> None:
         while True:
             with suppress(OSError, ValueError, subprocess.SubprocessError):
-                self._known = knows(self._path.parent)
-            with self._change:
-                if self._change.wait_for(lambda: self._over, _KNOWS_S):
-                    return
+                self._known = {"known": knows(self._path.parent)}
+            if self._over.wait(_KNOWS_S):
+                return
 
     def _write_on(self) -> None:
-        while True:
-            with self._change:
-                self._change.wait_for(lambda: self._newest is not None or self._over)
-                newest, self._newest = self._newest, None
-                if newest is None:
-                    return
-            # The journal reports a full disk.
-            with suppress(OSError):
-                write_whole(self._path, json.dumps(json_of(newest), indent=1) + "\n")
-            with self._change:
-                self._change.wait_for(lambda: self._over, _WRITE_S)
+        over, written = False, self._status
+        while not over:
+            over = self._over.wait(_WRITE_S)
+            if self._status is not written:
+                written = self._status
+                # The journal reports a full disk.
+                with suppress(OSError):
+                    write_whole(self._path, json.dumps(json_of(self._head | written | self._known), indent=1) + "\n")
 
 
 def end_status(folder: Path, why: str, outcomes: list[SafeOutcome]) -> None:

@@ -9,23 +9,14 @@ import os
 import select
 import sys
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from .clock import Clock, RealClock
 from .errors import Disconnected, HardwareError
 from .journal import Recorder
+from .transport import Transport
 
 _CLEAR = "\r\x1b[2K"
-
-
-class TextLine(Protocol):
-    """The part of a `Transport` that a driver of text uses."""
-
-    url: str
-
-    def write(self, data: bytes) -> None: ...
-    def read_stamped(self, timeout_s: float) -> tuple[bytes, float]: ...
-    def close(self) -> None: ...
 
 
 class Terminal:
@@ -95,3 +86,7 @@ class Terminal:
     def _record(self, direction: Any, data: bytes) -> None:
         if self.recorder is not None:
             self.recorder(self.clock.now(), direction, data)
+
+
+TextLine = Transport | Terminal
+"""Where a driver of text writes and hears."""

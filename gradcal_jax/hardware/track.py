@@ -9,15 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from .roles import AxisLimits, ChamberLimits
-
-# Relative error of an acceleration that changes nothing of a turn.
-_LIKE_ACCELERATION = 0.05
-
-
-# How a spec says it, of an axis and of a whole unit.
-_ONE_READING = 'rests with read = "none", or rig.table.axis[].angle.read_every = "rest"'
-
 
 @dataclass(frozen=True)
 class Stable:
@@ -174,74 +165,3 @@ class Track:
         """The names of the axes that move."""
         moved = {move.axis for step in self.steps for move in step.moves}
         return sorted(moved | {name for step in self.steps if step.goes_there for name in step.start_deg})
-
-
-def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> list[str]:
-    """Every sentence names a step and what the devices do not accept. Empty: the run may start."""
-    problems = [
-        f"The recipe reads axis {name!r} while it stands, and its angle is typed, once in each rest: give it an "
-        f"[axis.encoder] in the rig file, or make the recipe of a plan with one reading in each rest ({_ONE_READING})."
-        for name in track.moved
-        if track.read_at_rest and name in axes and axes[name].typed
-    ]
-    at = dict.fromkeys(axes, 0.0)
-    for step in track.steps:
-        where = f"Step {step.name!r}"
-        courses = [Course(0.0, step.temperature_c, step.ramp_k_per_min)] if step.temperature_c is not None else []
-        if step.start_c is not None:
-            courses.append(Course(0.0, step.start_c))
-        for course in (*courses, *step.courses):
-            if chamber is None:
-                problems.append(f"{where} sets a temperature and the rig has no chamber.")
-            else:
-                problems += [f"{where} {text}" for text in _beyond_chamber(course, chamber)]
-        if step.goes_there:
-            at |= step.start_deg
-        for move in step.moves:
-            limits = axes.get(move.axis)
-            if limits is None:
-                problems.append(f"{where} moves axis {move.axis!r}, which the rig does not have ({', '.join(axes)}).")
-                continue
-            goal = at[move.axis] + move.angle_deg if move.kind == "turn" else move.position_deg
-            problems += [f"{where}, axis {move.axis!r}, {text}" for text in _beyond_axis(move, goal, limits)]
-            at[move.axis] = goal
-    return list(dict.fromkeys(problems))
-
-
-def _beyond_chamber(course: Course, limits: ChamberLimits) -> list[str]:
-    problems: list[str] = []
-    if not limits.lowest_c <= course.temperature_c <= limits.highest_c:
-        problems.append(
-            f"sets {course.temperature_c:g} degC; the chamber accepts {limits.lowest_c:g} to {limits.highest_c:g}."
-        )
-    slowest, fastest = limits.slowest_ramp_k_per_min, limits.fastest_ramp_k_per_min
-    if course.ramp_k_per_min is not None and limits.hardware_ramp and not slowest <= course.ramp_k_per_min <= fastest:
-        problems.append(f"ramps at {course.ramp_k_per_min:g} K/min; the chamber accepts {slowest:g} to {fastest:g}.")
-    return problems
-
-
-def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str]:
-    if move.kind == "stop":
-        return []
-    problems: list[str] = []
-    if not 0.0 < abs(move.rate_dps) <= limits.max_rate_dps * (1.0 + 1e-9):
-        problems.append(f"turns at {abs(move.rate_dps):g} deg/s; it accepts up to {limits.max_rate_dps:g}.")
-    if not 0.0 < move.acceleration_dps2 <= limits.max_acceleration_dps2 * (1.0 + 1e-9):
-        problems.append(
-            f"accelerates at {move.acceleration_dps2:g} deg/s²; it accepts up to {limits.max_acceleration_dps2:g}."
-        )
-    step = limits.acceleration_step_dps2
-    made = step * max(1, round(move.acceleration_dps2 / step)) if step else move.acceleration_dps2
-    if move.kind == "turn" and abs(made - move.acceleration_dps2) > _LIKE_ACCELERATION * move.acceleration_dps2:
-        problems.append(
-            f"accelerates at {move.acceleration_dps2:g} deg/s², of which its controller makes {made:g}: make the "
-            f'recipe with acceleration = "{step:.9g} deg/s^2" in [rig.resolution] of the spec.'
-        )
-    lowest, highest = limits.travel_deg
-    if move.kind in ("go", "turn") and not lowest - 1e-6 <= goal <= highest + 1e-6:
-        problems.append(f"goes to {goal:g} deg; its travel is {lowest:g} to {highest:g} deg.")
-    if move.kind == "spin" and limits.by_hand:
-        problems.append("turns at a constant rate, and it is turned by hand: make turns of it, or use a driven axis.")
-    elif move.kind == "spin" and (limits.lowest_deg is not None or limits.highest_deg is not None):
-        problems.append("spins, and its travel is limited.")
-    return problems

@@ -162,9 +162,6 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
             raise _refused(url, problem) from None
         self._port = port
         self._is_socket = url.startswith("socket://")
-        self._link = clock.link(url)
-        self._link.change(attached=True)
-        self._silent = False
         self._closed = False
         self.late = ""
         """The newest reply that came after its time-out, for the operator; empty: none."""
@@ -179,7 +176,6 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
             self._port.open()
         except Exception as problem:
             raise _refused(self.url, problem) from None
-        self._link.change(attached=True)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -187,11 +183,7 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
         return {name: getattr(self._port, name) for name in ("baudrate", "bytesize", "parity", "stopbits")}
 
     def write(self, data: bytes) -> None:
-        if self._terminator:
-            data = data.rstrip(b"\r\n") + self._terminator
-        now = self._clock.now()
-        self._link.change(to_device=len(data), host_is_there=True)
-        self._silent = False
+        data, now = self._ended(data), self._clock.now()
         try:
             self._port.write(data)
         except serial.SerialTimeoutException:
@@ -204,6 +196,9 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
         finally:
             self._record(now, ">", data)
 
+    def _ended(self, data: bytes) -> bytes:
+        return data.rstrip(b"\r\n") + self._terminator if self._terminator else data
+
     def read(self, timeout_s: float) -> bytes:
         """The waiting bytes, as soon as there are any; empty when nothing came in `timeout_s` real seconds."""
         return self.read_stamped(timeout_s)[0]
@@ -212,9 +207,7 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
         """Like `read`, with the clock's time of arrival."""
         try:
             self._set_timeout(timeout_s)
-            with self._clock.real_pace() if self._silent and timeout_s > 0.0 else contextlib.nullcontext():
-                data: bytes = self._port.read(1)
-            self._silent = not data
+            data: bytes = self._port.read(1)
             if data:
                 if self._is_socket:
                     self._set_timeout(0.0)
@@ -226,8 +219,6 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
         now = self._clock.now()
         if data:
             self._record(now, "<", data)
-            # Counted after the stamp: virtual time cannot have moved between arrival and stamp.
-            self._link.change(to_host=-len(data), host_is_there=True)
         return data, now
 
     def drain(self, quiet_s: float = 0.0, *, longest_s: float = 2.0) -> bytes:
@@ -245,7 +236,6 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
         if self._closed:
             return
         self._closed = True
-        self._link.change(attached=False)
         with contextlib.suppress(Exception):
             self._port.close()
         self._lock.release()

@@ -1,12 +1,15 @@
 """A bench for the tests: simulated devices behind pseudo-terminals, and the drivers that talk to them."""
 
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from simulated_devices.espec import EspecOptions, SimulatedEspec
 from simulated_devices.gyro import Mounting, SensorTruth, SimulatedSensor
 from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
+from simulated_devices.line_clock import CountedTransport
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
 from simulated_devices.port import SimulatedPort
@@ -24,6 +27,7 @@ from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import lines, odrive, registers, stim300, vectornav, weiss, zaber
+from gradcal_jax.hardware.journal import JournalContents, read_journal
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.transport import Transport
 
@@ -31,7 +35,7 @@ from gradcal_jax.hardware.transport import Transport
 @contextmanager
 def served(device: Any, clock: Clock, baudrate: int, **options: Any) -> Iterator[tuple[SimulatedPort, Transport]]:
     with SimulatedPort(device, clock, **options) as port:
-        transport = Transport(port.url, clock=clock, baudrate=baudrate)
+        transport = CountedTransport(port.url, clock=clock, baudrate=baudrate)
         try:
             with clock.party():
                 yield port, transport
@@ -251,6 +255,14 @@ class Rig:
     def __exit__(self, *_: object) -> None:
         for port in self.ports:
             port.close()
+
+
+def parse_journal(data: bytes) -> JournalContents:
+    """What a journal of these bytes holds."""
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(data)
+        file.flush()
+        return read_journal(Path(file.name))
 
 
 def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict[str, Any] | None = None) -> Recipe:

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from hardware_bench import parse_journal
 from hardware_processes import start_run
 
-from gradcal_jax.hardware.journal import Event, JournalContents, parse_journal
+from gradcal_jax.hardware.journal import Event, JournalContents
 from gradcal_jax.hardware.run_folder import exit_status
 from gradcal_jax.hardware.track import Track
 

@@ -33,9 +33,11 @@ from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import WeissOptions
 
+from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.rig import rig_of
 from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers.registers import RegistersChamber, RegistersConfig, open_exchange
+from gradcal_jax.hardware.drivers.registers import RegistersChamber, open_exchange
 from gradcal_jax.hardware.drivers.weiss import WeissConfig
 from gradcal_jax.hardware.errors import (
     Disconnected,
@@ -49,7 +51,7 @@ from gradcal_jax.hardware.errors import (
 from gradcal_jax.hardware.modbus import Tcp, parse_words, parse_written, read_body, write_body
 from gradcal_jax.hardware.request_reply import NotThisReply
 from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
-from gradcal_jax.hardware.setup import DRIVERS
+from gradcal_jax.hardware.setup import DRIVERS, configs_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.track import Course
 from gradcal_jax.hardware.transport import Transport
@@ -589,5 +591,7 @@ def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on
         assert device.plant.conditioning
         device.memory.words[16598] = 62
         assert not chamber.read().conditioning
-    with pytest.raises(ValueError, match="address is 256"):
-        RegistersConfig("watlow-f4t", address=256)
+    table = {"driver": "registers", "port": "COM1", "safe": "hold"}
+    table["options"] = {"protocol": "watlow-f4t", "address": 256}
+    with pytest.raises(SpecError, match=r"chamber.options.address = 256: must be at most 255"):
+        configs_of(rig_of({"format": "gradcal-rig/1", "chamber": table}))

@@ -578,3 +578,20 @@ def test_modbus_tcp_messages_come_out_whole_however_they_are_cut(noise: bytes, d
     for frame in ModbusTcpFramer().push(sent[:2] + bytes(2) + noise):
         with suppress(FramingError, NotThisReply, Rejected):
             parse_words(Tcp(1), frame, sent, 2)
+
+
+@pytest.mark.parametrize("rate_hz", [125.0, 2000.0])
+def test_rehearsed_units_send_what_the_data_sheet_says(rate_hz: float) -> None:
+    """The simulator's one kind of datagram is that of the peer which has all kinds."""
+    from simulated_devices.datagrams import datagrams
+
+    from gradcal_jax.hardware.simulate import datagrams as rehearsed
+    from gradcal_jax.hardware.simulate.sensor import SensorSamples
+
+    random, count = np.random.default_rng(5), 300
+    rates, forces = 600.0 * random.standard_normal((count, 3)), 9.0 * random.standard_normal((count, 3))
+    forces[7] = np.nan
+    samples = SensorSamples(np.arange(count) / rate_hz, rates, forces, 60.0 * random.standard_normal(count))
+    expected = datagrams(samples, 41, np.zeros(count, np.bool_), rate_hz=rate_hz)
+    assert np.array_equal(rehearsed.datagrams(samples, 41, rate_hz), expected)
+    assert set(expected[:, 10]) > {0}  # some rates are beyond the range

@@ -22,6 +22,7 @@ import serial
 from hardware_bench import Rig, short_recipe
 from hardware_processes import laboratory, start_run
 from simulated_devices.faults import Faults
+from simulated_devices.line_clock import FastClock
 from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.files.rig import TEMPLATE
@@ -29,7 +30,7 @@ from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware import guard, runner, session
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused
-from gradcal_jax.hardware.interlocks import InterlockLimits, standard_rules
+from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.runner import RunProgress, RunResult
@@ -212,7 +213,7 @@ def test_a_guard_that_died_is_announced_and_replaced(
 ) -> None:
     monkeypatch.setattr(session, "BEAT_S", 0.1)
     killed: list[int] = []
-    clock, made = RealClock(speed=SPEED), short_recipe(1.0)
+    clock, made = FastClock(SPEED), short_recipe(1.0)
 
     def look(progress: RunProgress) -> None:
         if not killed:
@@ -233,7 +234,7 @@ def test_a_guard_that_died_is_announced_and_replaced(
     monkeypatch.setattr(runner, "make_safe", hindered)
     with SimulatedLab(made.spec, clock) as lab:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
-        result = run_of(lab, folder, clock, on_progress=look, interlocks=standard_rules(InterlockLimits(latest_s=20.0)))
+        result = run_of(lab, folder, clock, on_progress=look, interlocks=Interlocks(InterlockLimits(latest_s=20.0)))
         assert not result.verified_safe
         end = time.monotonic() + 60.0
         # Until it is through: a guard whose devices vanish tries them again for an hour.
@@ -290,7 +291,7 @@ def test_what_the_run_leaves_unsafe_is_made_safe(how: str, tmp_path: Path, monke
         return [SafeOutcome("chamber", "standby", False, "has not answered yet", 1, 60.0)]
 
     monkeypatch.setattr(runner, "make_safe", hindered)
-    clock, made = RealClock(speed=SPEED), short_recipe(1.0)
+    clock, made = FastClock(SPEED), short_recipe(1.0)
     with SimulatedLab(made.spec, clock) as lab:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
         if how == "broken off":
@@ -307,7 +308,7 @@ def test_what_the_run_leaves_unsafe_is_made_safe(how: str, tmp_path: Path, monke
 
 
 def test_a_run_that_ends_safe_or_does_not_begin_leaves_nothing_to_the_guard(tmp_path: Path) -> None:
-    clock, made = RealClock(speed=SPEED), short_recipe(1.0)
+    clock, made = FastClock(SPEED), short_recipe(1.0)
     with SimulatedLab(made.spec, clock) as lab:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
         result = run_of(lab, folder, clock, with_runner=lambda runner: runner.request("abort", "now"))

@@ -10,23 +10,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hardware_bench import Rig
+from hardware_bench import Rig, parse_journal
 from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.decoding.clockmap import fit_clock
+from gradcal_jax.files.rig import rig_of
 from gradcal_jax.hardware import journal as journal_module
+from gradcal_jax.hardware.axis_control import AxisControl
+from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import (
     Chunk,
     Event,
     Journal,
-    parse_journal,
     read_journal,
 )
+from gradcal_jax.hardware.roles import AxisLimits
 from gradcal_jax.hardware.safety import make_safe
-from gradcal_jax.hardware.setup import open_rig
+from gradcal_jax.hardware.setup import Bench, open_rig
+from gradcal_jax.hardware.simulate.devices import SimulatedAxis, SimulatedChamber
+from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 
 # --- journal ----------------------------------------------------------------------------------------------------------
 
@@ -333,3 +338,49 @@ def test_wall_clock_has_no_say(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     before, after = read_journal(tmp_path / "j").events
     assert 0.0 < after.time_s - before.time_s < 10.0
     assert os.path.getsize(tmp_path / "j") > 0
+
+
+def test_a_command_that_goes_on_does_not_undo_what_was_made_safe() -> None:
+    """A chamber that is slow to take a set point is in standby at the end, and verified only then."""
+
+    class Slow(SimulatedChamber):
+        def hold(self, temperature_c: float) -> None:
+            goes_on.set()
+            time.sleep(1.0)
+            SimulatedChamber.hold(self, temperature_c)
+
+    clock, goes_on = RealClock(), threading.Event()
+    chamber = Slow(ChamberPlant(ChamberTruth(), clock.now()), clock, -40.0, 90.0)
+    rig = rig_of({"format": "gradcal-rig/1", "chamber": {"driver": "espec", "port": "COM1", "safe": "standby"}})
+    control = ChamberControl(chamber, clock, lambda *_, **__: None)
+    told = threading.Thread(target=control.hold, args=(60.0,))
+    told.start()
+    goes_on.wait()
+    (outcome,) = make_safe(Bench(rig, chamber), clock, deadline_s=5.0, busy=lambda _: not control.end(0.2))
+    told.join()
+    assert (outcome.verified, chamber.read().conditioning) == (True, False)
+    assert outcome.tries > 1
+
+
+def test_a_search_for_the_reference_that_goes_on_does_not_undo_a_stop() -> None:
+    class Slow(SimulatedAxis):
+        def home(self) -> None:
+            searching.set()
+            time.sleep(1.0)
+            self.plant.spin(clock.now(), 30.0, 100.0)
+
+    clock, searching = RealClock(), threading.Event()
+    axis = Slow(AxisPlant(None, clock.now()), clock, AxisLimits(100.0, 100.0, None, None, 0.001, False))
+    table = {"name": "a", "driver": "zaber", "port": "COM1", "safe": "hold", "gravity_loaded": False}
+    rig = rig_of({"format": "gradcal-rig/1", "axis": [table]})
+    control = AxisControl({"a": axis}, clock, lambda *_, **__: None)
+
+    def ends() -> None:
+        searching.wait()
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        control.home(["a"], ends)
+    (outcome,) = make_safe(Bench(rig, axes={"a": axis}), clock, deadline_s=5.0, busy=control.is_homing)
+    assert (outcome.verified, axis.read().moving) == (True, False)
+    assert outcome.tries > 1

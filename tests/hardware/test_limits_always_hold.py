@@ -1,6 +1,7 @@
 """Limits hold in every state of a run: a heater that is welded on, a chamber that stops, a pause that nobody ends, a
 jammed axis. The plants do what the faults do; the devices keep the state that their firmware has."""
 
+import math
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,7 +17,7 @@ from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import TEMPLATE, parse_rig, rig_of
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation, standard_rules
+from gradcal_jax.hardware.interlocks import RULES, InterlockLimits, InterlockRule, Interlocks, Situation
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.roles import ChamberReading
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
@@ -38,7 +39,7 @@ def lab(
         rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"
         # Hours of pause go by: without the unit's stream, which has no part in any of this.
         with open_rig(only_of(rig.rig, {"chamber", "table"}), clock) as bench:
-            rules = standard_rules(limits)
+            rules = Interlocks(limits or InterlockLimits())
             more: dict[str, Any] = {"safe_deadline_s": 10.0, "wait_when_paused": attended}
             yield rig, Runner(track, bench, journal, clock, rules, **more)
 
@@ -51,7 +52,7 @@ def pause_by_rule(runner: Runner, after_s: float = 30.0) -> None:
     """A further rule of the run pauses it once, in a step that lasts so long."""
     begun: list[float] = []
 
-    def wrong(now: Situation) -> str:
+    def wrong(bounds: InterlockLimits, now: Situation) -> str:
         begun[:] = begun or [now.time_s]
         return "something is amiss" if now.time_s > begun[0] + after_s else ""
 
@@ -115,7 +116,7 @@ def after(runner: Runner, seconds: float, act: Callable[[], Any]) -> None:
 @pytest.mark.parametrize("state", ["homing", "stabilising", "running", "paused by a request", "paused by a rule"])
 def test_air_that_leaves_the_limits_of_the_rig_ends_a_run_in_every_state(tmp_path: Path, state: str) -> None:
     # The other rules of temperature are off: this one holds alone.
-    limits = InterlockLimits(temperature_band_k=None, never_above_c=60.0)
+    limits = InterlockLimits(temperature_band_k=math.inf, never_above_c=60.0)
     turns = TrackStep("turn", 10.0, moves=(AxisCommand(0.0, "table", "go", 10.0, 60.0, 60.0),))
     track = {"homing": Track((turns,)), "stabilising": HOT}.get(state, STANDS)
     with lab(tmp_path, track, limits, attended=True) as (rig, runner):
@@ -156,7 +157,7 @@ def test_without_limits_in_the_rig_file_the_chambers_own_hold(tmp_path: Path) ->
 
 
 def test_a_load_that_leaves_the_limits_counts_too() -> None:
-    rules = standard_rules(InterlockLimits(never_below_c=-40.0))
+    rules = Interlocks(InterlockLimits(never_below_c=-40.0))
     reading = ChamberReading(0.0, -30.0, -41.0, -30.0, "RUN", True, ())
     tripped = rules.check(Situation(0.0, reading, {}, {}, 1 << 40, None, {}))
     assert tripped is not None
@@ -375,15 +376,14 @@ def test_a_pause_in_a_turn_is_no_overspeed(tmp_path: Path) -> None:
     with lab(tmp_path, Track((TrackStep("turn", 60.0, moves=moves),)), attended=True) as (_, runner):
         amiss: list[float] = []
 
-        def wrong(now: Situation) -> str:
+        def wrong(bounds: InterlockLimits, now: Situation) -> str:
             turns = abs(now.axes["table"].rate_dps) > 100.0 if "table" in now.axes else False
             if turns and not amiss:
                 amiss.append(now.time_s)
                 return "something is amiss"
             return ""
 
-        rules = standard_rules().rules
-        runner.interlocks = Interlocks((*rules, InterlockRule("amiss", "pause", 0.0, wrong)))
+        runner.interlocks = Interlocks(rules=(*RULES, InterlockRule("amiss", "pause", 0.0, wrong)))
 
         def go_on() -> None:
             while runner.state is not RunState.PAUSED:

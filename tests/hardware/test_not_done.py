@@ -15,7 +15,7 @@ from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.hardware.binding import track_of
-from gradcal_jax.hardware.interlocks import InterlockLimits, standard_rules
+from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import open_rig
@@ -29,7 +29,7 @@ def lab(folder: Path, *, stage: bool = False, limits: InterlockLimits | None = N
         rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"
         bench = open_rig(rig.rig, clock)
         track = track_of(short_recipe(2.0), ["table"])
-        rules = standard_rules(limits)
+        rules = Interlocks(limits or InterlockLimits())
         with bench:
             yield rig, Runner(track, bench, journal, clock, rules, safe_deadline_s=10.0, wait_when_paused=False)
 

@@ -33,6 +33,7 @@ from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.clock import Clock, RealClock
 from gradcal_jax.hardware.drivers import operator, zaber
+from gradcal_jax.hardware.dry_run import beyond_limits
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded
 from gradcal_jax.hardware.execute import run
 from gradcal_jax.hardware.journal import Chunk, read_journal
@@ -40,11 +41,11 @@ from gradcal_jax.hardware.roles import AxisLimits, AxisSafe, ChamberLimits
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.devices import HandTurnedAxis, SimulatedPerson
+from gradcal_jax.hardware.simulate.devices import SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 from gradcal_jax.hardware.terminal import Terminal
-from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, beyond_limits
+from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep
 from gradcal_jax.units import UnitError
 
 # ------------------------------------------------------------------------------------------------------------ words
@@ -178,7 +179,7 @@ def test_who_is_late_is_rung_for_and_a_port_that_is_gone_is_said() -> None:
         settled(axis, clock)
         assert b"".join(bells).count(b"\a") == 1 + 3
         axis.move_to(10.0, 30.0, 10.0)
-        axis.close()
+        axis._console._line.close()  # type: ignore[attr-defined]
         end = time.monotonic() + 5.0
         with pytest.raises(Disconnected):
             axis.home()
@@ -382,15 +383,15 @@ def test_an_axis_whose_angle_is_typed_is_not_read_at_rest() -> None:
 
 def test_early_turns_make_up_for_late_ones() -> None:
     clock = VirtualClock()
-    limits = AxisLimits(120.0, 200.0, None, None, 0.01, hardware_watchdog=False, by_hand=True, typed=True)
-    person = SimulatedPerson(reaction_s=9.0, pace_spread=0.0)
-    axis = HandTurnedAxis(AxisPlant(), clock, limits, person, 1)
+    slow = SimulatedHand(reaction_s=9.0, pace_spread=0.0)
+    person = SimulatedPerson(clock, {"x": AxisPlant()}, slow)
+    axis = operator.OperatorAxis(person, operator.OperatorConfig(), clock, "x")
     control = AxisControl({"x": axis}, clock, lambda *_, **__: None)
     turn = AxisCommand(0.0, "x", "turn", rate_dps=60.0, acceleration_dps2=60.0, angle_deg=90.0, answer_s=4.0)
     with clock.party():
         control.home(["x"], lambda: None)
         late = []
-        for axis._hand in (person, replace(person, reaction_s=0.0), replace(person, reaction_s=0.0)):
+        for person.hand in (slow, replace(slow, reaction_s=0.0), replace(slow, reaction_s=0.0)):
             control.move("turns", turn, clock.now(), lambda: None)
             control.settle("x", lambda: None)
             late.append(control.late_s)
@@ -596,7 +597,7 @@ def test_a_pause_at_the_terminal_an_end_of_input_and_a_resumed_run(tmp_path: Pat
             terminal.wait_for("turn by +360 deg")
             terminal.type("\x04")  # Ctrl-D: nobody is there any more
             assert terminal.ends() == 3
-            assert "input has ended" in terminal.said
+            assert "gives no more input (Ctrl-D" in " ".join(terminal.said.split()), terminal.said[-1500:]
         with AtTerminal("run", "--resume", folder) as terminal:
             turn(terminal, "zero mark", 0.1, "0.1 deg\n")
             turn(terminal, "turn by +360 deg", 360.2, "360.2 deg\n")

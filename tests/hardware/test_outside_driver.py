@@ -26,7 +26,7 @@ from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import configs_of, driver_names, driver_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 
-HERE = Path(__file__).parent / "outside_driver"
+HERE = Path(__file__).parents[2] / "docs" / "how-to" / "driver-package"
 
 
 class SimulatedAcme:

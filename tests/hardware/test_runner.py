@@ -17,13 +17,14 @@ from simulated_devices.gyro import EARTH_RATE_DPS, SensorTruth
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.decoding.clockmap import fit_clock
-from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation, standard_rules
+from gradcal_jax.hardware.dry_run import beyond_limits
+from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import ChamberLimits, join
 from gradcal_jax.hardware.runner import WAYS, Runner, RunProgress, RunState
 from gradcal_jax.hardware.session import signals_to
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep, beyond_limits
+from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
 
 TURN = AxisCommand(2.0, "table", "go", position_deg=360.0, rate_dps=120.0, acceleration_dps2=240.0)
 BACK = AxisCommand(12.0, "table", "go", position_deg=0.0, rate_dps=60.0, acceleration_dps2=240.0)
@@ -281,7 +282,7 @@ def test_temperature_that_never_settles_ends_the_run_with_a_sentence(tmp_path: P
 
 def test_full_disk_pauses_before_it_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with lab(tmp_path) as (_, runner):
-        runner.interlocks = standard_rules(InterlockLimits(free_bytes=1 << 60))
+        runner.interlocks = Interlocks(InterlockLimits(free_bytes=1 << 60))
         runner.wait_when_paused = False
         result = runner.run()
         assert result.exit_status == "aborted"
@@ -368,14 +369,14 @@ def test_an_interlock_pauses_a_run_that_was_to_pause_anyway(tmp_path: Path) -> N
         runner.track = Track((TrackStep("stand", 20.0),))
         begun: list[float] = []
 
-        def wrong(now: Situation) -> str:
+        def wrong(bounds: InterlockLimits, now: Situation) -> str:
             return "something is amiss" if begun and begun[0] < now.time_s < begun[0] + 5.0 else ""
 
         def pause() -> None:
             begun.append(runner.clock.now())
             runner.request("soft pause")
 
-        runner.interlocks = Interlocks((InterlockRule("amiss", "pause", 2.0, wrong),))
+        runner.interlocks = Interlocks(rules=(InterlockRule("amiss", "pause", 2.0, wrong),))
         when_step_begins(runner, 0, pause)
         once_paused(runner, lambda: runner.request("resume"))
         assert runner.run().exit_status == "success"

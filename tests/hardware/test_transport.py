@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated_devices import transcripts
 from simulated_devices.espec import SimulatedEspec
-from simulated_devices.line_clock import LineClock
+from simulated_devices.line_clock import CountedTransport, LineClock
 from simulated_devices.port import SimulatedPort
 from simulated_devices.replay import ReplayedDevice
 
@@ -223,7 +223,7 @@ def test_recorded_conversation_becomes_a_device(tmp_path: Path) -> None:
     with (
         transcript.Transcript(path) as record,
         SimulatedPort(device, clock) as port,
-        Transport(port.url, clock=clock, recorder=record.recorder("line")) as line,
+        CountedTransport(port.url, clock=clock, recorder=record.recorder("line")) as line,
         clock.party(),
     ):
         live = conversation(line)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hardware_bench import parse_journal
 from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
@@ -15,7 +16,6 @@ from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused
-from gradcal_jax.hardware.journal import parse_journal
 from gradcal_jax.hardware.run_folder import sessions, steps_done
 from gradcal_jax.hardware.transport import Transport
 

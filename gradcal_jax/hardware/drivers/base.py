@@ -1,15 +1,18 @@
-"""Base classes of drivers whose device answers requests: its exchange, its closing, and the safe state of a chamber."""
+"""Base classes of drivers whose device answers requests: its exchange, verified commands, and the safe state of a
+chamber; the scale of an axis, and the wait until it stands."""
 
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-from ..errors import DeviceFault, LimitExceeded, NotVerified
-from ..request_reply import Exchange
-from ..roles import AxisReading, ChamberLimits, ChamberReading, ChamberSafe, SafeReport
+from ..errors import DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected
+from ..request_reply import Exchange, Reply, command_and_verify
+from ..roles import AxisReading, AxisSafe, ChamberLimits, ChamberReading, ChamberSafe, SafeReport
 
 Config = TypeVar("Config")
 _OVER_S = 0.4
+_LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 
 
 class ExchangeDriver(Generic[Config]):
@@ -17,20 +20,25 @@ class ExchangeDriver(Generic[Config]):
 
     def __init__(self, exchange: Exchange, config: Config) -> None:
         self._exchange, self._config, self._clock = exchange, config, exchange.clock
+        self._title = exchange.device
 
-    def close(self) -> None:
-        self._exchange.transport.close()
+    def _verify(
+        self,
+        what: str,
+        send: Callable[[], object],
+        read: Callable[[], Reply],
+        shows: Callable[[Reply], bool],
+        looks: int = 3,
+    ) -> Reply:
+        """Command until the read-back shows it (`command_and_verify`)."""
+        return command_and_verify(send, read, shows, what=what, clock=self._clock, looks=looks)
 
 
 class ImuDriver(ExchangeDriver[Config]):
-    """A unit that streams: it has no unsafe state."""
+    """A unit that streams."""
 
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
         return self._exchange.transport.read_stamped(timeout_s)
-
-    def safe(self) -> SafeReport:
-        unit = self._exchange.device.replace("The", "a", 1)
-        return SafeReport("left streaming", True, f"{unit} has nothing that can be unsafe")
 
 
 class ChamberDriver(ExchangeDriver[Config], ABC):
@@ -54,11 +62,16 @@ class ChamberDriver(ExchangeDriver[Config], ABC):
     @abstractmethod
     def _air_c(self) -> float: ...
 
+    def _plausible(self, temperature_c: float) -> float:
+        if not _LOWEST_PLAUSIBLE_C <= temperature_c <= _HIGHEST_PLAUSIBLE_C:
+            what = f"{self._title} reports {temperature_c} degC, which is not plausible"
+            raise FramingError(f"{what}. Check the line, the sensor, and what is known of the protocol.")
+        return temperature_c
+
     def _check(self, temperature_c: float) -> None:
         limits = self.limits()
         if not limits.lowest_c <= temperature_c <= limits.highest_c:
-            device = self._exchange.device
-            bounds = self._BOUNDS.format(low=limits.lowest_c, high=limits.highest_c, device=device)
+            bounds = self._BOUNDS.format(low=limits.lowest_c, high=limits.highest_c, device=self._title)
             raise LimitExceeded(f"{temperature_c:.1f} degC lies outside {bounds}")
 
     def _evidence(self, reading: ChamberReading) -> str:
@@ -118,12 +131,27 @@ class AxisDriver(ExchangeDriver[Place], ABC):
             raise LimitExceeded(f"{position_deg:g} deg lies outside the travel {lowest:g} to {highest:g} deg.")
 
     def _require_motion(self, rate_dps: float, fastest_dps: float, acceleration_dps2: float, most_dps2: float) -> None:
-        for value, most, unit in (
-            (rate_dps, fastest_dps, "deg/s"),
-            (acceleration_dps2, most_dps2, "deg/s²"),
-        ):
+        for value, most, unit in ((rate_dps, fastest_dps, "deg/s"), (acceleration_dps2, most_dps2, "deg/s²")):
             if not 0.0 < value <= most * (1.0 + 1e-9):
                 raise LimitExceeded(f"{value:g} {unit} lies outside 0 to {most:g} {unit}.")
+
+    def _require_ready(self, *, referenced: bool) -> None:
+        """Raise where the axis has a fault, or no reference though a move needs it."""
+        reading = self.read()
+        if reading.faults or (referenced and not reading.referenced):
+            raise DeviceFault(
+                f"The axis cannot be moved: {', '.join(reading.faults) or 'it has no reference'}. Home it first."
+            )
+
+    def _left_safe(self, policy: AxisSafe, lack: str, unpower: Callable[[], object]) -> SafeReport:
+        """The end of `safe`, where the axis stands: without power, if that is wanted and nothing lacks for it."""
+        if policy is AxisSafe.UNPOWER:
+            if lack:
+                raise Rejected(f"{self._title} cannot be unpowered: {lack}.")
+            unpower()
+        reading = self.read()
+        state = "; ".join((*reading.faults, *reading.warnings)) or "no faults"
+        return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
 
     def _until_still(self, longest_s: float, doing: str, *, raise_faults: bool = True) -> AxisReading:
         end = self._clock.now() + longest_s

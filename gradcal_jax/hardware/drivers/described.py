@@ -7,41 +7,23 @@ A description has `fields` (readings as the device's own text, by name), `state`
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, Protocol, TypeVar
+from typing import TypeVar
 
 from ... import units
-from ...files.line_protocol import Condition, DeviceLimits, DeviceUnits, RequiredSetting
+from ...files.line_protocol import LineProtocol
+from ...files.register_protocol import RegisterProtocol
 from ..errors import FramingError, LimitExceeded, Rejected
-from ..request_reply import Exchange, command_and_verify
+from ..request_reply import Exchange
 from ..roles import ChamberLimits, ChamberReading, Identity
 from .base import ChamberDriver, ExchangeDriver
 
 Texts = dict[str, str]
 """Fields in the device's own text."""
 
-_LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _SETTLED_K = 2.0
 
 
-class Description(Protocol):
-    """What every description has."""
-
-    @property
-    def title(self) -> str: ...
-    @property
-    def units(self) -> DeviceUnits: ...
-    @property
-    def limits(self) -> DeviceLimits: ...
-    @property
-    def tell(self) -> Mapping[str, Any]: ...
-    @property
-    def state(self) -> Mapping[str, Condition]: ...
-    @property
-    def require(self) -> tuple[RequiredSetting, ...]: ...
-    @property
-    def fields(self) -> Mapping[str, str]: ...
-
-
+Description = LineProtocol | RegisterProtocol
 Options = TypeVar("Options")
 
 
@@ -52,7 +34,7 @@ class DescribedDevice(ExchangeDriver[Options], ABC):
 
     def __init__(self, exchange: Exchange, config: Options, description: Description, *, require: bool) -> None:
         super().__init__(exchange, config)
-        self._description, self._title, self._requires = description, description.title, require
+        self._description, self._requires = description, require
 
     @abstractmethod
     def _read(self, *names: str) -> Texts:
@@ -76,12 +58,11 @@ class DescribedDevice(ExchangeDriver[Options], ABC):
         """Send "on" or "off" until the device shows that state, unless it does already."""
         names = self._asks_of(state)
         if self._is(state, self._read(*names)) is not on:
-            command_and_verify(
+            self._verify(
+                f"{self._title} {name}",
                 lambda: self._tell(name),
                 lambda: self._read(*names),
                 lambda texts: self._is(state, texts) is on,
-                what=f"{self._title} {name}",
-                clock=self._clock,
             )
 
     def _is(self, name: str, texts: Texts) -> bool:
@@ -202,10 +183,7 @@ class DescribedChamber(DescribedDevice[Options], ChamberDriver[Options]):
         return texts[self._description.state["conditioning"].field]
 
     def _celsius(self, text: str) -> float:
-        value = units.convert(float(text), self._description.units.temperature, "degC")
-        if not _LOWEST_PLAUSIBLE_C <= value <= _HIGHEST_PLAUSIBLE_C:
-            raise FramingError(f"{self._title} reports {value} degC, which is not plausible. Check line and sensor.")
-        return value
+        return self._plausible(units.convert(float(text), self._description.units.temperature, "degC"))
 
 
 def _same_number(left: str, right: str) -> bool:

@@ -24,17 +24,9 @@ from ... import units
 from ...files.line_protocol import LineProtocol, LineQuestion, formatted, protocol_of, reply_pattern, shows
 from ..checksums import xor8
 from ..clock import Clock
-from ..errors import (
-    ChecksumError,
-    DeviceFault,
-    FramingError,
-    NotVerified,
-    Rejected,
-    ReplyTimeout,
-    printable,
-)
+from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, ReplyTimeout, printable
 from ..framing import LineFramer
-from ..request_reply import Exchange, NotThisReply, command_and_verify
+from ..request_reply import Exchange, NotThisReply
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
@@ -56,7 +48,7 @@ class LinesConfig:
     changes: Any = None
     baudrate: int = 0
     reply_timeout_s: float = 0.0
-    direction: int = 1
+    direction: Literal[-1, 1] = 1
     zero_deg: float = 0.0
     max_rate_dps: float | None = None
     max_acceleration_dps2: float | None = None
@@ -69,8 +61,6 @@ class LinesConfig:
     def __post_init__(self) -> None:
         if not self.baudrate:
             object.__setattr__(self, "baudrate", self.described.line.baudrate)
-        if self.direction not in (-1, 1):
-            raise ValueError(f"direction is {self.direction}; it is 1 or -1.")
 
     @cached_property
     def described(self) -> LineProtocol:
@@ -229,12 +219,11 @@ class _Spoken(DescribedDevice[LinesConfig]):
     def _tell_shown(self, name: str, values: Mapping[str, float], shown_by: tuple[str, ...]) -> Texts:
         """Send a value until the device shows it; returns the value shown."""
         (value,) = {text for send in self._protocol.tell[name].send for text in formatted(send, values)[1].values()}
-        return command_and_verify(
+        return self._verify(
+            f"{name} {value}",
             lambda: self._tell(name, values),
             lambda: self._read(*shown_by),
             lambda shown: all(shows(value, shown[part]) for part in shown_by),
-            what=f"{name} {value}",
-            clock=self._clock,
         )
 
 
@@ -324,16 +313,15 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         limits = self._check(rate_dps, acceleration_dps2)
         self._require_travel(position_deg, limits.travel_deg)
         self._require_ready(referenced=True)
+        self._power_on()
         self._stop_if_moving()
         self._prepare(rate_dps, acceleration_dps2)
         values = {"position": self._own(position_deg), **self._motion(rate_dps, acceleration_dps2)}
-        near = limits.resolution_deg
-        command_and_verify(
+        self._verify(
+            f"The move to {position_deg:g} deg",
             lambda: self._tell("move", values),
             self.read,
-            lambda reading: reading.moving or abs(reading.position_deg - position_deg) <= near,
-            what=f"The move to {position_deg:g} deg",
-            clock=self._clock,
+            lambda reading: reading.moving or abs(reading.position_deg - position_deg) <= limits.resolution_deg,
         )
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
@@ -341,6 +329,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
             raise Rejected(f"The protocol of {self._title} has no constant rates: make turns of them.")
         self._check(abs(rate_dps), acceleration_dps2)
         self._require_ready(referenced=False)
+        self._power_on()
         shown_by = self._protocol.tell["spin"].shown_by
         if not shown_by:
             self._stop_if_moving()
@@ -354,13 +343,8 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         if shown_by:
             self._tell_shown("spin", values, shown_by)
             return
-        command_and_verify(
-            lambda: self._tell("spin", values),
-            self.read,
-            lambda reading: reading.moving,
-            what=f"The rate {rate_dps:g} deg/s",
-            clock=self._clock,
-        )
+        what = f"The rate {rate_dps:g} deg/s"
+        self._verify(what, lambda: self._tell("spin", values), self.read, lambda reading: reading.moving)
 
     def stop(self) -> None:
         # A stop is harmless when repeated: it is sent until the axis stands.
@@ -381,13 +365,8 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
-        if policy is AxisSafe.UNPOWER:
-            if lack := self._config.lacks_for(policy.value):
-                raise Rejected(f"{self._title} cannot be unpowered: {lack}.")
-            self._switch("off", "powered", False)
-        reading = self.read()
-        state = "; ".join(reading.faults) or "no faults"
-        return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
+        lack = self._config.lacks_for(policy.value)
+        return self._left_safe(policy, lack, lambda: self._switch("off", "powered", False))
 
     def _per_turn(self) -> float:
         return units.convert(360.0, "deg", self._protocol.units.angle)
@@ -401,13 +380,6 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
         limits = self.limits()
         self._require_motion(rate_dps, limits.max_rate_dps, acceleration_dps2, limits.max_acceleration_dps2)
         return limits
-
-    def _require_ready(self, *, referenced: bool) -> None:
-        reading = self.read()
-        if reading.faults or (referenced and not reading.referenced):
-            why = ", ".join(reading.faults) or "it has no reference"
-            raise DeviceFault(f"The axis cannot be moved: {why}. Home it first.")
-        self._power_on()
 
     def _power_on(self) -> None:
         if "on" in self._protocol.tell:

@@ -29,14 +29,17 @@ its index or was switched on: there is no homing by default (`home_state` 11 ask
 import math
 import re
 from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from ..checksums import xor8
 from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, printable
 from ..framing import LineFramer
-from ..request_reply import Exchange, command_and_verify
+from ..request_reply import Exchange
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
@@ -84,13 +87,13 @@ _CONTROL_MODE, _INPUT_MODE = "controller.config.control_mode", "controller.confi
 class ODriveConfig:
     """Options of the rig file. `generation` is the firmware's, "0.5" or "0.6"; zero `watchdog_s`: no watchdog."""
 
-    motor: int = 0
-    generation: str = "0.5"
+    motor: Literal[0, 1] = 0
+    generation: Literal["0.5", "0.6"] = "0.5"
     baudrate: int = 115200
     reply_timeout_s: float = 0.3
     watchdog_s: float = 1.0
-    turns_per_table_turn: float = 1.0
-    direction: int = 1
+    turns_per_table_turn: Annotated[float, Field(gt=0.0)] = 1.0
+    direction: Literal[-1, 1] = 1
     zero_deg: float = 0.0
     max_rate_dps: float = 300.0
     max_acceleration_dps2: float = 300.0
@@ -105,12 +108,6 @@ class ODriveConfig:
     input_velocity_property: str = "controller.input_vel"
     input_position_property: str = "controller.input_pos"
     setpoint_property: str = "controller.pos_setpoint"
-
-    def __post_init__(self) -> None:
-        if self.generation not in ("0.5", "0.6"):
-            raise ValueError(f"generation is {self.generation!r}; the driver knows firmware '0.5' and '0.6'.")
-        if self.motor not in (0, 1) or self.direction not in (-1, 1) or not self.turns_per_table_turn > 0.0:
-            raise ValueError("motor is 0 or 1, direction is 1 or -1, turns_per_table_turn is above zero.")
 
     @property
     def errors_in(self) -> str:
@@ -309,13 +306,8 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
     def _shown(self, words: str, path: str, value: float) -> None:
         """Send a line that has no reply until the property shows it (the reply of a property has ten characters)."""
-        command_and_verify(
-            lambda: self._tell(words),
-            lambda: self._property(path),
-            lambda shown: _near(shown, value),
-            what=f"{words!r}",
-            clock=self._clock,
-        )
+        read = partial(self._property, path)
+        self._verify(f"{words!r}", lambda: self._tell(words), read, lambda shown: _near(shown, value))
 
     def _error_code(self) -> int:
         return int(self._property(self._config.errors_in))
@@ -338,7 +330,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         self._tell("sc")
         if self._faults():
             raise DeviceFault(
-                f"The controller reports {', '.join(faults)}, also after its errors were cleared. See to the cause.",
+                f"The controller reports {', '.join(faults)}, also after its errors were cleared. See to the cause."
             )
         self._cleared = faults
 
@@ -353,14 +345,8 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
             # In position control the loop closes at the motor's position; at a velocity it would begin to turn.
             self._set(self._config.input_velocity_property, 0.0)
             self.settings.change(_CONTROL_MODE, str(POSITION_CONTROL))
-            command_and_verify(
-                lambda: self._tell(f"w axis{self._config.motor}.requested_state {CLOSED_LOOP}"),
-                self._state,
-                lambda state: state == CLOSED_LOOP,
-                what="Closing the loop",
-                clock=self._clock,
-                looks=10,
-            )
+            words = f"w axis{self._config.motor}.requested_state {CLOSED_LOOP}"
+            self._verify("Closing the loop", lambda: self._tell(words), self._state, CLOSED_LOOP.__eq__, looks=10)
         self._powered = True
 
     def _wait_for_state(self, state: int, timeout_s: float, doing: str) -> None:
@@ -390,12 +376,11 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
             return self._property(_CONTROL_MODE), self._property(path) - self._feedback()[0]
 
         self.settings.change(_CONTROL_MODE, str(POSITION_CONTROL))
-        command_and_verify(
+        self._verify(
+            "Position control where the axis stands (mode, turns from there to the set point)",
             lambda: self._tell(f"w axis{self._config.motor}.{_CONTROL_MODE} {POSITION_CONTROL}"),
             astray,
             lambda shown: shown[0] == POSITION_CONTROL and abs(shown[1]) <= tolerance,
-            what="Position control where the axis stands (mode, turns from there to the set point)",
-            clock=self._clock,
         )
 
     def _brake(self) -> AxisReading:

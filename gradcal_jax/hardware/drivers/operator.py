@@ -20,11 +20,12 @@ import math
 import threading
 from collections import deque
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from ... import units
 from ..clock import Clock
 from ..errors import Disconnected, HardwareError, LimitExceeded, Rejected
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, SafeReport
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, OperatorAsked, SafeReport
 from ..settings import KeptSettings
 from ..terminal import TextLine
 from ..track import AxisCommand
@@ -43,15 +44,13 @@ class OperatorConfig:
     resolution_deg: float = 0.01
     miss_deg: float = 5.0
     unit: str = ""
-    angle: str = "typed"
+    angle: Literal["typed", "none"] = "typed"
     remind_s: float = 30.0
     baudrate: int = 9600
 
     def __post_init__(self) -> None:
         if self.unit:
             units.parse(f"1 {self.unit}", "angle")
-        if self.angle not in ("typed", "none"):
-            raise ValueError(f'angle is "typed" or "none", not {self.angle!r}')
         if not (self.travel_deg > 0.0 and self.miss_deg > 0.0 and self.remind_s > 0.0):
             raise ValueError("travel, miss and remind are above zero.")
 
@@ -106,9 +105,6 @@ class Console:
             self._open = False
             self._line.write(f"\r\n{why}\r\n".encode())
 
-    def close(self) -> None:
-        self._line.close()
-
     def _listen(self) -> None:
         """Runs in a separate thread: the operator answers at any time, and the stamp is the time of the line's end."""
         while True:
@@ -131,7 +127,7 @@ class OperatorAxis(Unwatched):
     """Role `MotionAxis`. `name` is shown to the operator; `encoder` is an axis whose motor gets no commands."""
 
     def __init__(
-        self, console: Console, config: OperatorConfig, clock: Clock, name: str, encoder: MotionAxis | None = None
+        self, console: OperatorAsked, config: OperatorConfig, clock: Clock, name: str, encoder: MotionAxis | None = None
     ) -> None:
         self._console, self._config, self._clock, self._name = console, config, clock, name
         self._encoder = encoder
@@ -211,11 +207,6 @@ class OperatorAxis(Unwatched):
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
         return SafeReport(policy.value, True, "nothing drives it: it stands where it was left")
-
-    def close(self) -> None:
-        self._console.close()
-        if self._encoder is not None:
-            self._encoder.close()
 
     def _ask(self, what: str) -> None:
         enter = self._told or self._encoder is not None

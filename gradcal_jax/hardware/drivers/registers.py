@@ -12,14 +12,16 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from ... import units
 from ...files.register_protocol import Register, RegisterProtocol, register_protocol_of
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded
 from ..modbus import Modbus, Rtu, Tcp, parse_words, parse_written, read_body, write_body
-from ..request_reply import Exchange, command_and_verify
+from ..request_reply import Exchange
 from ..roles import ChamberSafe
 from ..transport import Transport
 from .described import DescribedChamber, Texts
@@ -36,14 +38,12 @@ class RegistersConfig:
 
     protocol: Any = ""
     changes: Any = None
-    address: int = 1
+    address: Annotated[int, Field(ge=0, le=255)] = 1
     baudrate: int = 0
     reply_timeout_s: float = 0.0
     require: bool = True
 
     def __post_init__(self) -> None:
-        if not 0 <= self.address <= 255:
-            raise ValueError(f"The controller's address is {self.address}; Modbus addresses are 0 to 255.")
         if not self.baudrate:
             object.__setattr__(self, "baudrate", self.described.line.baudrate)
 
@@ -168,13 +168,8 @@ class RegistersChamber(DescribedChamber[RegistersConfig]):
             self._exchange.query(sent, lambda frame: parse_written(self._modbus, frame, sent), repeat=False)
 
         rounded = value if entry.type == "float32" else number / 10.0**decimals
-        command_and_verify(
-            send,
-            lambda: self._number(shown_in),
-            lambda shown: abs(shown - rounded) <= near,
-            what=f"{self._title}: {command} ({name} = {value:g})",
-            clock=self._clock,
-        )
+        what = f"{self._title}: {command} ({name} = {value:g})"
+        self._verify(what, send, lambda: self._number(shown_in), lambda shown: abs(shown - rounded) <= near)
         return f"{rounded:.6g}"
 
     def _text(self, name: str) -> str:

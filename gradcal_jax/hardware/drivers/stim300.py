@@ -15,6 +15,9 @@ import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from ..checksums import crc8_stim300
 from ..clock import Clock
@@ -45,10 +48,10 @@ class Stim300Config:
     """Options of the rig file. `datagram` is the code of `$sd`: 5 is rate, acceleration and temperature."""
 
     baudrate: int = 921600
-    stopbits: int = 1
-    parity: str = "N"
+    stopbits: Literal[1, 2] = 1
+    parity: Literal["N", "E", "O"] = "N"
     sample_rate_hz: float = 125.0
-    datagram: int = 5
+    datagram: Annotated[int, Field(ge=0, lt=len(CONTENTS))] = 5
     increments: bool = False
     rate_unit_code: int = 0
     increment_unit_code: int = 1
@@ -58,10 +61,6 @@ class Stim300Config:
     def __post_init__(self) -> None:
         if self.sample_rate_hz not in SAMPLE_RATE_CODES:
             raise ValueError(f"sample_rate is {self.sample_rate_hz:g} /s; the unit has 125, 250, 500, 1000, 2000.")
-        if not 0 <= self.datagram < len(CONTENTS):
-            raise ValueError(f"datagram is {self.datagram}; the unit has 0 to 7 (5: rate, acceleration, temperature).")
-        if self.parity not in ("N", "E", "O") or self.stopbits not in (1, 2):
-            raise ValueError("parity is 'N', 'E' or 'O' and stopbits is 1 or 2.")
         bits = 1 + 8 + (self.parity != "N") + self.stopbits
         needed = 1.1 * bits * LAYOUTS[CONTENTS[self.datagram][1]].length * self.sample_rate_hz
         if self.baudrate < needed:

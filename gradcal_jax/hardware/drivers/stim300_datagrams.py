@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checksums import BIT_REVERSED, crc32_mpeg2_of_rows
-from ..roles import STANDARD_GRAVITY, ImuBatch, join
+from ..roles import STANDARD_GRAVITY, ImuBatch, imu_batch, join
 
 INTERNAL_RATE_HZ = 2000
 _MODULUS = 256  # of the counter of internal samples
@@ -286,15 +286,6 @@ class Stim300Decoder:
         )
         disturbed = np.zeros(count, np.bool_)
         disturbed[0], self._disturbed = self._disturbed, False
-        return ImuBatch(
-            host_time_s=np.zeros(count) + host_time_s,
-            device_time_s=counts.astype(np.float64) / float(INTERNAL_RATE_HZ),
-            gyro_dps=raw.astype(np.float64) * self._gyro_scale,
-            acceleration_g=acceleration,
-            temperature_c=temperature,
-            raw_gyro=raw,
-            status=status,
-            gap_before=gaps,
-            disturbed=disturbed,
-            restarted=restarted,
-        )
+        times, rates = counts.astype(np.float64) / float(INTERNAL_RATE_HZ), raw.astype(np.float64) * self._gyro_scale
+        more = {"raw_gyro": raw, "status": status, "gap_before": gaps, "disturbed": disturbed, "restarted": restarted}
+        return imu_batch(host_time_s, times, rates, acceleration, temperature, **more)

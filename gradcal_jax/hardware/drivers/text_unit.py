@@ -22,7 +22,7 @@ from ..clock import Clock
 from ..errors import FramingError, ReplyTimeout, printable
 from ..framing import LineFramer
 from ..request_reply import Exchange
-from ..roles import Identity, ImuBatch, ImuSettings, join
+from ..roles import Identity, ImuBatch, ImuSettings, imu_batch, join
 from ..settings import KeptSettings
 from ..transport import Transport
 from .base import ImuDriver
@@ -106,18 +106,10 @@ class TextUnitDecoder:
         table = np.array(rows)
         times, gaps, restarted = self._times(table[:, 7 + (self._stamp == "time")], host_time_s, disturbed[0])
         (gyro, _), (force, _), (degree, zero) = self._scales
-        return ImuBatch(
-            host_time_s=np.zeros(len(rows)) + host_time_s,
-            device_time_s=times,
-            gyro_dps=table[:, 0:3] * gyro,
-            acceleration_g=table[:, 3:6] * force,
-            temperature_c=np.repeat(table[:, 6:7] * degree + zero, 3, axis=1),
-            raw_gyro=np.zeros((len(rows), 3), np.int32),
-            status=np.zeros(len(rows), np.int64),
-            gap_before=gaps,
-            disturbed=np.array(disturbed) & bool(self.round_samples),
-            restarted=restarted,
-        )
+        temperature = np.repeat(table[:, 6:7] * degree + zero, 3, axis=1)
+        astray = np.array(disturbed) & bool(self.round_samples)
+        found = host_time_s, times, table[:, 0:3] * gyro, table[:, 3:6] * force, temperature
+        return imu_batch(*found, gap_before=gaps, disturbed=astray, restarted=restarted)
 
     def _times(self, stamps: Any, host_time_s: float, disturbed: bool) -> tuple[Any, Any, Any]:
         """The unit's own times, the samples missing before each, and whether it restarted before each."""

@@ -20,6 +20,7 @@ from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from ..clock import Clock
 from ..errors import ChecksumError, NotVerified, Rejected, printable
 from ..framing import LengthFramer
 from ..request_reply import Exchange, NotThisReply
-from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, join
+from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, imu_batch, join
 from ..settings import KeptSettings
 from ..transport import Transport
 from .base import ImuDriver
@@ -67,17 +68,15 @@ _NUMBER = re.compile(r"[+-]?\d+(\.\d+)?")
 
 @dataclass(frozen=True)
 class VectorNavConfig:
-    """Options of the rig file. `output` is "binary" or "ascii"."""
+    """Options of the rig file."""
 
     baudrate: int = 115200
-    output: str = "binary"
+    output: Literal["binary", "ascii"] = "binary"
     sample_rate_hz: float = 200.0
     base_rate_hz: float = 800.0
     reply_timeout_s: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.output not in ("binary", "ascii"):
-            raise ValueError(f"output is {self.output!r}; it is 'binary' or 'ascii'.")
         if self.output == "ascii" and self.sample_rate_hz not in _ASCII_RATES:
             raise ValueError(f"sample_rate is {self.sample_rate_hz:g} /s; ASCII output has {_ASCII_RATES}.")
         divisor = self.base_rate_hz / self.sample_rate_hz
@@ -176,17 +175,14 @@ class VectorNavDecoder:
         previous = times[0] - 1.0 / self._rate if self._last_time_s is None else self._last_time_s
         steps = np.rint(np.diff(times, prepend=previous) * self._rate).astype(np.int64)
         self._last_time_s = float(times[-1])
-        count = len(rows)
-        return ImuBatch(
-            host_time_s=np.zeros(count) + host_time_s,
-            device_time_s=times,
-            gyro_dps=np.degrees(table[:, 4:7]),
-            acceleration_g=table[:, 1:4] / STANDARD_GRAVITY,
-            temperature_c=np.repeat(table[:, 7:8], 3, axis=1),
-            raw_gyro=np.zeros((count, 3), np.int32),
+        return imu_batch(
+            host_time_s,
+            times,
+            np.degrees(table[:, 4:7]),
+            table[:, 1:4] / STANDARD_GRAVITY,
+            np.repeat(table[:, 7:8], 3, axis=1),
             status=np.array([row[1] for row in rows], np.int64),
             gap_before=np.maximum(steps - 1, 0),
-            disturbed=np.zeros(count, np.bool_),
             restarted=np.diff(times, prepend=previous) < 0.0,
         )
 

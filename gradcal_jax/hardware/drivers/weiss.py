@@ -19,18 +19,21 @@ of the record moves: a ramp counts as begun only when that moves at about the re
 repeated otherwise. `hold`, `standby` and `safe` remove the gradient.
 """
 
+import math
 import re
 from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
 from ..framing import LineFramer
-from ..request_reply import Exchange, NotThisReply, command_and_verify
+from ..request_reply import Exchange, NotThisReply
 from ..roles import ChamberLimits, ChamberReading, Identity
 from ..transport import Transport
 from .base import ChamberDriver
 
-LOWEST_PLAUSIBLE_C, HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 _NUMBER = re.compile(r"-?\d{1,5}\.\d")
 _CHANNEL = re.compile(r"(?:CV|SV|MV|DO)\d\d")
 _DEFINITION = re.compile(r"((?:CV|SV|MV|DO)\d\d)\s+(?!(?:CV|SV|MV|DO)\d)(.*[A-Za-z].*)")
@@ -45,7 +48,7 @@ class WeissConfig:
     """Options of the rig file. `read_layout`, `write_layout` (channel names, blanks between) only for a chamber that
     does not answer `$aa?`; with them `lowest_c` and `highest_c`."""
 
-    address: int = 1
+    address: Annotated[int, Field(ge=0, le=31)] = 1
     baudrate: int = 9600
     min_interval_s: float = 5.0
     reply_timeout_s: float = 5.0
@@ -63,8 +66,6 @@ class WeissConfig:
     read_faults: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 <= self.address <= 31:
-            raise ValueError(f"The chamber's address is {self.address}; ASCII-2 addresses are 0 to 31.")
         if bool(self.read_layout) != bool(self.write_layout):
             raise ValueError("Give read_layout and write_layout together, or neither.")
 
@@ -211,9 +212,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
 
     def limits(self) -> ChamberLimits:
         layout = self._layout()
-        return ChamberLimits(
-            layout.lowest_c, layout.highest_c, 0.1, self._config.hardware_ramp, 0.1, ramp_step_k_per_min=0.1
-        )
+        return ChamberLimits(layout.lowest_c, layout.highest_c, 0.1, self._config.hardware_ramp, 0.1, math.inf, 0.1)
 
     def read(self) -> ChamberReading:
         record = self._record()
@@ -294,9 +293,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             if frame.strip() == b"0":
                 raise NotThisReply  # a late acknowledgement
             record = parse_record(frame, layout, self._config.digital_channels)
-            here = self._actual(record)
-            if not LOWEST_PLAUSIBLE_C <= here <= HIGHEST_PLAUSIBLE_C:
-                raise FramingError(f"The chamber reports {here} degC, which is not plausible. Check line and layout.")
+            self._plausible(self._actual(record))
             return record
 
         return self._exchange.query(self._request("I"), parse)
@@ -317,14 +314,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             arrived = abs(self._nominal(now) - float(value_text(temperature_c))) < 0.05
             return (now.digital[channel] == "1") == start and arrived
 
-        command_and_verify(
-            lambda: self._tell(temperature_c, 0.0, 0.0, start=start),
-            self._record,
-            shows,
-            what=f"Set point {temperature_c:.1f} degC with start {'on' if start else 'off'}",
-            clock=self._clock,
-            looks=1,
-        )
+        what = f"Set point {temperature_c:.1f} degC with start {'on' if start else 'off'}"
+        self._verify(what, lambda: self._tell(temperature_c, 0.0, 0.0, start=start), self._record, shows, looks=1)
 
     def _tell(self, temperature_c: float, up: float, down: float, *, start: bool) -> None:
         layout, channel = self._layout(), self._config.start_channel

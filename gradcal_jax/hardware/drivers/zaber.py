@@ -19,12 +19,15 @@ they differ (whether a stage writes them to its flash memory at each `set` is op
 import re
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from ..checksums import lrc_zaber
 from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, Rejected, printable
 from ..framing import LineFramer
-from ..request_reply import Exchange, NotThisReply, command_and_verify
+from ..request_reply import Exchange, NotThisReply
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
 from ..settings import KeptSettings
 from ..transport import Transport
@@ -66,8 +69,8 @@ _REPLY = re.compile(r"@(\d{1,2}) (\d) (?:(\d{1,2}) )?(OK|RJ) (BUSY|IDLE) (--|[A-
 class ZaberConfig:
     """Options of the rig file. `zero_deg` is the rig's angle at the device's position 0, `direction` +1 or -1."""
 
-    device: int = 1
-    axis: int = 1
+    device: Annotated[int, Field(ge=1, le=99)] = 1
+    axis: Annotated[int, Field(ge=1, le=9)] = 1
     baudrate: int = 115200
     reply_timeout_s: float = 0.5
     microsteps_per_turn: int = 0
@@ -75,17 +78,11 @@ class ZaberConfig:
     acceleration_factor: float = 1.6384e-4
     max_rate_dps: float = 360.0
     max_acceleration_dps2: float = 300.0
-    direction: int = 1
+    direction: Literal[-1, 1] = 1
     zero_deg: float = 0.0
     home_timeout_s: float = 120.0
     stop_timeout_s: float = 30.0
     unpower_command: str = ""
-
-    def __post_init__(self) -> None:
-        if not (1 <= self.device <= 99 and 1 <= self.axis <= 9):
-            raise ValueError(f"Device {self.device}, axis {self.axis}: devices are 1 to 99, axes 1 to 9.")
-        if self.direction not in (-1, 1):
-            raise ValueError(f"direction is {self.direction}; it is 1 or -1.")
 
     def lacks_for(self, safe: str) -> str:
         """What a safe state needs and these options lack, empty where nothing."""
@@ -197,11 +194,7 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         self._require_travel(position_deg, self.limits().travel_deg)
-        reading = self.read()
-        if reading.faults or not reading.referenced:
-            raise DeviceFault(
-                f"The axis cannot go to an angle: {', '.join(reading.faults) or 'it has no reference'}. Home it first.",
-            )
+        self._require_ready(referenced=True)
         self._prepare(rate_dps, acceleration_dps2)
         self.settings.change("maxspeed", str(round(rate_dps * self._velocity_data())))
         steps = round(self._own(position_deg))
@@ -218,13 +211,9 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self._ask("stop")
-        reading = self._until_still(self._config.stop_timeout_s, "stopping", raise_faults=False)
-        if policy is AxisSafe.UNPOWER:
-            if lack := self._config.lacks_for(policy.value):
-                raise Rejected(f"This stage cannot be unpowered: {lack}.")
-            self._ask(self._config.unpower_command)
-        state = "; ".join((*reading.faults, *reading.warnings)) or "no warnings"
-        return SafeReport(policy.value, not reading.moving, f"idle at {reading.position_deg:.4f} deg, {state}")
+        self._until_still(self._config.stop_timeout_s, "stopping", raise_faults=False)
+        lack = self._config.lacks_for(policy.value)
+        return self._left_safe(policy, lack, lambda: self._ask(self._config.unpower_command))
 
     def _ask(self, words: str, *, axis: int | None = None) -> Reply:
         """Send a command. All commands of this driver are absolute, hence harmless when repeated."""
@@ -258,12 +247,11 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
     def _set(self, name: str, value: str) -> None:
         if (name, value) == ("comm.checksum", "0"):
             self.reply_checksum = False
-        command_and_verify(
+        self._verify(
+            f"The setting {name} = {value}",
             lambda: self._ask(f"set {name} {value}", axis=_axis_of(name)),
             lambda: self._setting(name),
             lambda shown: shown == value,
-            what=f"The setting {name} = {value}",
-            clock=self._clock,
         )
 
     def _prepare(self, rate_dps: float, acceleration_dps2: float) -> None:

@@ -1,4 +1,5 @@
-"""The datagrams of a simulated STIM300 in Normal Mode, byte for byte, from the data sheet."""
+"""The datagrams of a simulated STIM300 in Normal Mode with rates, forces and temperatures, byte for byte, from the data
+sheet."""
 
 from typing import Final
 
@@ -9,56 +10,31 @@ from ..checksums import crc32_mpeg2_of_rows
 from .sensor import SensorSamples
 
 RATES_HZ: Final = (125.0, 250.0, 500.0, 1000.0, 2000.0)
-# Identifier, and number of bytes that the CRC includes and the line does not, by the code of `$sd`, which also gives
-# the contents.
-_KINDS: Final = {
-    0: (0x90, 2, ""),
-    1: (0x91, 0, "a"),
-    2: (0x92, 0, "i"),
-    3: (0x93, 2, "ai"),
-    4: (0x94, 3, "t"),
-    5: (0xA5, 2, "at"),
-    6: (0xA6, 2, "it"),
-    7: (0xA7, 1, "ait"),
-}
+# Identifier of rates, forces and temperatures, and the bytes that its CRC includes and the line does not.
+_IDENTIFIER: Final = 0xA5
+_UNSENT: Final = 2
+_LATENCY_US: Final = 506
 
 
-def datagrams(
-    samples: SensorSamples,
-    first: int,
-    starting: NDArray[np.bool_],
-    *,
-    rate_hz: float,
-    kind: int = 5,
-    range_g: int = 10,
-    rate_increments: bool = False,
-    force_increments: bool = False,
-    latency_us: int = 506,
-) -> NDArray[np.uint8]:
-    """A row for each sample, of which `first` is the number since the unit began and `starting` the start-up bit."""
-    identifier, unsent, contents = _KINDS[kind]
+def datagrams(samples: SensorSamples, first: int, rate_hz: float) -> NDArray[np.uint8]:
+    """A row for each sample, of which `first` is the number since the unit began; of a range of 10 g."""
     count = samples.time_s.shape[0]
-    status = np.where(starting, 0x40, 0).astype(np.uint8)[:, None]
-    gyro = samples.rate_dps / (rate_hz if rate_increments else 1.0) * 2.0 ** (21 if rate_increments else 14)
-    parts = [np.full((count, 1), identifier, np.uint8), _int24(gyro), status | _overload(gyro)]
-    force, scale = samples.acceleration_g, 2.0 ** {5: 20, 10: 19, 30: 18, 80: 16}[range_g]
-    if force_increments:
-        scale = 2.0 ** {5: 23, 10: 22, 30: 21, 80: 19}[range_g]
-        force = force * 9.80665 / rate_hz
-    if "a" in contents:
-        parts += [_int24(force * scale), status]
-    if "i" in contents:
-        parts += [_int24(samples.acceleration_g * 2.0**22), status]
-    if "t" in contents:
-        raw = np.clip(np.rint(samples.temperature_c * 256.0), -32768, 32767).astype(">i2")
-        sensors = np.ascontiguousarray(np.repeat(raw[:, None], 3, axis=1)).view(np.uint8).reshape(count, 6)
-        parts += [part for _ in contents for part in (sensors, status)]
+    none = np.zeros((count, 1), np.uint8)
+    gyro = samples.rate_dps * 2.0**14
+    raw = np.clip(np.rint(samples.temperature_c * 256.0), -32768, 32767).astype(">i2")
+    sensors = np.ascontiguousarray(np.repeat(raw[:, None], 3, axis=1)).view(np.uint8).reshape(count, 6)
     number: NDArray[np.int64] = first + np.arange(count, dtype=np.int64)
     counter = ((number + 1) * round(2000.0 / rate_hz) % 256).astype(np.uint8)[:, None]
-    latency = np.frombuffer(latency_us.to_bytes(2, "big"), np.uint8)
-    parts += [counter, np.tile(latency, (count, 1))]
-    bodies = np.concatenate(parts, axis=1)
-    crc = crc32_mpeg2_of_rows(np.hstack([bodies, np.zeros((count, unsent), np.uint8)]))
+    latency = np.tile(np.frombuffer(_LATENCY_US.to_bytes(2, "big"), np.uint8), (count, 1))
+    parts = [
+        none + np.uint8(_IDENTIFIER),
+        _int24(gyro),
+        _overload(gyro),
+        _int24(samples.acceleration_g * 2.0**19),
+        none,
+    ]
+    bodies = np.concatenate([*parts, sensors, none, sensors, none, counter, latency], axis=1)
+    crc = crc32_mpeg2_of_rows(np.hstack([bodies, np.zeros((count, _UNSENT), np.uint8)]))
     return np.hstack([bodies, crc.astype(">u4")[:, None].view(np.uint8)])
 
 

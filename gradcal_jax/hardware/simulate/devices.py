@@ -7,46 +7,39 @@ against devices that answer byte for byte.
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from ..clock import Clock
-from ..drivers.base import Unwatched
-from ..drivers.operator import nearest_turn_deg
+from ..drivers.base import ChamberDriver, Unwatched
 from ..drivers.stim300 import Stim300Config, decoder_of
 from ..drivers.stim300_datagrams import INTERNAL_RATE_HZ, Stim300Decoder
-from ..errors import LimitExceeded, Rejected
-from ..roles import (
-    AxisLimits,
-    AxisReading,
-    AxisSafe,
-    ChamberLimits,
-    ChamberReading,
-    ChamberSafe,
-    Identity,
-    ImuSettings,
-    SafeReport,
-)
+from ..errors import LimitExceeded
+from ..roles import AxisLimits, AxisReading, AxisSafe, ChamberLimits, ChamberReading, Identity, ImuSettings, SafeReport
 from ..settings import KeptSettings
 from .datagrams import datagrams
 from .plants import AxisPlant, ChamberPlant
 from .sensor import SampledSensor
 
 _HANG: Final = re.compile(r"hang the units so: mounting (\d+)")
+_TURN: Final = re.compile(r"([\w-]+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
+_ZERO: Final = re.compile(r"([\w-]+): bring it to its zero mark")
 _HOME_S, _HANGS_S, _HOMES_AT_DPS = 5.0, 120.0, 30.0
 # Where a motor without feedback stops, about its goal (standard deviation), deg.
 _STOPS_OFF_DEG = 5.0
 _RANGES: Final = "400,400,400,10,10,10,1.7,1.7,1.7,NA"
 
 
-class SimulatedChamber:
+class SimulatedChamber(ChamberDriver[ChamberPlant]):
     """Role `TemperatureChamber`, on a plant: from `lowest_c` to `highest_c`, ramps of any rate."""
 
+    _BOUNDS = "{low:g} to {high:g} degC, the limits of the {device}."
+
     def __init__(self, plant: ChamberPlant, clock: Clock, lowest_c: float, highest_c: float) -> None:
-        self.plant, self._clock = plant, clock
+        self.plant, self._clock, self._title = plant, clock, "simulated chamber"
         self._limits = ChamberLimits(lowest_c, highest_c, 0.1, hardware_ramp=True)
         self.alarms: tuple[str, ...] = ()
 
@@ -58,41 +51,29 @@ class SimulatedChamber:
 
     def read(self) -> ChamberReading:
         now, plant = self._clock.now(), self.plant
-        air_c, mode = round(plant.air_c(now), 1), "CONSTANT" if plant.conditioning else "STANDBY"
-        return ChamberReading(now, air_c, None, plant.set_point_c(now), mode, plant.conditioning, self.alarms)
+        mode = "CONSTANT" if plant.conditioning else "STANDBY"
+        return ChamberReading(now, self._air_c(), None, plant.set_point_c(now), mode, plant.conditioning, self.alarms)
 
     def hold(self, temperature_c: float) -> None:
+        self._check(temperature_c)
         now = self._clock.now()
-        self.plant.command(now, target_c=self._allowed(temperature_c))
+        self.plant.command(now, target_c=round(temperature_c, 1))
         self.plant.switch(now, True)
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
-        now, plant, target_c = self._clock.now(), self.plant, self._allowed(temperature_c)
+        self._check(temperature_c)
+        now, plant = self._clock.now(), self.plant
         if not plant.conditioning or abs(plant.set_point_c(now) - plant.air_c(now)) >= 2.0:
             plant.move_set_point(now, plant.air_c(now))
-        plant.command(now, target_c=target_c, gradient_k_per_min=rate_k_per_min)
+        plant.command(now, target_c=round(temperature_c, 1), gradient_k_per_min=rate_k_per_min)
         plant.switch(now, True)
         return rate_k_per_min
 
     def standby(self) -> None:
         self.plant.switch(self._clock.now(), False)
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
-            self.standby()
-        else:
-            wanted_c = self.read().air_c if policy is ChamberSafe.HOLD else ambient_c
-            self.hold(min(max(wanted_c, self._limits.lowest_c), self._limits.highest_c))
-        reading = self.read()
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c:g} degC")
-
-    def close(self) -> None: ...
-
-    def _allowed(self, temperature_c: float) -> float:
-        if not self._limits.lowest_c <= temperature_c <= self._limits.highest_c:
-            raise LimitExceeded(f"{temperature_c:.1f} degC lies outside the simulated chamber's limits.")
-        return round(temperature_c, 1)
+    def _air_c(self) -> float:
+        return round(self.plant.air_c(self._clock.now()), 1)
 
 
 class SimulatedAxis(Unwatched):
@@ -147,8 +128,6 @@ class SimulatedAxis(Unwatched):
         reading = self.read()
         return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg")
 
-    def close(self) -> None: ...
-
     def _on_grid(self, angle_deg: float) -> float:
         step = self._limits.resolution_deg
         return step * round(angle_deg / step)
@@ -166,8 +145,8 @@ class SimulatedAxis(Unwatched):
 
 
 @dataclass(frozen=True)
-class SimulatedPerson:
-    """A person who turns axes: reacts after a while, turns unevenly, misses the mark a little, and reads the dial, to
+class SimulatedHand:
+    """How a person turns axes: reacts after a while, turns unevenly, misses the mark a little, and reads the dial, to
     its digits, when the axis stands."""
 
     seed: int = 0
@@ -179,100 +158,64 @@ class SimulatedPerson:
     digits: int = 3
 
 
-class HandTurnedAxis(Unwatched):
-    """Roles `MotionAxis` and `DrawnAxis`, on a plant that a person turns, who types its angle or, where the limits do
-    not say `typed`, confirms that it stands and lets an encoder be read."""
+class SimulatedPerson:
+    """Role `OperatorAsked`, for `drivers.operator`: turns axes, by name, on their plants as the questions say, types
+    angles, and hangs the units anew by `hang` with the number of the mounting."""
 
-    def __init__(self, plant: AxisPlant, clock: Clock, limits: AxisLimits, hand: SimulatedPerson, number: int) -> None:
-        self.plant, self._clock, self._limits, self._hand = plant, clock, limits, hand
-        self.settings = KeptSettings()
-        self._random = np.random.default_rng([hand.seed, 4, number])
-        self._goal_deg, self._answers_s = 0.0, math.inf
-        self._stands: AxisReading | None = None
-
-    def identify(self) -> Identity:
-        how = "no angle" if self._limits.told else "angles typed" if self._limits.typed else "with an encoder"
-        return Identity("simulated", f"turned by hand, {how}")
-
-    def limits(self) -> AxisLimits:
-        return self._limits
-
-    def read(self) -> AxisReading:
-        now = self._clock.now()
-        if now >= self._answers_s and self._limits.told:
-            self._stands, self._answers_s = (
-                AxisReading(self._answers_s, self._goal_deg, 0.0, False, True, (), ()),
-                math.inf,
-            )
-        if now >= self._answers_s:
-            shown = round(self.plant.reading(self._answers_s) % 360.0, self._hand.digits)
-            angle = nearest_turn_deg(shown, self._goal_deg)
-            self._stands = AxisReading(self._answers_s, angle, 0.0, False, True, (), ())
-            self._answers_s = math.inf
-        if not (self._limits.typed or self._limits.told):
-            return AxisReading(now, self.plant.reading(now), 0.0, self._stands is None, True, (), ())
-        return self._stands or AxisReading(now, math.nan, 0.0, True, False, (), ())
-
-    def home(self) -> None:
-        """Asks for the zero mark and returns at once."""
-        now = self._clock.now()
-        angle, _ = self.plant.state(now)
-        self.plant.set_zero(now, angle - 360.0 * round(angle / 360.0))
-        self._turn(0.0, now + self._hand.reaction_s, _HOME_S)
-
-    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        size = abs(position_deg - self._goal_deg)
-        peak = min(rate_dps, math.sqrt(size * acceleration_dps2)) or 1.0
-        random, hand = self._random, self._hand
-        begins_s = self._clock.now() + hand.reaction_s * float(random.lognormal(0.0, 0.3))
-        pace = max(0.5, 1.0 + hand.pace_spread * float(random.standard_normal()))
-        planned_s = _HOME_S if self._stands is None else size / peak + peak / acceleration_dps2
-        self._turn(position_deg, begins_s, planned_s * pace)
-
-    def draw(self, drawing: str) -> None:
-        """Nobody looks."""
-
-    def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
-        raise Rejected("The simulated axis is turned by hand, and nobody turns at a constant rate for long.")
-
-    def stop(self) -> None:
-        """The question is withdrawn: the angle is unknown until the next answer."""
-        if self._answers_s < math.inf:
-            self._answers_s, self._stands = math.inf, None
-
-    def safe(self, policy: AxisSafe) -> SafeReport:
-        self.stop()
-        return SafeReport(policy.value, True, "nothing drives it: it stands where it was left")
-
-    def close(self) -> None: ...
-
-    def _turn(self, goal_deg: float, begins_s: float, lasts_s: float) -> None:
-        miss = self._hand.miss_deg * float(self._random.standard_normal())
-        self.plant.turn_by_hand(begins_s, goal_deg + miss, lasts_s, self._hand.unevenness)
-        self._goal_deg, self._stands = goal_deg, None
-        self._answers_s = begins_s + lasts_s + self._hand.reading_s
-
-
-class HangingOperator:
-    """Role `OperatorAsked`: hangs the units anew when asked, by `hang` with the number of the mounting."""
-
-    def __init__(self, clock: Clock, hang: Callable[[int], None]) -> None:
-        self._clock, self._hang = clock, hang
-        self._mounting, self._answers_s = 0, math.inf
+    def __init__(
+        self,
+        clock: Clock,
+        plants: Mapping[str, AxisPlant],
+        hand: SimulatedHand,
+        hang: Callable[[int], None] | None = None,
+    ) -> None:
+        self.hand, self._clock, self._plants, self._hang = hand, clock, plants, hang
+        self._random = np.random.default_rng([hand.seed, 4])
+        self._answers_s, self._mounting, self._axis, self._types = math.inf, 0, "", True
 
     def ask(self, question: str) -> None:
-        if (asked := _HANG.search(question)) is not None:
-            self._mounting, self._answers_s = int(asked[1]), self._clock.now() + _HANGS_S
+        hand, random, now = self.hand, self._random, self._clock.now()
+        if hung := _HANG.search(question):
+            self._mounting, self._answers_s = int(hung[1]), now + _HANGS_S
+            return
+        # A doubted answer is given again in the same way: "press Enter again", "type it again".
+        self._types = "Enter" not in question
+        if turn := _TURN.search(question):
+            begins_s = now + hand.reaction_s * float(random.lognormal(0.0, 0.3))
+            pace = max(0.5, 1.0 + hand.pace_spread * float(random.standard_normal()))
+            planned_s = _HOME_S if turn[2] is None else float(turn[2])
+            self._turn(turn[1], float(turn[3]), begins_s, planned_s * pace)
+        elif zero := _ZERO.search(question):
+            # At the zero mark the angle becomes zero, without whole turns.
+            plant = self._plants[zero[1]]
+            angle, _ = plant.state(now)
+            plant.set_zero(now, angle - 360.0 * round(angle / 360.0))
+            self._turn(zero[1], 0.0, now + hand.reaction_s, _HOME_S)
+        else:
+            self._answers_s = now + hand.reading_s
+
+    def ring(self) -> None:
+        """It is late, and turns no faster."""
 
     def answer(self) -> tuple[str, float] | None:
-        if self._clock.now() < self._answers_s:
+        at_s = self._answers_s
+        if self._clock.now() < at_s:
             return None
-        at_s, self._answers_s = self._answers_s, math.inf
-        self._hang(self._mounting)
-        return "", at_s
+        self._answers_s = math.inf
+        if self._mounting and self._hang is not None:
+            self._hang(self._mounting)
+        if self._mounting or not self._types:
+            self._mounting = 0
+            return "", at_s
+        return f"{self._plants[self._axis].reading(at_s) % 360.0:.{self.hand.digits}f} deg", at_s
 
     def withdraw(self, why: str) -> None:
-        self._answers_s = math.inf
+        self._answers_s, self._mounting = math.inf, 0
+
+    def _turn(self, name: str, goal_deg: float, begins_s: float, lasts_s: float) -> None:
+        miss = self.hand.miss_deg * float(self._random.standard_normal())
+        self._plants[name].turn_by_hand(begins_s, goal_deg + miss, lasts_s, self.hand.unevenness)
+        self._axis, self._answers_s = name, begins_s + lasts_s + self.hand.reading_s
 
 
 class SimulatedStream:
@@ -302,14 +245,7 @@ class SimulatedStream:
         self._clock.sleep_until(self.sensor.next_time_s(ahead))
         now = self._clock.now()
         first, samples = self.sensor.taken, self.sensor.take(self.sensor.due(now))
-        starting = np.zeros(len(samples.time_s), np.bool_)
-        rate_hz, kind = self._config.sample_rate_hz, self._config.datagram
-        return datagrams(samples, first, starting, rate_hz=rate_hz, kind=kind).tobytes(), now
+        return datagrams(samples, first, self._config.sample_rate_hz).tobytes(), now
 
     def decoder(self) -> Stim300Decoder:
         return decoder_of(self._config, self._registers)
-
-    def safe(self) -> SafeReport:
-        return SafeReport("left streaming", True, "a simulated unit has nothing that can be unsafe")
-
-    def close(self) -> None: ...

@@ -169,12 +169,7 @@ class SimulatedImu(SampledSensor):
                 change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
                 output[kind] = output[kind] + change[:, None] * np.array(triad.gradient)
             output[kind] = output[kind] + self._of_path(kind, triad, middles, mean, ends[1:] - 0.5 * self.true_period_s)
-        return SensorSamples(
-            ends[1:],
-            np.degrees(output["gyro"]),
-            output["accelerometer"] / _STANDARD_GRAVITY,
-            middles,
-        )
+        return SensorSamples(ends[1:], np.degrees(output["gyro"]), output["accelerometer"] / _STANDARD_GRAVITY, middles)
 
     def _of_path(
         self, kind: Kind, triad: TriadTruth, temperature_c: Vectors, mean: Vectors, time_s: Vectors

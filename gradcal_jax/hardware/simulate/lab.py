@@ -19,11 +19,12 @@ from ...files.spec_sections import Spec
 from ...files.tracks import read_at_rest, tracks_of
 from ...units import to_unit
 from ..clock import Clock
+from ..drivers.operator import OperatorAxis, OperatorConfig
 from ..drivers.stim300 import Stim300Config
 from ..roles import AxisLimits
 from ..setup import Bench
 from .datagrams import RATES_HZ
-from .devices import HandTurnedAxis, HangingOperator, SimulatedAxis, SimulatedChamber, SimulatedPerson, SimulatedStream
+from .devices import SimulatedAxis, SimulatedChamber, SimulatedHand, SimulatedPerson, SimulatedStream
 from .draws import draw_table, draw_truth
 from .imu import SimulatedImu
 from .plants import AxisPlant, ChamberPlant, ChamberTruth, UncontrolledRoom
@@ -32,7 +33,6 @@ from .plants import AxisPlant, ChamberPlant, ChamberTruth, UncontrolledRoom
 _BAUDRATE: Final = 921_600
 _BAUDRATE_AT_FULL_RATE: Final = 1_843_200
 _AXIS_STEP_DEG: Final = 360.0 / 1_152_000
-_HAND_STEP_DEG: Final = 0.01
 
 
 class SimulatedLab:
@@ -107,27 +107,31 @@ class SimulatedLab:
             "axis": [{"name": axis.name, **table} for axis in axes],
             "imu": [{"name": name, "port": f"/simulated/{name}", **unit} for name in self.units],
         }
-        self.rig = rig_of(tables)
         if spec.rig.chamber.control == "none":
             del tables["chamber"]
-            self.rig = rig_of(tables)
+        self.rig = rig_of(tables)
         self.bench = Bench(self.rig, simulated=True)
         if spec.rig.chamber.control == "chamber":
             self.bench.chamber = SimulatedChamber(self.chamber_plant, clock, cold - 5.0, hot + 5.0)
-        for number, (axis, plant) in enumerate(zip(axes, self.axis_plants, strict=True)):
-            limits = _limits_of(axis, by_hand, typed, told=spec.rig.table.by_gravity)
-            self.bench.axes[axis.name] = (
-                HandTurnedAxis(
-                    plant, clock, limits, SimulatedPerson(seed, miss_deg=3.0 if limits.told else 0.3), number
-                )
-                if by_hand
-                else SimulatedAxis(plant, clock, limits)
+        told = spec.rig.table.by_gravity
+        plants = {axis.name: plant for axis, plant in zip(axes, self.axis_plants, strict=True)}
+        person = SimulatedPerson(clock, plants, SimulatedHand(seed, miss_deg=3.0 if told else 0.3), self._hang)
+        for axis in axes:
+            limits = _limits_of(axis, told=told and not by_hand)
+            driven = SimulatedAxis(plants[axis.name], clock, limits)
+            config = OperatorConfig(
+                limits.max_rate_dps,
+                limits.max_acceleration_dps2,
+                limits.travel_deg[1],
+                angle="none" if told else "typed",
             )
+            by_person = OperatorAxis(person, config, clock, axis.name, None if typed or told else driven)
+            self.bench.axes[axis.name] = by_person if by_hand else driven
         config = Stim300Config(baudrate=baudrate, sample_rate_hz=sample_rate_hz)
         for number, (name, sensor) in enumerate(self.units.items(), start=1):
             self.bench.imus[name] = SimulatedStream(sensor, clock, config, burst_s, f"SIMULATED{number}")
         if len(spec.rig.table.mounting) > 1:
-            self.bench.console = HangingOperator(clock, self._hang)
+            self.bench.console = person
 
     def truths(self) -> dict[str, Any]:
         """The true parameters by their names in the calibrations, SI, for a file."""
@@ -139,11 +143,9 @@ class SimulatedLab:
             unit.mounting = number - 1
 
 
-def _limits_of(says: TableAxis, by_hand: bool, typed: bool, *, told: bool) -> AxisLimits:
+def _limits_of(says: TableAxis, *, told: bool) -> AxisLimits:
     """The limits of a table's axis in the spec."""
     rate, acceleration = to_unit(float(says.max_rate), "deg/s"), to_unit(float(says.max_acceleration), "deg/s^2")
     travel = float(np.degrees(float(says.travel)))
     lowest, highest = (None, None) if np.isinf(travel) else (-travel, travel)
-    step = _HAND_STEP_DEG if by_hand else _AXIS_STEP_DEG
-    hand: dict[str, bool] = {"by_hand": by_hand, "typed": by_hand and typed and not told, "told": told}
-    return AxisLimits(rate, acceleration, lowest, highest, step, hardware_watchdog=False, **hand)
+    return AxisLimits(rate, acceleration, lowest, highest, _AXIS_STEP_DEG, hardware_watchdog=False, told=told)

@@ -68,11 +68,6 @@ class ChamberPlant:
             self.advance(now_s)
             return self._air_c
 
-    def load_c(self, now_s: float) -> float:
-        with self._lock:
-            self.advance(now_s)
-            return self._load_c
-
     def set_point_c(self, now_s: float) -> float:
         """The controller's present set point."""
         with self._lock:

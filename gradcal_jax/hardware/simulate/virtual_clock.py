@@ -9,9 +9,7 @@ import itertools
 import threading
 import time
 from collections.abc import Generator
-from contextlib import AbstractContextManager, contextmanager
-
-from ..clock import Link
+from contextlib import contextmanager
 
 
 class VirtualClock:
@@ -90,12 +88,6 @@ class VirtualClock:
                 if depth:
                     self._members[thread] = depth
                     self._working += 1
-
-    def real_pace(self) -> AbstractContextManager[None]:
-        return self.aside()
-
-    def link(self, url: str) -> Link:
-        return Link()
 
     def advance_if_all_wait(self) -> None:
         """Wake the next sleepers when no party works. The caller holds `lock`."""

@@ -8,12 +8,87 @@ stops no other party.
 import threading
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from typing import Any
 
-from gradcal_jax.hardware.clock import Link
+from gradcal_jax.hardware import setup
+from gradcal_jax.hardware.clock import Clock, RealClock
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
+from gradcal_jax.hardware.transport import Transport
 
 _PACE_S = 0.005
+_ATTENTIVE_S = 0.1
+
+
+class FastClock(RealClock):
+    """The computer's clock with shorter seconds, in processes whose clocks have the same speed."""
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+
+    def now(self) -> float:
+        return RealClock.now(self) * self._speed
+
+    def sleep_until(self, time_s: float) -> None:
+        while (left := time_s - self.now()) > 0.0:
+            time.sleep(left / self._speed)
+
+
+class Link:
+    """Accounts for the bytes on their way over one line, so that virtual time does not overtake them. On real time
+    there is nothing to account for."""
+
+    def change(
+        self, *, to_device: int = 0, to_host: int = 0, attached: bool | None = None, host_is_there: bool = False
+    ) -> None:
+        """Add to the bytes under way (negative: they arrived), or note that the host opened or left the line."""
+
+
+def link_of(clock: Clock, url: str) -> Link:
+    return clock.link(url) if isinstance(clock, LineClock) else Link()
+
+
+class CountedTransport(Transport):
+    """A line whose bytes are counted, and that waits on silence at the real pace of virtual time."""
+
+    def __init__(self, url: str, *, clock: Clock, **settings: Any) -> None:
+        self._silent = False
+        self._link = link_of(clock, url)
+        Transport.__init__(self, url, clock=clock, **settings)
+        self._link.change(attached=True)
+
+    def reopen(self) -> None:
+        Transport.reopen(self)
+        self._link.change(attached=True)
+
+    def write(self, data: bytes) -> None:
+        self._link.change(to_device=len(self._ended(data)), host_is_there=True)
+        self._silent = False
+        Transport.write(self, data)
+
+    def read_stamped(self, timeout_s: float) -> tuple[bytes, float]:
+        data, now = b"", self._clock.now()
+        if not self._silent or timeout_s <= 0.0:
+            data, now = Transport.read_stamped(self, min(timeout_s, _ATTENTIVE_S))
+            timeout_s -= _ATTENTIVE_S
+        if not data and timeout_s > 0.0:
+            # From the start of this reading virtual time runs on: a late reply has to come within it.
+            with self._clock.real_pace() if isinstance(self._clock, LineClock) else nullcontext():
+                data, now = Transport.read_stamped(self, timeout_s)
+        self._silent = not data
+        if data:
+            # Counted after the stamp: virtual time cannot have moved between arrival and stamp.
+            self._link.change(to_host=-len(data), host_is_there=True)
+        return data, now
+
+    def close(self) -> None:
+        if not self._closed:
+            self._link.change(attached=False)
+        Transport.close(self)
+
+
+# Every line that a test opens by a rig file is counted.
+setup.Transport = CountedTransport  # type: ignore[misc]
 
 
 class _Account(Link):

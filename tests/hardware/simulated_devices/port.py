@@ -19,6 +19,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from simulated_devices.line_clock import link_of
+
 from gradcal_jax.hardware.clock import Clock
 
 if sys.platform != "win32":
@@ -91,7 +93,7 @@ class SimulatedPort:
         else:
             self.url = str(Path(self._folder.name) / "port")
             self._plug_in()
-        self._link = clock.link(self.url)
+        self._link = link_of(clock, self.url)
 
     def open(self) -> "SimulatedPort":
         loops = [self._serve] + ([self._speak] if isinstance(self.device, StreamingDevice) else [])

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from simulated_devices.datagrams import datagrams
 
 from gradcal_jax.hardware.checksums import crc8_stim300, crc32_mpeg2
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate.datagrams import RATES_HZ, datagrams
+from gradcal_jax.hardware.simulate.datagrams import RATES_HZ
 from gradcal_jax.hardware.simulate.sensor import SampledSensor, SensorSamples
 
 

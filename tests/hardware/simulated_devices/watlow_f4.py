@@ -8,6 +8,8 @@ unfinished for 50 ms of real time is forgotten.
 import time
 from dataclasses import dataclass
 
+import numpy as np
+
 from gradcal_jax.hardware.checksums import crc16_modbus
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate.plants import ChamberPlant
@@ -113,7 +115,7 @@ class SimulatedWatlowF4:
         if register == 100:
             return round(self.plant.air_c(now) * scale)
         if register in (104, 108):
-            return round(self.plant.load_c(now) * scale)
+            return round(float(self.plant.load_at(np.array([now]))[0]) * scale)
         return self.registers.get(register)
 
     def _write(self, register: int, word: int) -> int:

@@ -9,6 +9,8 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate.plants import ChamberPlant
 
@@ -104,7 +106,7 @@ class SimulatedWeiss:
             if name == "CV01":
                 values.append(self.plant.set_point_c(now) if first else self.plant.air_c(now))
             elif name == "MV01" and not first:
-                values.append(self.plant.load_c(now))
+                values.append(float(self.plant.load_at(np.array([now]))[0]))
             elif name.startswith("MV"):
                 values.append(0.0 if first else self.plant.air_c(now))
             else:

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.errors import FramingError, LimitExceeded, Rejected
+from gradcal_jax.hardware.drivers.base import ChamberDriver
+from gradcal_jax.hardware.errors import FramingError, Rejected
 from gradcal_jax.hardware.framing import LineFramer
-from gradcal_jax.hardware.request_reply import Exchange, command_and_verify
-from gradcal_jax.hardware.roles import ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from gradcal_jax.hardware.request_reply import Exchange
+from gradcal_jax.hardware.roles import ChamberLimits, ChamberReading, Identity
 from gradcal_jax.hardware.transport import Transport
 
 
@@ -21,13 +22,13 @@ class AcmeConfig:
 
 
 def open_exchange(transport: Transport, clock: Clock, config: AcmeConfig) -> Exchange:
-    timeout_s = config.reply_timeout_s
-    return Exchange(transport, LineFramer(), clock=clock, device="The ACME chamber", reply_timeout_s=timeout_s)
+    return Exchange(transport, LineFramer(), clock, "The ACME chamber", config.reply_timeout_s)
 
 
-class AcmeChamber:
-    def __init__(self, exchange: Exchange, config: AcmeConfig) -> None:
-        self._exchange, self._config = exchange, config
+class AcmeChamber(ChamberDriver[AcmeConfig]):
+    """`safe` is the base's, by `hold`, `standby` and `read`."""
+
+    _BOUNDS = "{low:g} to {high:g} degC, the range of the chamber. Change the plan."
 
     def identify(self) -> Identity:
         return Identity("acme", "ACME 1", serial_number=f"{self._number('SN?'):.0f}")
@@ -37,11 +38,10 @@ class AcmeChamber:
 
     def read(self) -> ChamberReading:
         air, setpoint, on = (self._number(question) for question in ("T?", "SP?", "ON?"))
-        return ChamberReading(self._exchange.clock.now(), air, None, setpoint, "ON" if on else "OFF", bool(on), ())
+        return ChamberReading(self._clock.now(), air, None, setpoint, "ON" if on else "OFF", bool(on), ())
 
     def hold(self, temperature_c: float) -> None:
-        if not self._config.lowest_c <= temperature_c <= self._config.highest_c:
-            raise LimitExceeded(f"{temperature_c:.1f} degC lies outside the chamber's range.")
+        self._check(temperature_c)
         self._until(f"SP {temperature_c:.1f}", "SP?", round(temperature_c, 1))
         self._until("ON", "ON?", 1.0)
 
@@ -51,26 +51,14 @@ class AcmeChamber:
     def standby(self) -> None:
         self._until("OFF", "ON?", 0.0)
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
-            self.standby()
-        else:
-            self.hold(self.read().air_c if policy is ChamberSafe.HOLD else ambient_c)
-        reading = self.read()
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"mode {reading.mode}")
-
-    def close(self) -> None:
-        self._exchange.transport.close()
+    def _air_c(self) -> float:
+        return self._number("T?")
 
     def _until(self, command: str, question: str, value: float) -> None:
-        command_and_verify(
-            lambda: self._exchange.write(command.encode() + b"\n"),
-            lambda: self._number(question),
-            lambda shown: abs(shown - value) < 0.05,
-            what=command,
-            clock=self._exchange.clock,
-        )
+        """Command until the chamber shows it."""
+        words = command.encode() + b"\n"
+        send, near = lambda: self._exchange.write(words), lambda shown: abs(shown - value) < 0.05
+        self._verify(command, send, lambda: self._number(question), near)
 
     def _number(self, question: str) -> float:
         def parse(frame: bytes) -> float:

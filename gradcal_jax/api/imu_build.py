@@ -14,6 +14,7 @@ from gradcal_jax.api.build import (
     named_processes,
     or_infinite,
     processes_of,
+    shapes_of,
     table_schedule,
 )
 from gradcal_jax.files import sensor as sensor_file
@@ -174,7 +175,7 @@ def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str
         processes, sources["gyro"] = processes_of(own)
         channels += [
             Channel(
-                gyro_channel(gyro, processes, signals=_signal_maps(gyro, axis), path=_path_terms(gyro, axis)),
+                gyro_channel(gyro, axis, processes, signals=_signal_maps(gyro, axis), path=_path_terms(gyro, axis)),
                 "gyro",
                 AXIS_NAMES.index(axis),
             )
@@ -261,6 +262,7 @@ def _signal_maps(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[Signa
             symbol.format(*of),
             unit,
             float(triad.turn_on_bias or 0.0) if key == "bias" else 0.0,
+            shapes_of(section, axis),
         )
         for key, over, signals, name, symbol, unit in (_OF_GYRO if isinstance(triad, GyroTriad) else _OF_ACCELEROMETER)
         if (section := getattr(triad, key)) is not None
@@ -299,13 +301,19 @@ def _accelerometer(triad: AccelerometerTriad, axis: str, processes: model.Proces
 
 
 def _signal_map(
-    section, signals: tuple[str, ...], name: str, symbol: str, unit: str, common_std: float = 0.0
+    section,
+    signals: tuple[str, ...],
+    name: str,
+    symbol: str,
+    unit: str,
+    common_std: float = 0.0,
+    shapes: np.ndarray | None = None,
 ) -> SignalMap:
     over = getattr(section, "temperature", None)
     of_temperature: Basis = _CONSTANT if over is None else basis(over)
     std = or_infinite(section.prior)
     fields = {"signals": signals, "name": name, "symbol": symbol, "si_unit": unit, "has_prior": bool(np.isfinite(std))}
-    return SignalMap(temperature=of_temperature, std=np.asarray(std), common_std=common_std, **fields)
+    return SignalMap(temperature=of_temperature, std=np.asarray(std), common_std=common_std, shapes=shapes, **fields)
 
 
 def geometry(rig: Rig) -> Geometry:

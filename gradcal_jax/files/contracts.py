@@ -80,6 +80,9 @@ class MapRow(Section):
     """Basis over rate; null for B."""
     prior: Size | None = None
     """Standard deviation of each coefficient, independent; null: flat."""
+    shapes: tuple[tuple[Finite, ...], ...] | None = None
+    """In the place of `prior`: coefficients of functions whose amplitudes are independent with variance 1; null:
+    none."""
     smoothness: Size | None = None
     """Standard deviation of each difference of neighbouring coefficients; null: flat."""
     smoothness_along: tuple[Literal["temperature", "rate"], ...] = ()

@@ -245,7 +245,7 @@ def _strangers(values: Floats, own: Floats, serials: np.ndarray, tests: int) -> 
         # An IMU may be what keeps the shapes of the others from repeating.
         tried = [lots.low_rank(values[kept], own[kept], counted[-1].shapes)] if fit is None else []
         for model in (*tried, fit):
-            compared = lots.strangers(values[kept], own[kept], model)
+            compared = lots.strangers(values[kept], own[kept], model, scaled=model is not fit)
             if compared is None:
                 continue
             chances, left = compared

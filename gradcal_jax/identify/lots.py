@@ -202,21 +202,24 @@ def _variance_with(values: Floats, variances: Floats, chi_squared: float) -> Flo
     return np.where(low > 0.0, high, 0.0)
 
 
-def strangers(values: Floats, covariances: Floats, fit: LowRank | None) -> tuple[Floats, Floats] | None:
+def strangers(
+    values: Floats, covariances: Floats, fit: LowRank | None, *, scaled: bool = False
+) -> tuple[Floats, Floats] | None:
     """The chance `(n,)` that an IMU of the type is as far from what all others predict, and χ² `(n,)` of what the
     shapes leave of these; None for too few IMUs.
 
-    `fit`: its shapes are refitted without the IMU; None: no shape repeats, and all coefficients count.
+    `fit`: its shapes are refitted without the IMU; None: no shape repeats, and all coefficients count. `scaled`: what
+    the shapes leave of the others is the measure of what they leave of the IMU, where it is more than their noise.
     """
     n, q = values.shape
     count = q if fit is None else fit.shapes.shape[1]
     if n < max(FEW, count + 4):
         return None
-    chances, left = zip(*(_stranger(values, covariances, fit, i) for i in range(n)), strict=True)
+    chances, left = zip(*(_stranger(values, covariances, fit, i, scaled) for i in range(n)), strict=True)
     return np.array(chances), np.array(left)
 
 
-def _stranger(values: Floats, covariances: Floats, fit: LowRank | None, i: int) -> tuple[float, float]:
+def _stranger(values: Floats, covariances: Floats, fit: LowRank | None, i: int, scaled: bool) -> tuple[float, float]:
     n, q = values.shape
     others = np.delete(np.arange(n), i)
     left = 0.0
@@ -249,7 +252,9 @@ def _stranger(values: Floats, covariances: Floats, fit: LowRank | None, i: int) 
         # Mean and shapes are as uncertain as the others' calibrations, by their weights.
         together = np.linalg.inv(np.linalg.inv(covariances[others]).mean(axis=0))
         ratio = float(np.trace(together @ weight)) / q
-        chances.append(float(chi2.sf(rest @ weight @ rest / (1.0 + leverage * ratio), q - count)))
+        squared, degrees = rest @ weight @ rest / (1.0 + leverage * ratio), (len(others) - count - 1) * (q - count)
+        scale = max(left / degrees, 1.0) * (q - count)
+        chances.append(float(f.sf(squared / scale, q - count, degrees) if scaled else chi2.sf(squared, q - count)))
     return float(1.0 - (1.0 - min(chances)) ** len(chances)), left
 
 
@@ -288,42 +293,41 @@ def _clearest_split(samples: Floats, least: int) -> tuple[Floats, NDArray[np.boo
     along a line, `(s,)`, and which are in the second group, `(s, n)`.
 
     The lines are the principal directions of the sample, no more than a fifth of its size and three, and Fisher's
-    discriminant of the best split along these.
+    discriminants of the best splits along these.
     """
     n = samples.shape[1]
     centred = samples - samples.mean(axis=1, keepdims=True)
     directions = np.linalg.eigh(np.einsum("sij,sik->sjk", centred, centred))[1][:, :, ::-1]
     scores = centred @ directions[:, :, : min(3, max(1, n // 5))]
-    ratio, second = _split_along(np.moveaxis(scores, 2, 1), least)
-    for _ in range(2):
-        share = second.mean(axis=1)[:, None]
-        apart = np.einsum("sn,snd->sd", second / share - (~second) / (1.0 - share), scores) / n
-        means = (second - share)[:, :, None] * apart[:, None, :]
-        within = scores - means
-        scatter = np.einsum("snd,sne->sde", within, within)
-        scatter += np.einsum("sdd->s", scatter)[:, None, None] / _LARGEST * np.eye(scatter.shape[1])
-        line = np.linalg.solve(scatter, apart[:, :, None])
-        again, other = _split_along(np.moveaxis(scores @ line, 2, 1), least)
-        better = again > ratio
-        ratio, second = np.where(better, again, ratio), np.where(better[:, None], other, second)
-    return ratio, second
+    best, members = np.zeros(len(samples)), np.zeros(samples.shape[:2], dtype=bool)
+    for k in range(scores.shape[2]):
+        line = np.eye(scores.shape[2])[:, k : k + 1]
+        for _ in range(3):
+            ratio, second = _split_along((scores @ line)[:, :, 0], least)
+            better = ratio > best
+            best, members = np.where(better, ratio, best), np.where(better[:, None], second, members)
+            share = second.mean(axis=1)[:, None]
+            apart = np.einsum("sn,snd->sd", second / share - (~second) / (1.0 - share), scores) / n
+            within = scores - (second - share)[:, :, None] * apart[:, None, :]
+            scatter = np.einsum("snd,sne->sde", within, within)
+            scatter += np.einsum("sdd->s", scatter)[:, None, None] / _LARGEST * np.eye(scatter.shape[1])
+            line = np.linalg.solve(scatter, apart[:, :, None])
+    return best, members
 
 
 def _split_along(scores: Floats, least: int) -> tuple[Floats, NDArray[np.bool_]]:
-    """The best split along the best of d lines with `scores` `(s, d, n)`: as `_clearest_split`."""
-    n = scores.shape[2]
-    order = np.argsort(scores, axis=2)
-    rising = np.take_along_axis(scores, order, axis=2)
-    rising = rising - rising.mean(axis=2, keepdims=True)
+    """The best split of `scores` `(s, n)` along a line: as `_clearest_split`."""
+    n = scores.shape[1]
+    order = np.argsort(scores, axis=1)
+    rising = np.take_along_axis(scores, order, axis=1)
+    rising = rising - rising.mean(axis=1, keepdims=True)
     below = np.arange(1, n)
-    between = np.cumsum(rising, axis=2)[:, :, :-1] ** 2 * (1.0 / below + 1.0 / (n - below))
+    between = np.cumsum(rising, axis=1)[:, :-1] ** 2 * (1.0 / below + 1.0 / (n - below))
     between = np.where((below < least) | (n - below < least), 0.0, between)
-    total = np.sum(rising**2, axis=2, keepdims=True) + 1e-300
-    ratio = total / np.maximum(total - between, total / _LARGEST)
-    direction, place = np.divmod(np.argmax(ratio.reshape(len(ratio), -1), axis=1), n - 1)
-    each = np.arange(len(scores))
-    rank = np.argsort(order[each, direction], axis=1)
-    return ratio[each, direction, place], rank > place[:, None]
+    total = np.sum(rising**2, axis=1) + 1e-300
+    place = np.argmax(between, axis=1)
+    ratio = total / np.maximum(total - np.max(between, axis=1), total / _LARGEST)
+    return ratio, np.argsort(order, axis=1) > place[:, None]
 
 
 def rest_bound(fit: LowRank, values: Floats, covariances: Floats) -> float:

@@ -135,7 +135,7 @@ def test_two_groups_are_found_and_one_is_none():
 
 
 def test_what_may_be_beyond_the_shapes_covers_what_is():
-    """A rest of 0.5 deg/h in every coefficient is within the bound, and the bound is no more than some times as large."""
+    """A rest of 0.5 deg/h in every coefficient is within the bound, which is not many times as large."""
     rng, covered = np.random.default_rng(10), 0
     for _ in range(40):
         values, own = read_maps(rng, drawn_maps(rng, 16, "one") + 0.5 * rng.standard_normal((16, 4)))

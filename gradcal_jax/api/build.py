@@ -227,7 +227,7 @@ def longest_piece(sensor: GyroTriad) -> float:
 def move_of(move: ResolvedMove, others_read_every: float | None, longest_piece: float) -> Move:
     """A move of a spec in the core's terms; times in s."""
     if move.is_rest:
-        return trajectory.rest(move.duration, move.read_every, read_at_end=move.read_end)
+        return trajectory.rest(move.duration, move.read_every, read_at_end=bool(move.read_end))
     return trajectory.turn(
         move.shape,
         move.peak_rate,

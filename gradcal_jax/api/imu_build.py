@@ -97,7 +97,13 @@ def build_imu(
 ) -> BuiltImu:
     """Model and motion of an IMU's spec, whose plan is broken off at `until_s` of its clock. `change`: what the times
     and rates of the plan become. `like`: an IMU with the same plan and other error terms, whose motion serves if the
-    terms need the same pieces. Errors: `MemoryError` for a plan with more readings than this machine can hold."""
+    terms need the same pieces. Errors: `MemoryError` for a plan with more readings than this machine can hold,
+    `ValueError` for a fixture of several IMUs."""
+    if spec.rig.table.place:
+        raise ValueError(
+            "the spec has a fixture of several IMUs: predict, optimise and estimate take it; for anything else write "
+            "the mounting of one of its places as rig.table.mounting, and leave rig.table.place out"
+        )
     if too := too_large(spec):
         raise MemoryError(too)
     model_, sources = _model_and_sources(spec)

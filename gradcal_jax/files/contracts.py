@@ -431,6 +431,15 @@ class NoticeRow(Section):
         return f"{hidden} {words}; false alarms: {self.false_alarm:.2g}"
 
 
+class PlaceRow(Section):
+    """What the plan leaves of the IMU at one place of a fixture."""
+
+    name: str
+    """Of the place."""
+    values: dict[str, Finite | None]
+    """The residual of each requirement, by its name, in its unit; null: not observable."""
+
+
 class Prediction(Section):
     """gradcal-prediction/1: the residual that a plan leaves."""
 
@@ -456,6 +465,14 @@ class Prediction(Section):
     """Warnings, in sentences."""
     omitted: tuple[AbsentRow, ...] = ()
     """Error terms that the spec does not name; they count in the verdicts."""
+    places: tuple[PlaceRow, ...] = ()
+    """Of a fixture of several IMUs, every place; all else is of the worst one."""
+    place: str | None = None
+    """Its name."""
+    minutes_per_imu: Size | None = None
+    """Duration of the plan over the number of places (min)."""
+    imus_per_shift: Size | None = None
+    """Number of IMUs in a shift: of whole runs, or the share of one that is longer."""
 
     _repr_html_ = html
 

@@ -196,6 +196,7 @@ ELSEWHERE = {
     "estimate run/log.nc --recipe recipe.toml -o calibration.toml --plot fit.png": (
         "tests/cli/test_imu_estimate_cli.py"
     ),
+    "lot unit-*/calibration.toml -o priors.toml --plot lot.png": "tests/cli/test_lot_cli.py",
     "sensitivity mine/spec.toml": "tests/cli/test_design_cli.py",
     "sweep experiments/sweeps/tactical_bench.toml -o results.nc --plot results.png": "tests/cli/test_sweep_cli.py",
 }

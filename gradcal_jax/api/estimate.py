@@ -19,14 +19,14 @@ from gradcal_jax.api.contradictions import (
     beyond_the_data,
     diagnosis_sentences,
     omitted_sentences,
-    refuse_misaligned,
     refuse_other_units,
 )
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.estimated_calibration import calibration_of, tests_by_name
 from gradcal_jax.api.executed_part import lacks_of
-from gradcal_jax.api.fit_of_log import fitted_twice, lag_of_maps, points_of, with_chosen_smoothness
+from gradcal_jax.api.fit_of_log import points_of
 from gradcal_jax.api.fitted_lag import Lag
+from gradcal_jax.api.fitted_rows import FittedRows, Recorded, fit_of, together
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.imu_residual import internal_misalignments
 from gradcal_jax.api.log_rows import count_rows, with_options
@@ -56,21 +56,20 @@ from gradcal_jax.estimation import (
     Group,
     ImuEstimate,
     ImuReadings,
-    ImuRows,
     Smoothness,
     StructureTest,
-    TablePoints,
     Test,
 )
 from gradcal_jax.files.absent import branch_sentences
 from gradcal_jax.files.calibration import (
     Calibration,
 )
-from gradcal_jax.files.calibration.correction import correct_triads, followed
+from gradcal_jax.files.calibration.correction import correct_triads
 from gradcal_jax.files.changes import along_axis
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.places import places_of, specs_at_places
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement_table import narrow_table
@@ -225,7 +224,8 @@ def estimate_sensors(
     options: Options | None = None,
     sources: dict[str, str] | None = None,
 ) -> list[SensorEstimate]:
-    """The estimate of every sensor in `units` (default: all) of a log; with several mountings, one log for each."""
+    """The estimate of every sensor in `units` (default: all) of a log; with several mountings, one log for each. IMUs
+    at the places of a fixture are estimated together."""
     options = options or Options()
     mountings = len(spec.rig.table.mounting)
     if len(logs) != mountings and (len(logs) > 1 or logs[0].mounting is None):
@@ -243,14 +243,25 @@ def estimate_sensors(
     for log, name in itertools.product(logs, names):
         if log.temperature_c is not None:
             refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
-    built = build_imu(spec)
-    logs, faults = without_bad_rows(spec, logs, [c.name.replace("_", " ") for c in built.model.channels])
+    at = {"": spec} if not spec.rig.table.place else specs_at_places(spec)
+    where = places_of(spec, names) if spec.rig.table.place else dict.fromkeys(names, "")
+    built_at = {place: build_imu(at[place]) for place in dict.fromkeys(where.values())}
+    built = built_at[where[names[0]]]
+    logs, faults = without_bad_rows(built.spec, logs, [c.name.replace("_", " ") for c in built.model.channels])
     noise = omitted_noise_of_imu(built)
+    fits: dict[str, FittedRows] = {}
     reports = list[SensorEstimate]()
     for name in names:
         try:
-            recorded = Recorded(*imu_rows(built, logs, name, options))
-            report = report_of(built, logs, name, recorded, options, sources or {}, noise, faults[name])
+            of = built_at[where[name]]
+            fits[name] = fit_of(of, name, Recorded(*imu_rows(of, logs, name, options)), options)
+        except LogError as error:
+            raise LogError(f"{error}{faults[name].also}") from None
+    if spec.rig.table.place and len(names) > 1:
+        fits = together(spec, fits)
+    for name in names:
+        try:
+            report = report_of(fits[name], logs, name, options, sources or {}, noise, faults[name])
         except LogError as error:
             raise LogError(f"{error}{faults[name].also}") from None
         if lacks is not None:
@@ -258,14 +269,6 @@ def estimate_sensors(
         messages = *([lacks] if lacks else []), *said, *faults[name].sentences, *report.messages
         reports.append(report._replace(messages=messages))
     return reports
-
-
-class Recorded(NamedTuple):
-    """The rows of one sensor, and messages on them. `points`: they are those of a table of points."""
-
-    rows: ImuRows
-    messages: tuple[str, ...]
-    points: TablePoints | None = None
 
 
 def with_earth(spec: Spec, earth_rate: float) -> Spec:
@@ -285,34 +288,17 @@ def with_earth(spec: Spec, earth_rate: float) -> Spec:
 
 
 def report_of(
-    built: BuiltImu,
+    fitted: FittedRows,
     logs: Sequence[Log],
     name: str,
-    recorded: Recorded,
     options: Options,
     sources: dict[str, str],
     noise: dict[str, np.ndarray],
     shown: RecordFaults,
 ) -> SensorEstimate:
-    rows, messages, points = recorded
-    starts = np.flatnonzero(~rows.usable & (np.diff(rows.time_s, prepend=-np.inf) > 0.0))
-    temperature_of = lambda lag: followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)  # noqa: E731
-    stable = isinstance(built.spec.plan, StandardPlan)
-    model = built.model
-    refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), model.channels)
-    threshold = options.threshold if options.robust else None
-    if options.lag != "fit":
-        lag = Lag(float(options.lag))
-    elif stable:
-        lag = Lag(0.0)
-        messages = *messages, "at stable temperatures a lag cannot be estimated: it is taken as zero"
-    else:
-        lag = lag_of_maps(built, name, rows, temperature_of)
-    temperature = temperature_of(lag.seconds)
-    fit, smoothness = fitted_twice(built, name, rows, temperature, threshold, points), None
-    if options.smoothness == "auto":
-        built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
-        model = built.model
+    """The estimate of one sensor from the fit of its rows."""
+    built, (rows, messages, points), temperature, fit, smoothness, lag = fitted
+    stable, model = isinstance(built.spec.plan, StandardPlan), built.model
     done, readings, solution, rates = fit
     if stable and points is None:
         messages = *messages, *points_of(built, rows).sentences

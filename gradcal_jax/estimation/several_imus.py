@@ -69,19 +69,20 @@ def solve_together(
         raise ValueError("the logs of the IMUs have different moves, so their encoder errors are not the same")
     parts = [_reduced(*of) for of in zip(readings, solutions, shared, strict=True)]
     first = readings[0].model
-    prior = np.concatenate([np.asarray(term.stds) for term in first.installation]) if first.installation else np.zeros(0)
+    prior = np.concatenate([np.zeros(0), *(np.asarray(term.stds) for term in first.installation)])
     prior = prior[shared[0][first.calibrated :]]
     table = len(prior)
     own_prior = np.concatenate([prior**-2.0, np.ones(len(parts[0].vector) - table)])
     if len({len(part.vector) for part in parts}) > 1:
         raise ValueError("the logs of the IMUs have different readings of the encoder")
-    whole, vector = sum(p.information for p in parts) + np.diag(own_prior), sum(p.vector for p in parts)
+    whole = np.diag(own_prior) + np.sum([p.information for p in parts], axis=0)
+    vector = np.sum([p.vector for p in parts], axis=0)
     scale = 1.0 / np.sqrt(np.diag(whole))
     factor = cholesky(whole * scale[:, None] * scale, lower=True)
     common = scale * cho_solve((factor, True), scale * vector)
     half = scale[:, None] * solve_triangular(factor, np.eye(len(scale)), lower=True).T
     joint = [_with(*of, common, half, table) for of in zip(solutions, parts, shared, strict=True)]
-    tests = [_agreement(part, whole, vector, table) for part in parts] if len(parts) > 1 else [None]
+    tests = [_agreement(of, whole, vector, table) if len(parts) > 1 else None for of in parts]
     return SeveralImus(joint, tests)
 
 
@@ -96,10 +97,9 @@ def _reduced(readings: ImuReadings, solution: ImuEstimate, shared: np.ndarray) -
     covariance[:, own, :], covariance[:, :, own], initial[own, :], initial[:, own] = 0.0, 0.0, 0.0, 0.0
     observed[:, own] = 0.0
     quiet = steps._replace(covariance=covariance, initial=initial, observation=observed)
-    apart = np.where(segments_of(readings.done.motion, model).used, readings.observed, 0.0)
-    at = segments_of(readings.done.motion, model).used
-    apart = readings.by_steps(np.where(at, apart - readings.expected(solution.parameters), 0.0))
-    kept = readings.by_steps(np.asarray(at))
+    used = np.asarray(segments_of(readings.done.motion, model).used)
+    apart = readings.by_steps(np.where(used, readings.observed - readings.expected(solution.parameters), 0.0))
+    kept = readings.by_steps(used)
     white = np.asarray(whiten(quiet, np.concatenate([apart[:, None], columns, errors], axis=1)))[kept]
     size = model.size
     jacobian = white[:, 1 : 1 + size]
@@ -128,8 +128,9 @@ def _encoder_columns(readings: ImuReadings, steps) -> np.ndarray:
     transition = np.asarray(steps.transition)[:, own, own]
     covariance = np.asarray(steps.covariance)[:, own, own]
     observed = np.asarray(steps.observation)[:, own]
-    largest = max(float(np.max(np.abs(covariance), initial=0.0)), float(np.max(np.abs(steps.initial[own, own]), initial=0.0)))
-    draws = [_root(np.asarray(steps.initial)[own, own], largest)]
+    initial = np.asarray(steps.initial)[own, own]
+    largest = max(float(np.max(np.abs(x), initial=0.0)) for x in (covariance, initial))
+    draws = [_root(initial, largest)]
     draws += [_root(q, largest) if q.any() else q[:, :0] for q in covariance]
     total = sum(draw.shape[1] for draw in draws)
     result, state = np.zeros((len(observed), total)), np.zeros((observed.shape[1], total))
@@ -161,8 +162,8 @@ def _with(
     spread[part.own, : part.back.shape[1]] = part.back
     spread[part.own, part.back.shape[1] :] = -part.back @ (part.through @ half)
     spread[shared, part.back.shape[1] :] = half[:table]
-    triangle = np.linalg.qr(spread.T, mode="r").T
-    known = Posterior(triangle, solution.known.hidden)
+    triangle = np.asarray(np.linalg.qr(spread.T, mode="r"))
+    known = Posterior(triangle.T, solution.known.hidden)
     return solution._replace(estimate=solution.estimate._replace(parameters=parameters[None], known=(known,)))
 
 

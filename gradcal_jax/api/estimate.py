@@ -5,7 +5,8 @@ The spec describes the noise, the table and the terms; the executed motion is re
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
@@ -216,6 +217,46 @@ def of_log(spec: Spec, log: Log, axis: str | None = None) -> Spec:
     return along_axis(spec, cast("Axis", log.axes[0])) if alone and log.axes[0] in AXIS_NAMES else spec
 
 
+class _Prepared(NamedTuple):
+    """Logs without bad rows, ready for the fits of the sensors `names`."""
+
+    built: BuiltImu
+    logs: Sequence[Log]
+    names: Sequence[str]
+    options: Options
+    said: Sequence[str]
+    lacks: str | None
+    faults: Mapping[str, RecordFaults]
+    noise: dict[str, np.ndarray]
+
+    def fits(self) -> dict[str, FittedRows]:
+        """The fit of every sensor by itself."""
+        found: dict[str, FittedRows] = {}
+        for name in self.names:
+            with self.naming(name):
+                recorded = Recorded(*imu_rows(self.built, self.logs, name, self.options))
+                found[name] = fit_of(self.built, name, recorded, self.options)
+        return found
+
+    def report(self, name: str, fitted: FittedRows, sources: dict[str, str]) -> SensorEstimate:
+        """The estimate of a sensor from its fit."""
+        with self.naming(name):
+            report = report_of(fitted, self.logs, name, self.options, sources, self.noise, self.faults[name])
+        lacks = self.lacks
+        if lacks is not None:
+            report = report._replace(calibration=report.calibration.model_copy(update={"lacks": lacks}))
+        messages = *([lacks] if lacks else []), *self.said, *self.faults[name].sentences, *report.messages
+        return report._replace(messages=messages)
+
+    @contextmanager
+    def naming(self, name: str) -> Iterator[None]:
+        """Context whose `LogError`s say what else is wrong with the log of a sensor."""
+        try:
+            yield
+        except LogError as error:
+            raise LogError(f"{error}{self.faults[name].also}") from None
+
+
 def estimate_sensors(
     spec: Spec,
     logs: Sequence[Log],
@@ -225,8 +266,25 @@ def estimate_sensors(
     sources: dict[str, str] | None = None,
 ) -> list[SensorEstimate]:
     """The estimate of every sensor in `units` (default: all) of a log; with several mountings, one log for each. IMUs
-    at the places of a fixture are estimated together."""
+    at the places of a fixture, in one log or in one each, are estimated together."""
     options = options or Options()
+    if not spec.rig.table.place:
+        ready = _prepared(spec, logs, units, options)
+        return [ready.report(name, fitted, sources or {}) for name, fitted in ready.fits().items()]
+    names = dict.fromkeys(name for log in logs for name in log.units)
+    if unknown := [name for name in units if name not in names]:
+        raise LogError(f"no unit is called {unknown[0]}: the logs have {', '.join(names)}")
+    where, at = places_of(spec, list(names)), specs_at_places(spec)
+    each = {
+        name: _prepared(at[where[name]], [log for log in logs if name in log.units], [name], options)
+        for name in units or names
+    }
+    fits = {name: fitted for ready in each.values() for name, fitted in ready.fits().items()}
+    fits = together(spec, fits) if len(fits) > 1 else fits
+    return [each[name].report(name, fitted, sources or {}) for name, fitted in fits.items()]
+
+
+def _prepared(spec: Spec, logs: Sequence[Log], units: Sequence[str], options: Options) -> _Prepared:
     mountings = len(spec.rig.table.mounting)
     if len(logs) != mountings and (len(logs) > 1 or logs[0].mounting is None):
         raise LogError(
@@ -243,32 +301,9 @@ def estimate_sensors(
     for log, name in itertools.product(logs, names):
         if log.temperature_c is not None:
             refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
-    at = {"": spec} if not spec.rig.table.place else specs_at_places(spec)
-    where = places_of(spec, names) if spec.rig.table.place else dict.fromkeys(names, "")
-    built_at = {place: build_imu(at[place]) for place in dict.fromkeys(where.values())}
-    built = built_at[where[names[0]]]
-    logs, faults = without_bad_rows(built.spec, logs, [c.name.replace("_", " ") for c in built.model.channels])
-    noise = omitted_noise_of_imu(built)
-    fits: dict[str, FittedRows] = {}
-    reports = list[SensorEstimate]()
-    for name in names:
-        try:
-            of = built_at[where[name]]
-            fits[name] = fit_of(of, name, Recorded(*imu_rows(of, logs, name, options)), options)
-        except LogError as error:
-            raise LogError(f"{error}{faults[name].also}") from None
-    if spec.rig.table.place and len(names) > 1:
-        fits = together(spec, fits)
-    for name in names:
-        try:
-            report = report_of(fits[name], logs, name, options, sources or {}, noise, faults[name])
-        except LogError as error:
-            raise LogError(f"{error}{faults[name].also}") from None
-        if lacks is not None:
-            report = report._replace(calibration=report.calibration.model_copy(update={"lacks": lacks}))
-        messages = *([lacks] if lacks else []), *said, *faults[name].sentences, *report.messages
-        reports.append(report._replace(messages=messages))
-    return reports
+    built = build_imu(spec)
+    logs, faults = without_bad_rows(spec, logs, [c.name.replace("_", " ") for c in built.model.channels])
+    return _Prepared(built, logs, names, options, said, lacks, faults, omitted_noise_of_imu(built))
 
 
 def with_earth(spec: Spec, earth_rate: float) -> Spec:

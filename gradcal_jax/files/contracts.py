@@ -472,7 +472,7 @@ class Prediction(Section):
     minutes_per_imu: Size | None = None
     """Duration of the plan over the number of places (min)."""
     imus_per_shift: Size | None = None
-    """Number of IMUs in a shift: of whole runs, or the share of one that is longer."""
+    """Number of IMUs in a shift: of whole runs, without the time to change them, or the share of a longer run."""
 
     _repr_html_ = html
 

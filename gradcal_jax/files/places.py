@@ -5,10 +5,15 @@ The table's mounting is that of the fixture, and a place that of an IMU in it: b
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from gradcal_jax.files.bench import Mounting, Place
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.spec_sections import Spec
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 def specs_at_places(spec: Spec) -> dict[str, Spec]:
@@ -55,14 +60,8 @@ def _composed(fixture: Mounting, place: Place) -> Mounting:
     import numpy as np
     from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
 
-    def turned(of: Mounting) -> Rotation:
-        vector = np.zeros(3) if of.rotation is None else np.array([float(a) for a in of.rotation])
-        return Rotation.from_rotvec(vector)
-
-    outer = np.array(fixture.columns).T
-    inner = np.array(place.columns).T if place.matrix is None else np.array(place.matrix)
-    exact = outer @ (np.array(place.columns).T)
-    whole = outer @ turned(fixture).as_matrix() @ inner @ turned(place).as_matrix()
+    exact = np.array(fixture.columns).T @ np.array(place.columns).T
+    whole = rotation_of(fixture) @ rotation_of(place)
     named = dict(zip("xyz", (_direction(column) for column in exact.T), strict=True))
     further = Rotation.from_matrix(exact.T @ whole).as_rotvec()
     rotation = {}
@@ -70,6 +69,17 @@ def _composed(fixture: Mounting, place: Place) -> Mounting:
         rotation = {"rotation": tuple(Quantity.of(float(a), "deg") for a in further)}
     accuracy = math.hypot(float(fixture.accuracy), float(place.accuracy))
     return Mounting(name=fixture.name or place.name, **named, **rotation, accuracy=Quantity.of(accuracy, "deg"))  # pyright: ignore[reportArgumentType]
+
+
+def rotation_of(held: Mounting) -> "NDArray[np.float64]":
+    """The rotation `(3, 3)` from the body of an IMU to what holds it: the fixture, or the innermost axis."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
+
+    matrix = held.matrix if isinstance(held, Place) else None
+    first = np.array(held.columns).T if matrix is None else np.array(matrix)
+    vector = np.zeros(3) if held.rotation is None else np.array([float(a) for a in held.rotation])
+    return first @ Rotation.from_rotvec(vector).as_matrix()
 
 
 def _direction(column: Sequence[float]) -> str:

@@ -8,8 +8,10 @@ from imu_bench import made, short
 from scipy.stats import chi2
 
 from gradcal_jax.api.estimate import estimate_sensors
+from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import changed
+from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.hardware import execute
 
 PLACES = [
@@ -53,3 +55,19 @@ def test_an_imu_at_another_place_than_the_spec_has_is_noticed(run):
     logs = [run_log.log(folder, place["name"]) for place in PLACES]
     with pytest.raises(ValueError, match=r"right, gyro y: it shows -1 times .* or the mounting"):
         estimate_sensors(changed(spec, {"rig.table.place": wrong}), logs)
+
+
+def test_the_command_writes_a_calibration_of_each(run, tmp_path, capsys):
+    _, folder = run
+    logs = []
+    for place in PLACES:
+        logs.append(str(tmp_path / f"{place['name']}.nc"))
+        assert main(["log", str(folder), "--unit", place["name"], "-o", logs[-1]]) == 0
+    cal = tmp_path / "cal.toml"
+    status = main(["estimate", *logs, "--recipe", str(folder / "recipe.toml"), "-o", str(cal)])
+    printed = capsys.readouterr()
+    assert status in (0, 1), printed.err
+    assert printed.out.count("estimated together with 2 other IMUs") == 3
+    assert [read_calibration(tmp_path / f"cal-{place['name']}.toml").serial_number for place in PLACES] == [
+        place["name"] for place in PLACES
+    ]

@@ -69,6 +69,7 @@ _HOME_OF_NAME: dict[str, str] = {
     "apply": "files.calibration.correction",
     "validate": "api.validation",
     "export": "files.calibration.exports",
+    "lot": "api.lot",
     "report": "pages.report",
     "estimate_by_hand": "api.hand_estimate",
     # the core alone: error model, plans, covariance

@@ -15,6 +15,7 @@ from gradcal_jax.api.hand_estimate import estimate_by_hand as estimate_by_hand
 from gradcal_jax.api.log_flow import allan as allan
 from gradcal_jax.api.log_flow import estimate as estimate
 from gradcal_jax.api.log_flow import instability as instability
+from gradcal_jax.api.lot import lot as lot
 from gradcal_jax.api.replan import replan as replan
 from gradcal_jax.api.sensitivity import sensitivity as sensitivity
 from gradcal_jax.api.validation import validate as validate

@@ -12,6 +12,7 @@ from gradcal_jax.files.bases import RatePolynomial, RateSpline, TemperaturePolyn
 from gradcal_jax.files.motion_plan import PlanSchedule, plan_schedule
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
@@ -64,7 +65,7 @@ def assemble(spec: Spec) -> Assembled:
         float(table.rate_accuracy or 0.0),
     )
     harmonics = {h.order: float(h.amplitude) for h in angle.harmonics}
-    channel, lag = gyro_channel(gyro, processes, reference, harmonics=harmonics), spec.sensor.lag
+    channel, lag = gyro_channel(gyro, gyro.axes[0], processes, reference, harmonics=harmonics), spec.sensor.lag
     schedule, moves = table_schedule(spec.schedule, spec)
     past: Past | None = None
     for part in spec.done:
@@ -138,6 +139,7 @@ def named_processes(
 
 def gyro_channel(
     sensor: GyroTriad,
+    axis: str,
     processes: Processes,
     reference: Reference | None = None,
     *,
@@ -145,12 +147,12 @@ def gyro_channel(
     signals: Sequence[SignalMap] = (),
     path: Sequence[PathTerm] = (),
 ) -> SensorModel:
-    """The model of a gyro: its maps, the terms of its other `signals` and of the `path` of temperature, and its
-    noise."""
+    """The model of the gyro along an axis of the body: its maps, the terms of its other `signals` and of the `path`
+    of temperature, and its noise."""
     gradient = sensor.gradient_sensitivity
     return model.gyro_model(
-        None if sensor.bias is None else section_map(sensor.bias, float(sensor.turn_on_bias or 0.0)),
-        None if sensor.scale_factor is None else section_map(sensor.scale_factor),
+        None if sensor.bias is None else section_map(sensor.bias, axis, float(sensor.turn_on_bias or 0.0)),
+        None if sensor.scale_factor is None else section_map(sensor.scale_factor, axis),
         float(sensor.angle_random_walk),
         processes,
         reference,
@@ -170,7 +172,7 @@ def basis(section) -> model.Basis:
     return model.Bins(tuple(float(e) for e in section.edges))
 
 
-def section_map(section: Bias | ScaleFactor, turn_on_std: float = 0.0) -> Map:
+def section_map(section: Bias | ScaleFactor, axis: str, turn_on_std: float = 0.0) -> Map:
     """`B(T)` or `M(T, ω)` with its priors, from a spec. The constant of a bias *is* this run's turn-on bias, so their
     priors add."""
     beyond, rate, degree = section.discrepancy, None, 0
@@ -183,7 +185,14 @@ def section_map(section: Bias | ScaleFactor, turn_on_std: float = 0.0) -> Map:
         smoothness_std=or_infinite(section.smoothness),
         common_std=turn_on_std,
         discrepancy=None if beyond is None else (float(beyond.standard_deviation), beyond.temperature_degree, degree),
+        shapes=shapes_of(section, axis),
     )
+
+
+def shapes_of(section: Section, axis: str) -> np.ndarray | None:
+    """The shapes `(coefficients, m)` of the prior of a map of the channel along an axis; None without any."""
+    shapes = [s.coefficients for s in getattr(section, "shape", ()) if s.axis in (None, axis)]
+    return np.array(shapes, dtype=float).T if shapes else None
 
 
 def or_infinite(value: float | None) -> float:
@@ -219,7 +228,7 @@ def longest_piece(sensor: GyroTriad) -> float:
 def move_of(move: ResolvedMove, others_read_every: float | None, longest_piece: float) -> Move:
     """A move of a spec in the core's terms; times in s."""
     if move.is_rest:
-        return trajectory.rest(move.duration, move.read_every, read_at_end=move.read_end)
+        return trajectory.rest(move.duration, move.read_every, read_at_end=bool(move.read_end))
     return trajectory.turn(
         move.shape,
         move.peak_rate,

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.api.imu_build import BuiltImu, build_imu, course_before, executed_motion, geometry, waves_of
+from gradcal_jax.api.imu_build import build_imu, course_before, executed_motion, geometry, waves_of
 from gradcal_jax.api.imu_residual import ImuResidual, RequiredQuantity, quantity_of
+from gradcal_jax.api.plan_information import gram_of, prior_gram, residuals_of
 from gradcal_jax.api.plan_to_spec import programme_keys
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.search_results import MARGIN
@@ -35,10 +36,10 @@ from gradcal_jax.design.pose_cycle import (
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.design import ALL, TIMES, WORST, Design
 from gradcal_jax.files.motion_plan import MotionPlan, PlanSchedule, quickest_turn
+from gradcal_jax.files.places import specs_at_places
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.information import Posterior, imu_system, whiten
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import Hysteresis, ImuModel, PathTerm
 
@@ -84,16 +85,19 @@ class CyclePlan:
 
     def __init__(self, spec: Spec) -> None:
         self.spec, self.design = spec, spec.design or Design()
-        self.built = build_imu(spec)
+        self._at = list(specs_at_places(spec).values())
+        self.built = build_imu(self._at[0])
         self._fine = tuple(quantity_of(self.built, r) for r in spec.requirement)
         self._aims = tuple(_aim_of(r, self.design) for r in spec.requirement)
-        scenarios = scenario_specs(spec)
-        models = [build_imu(one).model if one is not spec else self.built.model for one, _ in scenarios]
-        self._models = models
-        prior = self.built.model.prior_rows()
-        self._prior = prior.T @ prior
+        scenarios = [[one for one, _ in scenario_specs(at)] for at in self._at]
+        self._models = [[build_imu(one).model for one in of] for of in scenarios]
+        models = [model for of in self._models for model in of]
         self._executed = executed_motion(self.built)
-        self._known = [self._prior + self._past(model) for model in models]
+        known = [
+            prior_gram(model) + self._past(model, at)
+            for at, of in zip(self._at, self._models, strict=True)
+            for model in of
+        ]
         timed = self.design.minimise in TIMES
         self.worst = timed or self.design.minimise == WORST
         counts = [
@@ -128,9 +132,9 @@ class CyclePlan:
         self._window = self._cycles_together(models)
         self.objective = CycleObjective(
             self.coordinates,
-            geometry(spec.rig),
+            [geometry(one.rig) for of in scenarios for one in of],
             models,
-            self._known,
+            known,
             minimised,
             window=self._window,
             points=self.built.points,
@@ -146,11 +150,13 @@ class CyclePlan:
             raise ValueError(f"nothing of the plan is free: the table stands, and {NO_COURSE}")
         self.descent = Descent(self._value)
 
-    def _past(self, model: ImuModel) -> np.ndarray:
+    def _past(self, model: ImuModel, at: Spec) -> np.ndarray:
         """The information of what was executed before; a search takes its drifts as independent of the plan's."""
         if self._executed is None:
             return np.zeros((model.size, model.size))
-        return _gram_of(self.built._replace(model=model, motion=self._executed))
+        executed = self._executed if at is self._at[0] else executed_motion(build_imu(at))
+        assert executed is not None
+        return gram_of(self.built._replace(model=model, motion=executed))
 
     def _value(self, z: Any, args: tuple[CycleStructure, Ramp | None, Any]) -> Any:
         of, ramps, sharpness = args
@@ -276,9 +282,13 @@ class CyclePlan:
         return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
 
     def residuals(self, spec: Spec) -> list[list[ImuResidual]]:
-        """What a spec's plan leaves by each model of the noise, in the order of its requirements."""
-        built = build_imu(spec)
-        return [_residuals(self._prior + _gram_of(built._replace(model=model)), self._fine) for model in self._models]
+        """What a spec's plan leaves at each place by each model of the noise, in the order of its requirements."""
+        return [
+            residuals_of(prior_gram(model) + gram_of(built._replace(model=model)), self._fine)
+            for at, models in zip(specs_at_places(spec).values(), self._models, strict=True)
+            for built in (build_imu(at),)
+            for model in models
+        ]
 
     def value_of(self, residuals: Sequence[Sequence[ImuResidual]]) -> float:
         """The objective of a plan that leaves these residuals."""
@@ -483,19 +493,3 @@ def _log(residual: ImuResidual, aim: tuple[Statistic, float]) -> float:
     """The logarithm of a statistic over its limit."""
     value = residual.statistic(aim[0])
     return math.log(value / aim[1]) if value else math.inf
-
-
-def _gram_of(built: BuiltImu) -> np.ndarray:
-    """The information (Gram matrix) of the whitened rows of a plan."""
-    rows = whiten(*imu_system(built.motion, built.model, built.body_nodes()))
-    return rows.T @ rows
-
-
-def _residuals(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[ImuResidual]:
-    """Every requirement's residual from the Gram matrix: its scaled columns are far from parallel where everything is
-    observable."""
-    scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(gram / (scale[:, None] * scale[None, :]))
-    seen = values > 1e-13 * values[-1]
-    known = Posterior(vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None], vectors[:, ~seen] / scale[:, None])
-    return [q.residual(known) for q in quantities]

@@ -5,7 +5,8 @@ The spec describes the noise, the table and the terms; the executed motion is re
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
@@ -19,14 +20,14 @@ from gradcal_jax.api.contradictions import (
     beyond_the_data,
     diagnosis_sentences,
     omitted_sentences,
-    refuse_misaligned,
     refuse_other_units,
 )
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.estimated_calibration import calibration_of, tests_by_name
 from gradcal_jax.api.executed_part import lacks_of
-from gradcal_jax.api.fit_of_log import fitted_twice, lag_of_maps, points_of, with_chosen_smoothness
+from gradcal_jax.api.fit_of_log import points_of
 from gradcal_jax.api.fitted_lag import Lag
+from gradcal_jax.api.fitted_rows import FittedRows, Recorded, fit_of, together
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.imu_residual import internal_misalignments
 from gradcal_jax.api.log_rows import count_rows, with_options
@@ -56,21 +57,20 @@ from gradcal_jax.estimation import (
     Group,
     ImuEstimate,
     ImuReadings,
-    ImuRows,
     Smoothness,
     StructureTest,
-    TablePoints,
     Test,
 )
 from gradcal_jax.files.absent import branch_sentences
 from gradcal_jax.files.calibration import (
     Calibration,
 )
-from gradcal_jax.files.calibration.correction import correct_triads, followed
+from gradcal_jax.files.calibration.correction import correct_triads
 from gradcal_jax.files.changes import along_axis
 from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.moves import Axis
+from gradcal_jax.files.places import places_of, specs_at_places
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement_table import narrow_table
@@ -217,6 +217,46 @@ def of_log(spec: Spec, log: Log, axis: str | None = None) -> Spec:
     return along_axis(spec, cast("Axis", log.axes[0])) if alone and log.axes[0] in AXIS_NAMES else spec
 
 
+class _Prepared(NamedTuple):
+    """Logs without bad rows, ready for the fits of the sensors `names`."""
+
+    built: BuiltImu
+    logs: Sequence[Log]
+    names: Sequence[str]
+    options: Options
+    said: Sequence[str]
+    lacks: str | None
+    faults: Mapping[str, RecordFaults]
+    noise: dict[str, np.ndarray]
+
+    def fits(self) -> dict[str, FittedRows]:
+        """The fit of every sensor by itself."""
+        found: dict[str, FittedRows] = {}
+        for name in self.names:
+            with self.naming(name):
+                recorded = Recorded(*imu_rows(self.built, self.logs, name, self.options))
+                found[name] = fit_of(self.built, name, recorded, self.options)
+        return found
+
+    def report(self, name: str, fitted: FittedRows, sources: dict[str, str]) -> SensorEstimate:
+        """The estimate of a sensor from its fit."""
+        with self.naming(name):
+            report = report_of(fitted, self.logs, name, self.options, sources, self.noise, self.faults[name])
+        lacks = self.lacks
+        if lacks is not None:
+            report = report._replace(calibration=report.calibration.model_copy(update={"lacks": lacks}))
+        messages = *([lacks] if lacks else []), *self.said, *self.faults[name].sentences, *report.messages
+        return report._replace(messages=messages)
+
+    @contextmanager
+    def naming(self, name: str) -> Iterator[None]:
+        """Context whose `LogError`s say what else is wrong with the log of a sensor."""
+        try:
+            yield
+        except LogError as error:
+            raise LogError(f"{error}{self.faults[name].also}") from None
+
+
 def estimate_sensors(
     spec: Spec,
     logs: Sequence[Log],
@@ -225,8 +265,26 @@ def estimate_sensors(
     options: Options | None = None,
     sources: dict[str, str] | None = None,
 ) -> list[SensorEstimate]:
-    """The estimate of every sensor in `units` (default: all) of a log; with several mountings, one log for each."""
+    """The estimate of every sensor in `units` (default: all) of a log; with several mountings, one log for each. IMUs
+    at the places of a fixture, in one log or in one each, are estimated together."""
     options = options or Options()
+    if not spec.rig.table.place:
+        ready = _prepared(spec, logs, units, options)
+        return [ready.report(name, fitted, sources or {}) for name, fitted in ready.fits().items()]
+    names = dict.fromkeys(name for log in logs for name in log.units)
+    if unknown := [name for name in units if name not in names]:
+        raise LogError(f"no unit is called {unknown[0]}: the logs have {', '.join(names)}")
+    where, at = places_of(spec, list(names)), specs_at_places(spec)
+    each = {
+        name: _prepared(at[where[name]], [log for log in logs if name in log.units], [name], options)
+        for name in units or names
+    }
+    fits = {name: fitted for ready in each.values() for name, fitted in ready.fits().items()}
+    fits = together(spec, fits) if len(fits) > 1 else fits
+    return [each[name].report(name, fitted, sources or {}) for name, fitted in fits.items()]
+
+
+def _prepared(spec: Spec, logs: Sequence[Log], units: Sequence[str], options: Options) -> _Prepared:
     mountings = len(spec.rig.table.mounting)
     if len(logs) != mountings and (len(logs) > 1 or logs[0].mounting is None):
         raise LogError(
@@ -245,27 +303,7 @@ def estimate_sensors(
             refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
     built = build_imu(spec)
     logs, faults = without_bad_rows(spec, logs, [c.name.replace("_", " ") for c in built.model.channels])
-    noise = omitted_noise_of_imu(built)
-    reports = list[SensorEstimate]()
-    for name in names:
-        try:
-            recorded = Recorded(*imu_rows(built, logs, name, options))
-            report = report_of(built, logs, name, recorded, options, sources or {}, noise, faults[name])
-        except LogError as error:
-            raise LogError(f"{error}{faults[name].also}") from None
-        if lacks is not None:
-            report = report._replace(calibration=report.calibration.model_copy(update={"lacks": lacks}))
-        messages = *([lacks] if lacks else []), *said, *faults[name].sentences, *report.messages
-        reports.append(report._replace(messages=messages))
-    return reports
-
-
-class Recorded(NamedTuple):
-    """The rows of one sensor, and messages on them. `points`: they are those of a table of points."""
-
-    rows: ImuRows
-    messages: tuple[str, ...]
-    points: TablePoints | None = None
+    return _Prepared(built, logs, names, options, said, lacks, faults, omitted_noise_of_imu(built))
 
 
 def with_earth(spec: Spec, earth_rate: float) -> Spec:
@@ -285,34 +323,17 @@ def with_earth(spec: Spec, earth_rate: float) -> Spec:
 
 
 def report_of(
-    built: BuiltImu,
+    fitted: FittedRows,
     logs: Sequence[Log],
     name: str,
-    recorded: Recorded,
     options: Options,
     sources: dict[str, str],
     noise: dict[str, np.ndarray],
     shown: RecordFaults,
 ) -> SensorEstimate:
-    rows, messages, points = recorded
-    starts = np.flatnonzero(~rows.usable & (np.diff(rows.time_s, prepend=-np.inf) > 0.0))
-    temperature_of = lambda lag: followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)  # noqa: E731
-    stable = isinstance(built.spec.plan, StandardPlan)
-    model = built.model
-    refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), model.channels)
-    threshold = options.threshold if options.robust else None
-    if options.lag != "fit":
-        lag = Lag(float(options.lag))
-    elif stable:
-        lag = Lag(0.0)
-        messages = *messages, "at stable temperatures a lag cannot be estimated: it is taken as zero"
-    else:
-        lag = lag_of_maps(built, name, rows, temperature_of)
-    temperature = temperature_of(lag.seconds)
-    fit, smoothness = fitted_twice(built, name, rows, temperature, threshold, points), None
-    if options.smoothness == "auto":
-        built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
-        model = built.model
+    """The estimate of one sensor from the fit of its rows."""
+    built, (rows, messages, points), temperature, fit, smoothness, lag = fitted
+    stable, model = isinstance(built.spec.plan, StandardPlan), built.model
     done, readings, solution, rates = fit
     if stable and points is None:
         messages = *messages, *points_of(built, rows).sentences

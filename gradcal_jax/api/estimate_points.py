@@ -3,8 +3,9 @@
 import numpy as np
 
 from gradcal_jax import estimation, trajectory
-from gradcal_jax.api.estimate import Recorded, SensorEstimate, report_of, with_earth
+from gradcal_jax.api.estimate import SensorEstimate, report_of, with_earth
 from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.fitted_rows import Recorded, fit_of
 from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.record_faults import RecordFaults
 from gradcal_jax.api.recorded_rows import imu_rows
@@ -68,6 +69,5 @@ def estimate_points(
     # What the spec omits counts as in the plan, whose points are of one run.
     size = built.model.size, built.model.calibrated
     noise = {name: np.pad(columns[: size[1]], [(0, size[0] - size[1]), (0, 0)]) for name, columns in omitted.items()}
-    return report_of(
-        built, [log], points.unit, Recorded(rows, (own,), table), options, sources or {}, noise, RecordFaults()
-    )
+    fitted = fit_of(built, points.unit, Recorded(rows, (own,), table), options)
+    return report_of(fitted, [log], points.unit, options, sources or {}, noise, RecordFaults())

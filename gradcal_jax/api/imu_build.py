@@ -14,6 +14,7 @@ from gradcal_jax.api.build import (
     named_processes,
     or_infinite,
     processes_of,
+    shapes_of,
     table_schedule,
 )
 from gradcal_jax.files import sensor as sensor_file
@@ -99,7 +100,13 @@ def build_imu(
 ) -> BuiltImu:
     """Model and motion of an IMU's spec, whose plan is broken off at `until_s` of its clock. `change`: what the times
     and rates of the plan become. `like`: an IMU with the same plan and other error terms, whose motion serves if the
-    terms need the same pieces. Errors: `MemoryError` for a plan with more readings than this machine can hold."""
+    terms need the same pieces. Errors: `MemoryError` for a plan with more readings than this machine can hold,
+    `ValueError` for a fixture of several IMUs."""
+    if spec.rig.table.place:
+        raise ValueError(
+            "the spec has a fixture of several IMUs: predict, optimise and estimate take it; for anything else write "
+            "the mounting of one of its places as rig.table.mounting, and leave rig.table.place out"
+        )
     if too := too_large(spec):
         raise MemoryError(too)
     model_, sources = _model_and_sources(spec)
@@ -177,7 +184,7 @@ def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str
         processes, sources["gyro"] = processes_of(own)
         channels += [
             Channel(
-                gyro_channel(gyro, processes, signals=_signal_maps(gyro, axis), path=_path_terms(gyro, axis)),
+                gyro_channel(gyro, axis, processes, signals=_signal_maps(gyro, axis), path=_path_terms(gyro, axis)),
                 "gyro",
                 AXIS_NAMES.index(axis),
             )
@@ -266,6 +273,7 @@ def _signal_maps(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[Signa
             symbol.format(*of),
             unit,
             float(triad.turn_on_bias or 0.0) if key == "bias" else 0.0,
+            shapes_of(section, axis),
         )
         for key, over, signals, name, symbol, unit in (_OF_GYRO if isinstance(triad, GyroTriad) else _OF_ACCELEROMETER)
         if (section := getattr(triad, key)) is not None
@@ -304,13 +312,19 @@ def _accelerometer(triad: AccelerometerTriad, axis: str, processes: model.Proces
 
 
 def _signal_map(
-    section, signals: tuple[str, ...], name: str, symbol: str, unit: str, common_std: float = 0.0
+    section,
+    signals: tuple[str, ...],
+    name: str,
+    symbol: str,
+    unit: str,
+    common_std: float = 0.0,
+    shapes: np.ndarray | None = None,
 ) -> SignalMap:
     over = getattr(section, "temperature", None)
     of_temperature: Basis = _CONSTANT if over is None else basis(over)
     std = or_infinite(section.prior)
     fields = {"signals": signals, "name": name, "symbol": symbol, "si_unit": unit, "has_prior": bool(np.isfinite(std))}
-    return SignalMap(temperature=of_temperature, std=np.asarray(std), common_std=common_std, **fields)
+    return SignalMap(temperature=of_temperature, std=np.asarray(std), common_std=common_std, shapes=shapes, **fields)
 
 
 def geometry(rig: Rig) -> Geometry:

@@ -168,7 +168,9 @@ def _of_bias(window: _Window, requirement: Requirement, temperatures: np.ndarray
         bias = term
     else:
         assert isinstance(term, SignalMap)
-        bias = model.make_map(term.temperature, prior_std=float(term.std) if term.has_prior else np.inf)
+        bias = model.make_map(
+            term.temperature, prior_std=float(term.std) if term.has_prior else np.inf, shapes=term.shapes
+        )
     white, rows = float(channel.model.angle_random_walk), bias.values(temperatures, 0.0 * temperatures)
     return bias_seen_continuously(bias, white, channel.model.processes, window.windows, window.course, rows)
 

@@ -23,7 +23,8 @@ from gradcal_jax.api.tested_maps import noticing
 from gradcal_jax.api.verdicts import UNIT_OF, decision_rule, mission_weights, run_of, target_of, verdict_of
 from gradcal_jax.files import Prediction
 from gradcal_jax.files.absent import absent_terms, with_typical
-from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, RequirementRow
+from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, PlaceRow, RequirementRow
+from gradcal_jax.files.places import specs_at_places
 from gradcal_jax.files.requirement import (
     GyroScaleFactorRequirement,
     MissionHeadingRequirement,
@@ -51,6 +52,8 @@ def predict(spec: Spec, *, limits: bool = False, notices: bool = False, outlook:
     plan that turns several axes of a sensor as if each had a table of its own.
     """
     spec = expect_spec(spec)
+    if spec.rig.table.place:
+        return _at_places(spec, limits=limits, notices=notices, outlook=outlook)
     omitted = tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent_terms(spec))
     built = build_imu(spec)
     known = imu_posterior(built)
@@ -70,6 +73,38 @@ def predict(spec: Spec, *, limits: bool = False, notices: bool = False, outlook:
         warnings=tuple(plan_warnings(built, known)),
         omitted=omitted,
         **_of_plan(built, known),
+    )
+
+
+def _at_places(spec: Spec, **options: bool) -> Prediction:
+    """The prediction of a fixture: of its worst place, by the residual over the target or else over that of the others,
+    with the values of all places and the IMUs of a shift. Places that hang alike are computed once."""
+    alike: dict[str, list[str]] = {}
+    at = specs_at_places(spec)
+    for name, one in at.items():
+        hung = [m.model_dump(exclude={"name"}) for m in one.rig.table.mounting]
+        alike.setdefault(repr((hung, one.sensor.model_dump())), []).append(name)
+    rows = {names[0]: requirement_rows(at[names[0]]) for names in alike.values()}
+    values = {name: {row.name: row.judged for row in rows[names[0]]} for names in alike.values() for name in names}
+
+    def excess(name: str) -> float:
+        """How far a place is beyond its targets, or beyond the best place."""
+        ratios = []
+        for row in rows[name]:
+            others = [v for v in (of[row.name] for of in values.values()) if v is not None]
+            ratios.append(np.inf if row.judged is None else row.judged / (row.target or min(others) or 1.0))
+        return max(ratios, default=0.0)
+
+    worst = max(rows, key=excess)
+    whole = predict(at[worst], **options)
+    runs = float(spec.rig.shift) / whole.duration_s
+    return whole.model_copy(
+        update={
+            "places": tuple(PlaceRow(name=name, values=values[name]) for name in at),
+            "place": worst,
+            "minutes_per_imu": whole.duration_s / 60.0 / len(at),
+            "imus_per_shift": len(at) * (float(np.floor(runs)) if runs >= 1.0 else runs),
+        }
     )
 
 

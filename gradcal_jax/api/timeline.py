@@ -7,7 +7,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from gradcal_jax import model
-from gradcal_jax.api.build import Assembled, assemble
+from gradcal_jax.api.build import Assembled, assemble, shapes_of
 from gradcal_jax.api.contract_rows import finite, section_of
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.structures import gyro_of
@@ -182,8 +182,8 @@ def _sensor_row(sensor: Sensor, gyro: GyroTriad) -> SensorRow:
         sample_clock_error=sensor.clock_error or None,
         starts=_starts_row(sensor, gyro),
         **_of_temperature(gyro),
-        bias=None if gyro.bias is None else _map_row(gyro.bias),
-        scale_factor=None if gyro.scale_factor is None else _map_row(gyro.scale_factor),
+        bias=None if gyro.bias is None else _map_row(gyro.bias, gyro.axes[0]),
+        scale_factor=None if gyro.scale_factor is None else _map_row(gyro.scale_factor, gyro.axes[0]),
     )
 
 
@@ -295,13 +295,14 @@ def _path_row(channel: Channel, term: PathTerm) -> imu_rows.PathTermRow:
 def _term_row(channel: Channel, term: Map | SignalMap, triad: GyroTriad | AccelerometerTriad) -> imu_rows.ImuTermRow:
     section = getattr(triad, section_of(triad, term.name))
     if isinstance(section, Bias | ScaleFactor):
-        row = _map_row(section)
+        row = _map_row(section, AXIS_NAMES[channel.axis])
         signals = () if isinstance(section, Bias) else (f"rate {AXIS_NAMES[channel.axis]}",)
     else:
         assert isinstance(term, SignalMap)
         of = getattr(section, "temperature", None)
         over = _CONSTANT if of is None else _basis_row(of, smooth=False)
-        row, signals = MapRow(temperature=over, prior=section.prior), term.signals
+        shapes = _shape_rows(section, AXIS_NAMES[channel.axis])
+        row, signals = MapRow(temperature=over, prior=section.prior, shapes=shapes), term.signals
     names = tuple(f"{channel.name}.{name}" for name in term.names())
     fields = {name: getattr(row, name) for name in MapRow.model_fields}
     return imu_rows.ImuTermRow(name=term.name, signals=signals, parameters=names, unit=term.unit, **fields)
@@ -395,7 +396,7 @@ def _shape_row(move: Move | ResolvedMove, angle: float) -> dict[str, Any]:
     return row
 
 
-def _map_row(section: Bias | ScaleFactor) -> MapRow:
+def _map_row(section: Bias | ScaleFactor, axis: str) -> MapRow:
     """A gyro's bias or scale factor as a row of the contracts."""
     beyond, smooth = section.discrepancy, section.smoothness is not None
     bases: dict[Literal["temperature", "rate"], TemperatureBasis | RateBasis] = {"temperature": section.temperature}
@@ -406,6 +407,7 @@ def _map_row(section: Bias | ScaleFactor) -> MapRow:
         temperature=rows["temperature"],
         rate=rows.get("rate"),
         prior=section.prior,
+        shapes=_shape_rows(section, axis),
         smoothness=section.smoothness,
         # The coefficients of a polynomial have no neighbours.
         smoothness_along=tuple(along for along, basis in bases.items() if smooth and basis.basis != "polynomial"),
@@ -418,6 +420,11 @@ def _map_row(section: Bias | ScaleFactor) -> MapRow:
             rate_degree=beyond.rate_degree if isinstance(beyond, ScaleFactorDiscrepancy) else None,
         ),
     )
+
+
+def _shape_rows(section: Any, axis: str) -> tuple[tuple[float, ...], ...] | None:
+    shapes = shapes_of(section, axis)
+    return None if shapes is None else tuple(map(tuple, shapes.T.tolist()))
 
 
 def _basis_row(section: TemperatureBasis | RateBasis, smooth: bool) -> BasisRow:

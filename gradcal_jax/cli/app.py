@@ -18,6 +18,7 @@ from gradcal_jax.cli.instability import allan, instability
 from gradcal_jax.cli.limit import limit
 from gradcal_jax.cli.log import log_app
 from gradcal_jax.cli.lookup import schema
+from gradcal_jax.cli.lot import lot
 from gradcal_jax.cli.many import sweep
 from gradcal_jax.cli.new import new
 from gradcal_jax.cli.optimise import optimise
@@ -38,7 +39,7 @@ GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
     ("Begin", (demo, start, new, check, upgrade)),
     ("Know beforehand, and find a plan", (predict, optimise, limit)),
     ("Execute it", (rig_app, run_command, log_app)),
-    ("Calibrate", (estimate, apply, validate, export, report)),
+    ("Calibrate", (estimate, apply, validate, export, lot, report)),
     ("Know a sensor's noise", (instability, allan)),
     ("Many at once", (sweep,)),
     ("Look up", (schema,)),

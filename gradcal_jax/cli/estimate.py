@@ -149,7 +149,8 @@ def estimate(
         names = unit or [name for one in logs for name in one.units]
     else:
         logs = [load(path, source, unit=unit[0] if unit else None) for path in (log, *more)]
-        names = unit or logs[0].units
+        of_all = dict.fromkeys(name for one in logs for name in one.units)
+        names = unit or (tuple(of_all) if model.rig.table.place else logs[0].units)
     firmware = logs[0].provenance.get("firmware") if logs else None
     if parameters is not None:
         if firmware is None:

@@ -129,6 +129,21 @@ def _sensitivity(spec: "Spec", source: str, *, json: bool, plot: Path | None) ->
     return DONE
 
 
+def _fixture(prediction: "Prediction") -> list[str]:
+    """The places of a fixture, and the IMUs of a shift."""
+    names = [row.name for row in prediction.requirements]
+    rows = [("place", *names)] if names else []
+    if names:
+        rows += [(of.name, *(amount(of.values.get(n), "").strip() for n in names)) for of in prediction.places]
+    units = ", ".join(f"{row.name}: {row.unit}" for row in prediction.requirements)
+    return [
+        f"{len(prediction.places)} IMUs at once: {prediction.minutes_per_imu:.3g} min for each, "
+        f"{prediction.imus_per_shift:.4g} in a shift",
+        *([columns(rows, indent="", right=tuple(range(1, len(names) + 1))), units] if names else []),
+        f"below, the worst place: {prediction.place}",
+    ]
+
+
 def prediction_text(prediction: "Prediction", name: str) -> str:
     """A prediction as text: ppm, deg/h, hours."""
     from gradcal_jax.files.requirement_table import requirement_table
@@ -136,6 +151,8 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
 
     times = times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s)
     lines = [strong(prediction.title or name), times, ""]
+    if prediction.places:
+        lines[-1:] = [*_fixture(prediction), ""]
     if prediction.requirements:
         several = len({row.axis for row in prediction.requirements} & {"x", "y", "z"}) > 1
         lines.append(columns(requirement_table(prediction.requirements), indent=""))

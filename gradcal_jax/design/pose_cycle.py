@@ -280,12 +280,12 @@ class Statistics(NamedTuple):
 
 class CycleObjective:
     """The logarithm of a cycle's residuals over their targets: their mean or the worst, over `models` of the noise
-    likewise. `known`: for each model, the information before the plan begins."""
+    likewise. `known`: for each model, the information before the plan begins; `geometries`: its table and mountings."""
 
     def __init__(
         self,
         coordinates: CycleCoordinates,
-        geometry: Geometry,
+        geometries: Sequence[Geometry],
         models: Sequence[ImuModel],
         known: Sequence[Float[np.ndarray, "p p"]],
         statistics: Sequence[Statistics],
@@ -297,7 +297,7 @@ class CycleObjective:
         worst_model: bool,
     ) -> None:
         self.coordinates, self.models, self.known = coordinates, models, known
-        self.geometry = jax.tree.map(jnp.asarray, geometry)
+        self.geometries = [jax.tree.map(jnp.asarray, geometry) for geometry in geometries]
         self.statistics, self.window, self.points = statistics, window, points
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
 
@@ -312,15 +312,17 @@ class CycleObjective:
     def logs(self, z: Float[AnyArray, "3 K"], of: CycleStructure, ramps: Ramp, sharpness) -> Float[AnyArray, "s m"]:
         """The logarithm of every statistic in every model of the noise."""
         decoded, all_logs = self.coordinates.decode(z, of), []
-        for model, known in zip(self.models, self.known, strict=True):
-            on_ramp = partial(self.information, model, decoded, of)
+        for model, geometry, known in zip(self.models, self.geometries, self.known, strict=True):
+            on_ramp = partial(self.information, model, geometry, decoded, of)
             covariance = inverse(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
             all_logs.append(jnp.log(jnp.stack([s(covariance, sharpness) for s in self.statistics])))
         return jnp.stack(all_logs)
 
-    def information(self, model: ImuModel, decoded: Decoded, of: CycleStructure, ramp: Ramp) -> Float[AnyArray, "p p"]:
+    def information(
+        self, model: ImuModel, geometry: Geometry, decoded: Decoded, of: CycleStructure, ramp: Ramp
+    ) -> Float[AnyArray, "p p"]:
         """The information of all cycles on one ramp."""
-        motion, at = self._motion(ramp, decoded, of, model)
+        motion, at = self._motion(ramp, decoded, of, model, geometry)
         steps, columns = imu_system(motion, model, body_nodes(motion, self.points), at)
         if self.window == 1:
             return gram(steps, columns)
@@ -331,7 +333,7 @@ class CycleObjective:
         return ramp.first * first + jnp.sum(jnp.swapaxes(ramp.further, 1, 2) @ (added @ ramp.further), axis=0)
 
     def _motion(
-        self, ramp: Ramp, decoded: Decoded, of: CycleStructure, model: ImuModel
+        self, ramp: Ramp, decoded: Decoded, of: CycleStructure, model: ImuModel, geometry: Geometry
     ) -> tuple[TableMotion, Segments]:
         k, window = self.coordinates.slots, self.window
         limits = self.coordinates.limits
@@ -368,7 +370,7 @@ class CycleObjective:
         if ramp.history.shape[0]:
             history, track = ramp.history, replace(track, start=track.start + ramp.elapsed)
         start = np.asarray(limits.start)
-        motion = TableMotion(track, axis, mounting, self.geometry, start, kind, example, nodes, history)
+        motion = TableMotion(track, axis, mounting, geometry, start, kind, example, nodes, history)
         return motion, self._segments(line, turns, of, model)
 
     def _nodes(self, turns: np.ndarray, varying: np.ndarray) -> np.ndarray:
@@ -384,7 +386,7 @@ class CycleObjective:
         still = moving.trajectory(None)
         each = np.arange(len(turns))
         plain = TableMotion(
-            still, np.where(turns, 0, -1), np.zeros(len(turns), int), self.geometry,
+            still, np.where(turns, 0, -1), np.zeros(len(turns), int), self.geometries[0],
             np.asarray(self.coordinates.limits.start), each, each, each,
         )  # fmt: skip
         at = segments_of(plain, model)

@@ -104,6 +104,9 @@ _DIRECTIONS: Final = {
 _TURN: Final = 2.0 * math.pi
 Direction = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Vector = tuple[Number, Number, Number]
+Length = Annotated[Quantity, Of("length")]
+# Largest error of a rotation matrix that is written with six digits.
+_ROTATION: Final = 1e-5
 Spacing = Annotated[Quantity, Of("time", above="0 s", infinite="rest")]
 
 
@@ -227,6 +230,30 @@ class Mounting(Section):
         return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
+class Place(Mounting):
+    """`[[rig.table.place]]`: where an IMU sits in a fixture that holds several; its directions are in the fixture's
+    frame, and the table's mountings are those of the fixture."""
+
+    name: Text  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    """Its name; the IMU of this name in a run or log sits here."""
+    matrix: tuple[Vector, Vector, Vector] | None = None
+    """In the place of x, y and z: the rotation from the body to the fixture, row by row."""
+    lever_arm: tuple[Length, Length, Length] | None = None
+    """Position of the IMU in the fixture's frame, from the intersection of the table's axes."""
+
+    def _problems(self) -> Iterator[Problem]:
+        yield from super()._problems()
+        if self.matrix is not None:
+            products = [sum(a * b for a, b in zip(p, q, strict=True)) for p in self.matrix for q in self.matrix]
+            (a, b, c), (d, e, f), (g, h, i) = self.matrix
+            determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+            whole = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+            if determinant < 0.0 or max(abs(p - w) for p, w in zip(products, whole, strict=True)) > _ROTATION:
+                yield Problem(("matrix",), "is no rotation: its rows must be orthogonal, of length 1 and right-handed")
+            if self.model_fields_set & {"x", "y", "z"}:
+                yield Problem(("matrix",), "is in the place of x, y and z: leave these out")
+
+
 _Mountings = Annotated[tuple[Mounting, ...], Field(min_length=1, max_length=12)]
 
 
@@ -255,6 +282,8 @@ class RigTable(Section):
         Mounting(),
     )
     """One mounting, or several that are used one after the other."""
+    place: Annotated[tuple[Place, ...], Field(max_length=64)] = ()
+    """Places of a fixture that holds several IMUs; absent: one IMU, in the table's mounting."""
 
     @property
     def typed(self) -> bool:
@@ -269,6 +298,7 @@ class RigTable(Section):
 
     def _problems(self) -> Iterator[Problem]:
         yield from repeated_names("axis", "name", [axis.name for axis in self.axis], "two axes have this name")
+        yield from repeated_names("place", "name", [place.name for place in self.place], "two places have this name")
         if self.axis[-1].orthogonality:
             message = "is told to the next axis inside, and there is none; leave it out of the innermost one"
             yield Problem(("axis", len(self.axis) - 1, "orthogonality"), message, str(self.axis[-1].orthogonality))
@@ -308,3 +338,5 @@ class Rig(Section):
     """The climatic chamber."""
     resolution: Resolution | None = None
     """Steps of the controllers, to which a recipe is rounded."""
+    shift: Time = Quantity(28800.0, "8 h", "time")
+    """Duration of a shift, for the number of IMUs that a fixture calibrates in one."""

@@ -80,6 +80,9 @@ class MapRow(Section):
     """Basis over rate; null for B."""
     prior: Size | None = None
     """Standard deviation of each coefficient, independent; null: flat."""
+    shapes: tuple[tuple[Finite, ...], ...] | None = None
+    """In the place of `prior`: coefficients of functions whose amplitudes are independent with variance 1; null:
+    none."""
     smoothness: Size | None = None
     """Standard deviation of each difference of neighbouring coefficients; null: flat."""
     smoothness_along: tuple[Literal["temperature", "rate"], ...] = ()
@@ -428,6 +431,15 @@ class NoticeRow(Section):
         return f"{hidden} {words}; false alarms: {self.false_alarm:.2g}"
 
 
+class PlaceRow(Section):
+    """What the plan leaves of the IMU at one place of a fixture."""
+
+    name: str
+    """Of the place."""
+    values: dict[str, Finite | None]
+    """The residual of each requirement, by its name, in its unit; null: not observable."""
+
+
 class Prediction(Section):
     """gradcal-prediction/1: the residual that a plan leaves."""
 
@@ -453,6 +465,14 @@ class Prediction(Section):
     """Warnings, in sentences."""
     omitted: tuple[AbsentRow, ...] = ()
     """Error terms that the spec does not name; they count in the verdicts."""
+    places: tuple[PlaceRow, ...] = ()
+    """Of a fixture of several IMUs, every place; all else is of the worst one."""
+    place: str | None = None
+    """Its name."""
+    minutes_per_imu: Size | None = None
+    """Duration of the plan over the number of places (min)."""
+    imus_per_shift: Size | None = None
+    """Number of IMUs in a shift: of whole runs, without the time to change them, or the share of a longer run."""
 
     _repr_html_ = html
 

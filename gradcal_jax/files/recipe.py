@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError
 from gradcal_jax import units
 from gradcal_jax.files.axis_as_imu import is_of_axis
 from gradcal_jax.files.changes import differences, tables_of
-from gradcal_jax.files.contracts import NoticeRow, ParameterRow, Prediction, RequirementRow, Size
+from gradcal_jax.files.contracts import NoticeRow, ParameterRow, PlaceRow, Prediction, RequirementRow, Size
 from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
@@ -56,6 +56,14 @@ class Predicted(Section):
     """Detection by tests of the log."""
     warnings: tuple[Text, ...] = ()
     """Warnings, in sentences."""
+    places: tuple[PlaceRow, ...] = ()
+    """Of a fixture of several IMUs, every place; all else is of the worst one."""
+    place: Text | None = None
+    """Its name."""
+    minutes_per_imu: Size | None = None
+    """Duration of the plan over the number of places (min)."""
+    imus_per_shift: Size | None = None
+    """Number of IMUs in a shift, without the time to change them."""
 
     @classmethod
     def of(cls, prediction: Prediction) -> "Predicted":

@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar, Final, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax.files.bases import Degree, RateBasis, TemperatureBasis
+from gradcal_jax.files.prior_shapes import BiasShape, ScaleFactorShape, SpecificForceShape, shape_problems
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import (
     AccelerationSlope,
@@ -196,9 +197,13 @@ class Bias(Section):
     """Standard deviation of the difference of neighbouring coefficients, of splines and bins."""
     discrepancy: BiasDiscrepancy | None = None
     """Structure beyond the basis."""
+    shape: Annotated[tuple[BiasShape, ...], Field(max_length=600)] = ()
+    """In the place of `prior`: functions that add, as `gradcal lot` finds them. A channel without any has a flat
+    prior."""
 
     def _problems(self) -> Iterable[Problem]:
-        return _smoothness(self.smoothness, self.temperature.basis)
+        yield from _smoothness(self.smoothness, self.temperature.basis)
+        yield from shape_problems(self.shape, self.size, self.prior)
 
     @property
     def size(self) -> int:
@@ -219,9 +224,13 @@ class ScaleFactor(Section):
     """Standard deviation of the difference of neighbouring coefficients, of splines and bins."""
     discrepancy: ScaleFactorDiscrepancy | None = None
     """Structure beyond the basis."""
+    shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
+    """In the place of `prior`: functions that add, as `gradcal lot` finds them. A channel without any has a flat
+    prior."""
 
     def _problems(self) -> Iterable[Problem]:
-        return _smoothness(self.smoothness, self.temperature.basis, self.rate.basis)
+        yield from _smoothness(self.smoothness, self.temperature.basis, self.rate.basis)
+        yield from shape_problems(self.shape, self.size, self.prior)
 
     @property
     def size(self) -> int:
@@ -358,6 +367,11 @@ class _ErrorTerm(Section):
     prior: Quantity | None = None
     """Standard deviation before the calibration; absent: unknown."""
 
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return 1 if self.temperature is None else self.temperature.size
+
 
 class Misalignment(_ErrorTerm):
     """Small angles of an input axis towards the two others."""
@@ -387,6 +401,11 @@ class SpecificForceBias(_ErrorTerm):
     """An accelerometer's bias over temperature."""
 
     prior: PositiveSpecificForce | None = None
+    shape: Annotated[tuple[SpecificForceShape, ...], Field(max_length=600)] = ()
+    """In the place of `prior`: functions that add, as `gradcal lot` finds them."""
+
+    def _problems(self) -> Iterable[Problem]:
+        return shape_problems(self.shape, self.size, self.prior)
 
 
 class SpecificForceScale(_ErrorTerm):
@@ -394,6 +413,11 @@ class SpecificForceScale(_ErrorTerm):
 
     prior: PositiveScaleFactor | None = None
     """Standard deviation before the calibration, a ratio; absent: unknown."""
+    shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
+    """In the place of `prior`: functions that add, as `gradcal lot` finds them."""
+
+    def _problems(self) -> Iterable[Problem]:
+        return shape_problems(self.shape, self.size, self.prior)
 
 
 class SecondOrder(_ErrorTerm):

@@ -20,10 +20,14 @@ _LISTED: Final = frozenset({"moves", "programme", "harmonics"})
 
 def to_toml(model: Section, *, header: str = "") -> str:
     """The model as TOML text, `header` above it as comment lines."""
+    return tables_to_toml(model.model_dump(mode="json", exclude_unset=True), header=header)
+
+
+def tables_to_toml(tables: Mapping[str, Any], *, header: str = "") -> str:
+    """As `to_toml`, of tables that are a part of a file."""
     document = tomlkit.document()
     for line in header.splitlines():
         document.add(tomlkit.comment(line))
-    tables = model.model_dump(mode="json", exclude_unset=True)
     for name, value in _scalars_first(tables):
         document.add(name, _item(name, value))
     return tomlkit.dumps(document)  # pyright: ignore[reportUnknownMemberType]

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 from gradcal_jax.formulas import legendre
+from gradcal_jax.linalg import triangular_factor
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
 from gradcal_jax.model.nodes import NodeGroup, Nodes, SampleNodes, SharedNodes
 
@@ -131,6 +132,7 @@ class Map(Term):
     `common_std`: of an error common to the whole map, inseparable from its constant (turn-on bias of B).
     `smoothness_std`: standard deviation of the difference of neighbouring coefficients; `inf` is none.
     `beyond`: functions that the structure omits, a term of its own in a model.
+    `shapes`: instead of `prior_std`, the prior's covariance `shapes shapesᵀ` of the reported coefficients.
     """
 
     temperature: Basis
@@ -142,6 +144,7 @@ class Map(Term):
     name: str = eqx.field(static=True, default=BIAS)
     has_prior: bool = eqx.field(static=True, default=False)
     has_smoothness: bool = eqx.field(static=True, default=False)
+    shapes: Float[AnyArray, "size m"] | None = None
 
     @property
     def unit(self) -> str:
@@ -192,7 +195,9 @@ class Map(Term):
 
     def prior_rows(self) -> Float[AnyArray, "q size"]:
         xp, rows = namespace(self.prior_std, self.smoothness_std, self.common_std), []
-        if self.has_prior:
+        if self.shapes is not None:
+            rows.append(_prior_of_shapes(self.to_reported, self.constant, self.shapes, self.common_std))
+        elif self.has_prior:
             rows.append(_prior_with_common(self.to_reported, self.constant, self.prior_std, self.common_std))
         if self.has_smoothness:
             rows.append(xp.asarray(self.differences()) / self.smoothness_std)
@@ -257,6 +262,14 @@ def _prior_with_common(reported: np.ndarray, constant: np.ndarray, std, common_s
     return (reported - shrink * (np.outer(v, v) / square @ reported)) / std
 
 
+def _prior_of_shapes(reported: np.ndarray, constant: np.ndarray, shapes, common_std) -> Float[AnyArray, "size size"]:
+    """Rows of the prior `shapes shapesᵀ + σ_c² v vᵀ` on the reported coefficients, `v` being the constant
+    function's."""
+    xp = namespace(shapes, common_std)
+    factor = triangular_factor(xp.concatenate([shapes, common_std * (reported @ constant)[:, None]], axis=1).T)
+    return xp.linalg.solve(factor.T, xp.asarray(reported))
+
+
 def block_diagonal(blocks: Sequence[AnyArray]) -> AnyArray:
     """Blocks `(q_i, p_i)` along the diagonal of `(Σq, Σp)`, which is zero elsewhere."""
     xp, begin, rows, width = namespace(blocks), 0, [], sum(block.shape[1] for block in blocks)
@@ -298,7 +311,7 @@ class SignalMap(Term):
     """A function of temperature times a product of signals: misalignment, sensitivity to acceleration, second order.
 
     `signals`: names in the nodes (`SharedNodes.signal`), "|…|" for a magnitude; none: the function itself. `std`: of
-    each *reported* coefficient; `inf` is flat. `symbol`: name of the coefficients. `common_std`: as of `Map`.
+    each *reported* coefficient; `inf` is flat. `symbol`: name of the coefficients. `common_std`, `shapes`: as of `Map`.
     """
 
     temperature: Basis
@@ -309,6 +322,7 @@ class SignalMap(Term):
     si_unit: str = eqx.field(static=True)
     has_prior: bool = eqx.field(static=True, default=True)
     common_std: float | Float[AnyArray, ""] = 0.0
+    shapes: Float[AnyArray, "size m"] | None = None
 
     @property
     def unit(self) -> str:
@@ -328,6 +342,8 @@ class SignalMap(Term):
         return self.temperature.to_reported
 
     def prior_rows(self) -> Float[AnyArray, "q size"]:
+        if self.shapes is not None:
+            return _prior_of_shapes(self.to_reported, self.temperature.constant, self.shapes, self.common_std)
         if not self.has_prior:
             return np.zeros((0, self.size))
         return _prior_with_common(self.to_reported, self.temperature.constant, self.std, self.common_std)
@@ -422,6 +438,7 @@ def make_map(
     smoothness_std: float = np.inf,
     common_std: float = 0.0,
     discrepancy: tuple[float, int, int] | None = None,
+    shapes: np.ndarray | None = None,
 ) -> Map:
     """A map from plain numbers (SI). `discrepancy` is (standard deviation, highest degree in T, highest degree in ω).
 
@@ -454,4 +471,5 @@ def make_map(
         name=name,
         has_prior=bool(np.isfinite(prior_std)),
         has_smoothness=bool(np.isfinite(smoothness_std)),
+        shapes=shapes,
     )

@@ -5,6 +5,7 @@ from gradcal_jax.plots.calibration import draw_loop
 from gradcal_jax.plots.calibration_maps import draw_calibrated_scale_factor
 from gradcal_jax.plots.design import draw_frontier, draw_sensitivities
 from gradcal_jax.plots.identification import draw_drift
+from gradcal_jax.plots.lot import draw_lot
 from gradcal_jax.plots.poses import draw_poses
 from gradcal_jax.plots.residual import draw_curves, draw_map, draw_over_temperature, draw_worst_over_temperature
 from gradcal_jax.plots.spec import draw_comparison, draw_heading, draw_prediction
@@ -20,6 +21,7 @@ __all__ = [
     "draw_frontier",
     "draw_heading",
     "draw_loop",
+    "draw_lot",
     "draw_map",
     "draw_over_temperature",
     "draw_poses",

@@ -151,10 +151,12 @@ def record(
     noisy: bool = True,
     names: tuple[str, ...] = (),
     number: int = 1,
+    table_rng: np.random.Generator | None = None,
 ) -> Recorded:
     """A recording of one unit whose errors are `truth`, by the names of the calibration's coefficients (SI).
 
     `temperature_of(t)` °C. `names`: of the axes, for the installation's errors; `number`: of the mounting.
+    `table_rng` draws the encoders' errors, in the place of `rng`: for several IMUs on one table.
     """
     whole = sum(leg.duration for leg in legs)
     count = int(whole * rate_hz)
@@ -162,7 +164,7 @@ def record(
     dt = 1.0 / rate_hz
     nodes = (time[:-1, None] + dt * _X).ravel()
     angles, rates, leg_of = commanded(legs, start, nodes)
-    draws, readings = _encoders(bench, legs, start, time, rng if noisy else None)
+    draws, readings = _encoders(bench, legs, start, time, (table_rng or rng) if noisy else None)
     # An axis stands beyond its encoder's angle by what repeats, and by the draw of its standstill.
     true, pace = angles.copy(), rates.copy()
     for l in range(len(bench.axes)):

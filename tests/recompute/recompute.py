@@ -358,8 +358,9 @@ class Columns:
             sizes = [_size(b) for b in bases]
             count = int(np.prod(sizes))
             rows = [np.zeros((0, count))]
-            if row.get("prior") is not None:
-                covariance = np.eye(count) * row["prior"] ** 2
+            if row.get("prior") is not None or row.get("shapes"):
+                shapes = np.array(row.get("shapes") or np.eye(count) * row["prior"])
+                covariance = shapes.T @ shapes
                 if name == "bias" and self.turn_on is not None:
                     one = np.eye(count)[0] if bases[0]["prior_functions"] == "monomial" else np.ones(count)
                     covariance = covariance + self.turn_on**2 * np.outer(one, one)

@@ -61,6 +61,25 @@ def test_a_program_that_has_the_timeline_alone_finds_the_same_standard_deviation
         assert difference(recompute.sigmas(written), expected) < TOLERANCE
 
 
+def test_shapes_in_the_place_of_priors_are_in_the_timeline():
+    """A bias that varies in one shape, a scale factor in two, and little beyond: far from independent coefficients."""
+    tables = tomllib.loads(presets.text("consumer-mems"))
+    gyro = tables["sensor"]["gyro"]
+    plain = [p.std for p in predict(spec_of(tables)).parameters]
+    for key, shapes, unit in (
+        ("bias", [[3.0, 2.0, 0.5, -0.5, -2.0, -3.0]], "dps"),
+        ("scale_factor", [[900, 0, 0, 500, 0, 0, 20, 0, 1], [0, 300, 10, 0, 100, 0, 0, 4, 0]], "ppm"),
+    ):
+        gyro[key].pop("smoothness", None)
+        del gyro[key]["prior"]
+        rows = [*shapes, *(0.01 * np.eye(len(shapes[0]))).tolist()]
+        gyro[key]["shape"] = [{"coefficients": [f"{x} {unit}" for x in row]} for row in rows]
+    spec = spec_of(tables)
+    expected = {axis: [p.std for p in predict(spec).parameters] for axis in turned_axes(tables)}
+    assert difference(recompute.sigmas(json.loads(timeline_text(spec))), expected) < TOLERANCE
+    assert min(a / b for a, b in zip(next(iter(expected.values())), plain, strict=True)) < 0.2
+
+
 def test_the_recomputation_shares_nothing_with_the_package():
     source = Path(recompute.__file__).read_text(encoding="utf-8")
     imported = set()

@@ -5,15 +5,17 @@ attitudes of base and axes, harmonics of the encoders, the mountings. The accele
 axes and sense it. With the frame "table axes" the mounting has no error, by definition of the frame. Where the spec's
 table is driven by hand, a person turns it, and types its angles where the plan does not read the axes at rest; else an
 encoder is read. Where gravity is the reference nothing is read, and axes stop some degrees off. The operator hangs the
-devices anew where there are several mountings. The devices are STIM300. The structure is the spec's: a `discrepancy` is
-not drawn.
+devices anew where there are several mountings; at the places of a fixture sits one each. The devices are STIM300. The
+structure is the spec's: a `discrepancy` is not drawn.
 """
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from ...files.bench import TableAxis
+from ...files.places import rotation_of
 from ...files.rig import RigFile, rig_of
 from ...files.spec_sections import Spec
 from ...files.tracks import read_at_rest, tracks_of
@@ -76,10 +78,14 @@ class SimulatedLab:
             climate = UncontrolledRoom(ends, course, now, physics.load_time_constant_s)
         truth, encoders, self._installation = draw_table(spec, seed)
         self.axis_plants = [AxisPlant(encoder, now) for encoder in encoders]
+        # Each at its place of a fixture: there are as many as places.
+        places = spec.rig.table.place
+        names = [place.name for place in places] or [f"unit{number}" for number in range(1, units + 1)]
+        held = [replace(truth, mountings=tuple(m @ rotation_of(p) for m in truth.mountings)) for p in places]
         self.units: dict[str, SimulatedImu] = {
-            f"unit{number}": SimulatedImu(
+            name: SimulatedImu(
                 draw_truth(spec, seed, number),
-                truth,
+                held[number - 1] if held else truth,
                 climate,
                 self.axis_plants,
                 sample_rate_hz=sample_rate_hz,
@@ -87,7 +93,7 @@ class SimulatedLab:
                 mounting=mounting,
                 start_s=now,
             )
-            for number in range(1, units + 1)
+            for number, name in enumerate(names, start=1)
         }
         self._connect(spec, clock, seed, sample_rate_hz, burst_s)
 

@@ -1,0 +1,388 @@
+"""What the finished calibrations of a number of IMUs of one type say of the type, map by map."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from gradcal_jax.api.ieee_terms import term_map
+from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
+from gradcal_jax.display import summary
+from gradcal_jax.files.bases import RateBasis, TemperatureBasis
+from gradcal_jax.files.calibration import CalibratedChannel, CalibratedTerm, Calibration
+from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
+from gradcal_jax.files.writing import tables_to_toml
+from gradcal_jax.identify import lots
+from gradcal_jax.identify.lots import Floats
+
+_TEMPERATURES, _RATES = 41, 9
+# Functions that the common range of the IMUs does not show: share of the largest mean square.
+_UNSEEN = 1e-12
+# A sixth of a lot may be strangers: more of them are a group.
+_STRANGERS: Final = 6
+NUMBERS: Final = ("no", "one", "two", "three", "four", "five", "six")
+
+
+class Stranger(NamedTuple):
+    """An IMU that all others do not predict; `chance` of one of the type that is as far from them."""
+
+    serial_number: str
+    chance: float
+
+
+class LotMap(NamedTuple):
+    """A map of a channel over a lot, in `unit`; intervals are of 95 %, strangers do not count.
+
+    At `temperature_c` `(g,)`, slowly turned: `values` `(n, g)` of the n IMUs `serial_numbers`, their `mean` `(g,)` with
+    half its interval `mean_half`, the standard deviation `spread` `(g,)` of the type, its interval `spread_interval`
+    `(2, g)`, and the `shapes` `(k, g)` of one standard deviation. `mean_rms`, `spread_rms`: over the whole range, of
+    rates, too. `tests` of none, one … shapes; `shares`: of the spread's variance in its principal directions.
+    `coefficients` (SI) of the mean, by name; `prior` `(m, q)`: shapes (SI) whose squares add up to the mean square of
+    the next IMU's coefficients, None where they do not repeat. `findings`: all of it in sentences.
+    """
+
+    channel: str
+    term: str
+    unit: str
+    serial_numbers: tuple[str, ...]
+    temperature_c: Floats
+    values: Floats
+    mean: Floats
+    mean_half: Floats
+    spread: Floats
+    spread_interval: Floats
+    mean_rms: float
+    spread_rms: float
+    tests: tuple[lots.ShapeCount, ...]
+    shape_count: int | None
+    shapes: Floats
+    shares: tuple[float, ...]
+    strangers: tuple[Stranger, ...]
+    groups: tuple[tuple[str, ...], ...]
+    coefficients: dict[str, float]
+    prior: Floats | None
+    of: CalibratedTerm
+    findings: tuple[str, ...]
+
+    @property
+    def shapes_in_words(self) -> str:
+        """How many shapes repeat, for a table."""
+        if self.shape_count is not None:
+            return str(self.shape_count)
+        return "do not repeat" if self.tests[-1].shapes == len(self.shares) - 1 else "too few IMUs"
+
+
+class Lot(NamedTuple):
+    """The calibrations of a number of IMUs, map by map, and `notes` on all of them."""
+
+    serial_numbers: tuple[str, ...]
+    simulated: bool
+    maps: tuple[LotMap, ...]
+    notes: tuple[str, ...]
+
+    __repr__ = summary
+
+    def _shown(self) -> list[str]:
+        lines = [f"Lot of {len(self.serial_numbers)} IMUs" + (", SIMULATED" if self.simulated else "")]
+        return lines + [sentence for one in self.maps for sentence in one.findings]
+
+
+def lot(calibrations: Sequence[Calibration]) -> Lot:
+    """What the `calibrations` of three or more IMUs of one type say of the type: of every map the mean, the spread
+    without the calibrations' own uncertainty, the number of shapes that repeat, groups, and strangers.
+
+    Values are in the unit that each map names (deg/h, ppm, ug …), temperatures in °C. Errors: `ValueError` for fewer
+    than three, for two of one serial number, for maps of different bases, without a covariance or a common range.
+    """
+    if len(calibrations) < 3:
+        raise ValueError(f"a lot needs three or more calibrations, not {len(calibrations)}: add those of other IMUs")
+    serials = [one.serial_number for one in calibrations]
+    if double := {name for name in serials if serials.count(name) > 1}:
+        raise ValueError(f"two calibrations are of {min(double)}: give one of each IMU")
+    names = dict.fromkeys((c.kind, c.axis, t.name) for one in calibrations for c in one.channel for t in c.term)
+    chosen = [(key, _with_term(calibrations, *key)) for key in names]
+    wanted = [(key, having) for key, (having, _) in chosen if len(having) >= 3]
+    if not wanted:
+        raise ValueError("no map has a covariance in three or more of the calibrations: estimate them from logs anew")
+    maps = [_map_of(having, *key, tests=len(wanted)) for key, having in wanted]
+    notes = [note for _, (_, note) in chosen if note]
+    notes += [
+        f"{one.serial_number}: its data contradict its model ({', '.join(one.contradicted[:3])}), so its covariance, "
+        "and what follows from it, is not valid"
+        for one in calibrations
+        if one.contradicted
+    ]
+    if len(calibrations) < lots.FEW:
+        notes.append(_few(len(calibrations)))
+    return Lot(tuple(serials), any(one.simulated for one in calibrations), tuple(maps), tuple(notes))
+
+
+def _few(count: int) -> str:
+    low, high = (float(np.sqrt(x)) for x in (lots.spread_factor(count, tail) for tail in (0.975, 0.025)))
+    return (
+        f"{count} IMUs do not say whether one is a stranger, whether there are groups, or what the next one will be "
+        f"like: a spread of {count} is known between {low:.2g} and {high:.2g} times its value, and at most "
+        f"{count - 2} shapes can be tested; {lots.FEW} or more are needed for a prior"
+    )
+
+
+class _Own(NamedTuple):
+    """A term of one IMU: `where` its coefficients are in the covariance."""
+
+    calibration: Calibration
+    channel: CalibratedChannel
+    term: CalibratedTerm
+    covariance: Floats
+    unseen: Floats
+
+
+def _with_term(calibrations: Sequence[Calibration], kind: str, axis: str, name: str) -> tuple[list[_Own], str | None]:
+    """The IMUs with a term, all of whose coefficients are observable, and a sentence on those without."""
+    having: list[_Own] = []
+    lacking: list[str] = []
+    for one in calibrations:
+        channel = one.channel_of(kind, axis)
+        term = None if channel is None else channel.term_of(name)
+        known = () if one.covariance is None else one.covariance.names
+        names = [] if channel is None or term is None else [f"{channel.name}.{n}" for n in term.coefficients]
+        if channel is None or term is None or one.covariance is None or not set(names) <= set(known):
+            lacking.append(one.serial_number)
+            continue
+        places = [known.index(n) for n in names]
+        unseen = np.array([[e.coefficients.get(n, 0.0) for n in names] for e in one.unseen]).reshape(-1, len(names))
+        own = np.array(one.covariance.matrix)[np.ix_(places, places)] + unseen.T @ unseen
+        having.append(_Own(one, channel, term, own, unseen))
+    for one in having[1:]:
+        if not all(_same(getattr(one.term, k), getattr(having[0].term, k)) for k in ("temperature", "rate")):
+            raise ValueError(
+                f"{kind}_{axis}: the {name.replace('_', ' ')} of {one.calibration.serial_number} has another basis "
+                f"than that of {having[0].calibration.serial_number}: estimate all of a lot by one spec"
+            )
+    note = f"{kind}_{axis}: {', '.join(lacking)} without an observable {name.replace('_', ' ')}" if lacking else None
+    return having, note
+
+
+def _same(one: TemperatureBasis | RateBasis | None, other: TemperatureBasis | RateBasis | None) -> bool:
+    """Whether two bases have the same reported functions."""
+    if one is None or other is None or type(one) is not type(other):
+        return one is other
+    return all(getattr(one, key) == getattr(other, key) for key in type(one).model_fields if key != "internal")
+
+
+def _map_of(having: list[_Own], kind: str, axis: str, name: str, *, tests: int) -> LotMap:
+    first, what = having[0], f"{kind}_{axis} {name.replace('_', ' ')}"
+    spans = [(*one.channel.valid_temperature, *one.channel.valid_rate) for one in having]
+    cold, warm = max(s[0] for s in spans), min(s[1] for s in spans)
+    slow, fast = max(s[2] for s in spans), min(s[3] for s in spans)
+    if cold > warm or slow > fast:
+        raise ValueError(f"{what}: the calibrations have no range of temperature and rate in common; leave some out")
+    temperatures = np.linspace(float(cold), float(warm), _TEMPERATURES if first.term.temperature else 1)
+    rates = np.linspace(float(slow), float(fast), _RATES if first.term.rate else 1)
+    grid = (x.ravel() for x in np.meshgrid(temperatures, rates, indexing="ij"))
+    everywhere = term_map(first.calibration, first.channel, name, *grid).rows
+    slowly = term_map(first.calibration, first.channel, name, temperatures, np.zeros_like(temperatures)).rows
+    unit, factor = UNITS_OF_TERMS.get(first.term.unit, (first.term.unit, 1.0))
+    # Functions whose mean square over the range is the square of their coefficients' norm.
+    size, vectors = np.linalg.eigh(everywhere.T @ everywhere / len(everywhere) * factor**2)
+    seen = size > _UNSEEN * size[-1]
+    forth, back = (vectors[:, seen] * np.sqrt(size[seen])).T, vectors[:, seen] / np.sqrt(size[seen])
+    values = np.array([list(one.term.coefficients.values()) for one in having]) @ forth.T
+    own = forth @ np.stack([one.covariance for one in having]) @ forth.T
+    # No calibration is without any error.
+    own = own + 1e-12 * np.einsum("ijj->i", own)[:, None, None] * np.eye(len(forth)) + 1e-300 * np.eye(len(forth))
+    serials = np.array([one.calibration.serial_number for one in having])
+    kept, found = _strangers(values, own, serials, tests)
+    x, c = values[kept], own[kept]
+    shape_tests, fit = lots.count_shapes(x, c)
+    whole = lots.restricted_likelihood(x, c)
+    parted = lots.groups(x, c, whole, tests=tests)
+    rows = slowly @ back * factor
+    of_type = np.einsum("gi,ij,gj->g", rows, whole.covariance, rows)
+    variances = np.einsum("gi,nij,gj->ng", rows, c, rows)
+    mean, half, between = lots.intervals(x @ rows.T, variances, of_type)
+    # What no residual shows may be common to all, so that no mean removes it.
+    common = [np.sum((slowly @ one.unseen.T * factor) ** 2, axis=1) for one in having]
+    half = np.hypot(half, lots.NORMAL * np.sqrt(np.mean(common, axis=0)))
+    shares = np.sort(np.maximum(np.linalg.eigvalsh(whole.covariance), 0.0))[::-1]
+    members = () if parted is None else tuple(
+        tuple(serials[kept][parted.members == k].tolist()) for k in range(int(parted.members.max()) + 1)
+    )  # fmt: skip
+    count, prior = None if fit is None else fit.shapes.shape[1], None
+    curves = np.zeros((0, len(temperatures)))
+    beyond: str | None = None
+    if fit is not None:
+        spread = lots.restricted_likelihood(fit.amplitudes, fit.noise).covariance if count else np.zeros((0, 0))
+        sizes, turned = np.linalg.eigh(spread)
+        curves = (rows @ fit.shapes @ (turned * np.sqrt(np.maximum(sizes, 0.0)))).T[::-1]
+        rest = lots.rest_bound(fit, x, c)
+        explained = float(fit.mean @ fit.mean + np.maximum(sizes, 0.0).sum())
+        if len(x) < max(lots.FEW, (count or 0) + 4):
+            beyond = "few"
+        elif parted is not None:
+            beyond = "groups"
+        elif explained <= len(forth) * rest**2 or not seen.all():
+            beyond = "unclear"
+        else:
+            squares, directions = np.linalg.eigh(lots.next_covariance(fit, x, c))
+            prior = (back @ (directions * np.sqrt(np.maximum(squares, 0.0)))).T[::-1]
+    total = max(float(shares.sum()), 1e-300)
+    result = LotMap(
+        f"{kind}_{axis}", name, unit, tuple(serials.tolist()), temperatures, values @ rows.T, mean, half,
+        np.sqrt(np.maximum(of_type, 0.0)), between, float(np.linalg.norm(whole.mean)),
+        float(np.sqrt(shares.sum())), tuple(shape_tests), count, curves, tuple((shares / total).tolist()),
+        tuple(found), members, dict(zip(first.term.coefficients, (back @ whole.mean).tolist(), strict=True)), prior,
+        first.term, (),
+    )  # fmt: skip
+    return result._replace(findings=tuple(_findings(result, beyond)))
+
+
+def _strangers(values: Floats, own: Floats, serials: np.ndarray, tests: int) -> tuple[np.ndarray, list[Stranger]]:
+    """Which IMUs are none, and those that are: the clearest first, then again among the others."""
+    kept, found = np.arange(len(values)), list[Stranger]()
+    while len(found) < max(1, len(values) // _STRANGERS):
+        level = lots.LEVEL / (len(values) * tests)
+        counted, fit = lots.count_shapes(values[kept], own[kept])
+        # An IMU may be what keeps the shapes of the others from repeating.
+        tried = [lots.low_rank(values[kept], own[kept], counted[-1].shapes)] if fit is None else []
+        for model in (*tried, fit):
+            compared = lots.strangers(values[kept], own[kept], model, scaled=model is not fit)
+            if compared is None:
+                continue
+            chances, left = compared
+            # Where the shapes do not repeat, a stranger is whom the others' shapes do without.
+            worst = int(np.argmin(chances if model is fit else left))
+            others = np.delete(kept, worst)
+            repeat = model is fit or lots.count_shapes(values[others], own[others])[1] is not None
+            if chances[worst] < level / (1 + len(tried)) and repeat:
+                found.append(Stranger(str(serials[kept[worst]]), float(chances[worst])))
+                kept = others
+                break
+        else:
+            break
+    return kept, found
+
+
+def _findings(of: LotMap, beyond: str | None) -> Iterator[str]:
+    """What a map says of the type, in sentences."""
+    what, last = f"{of.channel} {of.term.replace('_', ' ')}", of.tests[-1]
+    test = f"what they leave has χ² {last.chi_squared:.4g}, {last.degrees} degrees of freedom"
+    size = len(of.shares)
+    n = len(of.serial_numbers) - len(of.strangers)
+    place = int(np.argmax(np.abs(of.mean) / np.maximum(of.mean_half, 1e-300)))
+    if abs(of.mean[place]) <= of.mean_half[place]:
+        yield f"{what}: its mean does not differ from zero"
+    if of.shape_count is None:
+        most = last.shapes
+        names = NUMBERS[most] if most < len(NUMBERS) else str(most)
+        shapes = f"{names} shape{'' if most == 1 else 's'}" if most else "one map for all"
+        yield (
+            f"{what}: the shapes do not repeat ({shapes} and {n} IMUs: {test}), so the lot says of the next IMU's map "
+            "no more than its size; no prior is written"
+            if of.shapes_in_words == "do not repeat"
+            else f"{what}: {n} IMUs are too few to say whether its shapes repeat ({shapes}: {test})"
+        )
+    elif size == 1:
+        alike = "all are alike within their calibrations" if of.shape_count == 0 else "a constant, with a spread"
+        yield f"{what}: {alike} ({test.replace('they leave', 'one value leaves') if last.shapes == 0 else test})"
+    elif of.shape_count == 0:
+        yield f"{what}: no spread is seen beyond the calibrations' own uncertainty (one map for all: {test})"
+    else:
+        names = NUMBERS[of.shape_count] if of.shape_count < len(NUMBERS) else str(of.shape_count)
+        repeat = "shape repeats" if of.shape_count == 1 else "shapes repeat"
+        share = sum(of.shares[: of.shape_count])
+        yield f"{what}: {names} {repeat}, with {100.0 * share:.3g} % of the spread's variance ({test})"
+    if beyond == "few":
+        yield f"{what}: {n} IMUs are too few for a prior"
+    elif beyond == "unclear":
+        yield (
+            f"{what}: what may be beyond is as large as what repeats, since the calibrations are too uncertain or do "
+            "not share their range; no prior is written"
+        )
+    if of.groups:
+        sizes = ", ".join(str(len(group)) for group in of.groups)
+        yield f"{what}: {len(of.groups)} groups, of {sizes} IMUs: make a lot of each; no prior is written"
+    for one in of.strangers:
+        yield (
+            f"{what}: {one.serial_number} is a stranger (chance of one of the type as far from all others: "
+            f"{one.chance:.2g}); it does not count in mean, spread and shapes"
+        )
+
+
+_HEADER: Final = """\
+Priors of a type of IMU by a lot of {n} calibrations{simulated}, for the spec of the next one: put these tables in
+the place of those of the same names. A shape is a function of which every IMU has another multiple, of mean 0 and
+variance 1; the mean map is one of them, and the last ones are what may be beyond."""
+
+
+def lot_priors(of: Lot) -> str:
+    """The maps of a lot whose shapes repeat as tables of a spec, in TOML. Errors: `ValueError` where none does,
+    or where a spec has no key for those that do."""
+    tables: dict[str, dict[str, dict[str, Any]]] = {}
+    for kind, triad in (("gyro", GyroTriad), ("accelerometer", AccelerometerTriad)):
+        for key in triad.model_fields:
+            # "g_squared_x" is of [sensor.gyro.g_squared], and "cross_xy" of cross_coupling.
+            starts = "cross_" if key == "cross_coupling" else key
+            own = [m for m in of.maps if m.channel.startswith(kind) and m.term.startswith(starts)]
+            if own and (table := _prior_table(own)) is not None:
+                tables.setdefault(kind, {})[key] = table
+    if not tables:
+        raise ValueError("no prior is written: " + "; ".join(f for m in of.maps if m.prior is None for f in m.findings))
+    simulated = ", SIMULATED" if of.simulated else ""
+    return tables_to_toml({"sensor": tables}, header=_HEADER.format(n=len(of.serial_numbers), simulated=simulated))
+
+
+def _prior_table(maps: list[LotMap]) -> dict[str, Any] | None:
+    """The table of a spec of maps of all channels; None where it has no key for them, or where they do not repeat."""
+    first, factor = maps[0].of, UNITS_OF_TERMS.get(maps[0].of.unit, (maps[0].unit, 1.0))[1]
+    bases = {
+        key: getattr(first, key).model_dump(mode="json", exclude_unset=True)
+        for key in ("temperature", "rate")
+        if getattr(first, key)
+    }
+    if first.size == 1:
+        if any(m.prior is None for m in maps):
+            return None
+        largest = max(float(np.linalg.norm(m.prior)) for m in maps if m.prior is not None)
+        return bases | {"prior": f"{largest * factor:.6g} {maps[0].unit}"}
+    shapes = [
+        {"axis": m.channel[-1], "coefficients": [f"{value * factor:.12g} {m.unit}" for value in shape.tolist()]}
+        for m in maps if m.prior is not None and m.term in ("bias", "scale_factor")
+        for shape in m.prior
+    ]  # fmt: skip
+    return bases | {"shape": shapes} if shapes else None
+
+
+def lot_tables(of: Lot) -> dict[str, Any]:
+    """A lot for JSON: each map with its curves over temperature, its tests and what they find."""
+    rows = [
+        {
+            "channel": m.channel,
+            "term": m.term,
+            "unit": m.unit,
+            "imus": list(m.serial_numbers),
+            "temperature_c": m.temperature_c.tolist(),
+            "mean": m.mean.tolist(),
+            "mean_half_95": m.mean_half.tolist(),
+            "spread": m.spread.tolist(),
+            "spread_95": m.spread_interval.tolist(),
+            "mean_rms": m.mean_rms,
+            "spread_rms": m.spread_rms,
+            "tests": [test._asdict() for test in m.tests],
+            "shapes": m.shape_count,
+            "shape_curves": m.shapes.tolist(),
+            "spread_shares": list(m.shares),
+            "strangers": [one._asdict() for one in m.strangers],
+            "groups": [list(group) for group in m.groups],
+            "mean_coefficients_si": m.coefficients,
+            "prior": m.prior is not None,
+            "findings": list(m.findings),
+        }
+        for m in of.maps
+    ]
+    return {
+        "imus": list(of.serial_numbers),
+        "simulated": of.simulated,
+        "level": lots.LEVEL,
+        "maps": rows,
+        "notes": of.notes,
+    }

@@ -1,0 +1,153 @@
+"""Places of a fixture: the spec of the IMU at one, predictions of all, and one motion for all."""
+
+import tomllib
+
+import jax
+import numpy as np
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.api.imu_build import build_imu, geometry
+from gradcal_jax.api.pose_search import CyclePlan
+from gradcal_jax.files import presets, spec_of
+from gradcal_jax.files.bench import Mounting, Place
+from gradcal_jax.files.places import places_of, rotation_of, specs_at_places
+
+
+def fixture(places, preset="ferraris", **table):
+    tables = tomllib.loads(presets.text(preset))
+    tables["rig"]["table"] |= {"place": places, **table}
+    return spec_of(tables)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        {"x": "+y", "y": "-x"},
+        {"x": "-z", "z": "+x", "rotation": ["3 deg", "-20 deg", "100 deg"]},
+        {"matrix": [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]]},
+    ],
+)
+@pytest.mark.parametrize("hung", [{}, {"x": "+z", "y": "+x", "z": "+y", "rotation": ["0 deg", "30 deg", "5 deg"]}])
+def test_body_to_fixture_to_axis(place, hung):
+    """A vector of the body is turned by the place and then by the fixture's mounting."""
+    spec = fixture([{"name": "a", **place}], mounting=[hung])
+    (at,) = specs_at_places(spec).values()
+    vector = np.array([0.3, -0.5, 0.8])
+    expected = rotation_of(Mounting(**hung)) @ (rotation_of(Place(name="a", **place)) @ vector)
+    assert geometry(at.rig).mountings[0] @ vector == pytest.approx(expected, abs=1e-9)
+    assert at.rig.table.place == ()
+
+
+def test_a_place_of_words_is_its_matrix():
+    words = rotation_of(Place(name="a", x="+y", y="-x"))
+    matrix = rotation_of(Place(name="a", matrix=((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))))
+    assert np.array_equal(words, matrix)
+    # The body's x points along the fixture's y.
+    assert words @ [1.0, 0.0, 0.0] == pytest.approx([0.0, 1.0, 0.0])
+
+
+def test_the_prediction_is_of_every_place_and_of_the_worst():
+    """A place that hangs as a spec without places has that spec's values."""
+    up = {"x": "+x", "y": "+z", "z": "-y"}
+    slant = [[1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]]
+    found = gj.predict(fixture([{"name": "flat"}, {"name": "up", **up}, {"name": "slant", "matrix": slant}]))
+    values = {place.name: place.values for place in found.places}
+    for name, mounting in (("flat", {}), ("up", up)):
+        alone = gj.predict(spec_of(tomllib.loads(presets.text("ferraris")) | {}) if not mounting else hung(mounting))
+        assert values[name] == pytest.approx({row.name: row.judged for row in alone.requirements}, rel=1e-9)
+    assert len({round(v["accelerometer scale factor"], 6) for v in values.values()}) > 1
+    rows = {row.name: (row.judged, row.target) for row in found.requirements}
+    assert values[found.place] == pytest.approx({name: value for name, (value, _) in rows.items()})
+    excess = {n: max(v[r] / rows[r][1] for r in v) for n, v in values.items()}
+    assert excess[found.place] == pytest.approx(max(excess.values()))
+    assert found.minutes_per_imu == pytest.approx(found.duration_s / 180.0)
+    assert found.imus_per_shift == 3 * int(8 * 3600 / found.duration_s)
+
+
+def hung(mounting):
+    tables = tomllib.loads(presets.text("ferraris"))
+    tables["rig"]["table"]["mounting"] = mounting
+    return spec_of(tables)
+
+
+def test_a_recipe_has_the_places():
+    made = gj.recipe(fixture([{"name": "a"}, {"name": "b", "x": "-x", "y": "-y"}]))
+    assert made.prediction is not None
+    assert [place.name for place in made.prediction.places] == ["a", "b"]
+    assert made.spec.rig.table.place[1].name == "b"
+
+
+def test_the_lever_arm_counts_in_the_prior_of_the_accelerometers_positions():
+    spec = fixture([{"name": "a", "lever_arm": ["0.3 m", "0 m", "-0.4 m"]}])
+    assert spec.sensor.accelerometer is not None
+    arm = {"rig.table.place": None, "sensor.accelerometer.lever_arm": {"prior": "0.1 m"}}
+    arm["sensor.accelerometer.read_on_moves_below"] = "70 deg/s"
+    place = spec.rig.table.place
+    of = gj.changed(spec, arm)
+    of = of.model_copy(
+        update={"rig": of.rig.model_copy(update={"table": of.rig.table.model_copy(update={"place": place})})}
+    )
+    (at,) = specs_at_places(of).values()
+    assert float(at.sensor.accelerometer.lever_arm.prior) == pytest.approx(np.hypot(0.1, 0.5))
+
+
+def test_imus_sit_at_the_places_of_their_names_or_in_order():
+    spec = fixture([{"name": "a"}, {"name": "b"}])
+    assert places_of(spec, ["b", "a"]) == {"b": "b", "a": "a"}
+    assert places_of(spec, ["17", "18"]) == {"17": "a", "18": "b"}
+    with pytest.raises(ValueError, match="a is the name of a place and 17 is none"):
+        places_of(spec, ["a", "17"])
+    with pytest.raises(ValueError, match=r"the log has 3 IMUs and rig\.table\.place 2"):
+        places_of(spec, ["1", "2", "3"])
+
+
+@pytest.mark.parametrize(
+    ("place", "sentence"),
+    [
+        ({"matrix": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]}, "is no rotation"),
+        ({"matrix": [[1.0, 0.0, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]]}, "is no rotation"),
+        ({"matrix": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "x": "+x"}, "in the place of x, y and z"),
+        ({"x": "+x", "y": "+x"}, "three different ones"),
+    ],
+)
+def test_what_is_no_place_is_refused(place, sentence):
+    with pytest.raises(gj.SpecError, match=sentence):
+        fixture([{"name": "a", **place}])
+
+
+def test_two_places_of_one_name_are_refused():
+    with pytest.raises(gj.SpecError, match="two places have this name"):
+        fixture([{"name": "a"}, {"name": "a"}])
+
+
+def test_what_is_of_one_imu_refuses_a_fixture():
+    with pytest.raises(ValueError, match="the spec has a fixture of several IMUs"):
+        build_imu(fixture([{"name": "a"}]))
+
+
+def searched(places, robust):
+    tables = tomllib.loads(presets.text("two-axis-table"))
+    tables["rig"]["table"] |= {"place": places}
+    tables["design"] = tables.get("design", {}) | {"robust": robust}
+    return spec_of(tables)
+
+
+def test_a_search_serves_all_places():
+    """The value of a plan is the mean or the worst over places, and the objective that descends has those of each."""
+    places = [{"name": "flat"}, {"name": "slant", "matrix": [[1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]]}]
+
+    def at_start(spec):
+        plan = CyclePlan(spec)
+        structure = plan.structure(plan.start)
+        z = plan.coordinates.encode(plan.start.turns, structure)
+        arguments = z, structure, plan.course(plan.start.cycles).ramps
+        logs = jax.jit(lambda z, of, ramps: plan.objective.logs(z, of, ramps, np.inf))(*arguments)
+        return plan.value_of(plan.residuals(spec)), np.asarray(logs)
+
+    each = [at_start(searched([place], "mean")) for place in places]
+    mean, logs = at_start(searched(places, "mean"))
+    assert mean == pytest.approx(np.mean([value for value, _ in each]), abs=1e-9)
+    assert at_start(searched(places, "worst"))[0] == pytest.approx(max(value for value, _ in each), abs=1e-9)
+    assert logs == pytest.approx(np.concatenate([own for _, own in each]), abs=1e-9)
+    assert not np.allclose(logs[0], logs[1], atol=1e-4)

@@ -1,0 +1,157 @@
+"""IMUs on one table estimated together, against the estimate of one alone and against a twin of quaternions."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from estimate_scenes import draw_truth, record, scene
+from scipy import stats
+
+from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.fit_of_log import Fit, fitted_twice
+from gradcal_jax.api.imu_build import build_imu
+from gradcal_jax.api.recorded_rows import imu_rows
+from gradcal_jax.estimation import solve_together
+from gradcal_jax.files.bench import Place
+from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.places import specs_at_places
+from gradcal_jax.files.spec_sections import Spec
+
+NAMES = ("a", "b", "c", "d")
+PLACES = (
+    Place(name="a"),
+    Place(name="b", x="+x", y="-y", z="-z"),
+    Place(name="c", x="+y", y="+z", z="+x"),
+    Place(name="d", x="-z", y="+y", z="+x"),
+)
+TABLE = ("tilt", "azimuth", "orthogonality", "gravity", "angle")
+
+
+def with_places(spec: Spec) -> Spec:
+    table = spec.rig.table.model_copy(update={"place": PLACES})
+    return spec.model_copy(update={"rig": spec.rig.model_copy(update={"table": table})})
+
+
+def fixture_log(
+    spec: Spec, seed: int, shifted: dict[str, float] | None = None
+) -> tuple[Log, dict[str, dict[str, float]]]:
+    """A log of four IMUs on one table, and their truths; `shifted`: the table that the last IMU has is another."""
+    rng = np.random.default_rng(seed)
+    common = {k: v for k, v in draw_truth(spec, rng).items() if k.startswith(TABLE)}
+    logs, truths = [], {}
+    for name, at in specs_at_places(with_places(spec)).items():
+        truths[name] = draw_truth(at, rng) | common
+        if name == "d":
+            truths[name] |= {k: common[k] + by for k, by in (shifted or {}).items()}
+        table = np.random.default_rng(seed + 1000)
+        (log,) = record(at, truths[name], rng, name=name, table_rng=table)
+        logs.append(log)
+    first = logs[0]
+    assert all(np.array_equal(first.table_angle_rad, log.table_angle_rad) for log in logs)
+    stack = lambda of: np.concatenate([getattr(log, of) for log in logs])  # noqa: E731
+    several = Log(
+        first.time_s, stack("rate_rad_per_s"), NAMES, first.axes, stack("temperature_c"), first.table_axes,
+        first.table_angle_rad, None, first.standstill,
+        specific_force_m_per_s2=stack("specific_force_m_per_s2"), force_axes=first.force_axes, simulated=True,
+    )  # fmt: skip
+    return several, truths
+
+
+@lru_cache
+def alone(plan: str) -> Fit:
+    spec = scene(plan, 1.0)
+    rng = np.random.default_rng(3)
+    logs = record(spec, draw_truth(spec, rng), rng)
+    built = build_imu(spec)
+    rows, _ = imu_rows(built, logs, "SN7", Options())[:2]
+    return fitted_twice(built, "SN7", rows, rows.temperature_c)
+
+
+@pytest.mark.parametrize("plan", ["two axes", "by hand"])
+def test_one_imu_alone_has_its_own_estimate(plan):
+    """The encoder's errors as parameters are the states of the filter."""
+    fit = alone(plan)
+    (joint,) = solve_together([fit.readings], [fit.solution]).solutions
+    every = np.eye(len(fit.solution.parameters))
+    deviation = fit.solution.known.deviations(every)
+    assert np.max(np.abs(joint.parameters - fit.solution.parameters) / deviation) < 1e-3
+    assert joint.known.deviations(every) == pytest.approx(deviation, rel=1e-3)
+
+
+def test_the_same_recording_twice_is_one_table_with_half_the_noise_of_the_imus():
+    """What is known of the table without an error of the encoder would be √½ of one's; with it, between that and 1."""
+    fit = alone("two axes")
+    joint = solve_together([fit.readings] * 2, [fit.solution] * 2)
+    model = fit.readings.model
+    table = np.eye(model.size)[model.calibrated :]
+    ratio = joint.solutions[0].known.deviations(table) / fit.solution.known.deviations(table)
+    assert np.all((ratio > 0.5**0.5 - 1e-6) & (ratio < 1.0 + 1e-6))
+    assert ratio.min() < 0.95
+    assert all(test is not None and test.passed for test in joint.agreement)
+
+
+@lru_cache
+def together(seed: int) -> tuple[list[SensorEstimate], list[SensorEstimate], dict[str, dict[str, float]]]:
+    """Four IMUs estimated together, and each alone."""
+    spec = scene("two axes", 1.0)
+    log, truths = fixture_log(spec, seed)
+    own = [estimate_sensors(at, [log], units=[name])[0] for name, at in specs_at_places(with_places(spec)).items()]
+    return estimate_sensors(with_places(spec), [log]), own, truths
+
+
+def squared(report: SensorEstimate, truth: dict[str, float]) -> float:
+    true = np.linalg.solve(report.built.model.to_reported, np.array(list(truth.values())))
+    white = np.linalg.solve(report.solution.known.spread, report.solution.parameters - true)
+    return float(white @ white)
+
+
+def test_four_imus_are_within_their_joint_covariances():
+    """Each has the truth within its covariance, which is smaller than alone, most of all that of the table."""
+    reports, own, truths = together(5)
+    for report, one in zip(reports, own, strict=True):
+        model = report.built.model
+        assert list(truths[report.unit]) == model.names()
+        assert 1e-4 < stats.chi2.sf(squared(report, truths[report.unit]), model.size) < 1.0 - 1e-4
+        every = np.eye(model.size)
+        ratio = report.solution.known.deviations(every) / one.solution.known.deviations(every)
+        assert np.all(ratio < 1.001)
+        assert ratio[model.calibrated :].min() < 0.8
+        assert any("estimated together with 3 other IMUs" in message for message in report.messages)
+        assert not any("contradicts the other IMUs" in message for message in report.messages)
+    tables = [report.solution.parameters[report.built.model.calibrated :] for report in reports]
+    assert all(table == pytest.approx(tables[0]) for table in tables)
+
+
+def test_the_covariance_in_the_calibration_is_the_joint_one():
+    (report, *_), (one, *_), _ = together(5)
+    pair = [np.sqrt(np.diag(np.array(r.calibration.covariance.matrix))) for r in (report, one)]
+    assert np.all(pair[0] < 1.001 * pair[1])
+    assert np.min(pair[0] / pair[1]) < 0.95
+
+
+def test_an_imu_that_sees_another_table_is_named():
+    spec = scene("two axes", 1.0)
+    log, _ = fixture_log(spec, 6, {"tilt_east": 0.004})
+    found = {r.unit: r for r in estimate_sensors(with_places(spec), [log])}
+    named = [n for n, r in found.items() if any("contradicts the other IMUs" in m for m in r.messages)]
+    assert "d" in named
+
+
+def test_imus_are_told_by_the_names_of_their_places_or_by_their_order():
+    spec = with_places(scene("two axes", 1.0))
+    log, _ = fixture_log(scene("two axes", 1.0), 5)
+    reports, *_ = together(5)
+    renamed = replace(log, units=("s1", "s2", "s3", "s4"))
+    again = estimate_sensors(spec, [renamed], units=renamed.units[:1])
+    assert again[0].built.spec.rig.table.mounting == reports[0].built.spec.rig.table.mounting
+
+
+def test_more_imus_than_places_are_refused():
+    spec = scene("two axes", 1.0)
+    log, _ = fixture_log(spec, 5)
+    table = spec.rig.table.model_copy(update={"place": (Place(name="left"), Place(name="right"))})
+    two = spec.model_copy(update={"rig": spec.rig.model_copy(update={"table": table})})
+    with pytest.raises((ValueError, LogError), match=r"the log has 4 IMUs and rig\.table\.place 2"):
+        estimate_sensors(two, [log])

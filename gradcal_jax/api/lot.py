@@ -291,7 +291,7 @@ def _findings(of: LotMap, beyond: str | None) -> Iterator[str]:
         repeat = "shape repeats" if of.shape_count == 1 else "shapes repeat"
         share = sum(of.shares[: of.shape_count])
         yield f"{what}: {names} {repeat}, with {100.0 * share:.3g} % of the spread's variance ({test})"
-    if beyond == "few":
+    if beyond == "few" and len(of.serial_numbers) >= lots.FEW:
         yield f"{what}: {n} IMUs are too few for a prior"
     elif beyond == "unclear":
         yield (

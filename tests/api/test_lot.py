@@ -1,16 +1,21 @@
 """`lot`: what calibrations of one type say of it, in words and as priors of a spec."""
 
+import os
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 from lot_scene import HOUR, MEAN, calibrations, drawn_maps, read_maps, spread_at
 
 import gradcal_jax as gj
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.hand_estimate import estimate_by_hand
 from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.lot import lot, lot_priors
 from gradcal_jax.files import presets, spec_of
 from gradcal_jax.files.calibration import UnseenError
+from gradcal_jax.files.importers import import_log, parse_column_map
 from gradcal_jax.information import posterior
 from gradcal_jax.information.posterior import square_root
 
@@ -41,6 +46,8 @@ def test_one_shape_repeats_and_mean_and_spread_are_within_their_intervals():
     assert one.shapes.shape == (1, len(x))
     assert np.abs(one.shapes[0]) == pytest.approx(true, rel=0.6, abs=0.6)
     assert one.shares[0] > 0.95
+    # (n - k - 1)(q - k) of 16 IMUs and 4 coefficients.
+    assert [(test.shapes, test.degrees) for test in one.tests] == [(0, 60), (1, 42)]
     assert "one shape repeats" in one.findings[0]
     assert one.coefficients["a0"] == pytest.approx(MEAN[0] * HOUR, rel=0.2)
 
@@ -244,3 +251,31 @@ def test_a_calibration_that_contradicts_its_model_is_noted():
     made = calibrations(*read_maps(rng, drawn_maps(rng, 8, "one")))
     found = lot([made[0].model_copy(update={"contradicted": ("gyro_x: whiteness",)}), *made[1:]])
     assert any(note.startswith("no. 1: its data contradict its model") for note in found.notes)
+
+
+def test_five_real_imus_turned_by_hand():
+    """MPU-9150: biases differ from IMU to IMU far more than they are uncertain, sensitivities to g do not."""
+    data = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    recording = data / "mikoff_mpu9150_rotations.npz"
+    if not recording.is_file():
+        pytest.skip("the recorded data are not here: set GRADCAL_DATA")
+    made = []
+    for number in range(5):
+        text = f'format = "gradcal-columns/1"\nname = "MPU {number}"\nsample_rate = "100 Hz"\n'
+        for kind, first, unit in (("rate", 3, "rad/s"), ("force", 0, "m/s^2")):
+            for k, axis in enumerate("xyz"):
+                text += f'{kind}.{axis} = {{ column = "imu{number}", index = {first + k}, unit = "{unit}" }}\n'
+        log = import_log(recording, parse_column_map(text))
+        made += [one.calibration for one in estimate_by_hand(log, 9.8155, options=Options(temperature_c=23.0))]
+    found = lot(made)
+    maps = {(one.channel, one.term): one for one in found.maps}
+    assert found.serial_numbers == tuple(f"MPU {number}" for number in range(5))
+    assert not found.simulated
+    assert any(note.startswith("5 IMUs do not say") for note in found.notes)
+    assert all(one.prior is None and not one.strangers and not one.groups for one in found.maps)
+    for channel in ("gyro_y", "gyro_z", "accelerometer_z"):
+        bias = maps[channel, "bias"]
+        assert bias.tests[0].chi_squared > 1e4
+        assert bias.spread[0] == pytest.approx(bias.values[:, 0].std(ddof=1), rel=0.01)
+        assert bias.spread_interval[0, 0] == pytest.approx(bias.spread[0] * np.sqrt(4 / 11.143), rel=0.02)
+    assert all(maps["gyro_z", f"g_sensitivity_{axis}"].shape_count == 0 for axis in "xyz")

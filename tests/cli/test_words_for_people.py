@@ -9,8 +9,8 @@ import pytest
 from cyclopts import App
 
 import gradcal_jax as gj
-from gradcal_jax.cli import main
 from gradcal_jax.api.plan_sentences import unobservable
+from gradcal_jax.cli import main
 from gradcal_jax.cli.app import GROUPS, build
 from gradcal_jax.pages.plain_text import columns
 

@@ -188,6 +188,7 @@ ELSEWHERE = {
     "optimise run1 -o rest.toml": "tests/hardware/test_imu_replanned.py",
     "run rest.toml --resume run1": "tests/hardware/test_imu_replanned.py",
     "allan bench.csv --columns columns.toml": "tests/cli/test_instability_cli.py",
+    "allan rest.csv --columns columns.toml --format kalibr --output imu.yaml": "tests/api/test_noise_of_records.py",
     "estimate warm-up.ulg -o cal.toml --parameters tc.params": "tests/estimation/test_warm_up.py",
     "optimise imu.toml -o better.toml": "tests/api/test_pose_search.py",
     'estimate recording.npz --columns columns.toml --gravity "9.81744 m/s^2" --temperature "23 degC" -o imu.toml': (

@@ -17,6 +17,7 @@ from gradcal_jax.api.instability import allan_of, at_rest, instability, of_senso
 from gradcal_jax.api.noise_files import noise_file, noise_of_imu
 from gradcal_jax.cli import main
 from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log_file import write_log
 from gradcal_jax.files.vehicle import read_vehicle_log
 from gradcal_jax.identify.markov import fit_markov, markov_covariance
 from gradcal_jax.identify.record_length import coefficient_errors, drift_errors, shortest_record
@@ -216,3 +217,12 @@ def test_the_plan_on_the_command_line(capsys):
     ):
         assert main(wrong) == 2
         assert capsys.readouterr().err
+
+
+def test_the_noise_file_on_the_command_line(tmp_path, capsys):
+    write_log(imu_at_rest(20_000), tmp_path / "rest.nc")
+    given = ["allan", str(tmp_path / "rest.nc"), "--format", "kalibr"]
+    assert main(given) == 2
+    assert "--output" in capsys.readouterr().err
+    assert main([*given, "--output", str(tmp_path / "imu.yaml")]) == 0
+    assert "gyroscope_noise_density" in yaml.safe_load((tmp_path / "imu.yaml").read_text(encoding="utf-8"))

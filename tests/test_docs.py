@@ -287,7 +287,7 @@ def prepared(line, job):
     if words[0] == "log":
         for name in ("log.nc", "calibration.toml"):
             Path(words[1], name).unlink(missing_ok=True)
-    if words[0] in ("run", "limit", "show"):
+    if words[0] in ("run", "limit") or words[:2] == ["check", "recipe.toml"]:
         shutil.copy(job / "run/recipe.toml", "recipe.toml")
     if "mine/spec.toml" in words:
         shutil.copy(job / "design.toml", "mine/spec.toml")

@@ -22,7 +22,7 @@ CALLABLE = [name for name in gj.__all__ if name != "presets"]
 UNITS = re.compile(r"\bSI\b|\bs\b|°C|\brad\b|rad/s|\bppm\b|deg/h|deg/s|\bunits?\b")
 SHAPE = re.compile(r"`\(|\[[a-z]+(, [a-z ]+)*\]|\bShapes\s+broadcast\b")
 # Commands for whoever sits at a terminal: text to copy, to print or to look words up in.
-AT_A_TERMINAL = {"start", "demo", "new", "rig", "upgrade"}
+AT_A_TERMINAL = {"start", "demo", "new", "rig"}
 
 
 @pytest.mark.parametrize("name", CALLABLE)

@@ -28,7 +28,6 @@ from gradcal_jax.cli.rig import rig_app
 from gradcal_jax.cli.run import run as run_command
 from gradcal_jax.cli.start import start
 from gradcal_jax.cli.status import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG_INPUT
-from gradcal_jax.cli.upgrade import upgrade
 
 _HELP: Final = """Calibration plans for gyros, with their residual errors predicted beforehand.
 
@@ -36,7 +35,7 @@ A spec file describes sensor, rig and plan. Begin with `gradcal start`, or `grad
 """
 
 GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
-    ("Begin", (demo, start, new, check, upgrade)),
+    ("Begin", (demo, start, new, check)),
     ("Know beforehand, and find a plan", (predict, optimise, limit)),
     ("Execute it", (rig_app, run_command, log_app)),
     ("Calibrate", (estimate, apply, validate, export, lot, report)),
@@ -58,6 +57,7 @@ _OLD_COMMANDS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "glossary": (("schema", "words"), ()),
     "replan": (("optimise",), ()),
     "watch": (("rig", "watch"), ()),
+    "upgrade": (("check",), ("--upgrade",)),
 }
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Json, as_json
+from gradcal_jax.cli.output import Flag, Force, Json, OptionalOutput, as_json
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.predict import omitted_lines
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
@@ -34,6 +34,9 @@ def check(
     timeline: Literal["segments", "readings"] | None = None,
     csv: Annotated[bool, Parameter(name="--csv", negative="")] = False,
     files_only: Flag = False,
+    upgrade: Flag = False,
+    output: OptionalOutput = None,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """List all errors of a spec, or print what its plan does and what it cannot observe; print a recipe as a table.
@@ -47,6 +50,11 @@ def check(
         Print every segment, or reading, of the plan instead.
     csv
         Print the rows of the timeline as comma-separated values, in SI.
+    upgrade
+        Write a spec, recipe or calibration of an earlier version in today's form, with the same contents, instead.
+        (Every command reads the earlier forms too.)
+    output
+        The file that --upgrade writes; without it FILE is replaced, and kept as FILE.old.
     files_only
         Leave out what the plan cannot observe, which takes a few seconds to work out.
     json
@@ -57,6 +65,12 @@ def check(
     from gradcal_jax.files.memory import needed_bytes, too_large
     from gradcal_jax.files.recipe import Recipe, spec_or_recipe
 
+    if upgrade:
+        from gradcal_jax.cli.upgrade import upgrade_file
+
+        return upgrade_file(file, output, force=force)
+    if output is not None:
+        raise ValueError("--output is the file of --upgrade")
     if csv and timeline is None:
         raise ValueError("--csv is of the rows of --timeline segments or --timeline readings")
     contents = spec_or_recipe(file)

@@ -47,13 +47,15 @@ def lot(
     plot
         Draw the maps of all IMUs, their mean and shapes into this file (.png, .svg, .pdf).
     """
-    from gradcal_jax.api import lot as work
     from gradcal_jax.files.calibration import read_calibration
 
     if output is not None:
         writable(output, force)
     drawable(plot)
-    found = work.lot([read_calibration(path) for path in calibrations])
+    read = [read_calibration(path) for path in calibrations]
+    from gradcal_jax.api import lot as work
+
+    found = work.lot(read)
     print(as_json(work.lot_tables(found)) if json else lot_text(found))
     save_figure(lambda plots: plots.draw_lot(found), plot, quiet=json)
     status = NOT_AS_WISHED if any(one.strangers or one.groups for one in found.maps) else DONE

@@ -1,27 +1,18 @@
-"""`gradcal upgrade`: a spec, recipe or calibration of an earlier version in today's form."""
+"""`gradcal check --upgrade`: a spec, recipe or calibration of an earlier version in today's form."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gradcal_jax.cli.output import Force, OptionalOutput, writable
+from gradcal_jax.cli.output import writable
 from gradcal_jax.cli.status import DONE
 
 if TYPE_CHECKING:
     from gradcal_jax.files.section import Section
 
 
-def upgrade(file: Path, /, *, output: OptionalOutput = None, force: Force = False) -> int:
-    """Write a spec, recipe or calibration of an earlier version in today's form, with the same contents.
-
-    Every command reads the earlier forms too; this is for people who go on with a file by hand.
-
-    Parameters
-    ----------
-    file
-        The spec, recipe or calibration.
-    output
-        The file to write; without it FILE is replaced, and kept as FILE.old.
-    """
+def upgrade_file(file: Path, output: Path | None, *, force: bool) -> int:
+    """Write a spec, recipe or calibration in today's form to `output`; without it, in the place of the file, which is
+    kept as FILE.old."""
     from gradcal_jax.files.document import read_text, read_toml
     from gradcal_jax.files.writing import write_toml, write_whole
 
@@ -35,7 +26,7 @@ def upgrade(file: Path, /, *, output: OptionalOutput = None, force: Force = Fals
     if kept is not None:
         write_whole(kept, text)
     goal = output or file
-    write_toml(model, goal, header=f"Converted by `gradcal upgrade` from {file.name}.")
+    write_toml(model, goal, header=f"Converted by `gradcal check --upgrade` from {file.name}.")
     print("\n".join(f"  {line}" for line in done))
     if any(line.lstrip().startswith("#") or " #" in line for line in text.splitlines()):
         print(f"note: the comments of {kept or file} are not in {goal}")

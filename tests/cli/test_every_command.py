@@ -19,12 +19,14 @@ ARGUMENTS = {
     "apply": "FILE FILE -o OUT",
     "check": "FILE",
     "check --timeline segments": "FILE",
+    "check --upgrade": "FILE -o OUT",
     "demo": "--data FILE -o OUT",
     "estimate": "FILE --spec FILE",
     "export": "FILE --format csv",
     "instability": "FILE",
     "limit": "FILE",
     "log": "FILE",
+    "lot": "FILE FILE FILE",
     "new": "FILE -o OUT",
     "optimise": "FILE -o OUT",
     "optimise --motion 50min": "FILE",
@@ -39,11 +41,10 @@ ARGUMENTS = {
     "schema": "FILE",
     "start": "--preset FILE -o OUT",
     "sweep": "FILE -o OUT",
-    "upgrade": "FILE -o OUT",
     "validate": "FILE FILE",
 }
 # These print words alone.
-WITHOUT_NUMBERS = {"new", "rig", "schema", "start", "upgrade"}
+WITHOUT_NUMBERS = {"new", "rig", "schema", "start"}
 
 
 def test_every_command_is_tried():

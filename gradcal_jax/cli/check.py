@@ -51,8 +51,8 @@ def check(
     csv
         Print the rows of the timeline as comma-separated values, in SI.
     upgrade
-        Write a spec, recipe or calibration of an earlier version in today's form, with the same contents, instead; every
-        command reads the earlier forms, too.
+        Write a spec, recipe or calibration of an earlier version in today's form, with the same contents; every command
+        reads the earlier forms, too.
     output
         The file that --upgrade writes; without it FILE is replaced, and kept as FILE.old.
     files_only

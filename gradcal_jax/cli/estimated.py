@@ -1,13 +1,10 @@
 """Results of `gradcal estimate` as text: of a log by a spec, or of a unit turned by hand (`--gravity`)."""
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from gradcal_jax.cli.console import strong
-from gradcal_jax.files.calibration.correction import term_values
-from gradcal_jax.files.requirement_table import requirement_table
 from gradcal_jax.pages.plain_text import columns as table
 from gradcal_jax.units import PPM, G
 
@@ -25,7 +22,7 @@ _MOST_COEFFICIENTS = 30
 def _head(report: "SensorEstimate | HandReport", counted: str) -> list[str]:
     calibration = report.calibration
     low, high = calibration.valid_temperature
-    fastest = np.degrees(float(calibration.valid_rate[1]))
+    fastest = math.degrees(float(calibration.valid_rate[1]))
     return [
         "",
         strong(f"unit {report.unit}" + (", SIMULATED" if calibration.simulated else "")),
@@ -45,6 +42,8 @@ def _tests(report: "SensorEstimate | HandReport") -> str:
 def requirement_lines(rows: "Sequence[RequirementRow]") -> list[str]:
     """The requirements as an estimate meets them, and the rules of their verdicts."""
     names = [f"{row.name}, {row.limited_by or f'axis {row.axis}'}" for row in rows]
+    from gradcal_jax.files.requirement_table import requirement_table
+
     shown = requirement_table(rows, names)
     return ["", table(shown, indent=""), *(f"{n}: {row.rule}" for n, row in zip(names, rows, strict=True) if row.rule)]
 
@@ -106,7 +105,7 @@ def text_of_estimate(report: "SensorEstimate") -> str:
 def _neighbours(channel: str, groups: "Sequence[Group]") -> str:
     shown = [(channel.replace("_", " "), "mean rate", "moves", "without a map", "1σ", "the map", "unit")]
     for g in groups:
-        where = (f"{g.temperature_c:.1f} °C", f"{np.degrees(g.rate_rad_per_s):.4g} deg/s", str(g.moves))
+        where = (f"{g.temperature_c:.1f} °C", f"{math.degrees(g.rate_rad_per_s):.4g} deg/s", str(g.moves))
         error = "" if g.standard_error is None else f"{g.standard_error * PPM:.3g}"
         shown.append((*where, f"{g.scale_factor * PPM:.5g}", error, f"{g.of_map * PPM:.5g}", "ppm"))
     return table(shown, right=(1, 2, 3, 4, 5))
@@ -125,7 +124,11 @@ def discrepancy_lines(row: "MeasuredDiscrepancy") -> list[str]:
 
 def _sizes(report: "SensorEstimate") -> list[tuple[str, ...]]:
     """The largest value of every channel's terms over temperature (and rate)."""
+    # Imported where they are used: the help of all commands imports this.
+    import numpy as np
+
     from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
+    from gradcal_jax.files.calibration.correction import term_values
 
     calibration = report.calibration
     low, high = (float(t) for t in calibration.valid_temperature)

@@ -11,7 +11,6 @@ from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Force, Json, Output, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE, FAILED
 from gradcal_jax.cli.watch import watch
-from gradcal_jax.files.problems import instead
 from gradcal_jax.pages.plain_text import columns
 
 if TYPE_CHECKING:
@@ -63,6 +62,8 @@ def protocols(name: str | None = None, /) -> int:
         print(columns([(one, kind, protocol.role, protocol.title) for one, (kind, protocol) in known.items()]))
     else:
         if name not in known:
+            from gradcal_jax.files.problems import instead
+
             raise ValueError(f"expected the name of a protocol; {instead(name, known)}")
         print(line_protocol.protocol_text(name), end="")
     return DONE

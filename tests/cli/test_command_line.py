@@ -61,6 +61,12 @@ def test_nothing_heavy_is_imported_before_it_is_needed(code, spec):
     assert done.stdout.splitlines()[-1] == "HEAVY []"
 
 
+def test_the_help_of_all_commands_needs_neither_arrays_nor_files():
+    code = "import sys; from gradcal_jax.cli import main; main(['--help']); print({'numpy', 'pydantic'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "set()"
+
+
 def test_help_answers_in_under_half_a_second():
     gradcal("--help")  # the first start writes byte code
     # User and system time of this one process: what it costs, whoever else keeps the machine busy.

@@ -93,7 +93,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
         for k, axis in enumerate("xyz"):
             if said := refuse_repeated(f"{kind} {axis} of {name}", quiet_windows(values[:, k]).ravel()):
                 messages.append(said)
-    log, faults = without_faults(log)
+    log, faults = without_faults(log, by_hand=True)
     messages += faults[name].sentences
     usable = log.usable(number) & np.isfinite(rates).all(axis=1) & np.isfinite(force).all(axis=1)
     if not usable.any():

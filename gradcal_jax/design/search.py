@@ -38,8 +38,9 @@ _LARGEST = 700.0
 # Largest gradient component of log(value) that counts as zero.
 CONVERGED = 1e-4
 _POLISHES = 3
-# Evaluations for each step that is asked for: a line search has more than one, most of them without a gradient.
-_EVALUATIONS = 2
+# Evaluations for each step that is asked for: a line search has more than one, most of them without a gradient; and
+# until the size of a step is known.
+_EVALUATIONS, _BEGINNING = 2, 20
 # Tolerance of a descent, far below that of an optimum.
 _EXACTLY = 1e-9
 # A limit nearer than this binds.
@@ -303,7 +304,7 @@ def _descents(
     """End of a descent of `steps` steps from each point, in their order; one thread for each core."""
 
     def descend(z: np.ndarray) -> np.ndarray:
-        return compiled.descend(z, sharpness, _EVALUATIONS * steps, stop)
+        return compiled.descend(z, sharpness, _BEGINNING + _EVALUATIONS * steps, stop)
 
     with ThreadPoolExecutor(min(len(points), os.cpu_count() or 1) or 1) as pool:
         yield from enumerate(pool.map(descend, points))
@@ -351,7 +352,7 @@ def polish(
             fun = lambda z: (float(at(z)[0][0]), at(z)[1][0].copy())  # noqa: E731 (SLSQP overwrites its argument.)
             reached = minimize(fun, point, jac=True, method="SLSQP", constraints=limits, options=options).x
         else:
-            reached = compiled.descend(point, SHARPNESS[-1], _EVALUATIONS * steps)
+            reached = compiled.descend(point, SHARPNESS[-1], _BEGINNING + _EVALUATIONS * steps)
         after = exactly(compiled, reached)
         before_it = float(np.max(excess, initial=0.0))
         worse = after[0] > value and before_it <= 1e-6

@@ -36,6 +36,10 @@ _AROUND, _BESIDE, _RARE = 51, 5, 0.01
 # rate (Hz) at which a single row is not the motion itself; median distance of white noise from its medians of five.
 _OF_FIVE = 0.49
 _NOISE_OF, _SETTLING, _LEAST_RATE = 200, 25, 20.0
+# Of deviations from the median of five, in white noise: what a tenth of them exceeds, over their median.
+_TENTH_OVER_MEDIAN: Final = 3.27
+# Rows about a glitch in which more than a pair of such rows are no glitch.
+_CROWD, _PAIR = 21, 2
 # Steps of more than this share of the noise add 2 % to its variance.
 _ADDS: Final = 0.5
 # Share of rows of one value, far more frequent than any other.
@@ -217,7 +221,9 @@ def glitches(values: Floats, standing: Whole | None) -> Bools:
     own = values[known]
     apart[known] = np.abs(own - ndimage.median_filter(own, _BESIDE, mode="reflect"))
     some = apart[known]
-    blocks = np.median(some[: len(some) // _NOISE_OF * _NOISE_OF].reshape(-1, _NOISE_OF), axis=1)
+    parts = some[: len(some) // _NOISE_OF * _NOISE_OF].reshape(-1, _NOISE_OF)
+    # The median of a block that is partly in motion would be that of its rest.
+    blocks = np.maximum(np.median(parts, axis=1), np.quantile(parts, 0.9, axis=1) / _TENTH_OVER_MEDIAN)
     if standing is None:
         # (The block's own noise and its neighbours': a motion that begins within a block is in the next one, too.)
         noise = np.repeat(ndimage.maximum_filter1d(blocks, 3, mode="nearest"), _NOISE_OF)
@@ -227,7 +233,10 @@ def glitches(values: Floats, standing: Whole | None) -> Bools:
         noise = np.full(len(some), np.median(some[here]) if here.any() else 0.0)
     # (In motion a wrong row moves its neighbours' medians, too, but by less.)
     worst = some >= 0.3 * ndimage.maximum_filter1d(some, _BESIDE)
-    far = (some > FAR / _OF_FIVE * noise) & (noise > 0.0) & worst & looked_at[known]
+    beyond = (some > FAR / _OF_FIVE * noise) & (noise > 0.0)
+    # Several such rows close together are a bump or the begin of a motion, which the sensor did feel.
+    crowded = ndimage.uniform_filter1d(beyond.astype(float), _CROWD, mode="constant") * _CROWD > _PAIR + 0.5
+    far = beyond & worst & looked_at[known] & ~crowded
     if np.mean(far) < _RARE:
         result[known[far]] = True
     return result
@@ -294,10 +303,16 @@ def after_gaps(log: Log) -> tuple[Whole, list[str]]:
 
 
 def signal_faults(
-    log: Log, unit: str | int = 0, channels: Container[str] | None = None, *, at_rest: bool = False
+    log: Log,
+    unit: str | int = 0,
+    channels: Container[str] | None = None,
+    *,
+    at_rest: bool = False,
+    by_hand: bool = False,
 ) -> SignalFaults:
     """What the samples of a unit's `channels` ("gyro x"; None: of all) show by themselves, of rows not masked;
-    `at_rest`: of a record in which everything that is not marked as moving stands still."""
+    `at_rest`: of a record in which everything that is not marked as moving stands still; `by_hand`: of one that a hand
+    turns now and then, whose bumps no rule tells from wrong rows if the standstills are not marked."""
     number, usable = log.unit_index(unit), log.usable(unit)
     saturated, frozen, far, unknown = (np.zeros(len(usable), bool) for _ in range(4))
     slow = log.standstill is None and log.sample_interval_s * _LEAST_RATE > 1.0
@@ -334,7 +349,8 @@ def signal_faults(
                 own = own if log.standstill is None else np.where(log.standstill >= 0, own, np.nan)
                 apart = far_from_neighbours(own)
             else:
-                apart = np.zeros(len(own), bool) if slow else glitches(own, log.standstill)
+                bumps = by_hand and log.standstill is None
+                apart = np.zeros(len(own), bool) if slow or bumps else glitches(own, log.standstill)
             if apart.any():
                 far |= apart
                 count = np.count_nonzero(apart)
@@ -354,12 +370,12 @@ def signal_faults(
 
 
 def without_faults(
-    log: Log, channels: Container[str] | None = None, *, at_rest: bool = False
+    log: Log, channels: Container[str] | None = None, *, at_rest: bool = False, by_hand: bool = False
 ) -> tuple[Log, dict[str, SignalFaults]]:
-    """The log with such rows masked, without temperatures that stand still, and by unit what was found; `channels` and
-    `at_rest` as of `signal_faults`."""
+    """The log with such rows masked, without temperatures that stand still, and by unit what was found; the rest as of
+    `signal_faults`."""
     status = np.zeros((len(log.units), len(log.time_s)), np.uint16) if log.status is None else log.status.copy()
-    found = {name: signal_faults(log, name, channels, at_rest=at_rest) for name in log.units}
+    found = {name: signal_faults(log, name, channels, at_rest=at_rest, by_hand=by_hand) for name in log.units}
     for k, faults in enumerate(found.values()):
         status[k, faults.saturated] |= Reason.SATURATED.value
         status[k, faults.frozen] |= Reason.FROZEN_VALUES.value

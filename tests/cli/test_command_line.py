@@ -62,7 +62,8 @@ def test_nothing_heavy_is_imported_before_it_is_needed(code, spec):
 
 
 def test_the_help_of_all_commands_needs_neither_arrays_nor_files():
-    code = "import sys; from gradcal_jax.cli import main; main(['--help']); print({'numpy', 'pydantic'} & set(sys.modules))"
+    code = "import sys; from gradcal_jax.cli import main; main(['--help']); sys.stdout.flush()"
+    code += "\nprint({'numpy', 'pydantic'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "set()"
 

@@ -1,5 +1,7 @@
 """Criteria, the proven limit, and the search, on plans small enough to know."""
 
+import os
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -294,7 +296,8 @@ def test_a_search_that_is_stopped_ends_at_once_with_its_best():
         return len(asked) > 3
 
     *_, last = search(compiled(), starts=4, seed=0, steps=80, stop=stop)
-    assert last.step <= 1
+    # Descents go on side by side, one for each core.
+    assert last.step <= 1 + (os.cpu_count() or 1)
     assert last.best <= last.first
 
 

@@ -22,7 +22,9 @@ def rig_with(driver: str, options: dict[str, Any], port: str = "COM1") -> Any:
     role = DRIVERS[driver].role or "chamber"
     if role == "chamber":
         return rig_of({"format": "gradcal-rig/1", "chamber": {**entry, "safe": "hold"}})
-    axis = {"safe": "hold", "gravity_loaded": False} if role == "axis" else {}
+    # A motor that is switched off holds nothing.
+    safe = "unpower" if driver == "switch" else "hold"
+    axis = {"safe": safe, "gravity_loaded": False} if role == "axis" else {}
     return rig_of({"format": "gradcal-rig/1", role: [{**entry, "name": "a", **axis}]})
 
 

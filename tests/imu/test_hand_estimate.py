@@ -118,9 +118,10 @@ def held(
             standing.append(own)
     omega, force = np.concatenate(rates), np.concatenate(forces)
     rate, felt = said(truth, "gyro", omega, force), said(truth, "accelerometer", omega, force)
-    if noisy:
-        rate += WHITE["gyro"] * np.sqrt(HZ) * rng.standard_normal(rate.shape)
-        felt += WHITE["accelerometer"] * np.sqrt(HZ) * rng.standard_normal(felt.shape)
+    # A record without any noise would count as frozen.
+    size = 1.0 if noisy else 1e-8
+    rate += size * WHITE["gyro"] * np.sqrt(HZ) * rng.standard_normal(rate.shape)
+    felt += size * WHITE["accelerometer"] * np.sqrt(HZ) * rng.standard_normal(felt.shape)
     return Log(
         np.arange(len(rate)) / HZ, rate[None], ("SN 7",), tuple("xyz"), standstill=np.concatenate(standing),
         specific_force_m_per_s2=felt[None], force_axes=tuple("xyz"), simulated=True,

@@ -61,6 +61,7 @@ _HOME_OF_NAME: dict[str, str] = {
     "allan": "api.log_flow",
     "fit_thermal_bias": "identify.thermal",
     "limiting_function": "identify.limiting_function",
+    "limiting_function_of_mean": "identify.limiting_function",
     # calibrations
     "estimate": "api.log_flow",
     "Calibration": "files.calibration",

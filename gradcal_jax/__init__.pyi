@@ -45,6 +45,7 @@ from gradcal_jax.files.sweep import read_sweep as read_sweep
 from gradcal_jax.hardware.execute import resume as resume
 from gradcal_jax.hardware.execute import run as run
 from gradcal_jax.identify.limiting_function import limiting_function as limiting_function
+from gradcal_jax.identify.limiting_function import limiting_function_of_mean as limiting_function_of_mean
 from gradcal_jax.identify.thermal import fit_thermal_bias as fit_thermal_bias
 from gradcal_jax.information import posterior as posterior
 from gradcal_jax.information import residual as residual

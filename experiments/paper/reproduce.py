@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 
 import gradcal_jax as gj
 from gradcal_jax import plots
-from gradcal_jax.identify.limiting_function import limiting_function_of_mean
 
 HERE = Path(__file__).parent
 DEG = np.pi / 180.0
@@ -202,7 +201,7 @@ def figures_3_to_5(out: Path) -> None:
             )
             axes.loglog(time, np.asarray(values) / RATE, label=label, **plots.style_of(index))
         if number == 5:
-            mean = np.asarray(limiting_function_of_mean(time, RATE, 120.0, WALK, 10.0)) / RATE
+            mean = np.asarray(gj.limiting_function_of_mean(time, RATE, 120.0, WALK, 10.0)) / RATE
             axes.loglog(time, mean, label="plain mean over 10 s (eqs. 6-7)", **plots.style_of(4))
         axes.set(
             xlabel="integration time, s",

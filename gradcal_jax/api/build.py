@@ -1,6 +1,5 @@
 """A spec in the core's terms: its error model and its plan."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -86,9 +85,7 @@ def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[S
 
     def move(of: ResolvedMove) -> Move:
         spacing = every if of.reads_as_table else of.read_every
-        # What is read as the table is has no further reading at its end.
-        end = of.read_end and (spacing is None or math.isinf(spacing))
-        return move_of(replace(of, axis="x", read_every=spacing, read_end=end), None, longest)
+        return move_of(replace(of, axis="x", read_every=spacing), None, longest)
 
     # (Steps behind the cycle are made once.)
     moves, after = (tuple(move(s.move) for s in part) for part in (plan.every_step, plan.after))

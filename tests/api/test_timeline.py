@@ -65,22 +65,6 @@ def test_every_reading_that_is_counted_is_in_the_timeline(rests, turns):
         assert segment.read == any(segment.start + 1e-9 < r.time <= end + 1e-9 for r in written.readings)
 
 
-def test_a_rest_that_is_read_as_its_table_has_no_further_reading_at_its_end():
-    """6 s, every 4 s: once. The recipe takes one reading there, and so does the run."""
-    tables = copy.deepcopy(TABLES)
-    tables["rig"]["table"]["axis"][0]["angle"]["read_every"] = "4 s"
-    tables["plan"] = {"method": "gradient", "temperature": ["-20 degC", "20 degC"], "gradient": "9.375 K/min"}
-    tables["rig"]["chamber"] |= {"max_heating": "10 K/min", "max_cooling": "10 K/min"}
-    back = {**TURN, "turn": "-360 deg"}
-    spaced = {"rest": "6 s", "read_every": "4 s"}
-    spec, written = (
-        spec_of(tables | {"plan": tables["plan"] | {"cycle": {"moves": [rest, TURN, rest, back]}}})
-        for rest in ({"rest": "6 s"}, spaced)
-    )
-    assert sum(not r.origin for r in timeline(spec).readings) == row_count(spec.schedule, spec.rig.table)
-    assert predict(spec).covariance == predict(written).covariance
-
-
 def test_a_rest_read_at_its_end_is_one_read_so_often_that_this_is_its_only_reading():
     at_end = [{"read": "end"}, {}]
     every = [{"read_every": "6 s"}, {"read_every": "6 s"}]

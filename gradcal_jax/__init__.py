@@ -100,13 +100,23 @@ _OLD_NAMES: dict[str, str] = {
 }
 
 
+# For one release: what takes the place of names that are gone.
+_GONE: dict[str, str] = {
+    "compare": "predict(spec, limits=True) of each spec",
+    "recipes": "sweep, with write_recipes of gradcal_jax.jobs.recipes_of_sweep",
+    "read_catalogue": "read_sweep, whose axes take sections of other specs",
+    "unobservable": "check",
+}
+
+
 def __getattr__(name: str) -> Any:
     if name in _OLD_NAMES:
         sentence = f"gradcal_jax.{name} is now gradcal_jax.{_OLD_NAMES[name]}; the old name goes with the next release"
         warnings.warn(sentence, DeprecationWarning, stacklevel=2)
         return __getattr__(_OLD_NAMES[name])
     if name not in _HOME_OF_NAME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        hint = f": in its place {_GONE[name]}" if name in _GONE else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
     value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF_NAME[name]}"), name)
     globals()[name] = value
     return value

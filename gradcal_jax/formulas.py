@@ -250,17 +250,9 @@ def lag_filter(interval_s: float, lag_s: float) -> tuple[list[float], list[float
     return [1.0 - share, share - keep], [1.0, -keep]
 
 
-# --- maps -------------------------------------------------------------------------------------------------------------
-
-
 def runs(where: Array) -> Array:
     """Runs of true values: `(n,) -> (runs, 2)`, first index and the index after the last."""
     xp = where.__array_namespace__()
     outside = xp.zeros(1, dtype=bool)
     padded = xp.concat([outside, where, outside])
     return xp.reshape(xp.nonzero(padded[1:] != padded[:-1])[0], (-1, 2))
-
-
-def scale_factor_map(temperature_basis: Array, rate_basis: Array, coefficients: Array) -> Array:
-    """`M(T, ω) = Σ_ij ψ_i(T) c_ij χ_j(ω)`: bases `(..., n_T)`, `(..., n_ω)`, coefficients `(n_T, n_ω)` -> `(...)`."""
-    return ((temperature_basis @ coefficients) * rate_basis).sum(-1)

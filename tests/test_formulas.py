@@ -90,12 +90,6 @@ def test_cycles_and_readings_survive_rounding():
     assert formulas.reading_times(10.0, None) == []
 
 
-def test_the_scale_factor_map_is_the_sum_over_both_bases():
-    rng = np.random.default_rng(1)
-    t, w, c = rng.random((5, 3)), rng.random((5, 2)), rng.random((3, 2))
-    np.testing.assert_allclose(formulas.scale_factor_map(t, w, c), np.einsum("gi,ij,gj->g", t, c, w))
-
-
 @given(st.lists(st.booleans(), max_size=40))
 def test_runs_are_where_true_values_stand_together(values):
     where = np.array(values, bool)

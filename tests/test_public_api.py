@@ -119,6 +119,12 @@ def test_an_old_name_is_the_new_one_and_warns(old, new):
     assert old not in gj.__all__
 
 
+@pytest.mark.parametrize("gone", ["compare", "recipes", "read_catalogue", "unobservable"])
+def test_a_name_that_is_gone_says_what_takes_its_place(gone):
+    with pytest.raises(AttributeError, match=f"no attribute '{gone}': in its place"):
+        getattr(gj, gone)
+
+
 def test_functions_have_the_names_of_commands():
     commands = {name for name in build() if not name.startswith("-")}
     assert commands - AT_A_TERMINAL <= set(gj.__all__)

@@ -3,6 +3,7 @@
 The motion is read from the log; the rates within a move are first the gyros' own, then corrected by the first estimate.
 """
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
@@ -123,16 +124,39 @@ def _read(
 ) -> Fit:
     """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
     estimate, linearised about `about`; where no encoder tells the table's angles, again about those of the estimate,
-    until they stand still."""
-    fit = _read_once(built, name, rows, seen, temperature, threshold, points, felt, about)
-    for _ in range(_LINEARISED if built.spec.rig.table.by_gravity else 0):
-        errors = estimation.angle_errors(fit.readings, fit.solution.parameters)
-        if np.nanmax(np.abs(errors)) < _STANDS:
+    until they stand still. Errors: `LogError` where they do not, and for readings of another unit or table."""
+    free, plan = built.spec.rig.table.by_gravity, built.spec.plan
+    own = None if points is None else points.sigma
+    for number in itertools.count():
+        try:
+            done = _executed(built, seen, points)
+            done = done._replace(motion=replace(done.motion, history=course_before(built.spec)))
+        except ValueError as error:
+            raise LogError(f"{name}: {error}") from None
+        readings = estimation.readings_of(
+            built.model, done, rows, temperature, 0 if built.rough else built.points, felt, free=free
+        )
+        if own is not None:
+            readings = readings._replace(sigma=own * done.motion.line.duration)
+        if isinstance(plan, StandardPlan) and plan.estimator == "least squares" and own is None:
+            solution = estimation.estimate_unweighted(readings)
+        else:
+            solution = estimation.solve_imu(readings, about, threshold=threshold)
+        if not free:
             break
+        errors = estimation.angle_errors(readings, solution.parameters)
+        largest = float(np.nanmax(np.abs(errors)))
+        if largest < _STANDS:
+            break
+        if number == _LINEARISED:
+            raise LogError(
+                f"{name}: the angles that gravity gives do not stand still ({np.degrees(largest):.2g} deg from one "
+                f"linearisation to the next, after {number}): are the standstills at rest, and do the plan's turns and "
+                "the axes' directions agree with the log?"
+            )
         angles = rows.angles + np.where(np.isfinite(errors), errors, 0.0)
         rows, seen = rows._replace(angles=angles), seen._replace(angles=angles)
-        fit = _read_once(built, name, rows, seen, temperature, threshold, points, felt, fit.solution.parameters)
-    solution = fit.solution
+        about = solution.parameters
     _refuse_the_implausible(built, name, solution)
     scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
     if scale > _ABSURD:
@@ -140,38 +164,6 @@ def _read(
             f"{name}: the unit's readings differ from the table's by {scale:.3g} times what noise explains: are the "
             "mounting, the unit's axes and signs and the table's angles those of the spec?"
         )
-    return fit
-
-
-def _read_once(
-    built: BuiltImu,
-    name: str,
-    rows: ImuRows,
-    seen: ImuRows,
-    temperature: np.ndarray,
-    threshold: float | None,
-    points: TablePoints | None,
-    felt: np.ndarray | None,
-    about: np.ndarray | None,
-) -> Fit:
-    """One fit, at the angles of `rows`."""
-    free = built.spec.rig.table.by_gravity
-    try:
-        done = _executed(built, seen, points)
-        done = done._replace(motion=replace(done.motion, history=course_before(built.spec)))
-    except ValueError as error:
-        raise LogError(f"{name}: {error}") from None
-    readings = estimation.readings_of(
-        built.model, done, rows, temperature, 0 if built.rough else built.points, felt, free=free
-    )
-    own = None if points is None else points.sigma
-    if own is not None:
-        readings = readings._replace(sigma=own * done.motion.line.duration)
-    plan = built.spec.plan
-    if isinstance(plan, StandardPlan) and plan.estimator == "least squares" and own is None:
-        solution = estimation.estimate_unweighted(readings)
-    else:
-        solution = estimation.solve_imu(readings, about, threshold=threshold)
     return Fit(done, readings, solution, seen.rates)
 
 

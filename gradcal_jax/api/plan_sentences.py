@@ -17,8 +17,6 @@ from gradcal_jax.files.absent import absent_terms
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import Posterior, posterior, square_root, unobservable_combinations
 from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, Hysteresis, Map, PathTerm
 from gradcal_jax.trajectory import Trajectory, frames
@@ -72,13 +70,6 @@ def prior_deviations(built: BuiltImu) -> np.ndarray:
 def _prior(built: BuiltImu) -> Posterior:
     """What is known before any reading."""
     return posterior(square_root(built.model.prior_rows()))
-
-
-def unobservable(spec: Spec) -> list[str]:
-    """One sentence for each combination of parameters (named as in the paper, SI) that the plan cannot observe; for
-    several channels none, if there are many. Errors: as `predict`."""
-    built = build_imu(expect_spec(spec))
-    return _of_combinations(built, _combinations(built, imu_posterior(built)), _axes_of(built))
 
 
 def _combinations(built: BuiltImu, known: Posterior) -> list[str]:

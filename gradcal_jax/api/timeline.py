@@ -251,7 +251,7 @@ def _of_imu(spec: Spec) -> imu_rows.ImuTimeline:
             _channel_row(c, sensor.gyro if c.kind == "gyro" else sensor.accelerometer) for c in built.model.channels
         ),
         installation=tuple(_installation_row(term) for term in built.model.installation),
-        segments=tuple(_unit_rows(built, plan)),
+        segments=tuple(_imu_rows(built, plan)),
     )
 
 
@@ -329,7 +329,7 @@ def _installation_row(term: model.InstallationTerm) -> imu_rows.InstallationRow:
     )
 
 
-def _unit_rows(built: BuiltImu, plan: PlanSchedule) -> list[imu_rows.ImuSegmentRow]:
+def _imu_rows(built: BuiltImu, plan: PlanSchedule) -> list[imu_rows.ImuSegmentRow]:
     motion = built.motion
     line, at = motion.line, segments_of(motion, built.model)
     before, after = (np.asarray(a) for a in motion.angles())

@@ -63,6 +63,11 @@ _OLD_COMMANDS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
 
 def _today(tokens: list[str]) -> list[str]:
     """A command line with today's name of its command, said where it has changed."""
+    if tokens[:1] == ["recipes"]:
+        raise ValueError(
+            "gradcal recipes is gone, with catalogues: gradcal sweep FILE -o results.nc --recipes FOLDER makes recipes "
+            'of a sweep with do = "optimise", whose axes may take sections of other specs (gradcal schema sweep)'
+        )
     if not tokens or tokens[0] not in _OLD_COMMANDS:
         return tokens
     before, after = _OLD_COMMANDS[tokens[0]]

@@ -3,6 +3,7 @@
 import math
 import signal
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -36,13 +37,13 @@ def optimise(
     until_met: Flag = False,
     resume: Flag = False,
     motion: str | None = None,
-    points: int = 5,
+    points: int | None = None,
     keep_shapes: Flag = False,
     stable_within: str | None = None,
     stable_for: str | None = None,
     timeout: str | None = None,
     time: str | None = None,
-    pause: str = "30 min",
+    pause: str | None = None,
     force: Force = False,
 ) -> int:
     """Minimise a plan's residual by gradient descent, within the limits of sensor, rig and time; write it as a recipe.
@@ -83,7 +84,7 @@ def optimise(
         Find the best residual for each of these durations without soaks, and the shortest plan for each target:
         50min..300min, or a list such as 60min,100min,3h.
     points
-        Number of durations in a range, ends included, evenly in their logarithm.
+        Number of durations in a range of --motion, ends included, evenly in their logarithm; by default 5.
     keep_shapes
         The table follows any shape of motion; without this, turns of the recipe become trapezoids.
     stable_within
@@ -96,25 +97,35 @@ def optimise(
         How long the rest of a run may take, waiting not counted, such as "40 min"; absent: the recipe's time that is
         left.
     pause
-        Time from the end of a run to where it goes on; an IMU's drifts begin anew.
+        Time from the end of a run to where it goes on, by default "30 min"; an IMU's drifts begin anew.
     """
     from gradcal_jax.files.recipe import spec_in
 
     drawable(plot)
     if (steps is not None and 0 < steps < 20) or (steps or 0) < 0:
         raise ValueError(f"--steps: expected 0, for the spec's own plan, or at least 20; got {steps}")
+    of_recipe = {"--keep-shapes": keep_shapes, "--stable-within": stable_within, "--stable-for": stable_for}
+    of_recipe |= {"--timeout": timeout}
+    of_search = {"--until-met": until_met, "--resume": resume}
     if spec.is_dir():
-        if output is None or steps is not None or motion is not None or resume or until_met:
-            raise ValueError("of a run: -o rest.toml, and no more than --time, --pause, --quick, --json and --force")
+        others = {"--steps": steps, "--motion": motion, "--points": points, "--plot": plot}
+        _refuse("of the folder of a run", of_recipe | of_search | others)
+        if output is None:
+            raise ValueError("where to? Name the recipe of the rest with -o rest.toml")
         writable(output, force)
-        return plan_the_rest(spec, output, time=time, pause=pause, quick=quick, json=json)
+        return plan_the_rest(spec, output, time=time, pause=pause or "30 min", quick=quick, json=json)
     specification = spec_in(spec)
+    _refuse("but of the folder of a run", {"--time": time, "--pause": pause})
     if motion is not None:
-        times = durations(motion, points)
+        _refuse("with --motion", of_recipe | of_search | {"--quick": quick})
+        times = durations(motion, 5 if points is None else points)
         if output is not None:
             output.mkdir(parents=True, exist_ok=True)
         use_float64()
         return show_frontier(specification, str(spec), times, output, steps, json=json, plot=plot)
+    _refuse("without --motion", {"--points": points})
+    if steps == 0:
+        _refuse("with --steps 0", of_search | {"--quick": quick, "--plot": plot})
     if output is None:
         raise ValueError("where to? Name the recipe with -o recipe.toml")
     stability = stability_of(
@@ -152,16 +163,19 @@ def optimise(
     else:
         print(optimum_text(best))
         print(f"wrote {output}; read it with: gradcal check {output}")
-    if specification.turns_one_gyro:
-        drawn = [("before", specification), ("optimised", best.spec)]
-        save_figure(lambda plots: plots.draw_comparison(drawn), plot, quiet=json)
-    else:
-        save_figure(lambda plots: plots.draw_unit(best.spec), plot, quiet=json)
+    drawn = [("before", specification), ("optimised", best.spec)]
+    save_figure(lambda plots: plots.draw_comparison(drawn), plot, quiet=json)
     if interrupted:
         again = f"; go on with: gradcal optimise {spec} -o {output} --resume" if kept.exists() else ""
         complain(f"interrupted{again}")
         return INTERRUPTED
     return DONE if best.converged else NOT_AS_WISHED
+
+
+def _refuse(where: str, options: Mapping[str, object]) -> None:
+    """Raise `ValueError` for options that are given and that nothing looks at."""
+    if given := [name for name, value in options.items() if value is not None and value is not False]:
+        raise ValueError(f"{', '.join(given)}: no effect {where}; leave {'it' if len(given) == 1 else 'them'} out")
 
 
 def search_and_watch(

@@ -17,7 +17,6 @@ ForceOutput = Annotated[bool, Parameter(negative="", help="Overwrite the output.
 Json = Annotated[bool, Parameter(name="--json", negative="")]
 JsonNumbers = Annotated[bool, Parameter(name="--json", negative="", help="Print all numbers as JSON.")]
 RunPath = Annotated[Path, Parameter(help="The folder of the run.")]
-SpecPath = Annotated[Path, Parameter(help="The spec file.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"])]
 OptionalOutput = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 OutputOrPrint = Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)]

@@ -5,7 +5,7 @@ from gradcal_jax.trajectory.geometry import EARTH_RATE, Geometry, frames, rotati
 from gradcal_jax.trajectory.motion import Move, rest, turn
 from gradcal_jax.trajectory.parts import TablePart
 from gradcal_jax.trajectory.programme import Programme, programme
-from gradcal_jax.trajectory.schedule import Schedule, channels_of, gradient_plan, standard_plan
+from gradcal_jax.trajectory.schedule import Schedule, gradient_plan, standard_plan
 from gradcal_jax.trajectory.table_motion import (
     TableMotion,
     body_group,

@@ -323,8 +323,3 @@ def standard_plan(
     numbers = [(float(soak), 0.0, 0.0), *((float(integration), float(rate), 0.0) for rate in rates)]
     gaps = tuple(range(0, len(placed), 1 + counts[1]))
     return make_schedule(programme, numbers, placed, first_knot=0, gaps=gaps, rates=True, points=points)
-
-
-def channels_of(moves: tuple[Move, ...]) -> tuple[str, ...]:
-    """Axes that turn, in the order of the moves; `("x",)` for a plan that stands."""
-    return tuple(dict.fromkeys(m.axis for m in moves if m.shape != "rest")) or ("x",)

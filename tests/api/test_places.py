@@ -5,12 +5,13 @@ import tomllib
 import jax
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import gradcal_jax as gj
 from gradcal_jax.api.imu_build import build_imu, geometry
 from gradcal_jax.api.pose_search import CyclePlan
 from gradcal_jax.files import presets, spec_of
-from gradcal_jax.files.bench import Mounting, Place
+from gradcal_jax.files.bench import Place
 from gradcal_jax.files.places import places_of, rotation_of, specs_at_places
 
 
@@ -18,6 +19,16 @@ def fixture(places, preset="ferraris", **table):
     tables = tomllib.loads(presets.text(preset))
     tables["rig"]["table"] |= {"place": places, **table}
     return spec_of(tables)
+
+
+def turned(held):
+    """The rotation that a table of a mounting or a place says, by the series of the exponential: a body axis named x
+    points along the word of x, after the further rotation."""
+    words = {"x": "+x", "y": "+y", "z": "+z"} | held
+    units = {f"{sign}{a}": s * np.eye(3)[k] for k, a in enumerate("xyz") for sign, s in (("+", 1.0), ("-", -1.0))}
+    named = np.array(held["matrix"]) if "matrix" in held else np.stack([units[words[a]] for a in "xyz"], axis=1)
+    x, y, z = np.radians([float(angle.split()[0]) for angle in held.get("rotation", ["0 deg"] * 3)])
+    return named @ expm(np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]))
 
 
 @pytest.mark.parametrize(
@@ -34,7 +45,8 @@ def test_body_to_fixture_to_axis(place, hung):
     spec = fixture([{"name": "a", **place}], mounting=[hung])
     (at,) = specs_at_places(spec).values()
     vector = np.array([0.3, -0.5, 0.8])
-    expected = rotation_of(Mounting(**hung)) @ (rotation_of(Place(name="a", **place)) @ vector)
+    expected = turned(hung) @ (turned(place) @ vector)
+    assert rotation_of(Place(name="a", **place)) @ vector == pytest.approx(turned(place) @ vector, abs=1e-12)
     assert geometry(at.rig).mountings[0] @ vector == pytest.approx(expected, abs=1e-9)
     assert at.rig.table.place == ()
 

@@ -330,7 +330,9 @@ def test_until_met_stops_where_every_target_is_met_with_margin(searched):
 def test_the_command_writes_a_recipe_that_is_worth_what_is_said(tmp_path, capsys, searched):
     source, goal = tmp_path / "unit.toml", tmp_path / "better.toml"
     gj.write_toml(small(), source)
-    assert main(["optimise", str(source), "-o", str(goal), "--steps", "300", "--json"]) == 0
+    picture = tmp_path / "both.png"
+    assert main(["optimise", str(source), "-o", str(goal), "--steps", "300", "--json", "--plot", str(picture)]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
     told = json.loads(capsys.readouterr().out)
     assert [row["name"] for row in told["requirements"]] == [r.name for r in small().requirement]
     # The same numbers for the same seed, and no rounding is left.

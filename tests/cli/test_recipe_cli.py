@@ -65,6 +65,34 @@ def test_show_is_a_table_that_a_technician_can_follow(made, capsys):
     assert json.loads(capsys.readouterr().out)["format"] == "gradcal-recipe/1"
 
 
+@pytest.mark.parametrize(
+    ("options", "useless"),
+    [
+        (["--steps", "0", "--quick"], "--quick: no effect with --steps 0"),
+        (["--steps", "0", "--plot", "a.png"], "--plot"),
+        (["--pause", "1 h"], "--pause: no effect but of the folder of a run"),
+        (["--points", "3"], "--points: no effect without --motion"),
+        (["--motion", "50min", "--until-met", "--timeout", "4 h"], "--timeout, --until-met: no effect with --motion"),
+    ],
+)
+def test_options_without_effect_are_refused(made, tmp_path, options, useless, capsys):
+    assert main(["optimise", str(made), "-o", str(tmp_path / "new.toml"), *options]) == 2
+    assert useless in capsys.readouterr().err
+    assert not (tmp_path / "new.toml").exists()
+
+
+def test_of_the_folder_of_a_run_options_of_searches_are_refused(tmp_path, capsys):
+    assert main(["optimise", str(tmp_path), "-o", str(tmp_path / "rest.toml"), "--steps", "40"]) == 2
+    assert "--steps: no effect of the folder of a run" in capsys.readouterr().err
+    assert main(["optimise", str(tmp_path)]) == 2
+    assert "-o rest.toml" in capsys.readouterr().err
+
+
+def test_catalogues_are_gone_and_it_is_said_what_to_do(capsys):
+    assert main(["recipes", "mems.toml", "-o", "out"]) == 2
+    assert "gradcal sweep FILE -o results.nc --recipes FOLDER" in capsys.readouterr().err
+
+
 def test_slips_are_sentences(made, tmp_path, capsys):
     assert main(["optimise", str(made), "--steps", "0", "--output", str(made)]) == 2
     assert "overwrite it with --force" in capsys.readouterr().err

@@ -9,7 +9,6 @@ import pytest
 from cyclopts import App
 
 import gradcal_jax as gj
-from gradcal_jax.api.plan_sentences import unobservable
 from gradcal_jax.cli import main
 from gradcal_jax.cli.app import GROUPS, build
 from gradcal_jax.pages.plain_text import columns
@@ -63,15 +62,17 @@ def test_what_cannot_be_observed_comes_with_its_cure(change, cure):
     ]
     spec = gj.parse_spec(gj.presets.text("paper-dynamic-gradient"))
     spec = gj.changed(spec, {"plan.cycle.moves": moves, "sensor.scale_factor.prior": None} | change)
-    said = unobservable(spec)
+    said = gj.check(spec)
     assert said
-    assert all(cure in sentence for sentence in said)
+    blind = [sentence for sentence in said if "cannot observe" in sentence]
+    assert blind
+    assert all(cure in sentence for sentence in blind)
 
 
 def test_temperatures_that_are_too_few_are_counted():
     spec = gj.parse_spec(gj.presets.text("paper-static-standard"))
     spec = gj.changed(spec, {"plan.temperatures": ["-30 degC", "70 degC"], "plan.soak": "2 h"})
-    assert any("two temperatures for four coefficients in temperature: add two" in s for s in unobservable(spec))
+    assert any("two temperatures for four coefficients in temperature: add two" in s for s in gj.check(spec))
 
 
 def test_the_stub_has_every_public_name_from_its_home():

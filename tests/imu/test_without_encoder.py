@@ -15,6 +15,7 @@ from gradcal_jax.estimation.gravity_angles import angles_by_gravity
 from gradcal_jax.estimation.imu_executed import ImuRows
 from gradcal_jax.estimation.imu_solve import absorbed
 from gradcal_jax.files import presets
+from gradcal_jax.files.log import LogError
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.information import imu_system, whiten
@@ -172,6 +173,18 @@ def test_of_mirror_images_the_one_near_the_plans_begin_counts():
 
 
 # --- estimates --------------------------------------------------------------------------------------------------------
+
+
+def test_angles_that_do_not_stand_still_are_no_estimate(monkeypatch):
+    """Fewer linearisations than the angles need: nothing is reported as if they stood."""
+    monkeypatch.setattr("gradcal_jax.api.fit_of_log._LINEARISED", 0)
+    spec = without_encoder(scene("two axes", 0.1))
+    usual = imu_twin.bench_of
+    monkeypatch.setattr(imu_twin, "bench_of", lambda *of: replace(usual(*of), offset=(0.05, 0.05)))
+    rng = np.random.default_rng(5)
+    truth = draw_truth(spec, rng)
+    with pytest.raises(LogError, match="do not stand still"):
+        estimate_sensors(spec, record(spec, truth, rng))
 
 
 @pytest.mark.parametrize(("plan", "spoilt"), [("two axes", 5.0), ("by hand", 20.0)])

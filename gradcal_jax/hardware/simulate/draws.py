@@ -239,7 +239,7 @@ def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict
                 seed=16 * seed + number,
             )
         )
-    in_case = spec.sensor.frame is not None and spec.sensor.frame.fixed_by == "case"
+    in_case = _in_case(spec)
     mountings: list[Matrix] = []
     for number, mounting in enumerate(table.mounting, start=1):
         size = float(mounting.accuracy) if in_case else 0.0
@@ -255,3 +255,21 @@ def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict
         mountings=tuple(mountings),
     )
     return truth, encoders, named
+
+
+def draw_places(spec: Spec, truth: TableTruth, seed: int) -> list[TableTruth]:
+    """The table as it holds the IMU at each place of a fixture, each off by the place's own accuracy."""
+    random, in_case = np.random.default_rng([seed, 20264]), _in_case(spec)
+    tables: list[TableTruth] = []
+    for place in spec.rig.table.place:
+        off = (float(place.accuracy) if in_case else 0.0) * random.standard_normal(3)
+        drawn = [float(angle) for angle in place.rotation or (0.0, 0.0, 0.0)]
+        first = np.array(place.columns).T if place.matrix is None else np.array(place.matrix)
+        held = first @ turn_by(drawn) @ turn_by(off)
+        tables.append(replace(truth, mountings=tuple(mounting @ held for mounting in truth.mountings)))
+    return tables
+
+
+def _in_case(spec: Spec) -> bool:
+    """Whether the mounting's error counts, as of a frame that is the case's."""
+    return spec.sensor.frame is not None and spec.sensor.frame.fixed_by == "case"

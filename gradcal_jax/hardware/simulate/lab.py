@@ -9,13 +9,11 @@ devices anew where there are several mountings; at the places of a fixture sits 
 structure is the spec's: a `discrepancy` is not drawn.
 """
 
-from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from ...files.bench import TableAxis
-from ...files.places import rotation_of
 from ...files.rig import RigFile, rig_of
 from ...files.spec_sections import Spec
 from ...files.tracks import read_at_rest, tracks_of
@@ -27,7 +25,7 @@ from ..roles import AxisLimits
 from ..setup import Bench
 from .datagrams import RATES_HZ
 from .devices import SimulatedAxis, SimulatedChamber, SimulatedHand, SimulatedPerson, SimulatedStream
-from .draws import draw_table, draw_truth
+from .draws import draw_places, draw_table, draw_truth
 from .imu import SimulatedImu
 from .plants import AxisPlant, ChamberPlant, ChamberTruth, UncontrolledRoom
 
@@ -81,7 +79,7 @@ class SimulatedLab:
         # Each at its place of a fixture: there are as many as places.
         places = spec.rig.table.place
         names = [place.name for place in places] or [f"unit{number}" for number in range(1, units + 1)]
-        held = [replace(truth, mountings=tuple(m @ rotation_of(p) for m in truth.mountings)) for p in places]
+        held = draw_places(spec, truth, seed)
         self.units: dict[str, SimulatedImu] = {
             name: SimulatedImu(
                 draw_truth(spec, seed, number),

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax import formulas
 from gradcal_jax.hardware.pose import turn_about
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant
 from gradcal_jax.hardware.simulate.sensor import Drifts, Process, SampledSensor, SensorSamples, TruthBasis, Vectors
@@ -101,10 +100,9 @@ class SimulatedSensor(SampledSensor):
             walked = self._walked + np.cumsum(kick * self._random.standard_normal((count, 3)), axis=0)
             bias = bias + walked
             self._walked = walked[-1] if count else self._walked
-        factor = formulas.scale_factor_map(
-            truth.temperature_basis(temperature)[:, None, None, :], truth.rate_basis(rates)[:, :, None, :], self._scale
-        )[..., 0]
-        factor = factor + unsteady
+        factor = unsteady + np.einsum(
+            "nt,atr,nar->na", truth.temperature_basis(temperature), self._scale, truth.rate_basis(rates)
+        )
         walk = truth.angle_random_walk_deg_sqrt_s / self.true_period_s**0.5 * draws[:, :3]
         error = bias + factor * rates + walk
         return SensorSamples(ends[1:], rates + error, up, temperature)

@@ -3,7 +3,6 @@
 The motion is read from the log; the rates within a move are first the gyros' own, then corrected by the first estimate.
 """
 
-import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
@@ -127,7 +126,8 @@ def _read(
     until they stand still. Errors: `LogError` where they do not, and for readings of another unit or table."""
     free, plan = built.spec.rig.table.by_gravity, built.spec.plan
     own = None if points is None else points.sigma
-    for number in itertools.count():
+    number = 0
+    while True:
         try:
             done = _executed(built, seen, points)
             done = done._replace(motion=replace(done.motion, history=course_before(built.spec)))
@@ -157,6 +157,7 @@ def _read(
         angles = rows.angles + np.where(np.isfinite(errors), errors, 0.0)
         rows, seen = rows._replace(angles=angles), seen._replace(angles=angles)
         about = solution.parameters
+        number += 1
     _refuse_the_implausible(built, name, solution)
     scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
     if scale > _ABSURD:

@@ -214,7 +214,10 @@ def row_count(schedule: PlanSchedule, table: RigTable) -> int:
         total += stretch.cycles * cycle + max(0, stretch.cycles - 1) * after
         stands = stretch.leftover if stretch.cycles else stretch.duration
         if stands > 0.0 and (table.standing == "held" or not table.typed):
-            total += _rows(ResolvedMove("rest", "x", stands), spacing, table)
+            # What no cycle fills has no reading at its end beside spaced ones.
+            total += _rows(
+                ResolvedMove("rest", "x", stands, read_end=math.isinf(spacing), read_every=spacing), spacing, table
+            )
     return total
 
 

@@ -43,8 +43,8 @@ class ResolvedMove:
     `fastest` and `peak_acceleration` are true maxima of the magnitude.
     `ramp` of a turn by hand is how long it stands before and after turning.
     `low` and `high` bound the angle during the move, from its start. The move is made `repeat` times.
-    A reading is taken at the end (`read_end`), or every `read_every` seconds from the start. `other_axes`: a rest
-    during which the table is other axes'.
+    Readings are taken at the end (`read_end`), or every `read_every` seconds from the start, or both: of a rest that is
+    read as its table is. `other_axes`: a rest during which the table is other axes'.
     """
 
     shape: str
@@ -86,9 +86,12 @@ class ResolvedMove:
 
     @property
     def readings(self) -> int:
-        """Readings in one execution: at `k·read_every`, k = 1, 2, … ≤ duration/read_every, or the one at the end."""
-        every = math.inf if self.read_every is None else self.read_every
-        return int(self.read_end) if math.isinf(every) else formulas.reading_count(self.duration, every)
+        """Readings in one execution: at `k·read_every`, k = 1, 2, … ≤ duration/read_every, and the one at the end."""
+        every = self.read_every
+        if every is None or math.isinf(every):
+            return int(self.read_end)
+        count = formulas.reading_count(self.duration, every)
+        return count + (self.read_end and count * every < self.duration * (1.0 - 1e-9))
 
 
 class _Move(Section):

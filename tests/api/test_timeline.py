@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from gradcal_jax.api.prediction import predict
+from gradcal_jax.api.recipe import recipe
 from gradcal_jax.api.timeline import timeline
 from gradcal_jax.files import presets, spec_of
 from gradcal_jax.files.motion_plan import row_count
+from gradcal_jax.hardware.binding import track_of
 
 TABLES = tomllib.loads(presets.text("paper-dynamic-gradient"))
 TABLES["requirement"][0]["grid"] = [5, 5]
@@ -63,6 +65,21 @@ def test_every_reading_that_is_counted_is_in_the_timeline(rests, turns):
     for segment in written.segments:
         end = segment.start + segment.duration
         assert segment.read == any(segment.start + 1e-9 < r.time <= end + 1e-9 for r in written.readings)
+
+
+def test_a_rest_that_is_read_as_its_table_is_read_at_its_end_too():
+    """6 s, every 4 s: at 4 and 6 s, in `check`'s count, in the prediction and in the run."""
+    tables = copy.deepcopy(TABLES)
+    tables["rig"]["table"]["axis"][0]["angle"]["read_every"] = "4 s"
+    tables["plan"] = {"method": "gradient", "temperature": ["-20 degC", "20 degC"], "gradient": "9.375 K/min"}
+    tables["plan"]["cycle"] = {"moves": [{"rest": "6 s"}, TURN, {"rest": "6 s"}, {**TURN, "turn": "-360 deg"}]}
+    tables["rig"]["chamber"] |= {"max_heating": "10 K/min", "max_cooling": "10 K/min"}
+    spec = spec_of(tables)
+    count = row_count(spec.schedule, spec.rig.table)
+    assert count == 8 * 6  # 8 cycles of two rests and two turns, without a rest beside
+    assert sum(not r.origin for r in timeline(spec).readings) == count
+    steps = track_of(recipe(spec), [spec.rig.table.axis[0].name]).steps
+    assert sum(len(step.read_at_s) for step in steps) == count + 1  # and the first
 
 
 def test_a_rest_read_at_its_end_is_one_read_so_often_that_this_is_its_only_reading():

@@ -41,7 +41,7 @@ from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information.residual import Statistic
-from gradcal_jax.model import Hysteresis, ImuModel, PathTerm
+from gradcal_jax.model import Hysteresis, ImuModel
 
 _SEARCH_GRID = 21
 # Slots for turns that a search inserts, as a share, and multiples of slots, each of which is compiled once.
@@ -248,7 +248,7 @@ class CyclePlan:
         model, lag = self.built.model, self.spec.sensor.lag or 0.0
         mountings = len(self.spec.rig.table.mounting)
         polynomials, ramps = model.shifts(np.zeros(1)) is not None, []
-        of_path = any(isinstance(term, PathTerm) for c in model.channels for term in c.model.terms)
+        of_path = model.knows_path
         samples = _SAMPLES_ON_A_PATH if of_path else _SAMPLES
         past = [] if (before := course_before(self.spec)) is None else before.tolist()
         if self._executed is not None:

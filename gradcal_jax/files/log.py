@@ -373,7 +373,7 @@ class Log:
         values = None if values is None else values[self.unit_index(unit)]
         if values is None or not (known := np.isfinite(values)).any():
             return None
-        return values if known.all() else np.interp(self.time_s, self.time_s[known], values[known])
+        return values if known.all() else np.asarray(np.interp(self.time_s, self.time_s[known], values[known]))
 
     def counts(self, unit: str | int = 0) -> dict[str, int]:
         """Counts of rows: ``used``, then removed and masked rows by reason. They add up to `rows_read`."""

@@ -1,23 +1,14 @@
 """Terms that follow the temperature late, against masses that are stepped sample by sample: dT/dt by a lag, a second
 thermometer, maps with lags of their own."""
 
-import json
-from dataclasses import replace
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-import jsonschema
 import numpy as np
 import pytest
 
-import gradcal_jax as gj
-from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.schemas import schema
+from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.trajectory import body_nodes
 
 HOUR = np.pi / 180.0 / 3600.0
 LINEAR = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "30 K"}

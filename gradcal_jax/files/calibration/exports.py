@@ -96,7 +96,7 @@ def _of_branches(calibration: Calibration) -> Iterator[str]:
     """What maps that are the mean of heating and cooling, of equal temperatures everywhere, lose."""
     sizes: dict[tuple[str, str, str], float] = {}
     for one in calibration.path:
-        of_scale, what = one.unit in ("1/K", "s/K"), ""
+        of_scale, what, size = one.unit in ("1/K", "s/K"), "", 0.0
         if one.width is not None:
             what = "the mean of heating and cooling; hysteresis, up to {:.3g} {} on either branch, is lost"
             size = float(one.width)

@@ -29,6 +29,8 @@ _NARROWEST, _WIDEST = 0.3, 2.0
 _STEP_K = 0.02
 # The slope on which the difference of two thermal masses has its size, K/s.
 _SLOPE_K_PER_S = 1.0 / 60.0
+# The time constants of a sensor's masses are those of its type within this share.
+_SPREAD = 0.1
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,10 @@ class _Relays(Loop):
 
 class _ThermalMasses(Loop):
     def _start(self, truth: LoopTruth, temperature_c: float) -> None:
-        self._masses = [Mass(temperature_c, time_s) for time_s in truth.times_s]
-        self._scale = 1.0 / (_SLOPE_K_PER_S * (truth.times_s[1] - truth.times_s[0]))
+        spread = _SPREAD * np.random.default_rng([truth.seed, 20267]).uniform(-1.0, 1.0, 2)
+        fast_s, slow_s = np.array(truth.times_s) * (1.0 + spread)
+        self._masses = Mass(temperature_c, float(fast_s)), Mass(temperature_c, float(slow_s))
+        self._scale = 1.0 / (_SLOPE_K_PER_S * (slow_s - fast_s))
 
     def shape(self, temperature_c: Vectors, period_s: float) -> Vectors:
         fast, slow = (mass.take(temperature_c, period_s) for mass in self._masses)

@@ -369,11 +369,14 @@ class Log:
     def bridged_temperature(self, unit: str | int = 0, *, second: bool = False) -> Floats | None:
         """A unit's temperature at every row, of the `second` thermometer if asked, missing ones interpolated linearly;
         None without any. [time]"""
-        values = self.second_temperature_c if second else self.temperature_c
-        values = None if values is None else values[self.unit_index(unit)]
-        if values is None or not (known := np.isfinite(values)).any():
+        columns = self.second_temperature_c if second else self.temperature_c
+        if columns is None or not np.isfinite(columns[self.unit_index(unit)]).any():
             return None
-        return values if known.all() else np.asarray(np.interp(self.time_s, self.time_s[known], values[known]))
+        values: Floats = columns[self.unit_index(unit)]
+        known = np.isfinite(values)
+        if known.all():
+            return values
+        return np.asarray(np.interp(self.time_s, self.time_s[known], values[known]), np.float64)
 
     def counts(self, unit: str | int = 0) -> dict[str, int]:
         """Counts of rows: ``used``, then removed and masked rows by reason. They add up to `rows_read`."""

@@ -137,20 +137,17 @@ def test_the_report():
             f"(1 ± {band:.2f}) | {np.mean(np.abs(errors) < 2.0 * stds):.1%} | {np.mean(contradicted):.0%} | "
             f"{np.min(gain):.1f} … {np.max(gain):.1f} |"
         )
-    text = f"""# Loops over the temperature by other laws
-
-Made by `LOOP_UNITS={UNITS} pytest -m evidence tests/evidence/test_loops.py`: simulated IMUs of three gyros with loops of
-{SIZE:g} deg/h, by the laws and with the estimators that the head of that file states. Predicted: root mean square over both
-branches, deg/h. NEES: mean of squared standardised errors, with three standard errors of it. Not valid: a test of the
-fit contradicts the model. Gain: error of a one-way plan of equal time over that of the two-way plan, of {TEN} IMUs each.
-
-| law | IMUs | predicted | achieved/predicted | NEES | within 2 σ | not valid | gain |
-|---|---|---|---|---|---|---|---|
-{chr(10).join(rows)}
-
-Without a loop the two-way plan leaves {without_a_loop():.3f} times what the one-way plan leaves.
-
-{time.strftime("%Y-%m-%d")}
-"""
+    text = "\n".join([
+        "# Loops over the temperature by other laws", "",
+        f"Made by `LOOP_UNITS={UNITS} pytest -m evidence tests/evidence/test_loops.py`: simulated IMUs of three gyros",
+        f"with loops of {SIZE:g} deg/h, by the laws and with the estimators that the head of that file states.",
+        "Predicted: root mean square over both branches, deg/h. NEES: mean of squared standardised errors, with three",
+        "standard errors of it. Not valid: a test of the fit contradicts the model. Gain: error of a one-way plan of",
+        f"equal time over that of the two-way plan, of {TEN} IMUs each.", "",
+        "| law | IMUs | predicted | achieved/predicted | NEES | within 2 σ | not valid | gain |",
+        "|---|---|---|---|---|---|---|---|", *rows, "",
+        f"Without a loop the two-way plan leaves {without_a_loop():.3f} times what the one-way plan leaves.", "",
+        time.strftime("%Y-%m-%d"), "",
+    ])  # fmt: skip
     REPORT.write_text(text, encoding="utf-8")
     assert len(rows) == len(LAWS)

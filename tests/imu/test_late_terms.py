@@ -164,7 +164,7 @@ def test_a_plan_that_goes_on_keeps_the_lags():
     # The end of the pause has no duration.
     columns = built.model.own_columns(built.body_nodes())[0] / np.maximum(line.duration, 1e-9)[:, None]
     used = np.flatnonzero(np.arange(len(line.gap)) > np.flatnonzero(line.gap)[-1])
-    begin, end = line.ends()
+    begin, _ = line.ends()
     # The ramp before has left a lag of 500 s in its steady state, almost, which the pause lets decay a little.
     found = columns[used[0], names.index("gyro_z.late_temperature_gradient_500s")]
     assert begin[used[0]] == pytest.approx(30.0, abs=0.1)

@@ -158,7 +158,7 @@ def test_a_plan_that_goes_on_keeps_the_lags():
     first = [{"soak": "1 min", "at": "0 degC"}, {"ramp_to": "30 degC", "rate": "1 K/min"}]
     second = [{"soak": "1 s", "at": "30 degC"}, {"ramp_to": "20 degC", "rate": "1 K/min"}]
     parts = [{"method": "gradient", "programme": p, "cycle": {"moves": [{"rest": "60 s"}]}} for p in (first, second)]
-    done = [{"plan": parts[0], "start": "1 min", "end": "31 min"}]
+    done = [{"plan": parts[0], "start": "1 min", "end": "31 min", "pause": "2 min"}]
     built = build_imu(spec_with(sensor, second, done=done))
     line, names = built.motion.line, built.model.names()
     # The end of the pause has no duration.

@@ -273,7 +273,7 @@ def test_a_timeline_lists_the_terms_of_the_path():
     kinds = ["hysteresis"] * 3 + ["temperature gradient", "transient"]
     assert [row["kind"] for row in gyro] == kinds
     assert gyro[1] == {
-        "kind": "hysteresis", "signals": [], "unit": "rad/s/K", "width": 9.0, "time_constant": None,
+        "kind": "hysteresis", "signals": [], "unit": "rad/s/K", "width": 9.0, "time_constant": None, "gain": None,
         "parameters": ["gyro_z.hysteresis_9K", "gyro_z.hysteresis_9K_start"],
         "stds": pytest.approx([2.0 * HOUR, 3.0 * 9.0 * 2.0 * HOUR]),
     }  # fmt: skip

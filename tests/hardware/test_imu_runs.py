@@ -13,7 +13,11 @@ from imu_bench import estimated, hand, made, short, stopped_in_its_second_cycle
 from scipy.stats import chi2
 from simulated_devices.line_clock import LineClock
 
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.imu_build import build_imu
+from gradcal_jax.api.recorded_rows import imu_rows
 from gradcal_jax.decoding import run_log
+from gradcal_jax.estimation.imu_executed import executed_imu
 from gradcal_jax.files import changed, presets
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.rig import RigFile, parse_rig
@@ -165,6 +169,28 @@ def test_the_estimate_finds_what_was_hidden(ran: tuple[Path, Log]) -> None:
     # Of another unit it is far off: the bands can tell.
     wrong = estimated(log, spec, hidden["units"]["unit1"] | hidden["installation"])[2]
     assert wrong > chi2.ppf(1.0 - 1e-12, count)
+
+
+def test_a_rest_that_ends_before_every_axis_is_read_is_no_pose(ran: tuple[Path, Log]) -> None:
+    """As where a run is killed: both axes turned, and only one was read before the rows end."""
+    folder, log = ran
+    built = build_imu(RunFolder(folder).recipe().spec)
+    rows, _ = imu_rows(built, [log], "unit2", Options())
+    whole = executed_imu(rows, built.motion.geometry)
+    angles, usable = rows.angles.copy(), rows.usable.copy()
+    assert log.standstill is not None
+    # After the pose of 45 and 135 deg.
+    rest = np.flatnonzero(rows.standing & (log.standstill == np.unique(log.standstill[log.standstill >= 0])[-3]))
+    tilt = rest[np.isfinite(angles[rest, 0])][0]
+    assert np.degrees(angles[tilt, 0]) == pytest.approx(45.0, abs=0.1)
+    usable[tilt + 1 : rest[-1] + 1] = False
+    angles[tilt + 1 : rest[-1] + 1] = angles[rest[0] : rest[-1] + 1, 1] = np.nan
+    cut = rows._replace(angles=angles, usable=usable, standing=rows.standing & usable)
+    found = executed_imu(cut, built.motion.geometry)
+    assert rows.time_s[found.rows[-1]] == rows.time_s[whole.rows[-1]]
+    assert not np.isin(found.rows, rest[rest <= tilt + 1]).any()
+    # The last rest's angles are those of the whole log.
+    np.testing.assert_allclose(found.motion.angles()[1][-1], whole.motion.angles()[1][-1], rtol=0.0, atol=1e-9)
 
 
 def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path: Path) -> None:

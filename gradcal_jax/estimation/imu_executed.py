@@ -100,23 +100,12 @@ def executed_imu(
         # Every reading is a reference: a standstill is that from its first to its last.
         read = [np.flatnonzero(log.at_a_stop[a : b + 1]) + a for a, b in stands]
         spans = [(int(rows[0]), int(rows[-1])) for rows in read if len(rows)]
-    spans = _read_in_full(log, spans)
     # A reading has the row at which its axis stands; of an angle at every row those at the ends do not count.
     means = mean_angles(log, spans)
     slow = np.median(np.diff(log.time_s)) > SLOW_S
     legs = _legs(log, geometry, spans, means, planned if slow else ())
     angles = _own_angles(log, spans, legs)
     return _pieces(log, geometry, spans, legs, angles, read_every)
-
-
-def _read_in_full(log: ImuRows, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Without those in which rows end before every axis that was read before is read again, as where a run is killed:
-    an axis that is not read there may have turned since its last reading."""
-    if not log.at_a_stop.any():
-        return spans
-    ends = [bool(log.usable[a + 1 : b + 1].all()) for (_, a), (b, _) in itertools.pairwise(spans)] + [False]
-    read = [np.isfinite(log.angles[a : b + 1]).any(axis=0).all() for a, b in spans]
-    return [span for span, goes_on, full in zip(spans, ends, read, strict=True) if goes_on or full]
 
 
 class _Leg(NamedTuple):
@@ -131,8 +120,10 @@ class _Leg(NamedTuple):
 
 
 def mean_angles(log: ImuRows, spans: list[tuple[int, int]]) -> list[np.ndarray]:
-    """The mean angles (rad) of all axes in every standstill; an axis that is not read there stands as before."""
+    """The mean angles (rad) of all axes in every standstill. An axis that is not read there stands as it was last read,
+    while another one turned, or as in the standstill before."""
     result: list[np.ndarray] = []
+    after = 0
     for first, last in spans:
         read = log.angles[first : last + 1]
         known = np.isfinite(read)
@@ -141,7 +132,11 @@ def mean_angles(log: ImuRows, spans: list[tuple[int, int]]) -> list[np.ndarray]:
             raise ValueError(
                 f"the table's angles are not known where it stands, {log.time_s[first]:.6g} s into the log"
             )
-        result.append(np.where(known.any(axis=0), mean, result[-1] if result else mean))
+        for k in np.flatnonzero(~known.any(axis=0)):
+            stops = np.flatnonzero(np.isfinite(log.angles[after:first, k]))
+            mean[k] = log.angles[after + stops[-1], k] if len(stops) else result[-1][k]
+        result.append(mean)
+        after = last + 1
     return result
 
 

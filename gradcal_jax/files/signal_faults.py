@@ -202,10 +202,11 @@ def far_from_neighbours(values: Floats) -> Bools:
     return result
 
 
-def glitches(values: Floats, standing: Whole | None) -> Bools:
+def glitches(values: Floats, standing: Whole | None, *, by_hand: bool = False) -> Bools:
     """`(n,)`: rare single rows and pairs of a channel, far from the median of the five rows about them: more than `FAR`
     standard deviations of the noise about them, or of all standstills, `standing` `(n,)`, within which they are then
-    looked for alone."""
+    looked for alone. `by_hand`: also `FAR` times the steps from row to
+    row about them, since a bump of a hand lasts for several rows."""
     apart = np.full(len(values), np.nan)
     ndimage: Any = importlib.import_module("scipy.ndimage")
     looked_at = np.isfinite(values)
@@ -234,9 +235,15 @@ def glitches(values: Floats, standing: Whole | None) -> Bools:
     # (In motion a wrong row moves its neighbours' medians, too, but by less.)
     worst = some >= 0.3 * ndimage.maximum_filter1d(some, _BESIDE)
     beyond = (some > FAR / _OF_FIVE * noise) & (noise > 0.0)
-    # Several such rows close together are a bump or the begin of a motion, which the sensor did feel.
-    crowded = ndimage.uniform_filter1d(beyond.astype(float), _CROWD, mode="constant") * _CROWD > _PAIR + 0.5
-    far = beyond & worst & looked_at[known] & ~crowded
+    far = beyond & worst & looked_at[known]
+    if by_hand:
+        # (A pair makes three steps, and two single rows four.)
+        steps = np.abs(np.diff(own, prepend=own[:1]))
+        far &= some > FAR * ndimage.rank_filter(steps, -5, _CROWD)
+    else:
+        # Several such rows close together are a bump or the begin of a motion, which the sensor did feel.
+        crowded = ndimage.uniform_filter1d(beyond.astype(float), _CROWD, mode="constant") * _CROWD > _PAIR + 0.5
+        far &= ~crowded
     if np.mean(far) < _RARE:
         result[known[far]] = True
     return result
@@ -312,7 +319,7 @@ def signal_faults(
 ) -> SignalFaults:
     """What the samples of a unit's `channels` ("gyro x"; None: of all) show by themselves, of rows not masked;
     `at_rest`: of a record in which everything that is not marked as moving stands still; `by_hand`: of one that a hand
-    turns now and then, whose bumps no rule tells from wrong rows if the standstills are not marked."""
+    turns now and then, whose bumps are no wrong rows."""
     number, usable = log.unit_index(unit), log.usable(unit)
     saturated, frozen, far, unknown = (np.zeros(len(usable), bool) for _ in range(4))
     slow = log.standstill is None and log.sample_interval_s * _LEAST_RATE > 1.0
@@ -349,8 +356,8 @@ def signal_faults(
                 own = own if log.standstill is None else np.where(log.standstill >= 0, own, np.nan)
                 apart = far_from_neighbours(own)
             else:
-                bumps = by_hand and log.standstill is None
-                apart = np.zeros(len(own), bool) if slow or bumps else glitches(own, log.standstill)
+                unmarked = by_hand and log.standstill is None
+                apart = np.zeros(len(own), bool) if slow else glitches(own, log.standstill, by_hand=unmarked)
             if apart.any():
                 far |= apart
                 count = np.count_nonzero(apart)

@@ -42,19 +42,22 @@ from gradcal_jax.model import Discrepancy
 _GRID = 41
 
 
-def predict(spec: Spec, *, limits: bool = False, notices: bool = False, outlook: bool = False) -> Prediction:
+def predict(
+    spec: Spec, *, limits: bool = False, notices: bool = False, outlook: bool = False, place: str | None = None
+) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
     `limits`: also the error sources that limit each requirement, and its range where noise figures are `uncertain`.
     `notices`: also which hidden structure of the maps the plan would notice. `outlook`: also the chance that a sensor
     meets a target, and the risks of a second run that checks it. The covariance is the exact one of generalised least
     squares under the spec's noise (`gradcal_jax.information`); verdicts and risks also count every term that the spec
-    omits, at its class's typical figure. What cannot be observed is None, with a warning. Errors: `SpecError` for a
-    plan that turns several axes of a sensor as if each had a table of its own.
+    omits, at its class's typical figure. What cannot be observed is None, with a warning. `place`: of a fixture, the
+    place of which all else is beside the residuals of every place (None: the worst). Errors: `SpecError` for a plan
+    that turns several axes of a sensor as if each had a table of its own.
     """
     spec = expect_spec(spec)
     if spec.rig.table.place:
-        return _at_places(spec, limits=limits, notices=notices, outlook=outlook)
+        return _at_places(spec, place, limits=limits, notices=notices, outlook=outlook)
     built = build_imu(spec)
     known = imu_posterior(built)
     budget = counted_posteriors(built, known)
@@ -92,9 +95,9 @@ def _prediction(
     )
 
 
-def _at_places(spec: Spec, **options: bool) -> Prediction:
-    """The prediction of a fixture, whose IMUs are estimated together: of its worst place, by the residual over the
-    target or else over that of the others, with the values of all places and the IMUs of a shift. Places that hang
+def _at_places(spec: Spec, place: str | None, **options: bool) -> Prediction:
+    """The prediction of a fixture, whose IMUs are estimated together: of a place, or of the worst by the residual over
+    the target or else over that of the others, with the values of all places and the IMUs of a shift. Places that hang
     alike are computed once."""
     at = specs_at_places(spec)
     alike: dict[str, list[str]] = {}
@@ -133,8 +136,9 @@ def _at_places(spec: Spec, **options: bool) -> Prediction:
         ]
         return max(ratios, default=0.0)
 
-    worst = max(range(len(rows)), key=excess)
-    whole = _prediction(builts[worst], known[worst], budgets[worst], own[worst], **options)
+    named = [k for k, names in enumerate(alike.values()) if place in names]
+    shown = named[0] if named else max(range(len(rows)), key=excess)
+    whole = _prediction(builts[shown], known[shown], budgets[shown], own[shown], **options)
     values = {
         name: PlaceRow(
             name=name,
@@ -148,7 +152,7 @@ def _at_places(spec: Spec, **options: bool) -> Prediction:
     return whole.model_copy(
         update={
             "places": tuple(values[name] for name in at),
-            "place": list(alike.values())[worst][0],
+            "place": place if named else list(alike.values())[shown][0],
             "minutes_per_imu": whole.duration_s / 60.0 / len(at),
             "imus_per_shift": len(at) * (float(np.floor(runs)) if runs >= 1.0 else runs),
             "warnings": (*whole.warnings, *warnings),

@@ -77,6 +77,12 @@ def log_in_blocks(
         yield replace(found, fields={**found.fields, "provenance": provenance})
 
 
+def units_in(folder: str | Path) -> list[str | None]:
+    """The names of the IMUs of a run that have logs; None where its only one needs no name."""
+    names = [device.name for device in RunFolder(Path(folder)).rig().imu]
+    return list(names) if len(names) > 1 else [None]
+
+
 def _begins(record: object) -> bool:
     return isinstance(record, Event) and record.name == SESSION
 

@@ -20,8 +20,9 @@ from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.problems import instead
 from gradcal_jax.files.tables import DELIMITERS, Array, Measured, Numbers, Source, TextTable, Where
 
-_LOOKED_AT, _PREAMBLE = 200, 500
-"""First lines in which rows of several sensors, or a checksum, are looked for; lines that may stand above a header."""
+_LOOKED_AT, _PREAMBLE, _BLOCK = 200, 500, 1 << 14
+"""First lines in which rows of several sensors, or a checksum, are looked for; lines that may stand above a header;
+lines that are read at once."""
 _WHICH: Final = re.compile(
     r"(?:(?:sensor|imu|device|unit|node|board|channel|gyro|topic|frame|msg|message|source)[ _]?)?"
     r"(?:id|name|index|no|nr|num|number|type|kind|sensor|imu|device|unit|node|topic|source|instance)",
@@ -88,7 +89,8 @@ def read_table(
     if size == 0:
         raise LogError(f"{path} is empty")
     with naming(path):
-        table = readers[kind](path, layout, sources if where is None or kind in _TEXT else [*sources, where])
+        others = [] if kind in _TEXT else [*_wheres(sources), *([] if where is None else [where])]
+        table = readers[kind](path, layout, [*sources, *others])
         if where is not None and kind not in _TEXT:
             table.kept = where.chosen(table.raw(where))
         return table
@@ -105,15 +107,14 @@ def _read_text_table(path: Path, layout: TextTable, sources: Sequence[Source], w
             start = lines.tell()
             some = list(itertools.islice(_tables(iter(lines.readline, ""), layout), _LOOKED_AT))
             lines.seek(start)
-            _refuse_several(some, layout, delimiter, header, used, where)
-            rows = partial(_prepared, lines, layout, delimiter, some)
+            told_apart = where is not None or any(_wheres(sources))
+            _refuse_several(some, layout, delimiter, header, used, told_apart)
+            rows = _prepared(lines, layout, delimiter, some)
             if where is not None:
-                rows = partial(_only, rows, where, _place(where, header, layout.header), delimiter)
-            values = _quick(rows(), delimiter, layout.comment, used)
-            if values is None:
-                lines.seek(start)
-                names = {place: f"'{header[place]}'" if place < len(header) else f"number {place}" for place in used}
-                values = _patient(rows(), delimiter, layout.comment, names)
+                rows = _only(rows, where, _place(where, header, layout.header), delimiter)
+            names = {place: f"'{header[place]}'" if place < len(header) else f"number {place}" for place in used}
+            words = dict.fromkeys(_place(one, header, layout.header) for one in _wheres(sources))
+            values, found = _values(rows, delimiter, layout.comment, names, list(words))
     except (UnicodeError, EOFError, gzip.BadGzipFile) as error:
         if not isinstance(error, UnicodeError):
             raise LogError("is no whole gzip file: was it cut off?") from None
@@ -122,8 +123,23 @@ def _read_text_table(path: Path, layout: TextTable, sources: Sequence[Source], w
         raise LogError(f"{text}, or is it another kind of file?") from None
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror or error}") from None
-    by_place = {place: values[:, number] for number, place in enumerate(used)}
-    return Numbers(lambda source: by_place[_place(source, header, layout.header)])
+    by_place = {place: values[:, number] for number, place in enumerate(names)}
+    texts = {
+        place: np.array(list(found))[values[:, number].astype(np.int64)]
+        for number, place in enumerate(words, start=len(names))
+    }
+
+    def find(source: Source) -> Array:
+        return (texts if isinstance(source, Where) else by_place)[_place(source, header, layout.header)]
+
+    return Numbers(find)
+
+
+def _wheres(sources: Iterable[Source]) -> Iterator[Where]:
+    """What the columns of several sensors are told apart by."""
+    for source in sources:
+        if isinstance(source, Measured) and source.where is not None:
+            yield source.where
 
 
 def _opened(path: Path, layout: TextTable) -> TextIO:
@@ -150,19 +166,18 @@ def _prepared(lines: TextIO, layout: TextTable, delimiter: str | None, some: Seq
     return rows if layout.decimal == "." else (line.translate(_COMMAS) for line in rows)
 
 
-def _only(rows: Callable[[], Iterable[str]], where: Where, place: int, delimiter: str | None) -> Iterator[str]:
+def _only(rows: Iterable[str], where: Where, place: int, delimiter: str | None) -> Iterator[str]:
     """The lines of one of several sensors."""
-    seen, found = dict[str, None](), False
-    for line in rows():
+    meant = dict[str, bool]()
+    for line in rows:
         fields = _split(line, delimiter)
         text = fields[place].strip() if place < len(fields) else ""
-        if text == where.equals or (not isinstance(where.equals, str) and _number(text) == where.equals):
-            found = True
+        if text not in meant:
+            meant[text] = where.means(text)
+        if meant[text]:
             yield line
-        elif len(seen) < 8:
-            seen[text] = None
-    if not found:
-        raise LogError(f"where: no row has {where.equals_text} in {where.words()}, but such as {', '.join(seen)}")
+    if not any(meant.values()):
+        raise where.absent(meant)
 
 
 def _refuse_several(
@@ -171,12 +186,12 @@ def _refuse_several(
     delimiter: str | None,
     header: Sequence[str],
     used: Sequence[int],
-    where: Where | None,
+    told_apart: bool,
 ) -> None:
     """A table whose first lines are of several kinds, or of several sensors."""
     rows = [[field.strip() for field in _split(line, delimiter)] for line in some]
     places = [k for k, name in enumerate(header) if _WHICH.fullmatch(name)] if layout.header else [0]
-    for place in places if where is None and layout.lines is None else ():
+    for place in () if told_apart or layout.lines is not None else places:
         values = [row[place] for row in rows if len(row) > place]
         kinds = list(dict.fromkeys(values))
         turns = sum(a != b for a, b in itertools.pairwise(values))
@@ -232,8 +247,8 @@ def _first_names(lines: TextIO, layout: TextTable, delimiter: str | None) -> lis
 
 
 def _split(line: str, delimiter: str | None) -> list[str]:
-    if delimiter is None:
-        return line.split()
+    if delimiter is None or '"' not in line:
+        return line.split(delimiter)
     try:
         return next(csv.reader([line], delimiter=delimiter), list[str]())
     except csv.Error:
@@ -259,55 +274,69 @@ def _place(source: Source, header: list[str], named: bool) -> int:
     return header.index(source.column)
 
 
+def _values(
+    lines: Iterable[str], delimiter: str | None, comment: str, names: Mapping[int, str], words: Sequence[int]
+) -> tuple[Floats, Mapping[str, int]]:
+    """The numbers `(rows, names and words)` in columns by their place; those of `words` are numbers of texts in the
+    table behind.
+
+    Blocks whose rows are whole are read by NumPy's compiled reader. In others missing values and texts become NaN,
+    which are counted and named later. A column without any number, or in another notation of numbers, is an error.
+    """
+    blocks, texts = list[Floats](), dict[str, int]()
+    odd, unread, readable = dict[int, str](), dict.fromkeys(names, 0), set[int]()
+    unbroken = iter(lines)
+    while block := list(itertools.islice(unbroken, _BLOCK)):
+        values = None if words else _quick(block, delimiter, comment, list(names))
+        if values is None:
+            numbers = array.array("d")
+            for line in block:
+                if not (plain := line.split(comment, 1)[0].strip()):
+                    continue
+                fields = [field.strip() for field in _split(plain, delimiter)]
+                for place in names:
+                    text = fields[place] if place < len(fields) else ""
+                    number = _number(text)
+                    numbers.append(number)
+                    if number == number:
+                        readable.add(place)
+                    elif text.lower() not in _MISSING:
+                        unread[place] += 1
+                        if not any(way.fullmatch(odd.get(place, "")) for way in _CERTAIN):
+                            odd[place] = text
+                for place in words:
+                    text = fields[place] if place < len(fields) else ""
+                    numbers.append(texts.setdefault(text, len(texts)))
+            values = np.frombuffer(numbers, np.float64).reshape(-1, len(names) + len(words))
+        else:
+            readable.update(names)
+        blocks.append(values)
+    values = np.concatenate(blocks) if blocks else np.empty((0, 1))
+    if not len(values):
+        raise LogError("there are no rows below the header")
+    for place, text in odd.items():
+        shown = text[:40].replace(_LEADER, ".")
+        for way, meaning in _WAYS.items():
+            if way.fullmatch(text) and (place not in readable or way in _CERTAIN):
+                raise LogError(f"column {names[place]} holds {meaning}: '{shown}'")
+        if place not in readable:
+            raise LogError(f"column {names[place]} holds no numbers, but such as '{shown}'")
+        if unread[place] > max(_MANY_UNREAD, _SHARE_UNREAD * len(values)):
+            raise LogError(
+                f"column {names[place]}: in {unread[place]} of {len(values)} rows stands no number, but such as "
+                f"'{shown}': in another notation? Mend them, or leave the cells empty"
+            )
+    return values, texts
+
+
 def _quick(lines: Iterable[str], delimiter: str | None, comment: str, used: list[int]) -> Floats | None:
-    """All rows at once, by NumPy's compiled reader, where every row is whole; otherwise None."""
+    """All rows at once, where every row is whole; otherwise None."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             return np.loadtxt(lines, np.float64, comments=comment, delimiter=delimiter, usecols=used, ndmin=2)
     except (ValueError, IndexError, OverflowError, UserWarning, DeprecationWarning):
         return None
-
-
-def _patient(lines: Iterable[str], delimiter: str | None, comment: str, names: Mapping[int, str]) -> Floats:
-    """Row by row: missing values and texts become NaN, which are counted and named later.
-
-    A column without any number, or in another notation of numbers, is an error.
-    """
-    numbers = array.array("d")
-    odd: dict[int, str] = {}
-    unread: dict[int, int] = dict.fromkeys(names, 0)
-    readable: set[int] = set()
-    for line in lines:
-        plain = line.split(comment, 1)[0].strip()
-        if not plain:
-            continue
-        fields = _split(plain, delimiter)
-        for place in names:
-            text = fields[place].strip() if place < len(fields) else ""
-            number = _number(text)
-            numbers.append(number)
-            if number == number:
-                readable.add(place)
-            elif text.lower() not in _MISSING:
-                unread[place] += 1
-                if not any(way.fullmatch(odd.get(place, "")) for way in _CERTAIN):
-                    odd[place] = text
-    if not numbers:
-        raise LogError("there are no rows below the header")
-    for place, text in odd.items():
-        for way, words in _WAYS.items():
-            if way.fullmatch(text) and (place not in readable or way in _CERTAIN):
-                raise LogError(f"column {names[place]} holds {words}: '{text[:40].replace(_LEADER, '.')}'")
-        if place not in readable:
-            raise LogError(f"column {names[place]} holds no numbers, but such as '{text[:40].replace(_LEADER, '.')}'")
-        rows = len(numbers) // len(names)
-        if unread[place] > max(_MANY_UNREAD, _SHARE_UNREAD * rows):
-            raise LogError(
-                f"column {names[place]}: in {unread[place]} of {rows} rows stands no number, but such as "
-                f"'{text[:40].replace(_LEADER, '.')}': in another notation? Mend them, or leave the cells empty"
-            )
-    return np.frombuffer(numbers, np.float64).reshape(-1, len(names))
 
 
 def _number(text: str) -> float:

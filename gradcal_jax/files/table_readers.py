@@ -25,11 +25,13 @@ _LOOKED_AT, _PREAMBLE, _BLOCK = 200, 500, 1 << 14
 lines that are read at once."""
 _WHICH: Final = re.compile(
     r"(?:(?:sensor|imu|device|unit|node|board|channel|gyro|topic|frame|msg|message|source)[ _]?)?"
-    r"(?:id|name|index|no|nr|num|number|type|kind|sensor|imu|device|unit|node|topic|source|instance)",
+    r"(?:id|name|index|no|nr|num|number|type|kind|sensor|imu|device|unit|node|topic|source|instance|axis|signal|quantity|variable)",
     re.IGNORECASE,
 )
 """A column that may tell several sensors apart."""
-_MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "inf", "-inf")
+_MISSING: Final = re.compile(
+    r"[+-]?(nan|inf(inity)?|1\.?#[a-z]+)?(\([a-z0-9]*\))?|n/?a|#[a-z/0]+[!?]?|null|none|missing|-+|\?+", re.IGNORECASE
+)
 """Words for a missing value."""
 _MANY_UNREAD, _SHARE_UNREAD = 20, 0.02
 """Values in no notation of numbers beyond which a column is not one of numbers with a few torn ones."""
@@ -102,19 +104,20 @@ def _read_text_table(path: Path, layout: TextTable, sources: Sequence[Source], w
         with _opened(path, layout) as lines:
             for _ in range(layout.skip):
                 lines.readline()
-            header = _header(lines, layout, delimiter, sources) if layout.header else []
+            header, whole = _header(lines, layout, delimiter, sources) if layout.header else ([], False)
             used = sorted({_place(source, header, layout.header) for source in sources})
             start = lines.tell()
-            some = list(itertools.islice(_tables(iter(lines.readline, ""), layout), _LOOKED_AT))
+            first = list(itertools.islice(_tables(iter(lines.readline, ""), layout), _LOOKED_AT))
             lines.seek(start)
+            some = [[field.strip() for field in _split(line, delimiter)] for line in first]
             told_apart = where is not None or any(_wheres(sources))
-            _refuse_several(some, layout, delimiter, header, used, told_apart)
-            rows = _prepared(lines, layout, delimiter, some)
+            _refuse_several(some, layout, header, used, told_apart)
+            rows = _prepared(lines, layout, first)
             if where is not None:
                 rows = _only(rows, where, _place(where, header, layout.header), delimiter)
             names = {place: f"'{header[place]}'" if place < len(header) else f"number {place}" for place in used}
             words = dict.fromkeys(_place(one, header, layout.header) for one in _wheres(sources))
-            values, found = _values(rows, delimiter, layout.comment, names, list(words))
+            values, found = _values(rows, delimiter, layout.comment, names, list(words), len(header) * whole)
     except (UnicodeError, EOFError, gzip.BadGzipFile) as error:
         if not isinstance(error, UnicodeError):
             raise LogError("is no whole gzip file: was it cut off?") from None
@@ -129,10 +132,33 @@ def _read_text_table(path: Path, layout: TextTable, sources: Sequence[Source], w
         for number, place in enumerate(words, start=len(names))
     }
 
-    def find(source: Source) -> Array:
-        return (texts if isinstance(source, Where) else by_place)[_place(source, header, layout.header)]
+    return _OfText(by_place, texts, header, some[0] if some else [], layout.header)
 
-    return Numbers(find)
+
+class _OfText(Numbers):
+    def __init__(
+        self,
+        numbers: Mapping[int, Array],
+        texts: Mapping[int, Array],
+        header: list[str],
+        first: Sequence[str],
+        named: bool,
+    ) -> None:
+        super().__init__(lambda source: (texts if isinstance(source, Where) else numbers)[self._place_of(source)])
+        self._header, self._named = header, named
+        # A row of units stands below the names: no word of it is a number.
+        self._units = first if named and all(_number(text) != _number(text) for text in first) else ()
+
+    def _place_of(self, source: Source) -> int:
+        return _place(source, self._header, self._named)
+
+    def names(self, source: Source) -> list[str]:
+        place = self._place_of(source)
+        if place >= len(self._header):
+            return []
+        name = self._header[place]
+        unit = self._units[place].strip("()[] ") if place < len(self._units) else ""
+        return [name, f"{name} ({unit})"] if unit else [name]
 
 
 def _wheres(sources: Iterable[Source]) -> Iterator[Where]:
@@ -156,7 +182,7 @@ def _tables(lines: Iterable[str], layout: TextTable) -> Iterator[str]:
             yield line
 
 
-def _prepared(lines: TextIO, layout: TextTable, delimiter: str | None, some: Sequence[str]) -> Iterable[str]:
+def _prepared(lines: TextIO, layout: TextTable, some: Sequence[str]) -> Iterable[str]:
     """The lines as tables of numbers have them: without others, checksums, decimal commas."""
     rows: Iterable[str] = lines if layout.lines is None else _tables(lines, layout)
     tail = re.compile(layout.strip)
@@ -181,15 +207,13 @@ def _only(rows: Iterable[str], where: Where, place: int, delimiter: str | None) 
 
 
 def _refuse_several(
-    some: Sequence[str],
+    rows: Sequence[Sequence[str]],
     layout: TextTable,
-    delimiter: str | None,
     header: Sequence[str],
     used: Sequence[int],
     told_apart: bool,
 ) -> None:
     """A table whose first lines are of several kinds, or of several sensors."""
-    rows = [[field.strip() for field in _split(line, delimiter)] for line in some]
     places = [k for k, name in enumerate(header) if _WHICH.fullmatch(name)] if layout.header else [0]
     for place in () if told_apart or layout.lines is not None else places:
         values = [row[place] for row in rows if len(row) > place]
@@ -201,7 +225,8 @@ def _refuse_several(
             equals = kinds[0] if _number(kinds[0]) == _number(kinds[0]) else f'"{kinds[0]}"'
             raise LogError(
                 f"column '{header[place]}' has {len(kinds)} values in turns ({', '.join(kinds[:4])}): rows of several "
-                f'sensors? Say whose are meant, such as where = {{ column = "{header[place]}", equals = {equals} }}'
+                f'sensors? Say whose are meant, such as where = {{ column = "{header[place]}", equals = {equals} }}, '
+                "of the map or of one of its columns"
             )
         if not any(_number(kind) == _number(kind) for kind in kinds):
             raise LogError(
@@ -210,9 +235,11 @@ def _refuse_several(
             )
 
 
-def _header(lines: TextIO, layout: TextTable, delimiter: str | None, sources: Sequence[Source]) -> list[str]:
+def _header(
+    lines: TextIO, layout: TextTable, delimiter: str | None, sources: Sequence[Source]
+) -> tuple[list[str], bool]:
     """The names, with `lines` left at the first row of numbers: the first line with all names of the map, or else the
-    first that is not all numbers; either may itself be commented out."""
+    first that is not all numbers; either may itself be commented out, and whether it is not."""
     wanted = {source.column for source in sources if isinstance(source.column, str)}
     first = lines.tell()
     for _ in range(_PREAMBLE if wanted else 0):
@@ -220,12 +247,12 @@ def _header(lines: TextIO, layout: TextTable, delimiter: str | None, sources: Se
             break
         names = [name.strip() for name in _split(line.strip().lstrip(layout.comment).strip(), delimiter)]
         if wanted <= set(names):
-            return names
+            return names, not line.lstrip().startswith(layout.comment)
     lines.seek(first)
     return _first_names(lines, layout, delimiter)
 
 
-def _first_names(lines: TextIO, layout: TextTable, delimiter: str | None) -> list[str]:
+def _first_names(lines: TextIO, layout: TextTable, delimiter: str | None) -> tuple[list[str], bool]:
     remark = ""
     while True:
         start = lines.tell()
@@ -237,12 +264,12 @@ def _first_names(lines: TextIO, layout: TextTable, delimiter: str | None) -> lis
         if plain:
             names = [name.strip() for name in _split(plain, delimiter)]
             if any(np.isnan(_number(name)) and name.lower() != "nan" for name in names):
-                return names
+                return names, True
         elif line:
             continue
         if remark:
             lines.seek(start)
-            return [name.strip() for name in _split(remark, delimiter)]
+            return [name.strip() for name in _split(remark, delimiter)], False
         raise LogError("there is no line of column names: write header = false under [csv] if there is none")
 
 
@@ -275,18 +302,27 @@ def _place(source: Source, header: list[str], named: bool) -> int:
 
 
 def _values(
-    lines: Iterable[str], delimiter: str | None, comment: str, names: Mapping[int, str], words: Sequence[int]
+    lines: Iterable[str],
+    delimiter: str | None,
+    comment: str,
+    names: Mapping[int, str],
+    words: Sequence[int],
+    width: int,
 ) -> tuple[Floats, Mapping[str, int]]:
     """The numbers `(rows, names and words)` in columns by their place; those of `words` are numbers of texts in the
     table behind.
 
     Blocks whose rows are whole are read by NumPy's compiled reader. In others missing values and texts become NaN,
-    which are counted and named later. A column without any number, or in another notation of numbers, is an error.
+    which are counted and named later. A column without any number, or in another notation of numbers, is an error, and
+    so are many rows of more fields than the header's `width` (0: there is none).
     """
-    blocks, texts = list[Floats](), dict[str, int]()
+    blocks, texts, wide = list[Floats](), dict[str, int](), list[str]()
     odd, unread, readable = dict[int, str](), dict.fromkeys(names, 0), set[int]()
     unbroken = iter(lines)
     while block := list(itertools.islice(unbroken, _BLOCK)):
+        if width:
+            long = block if delimiter is None else (line for line in block if line.count(delimiter) >= width)
+            wide += [line for line in long if _is_wide(line, delimiter, comment, width)]
         values = None if words else _quick(block, delimiter, comment, list(names))
         if values is None:
             numbers = array.array("d")
@@ -300,7 +336,7 @@ def _values(
                     numbers.append(number)
                     if number == number:
                         readable.add(place)
-                    elif text.lower() not in _MISSING:
+                    elif not _MISSING.fullmatch(text):
                         unread[place] += 1
                         if not any(way.fullmatch(odd.get(place, "")) for way in _CERTAIN):
                             odd[place] = text
@@ -314,6 +350,12 @@ def _values(
     values = np.concatenate(blocks) if blocks else np.empty((0, 1))
     if not len(values):
         raise LogError("there are no rows below the header")
+    if len(wide) > max(_MANY_UNREAD, _SHARE_UNREAD * len(values)):
+        raise LogError(
+            f"{len(wide)} of {len(values)} rows have more fields than the {width} names of the header, such as "
+            f"'{wide[0].strip()[:60]}': is a comma within the numbers, or has the first column no name? Mend the file, "
+            "or number the columns, with header = false and skip = 1 under [csv]"
+        )
     for place, text in odd.items():
         shown = text[:40].replace(_LEADER, ".")
         for way, meaning in _WAYS.items():
@@ -327,6 +369,11 @@ def _values(
                 f"'{shown}': in another notation? Mend them, or leave the cells empty"
             )
     return values, texts
+
+
+def _is_wide(line: str, delimiter: str | None, comment: str, width: int) -> bool:
+    plain = line.split(comment, 1)[0].strip()
+    return len(plain) > 0 and any(field.strip() for field in _split(plain, delimiter)[width:])
 
 
 def _quick(lines: Iterable[str], delimiter: str | None, comment: str, used: list[int]) -> Floats | None:

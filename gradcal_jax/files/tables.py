@@ -195,6 +195,10 @@ class Numbers:
         """One column of any type, all rows."""
         return self._find(source)
 
+    def names(self, source: Source) -> list[str]:
+        """What the file calls a column; with the unit behind it that stands in a row of its own, if there is one."""
+        return [source.column] if isinstance(source.column, str) else []
+
     def numbers(self, source: Source) -> Array:
         """One column, unconverted (integers stay integers)."""
         values = self.raw(source)

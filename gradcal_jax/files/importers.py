@@ -149,11 +149,8 @@ class ColumnMap(Section):
             yield Problem(("sensor",), "two sensors have the same name")
         if self.time is None and self.sample_rate is None:
             yield Problem(("time",), 'give the time\'s column, or sample_rate = "100 Hz"', kind="missing")
-        if (
-            (self.rate or self.sensor)
-            and not self.interpolate
-            and len({one.where for one in self.sources() if isinstance(one, Measured)}) > 1
-        ):
+        own = self.sources() if self.rate or self.sensor else ()
+        if not self.interpolate and any(isinstance(one, Measured) and one.where is not None for one in own):
             text = "expected true: columns that are told apart by where have rows of their own"
             yield Problem(("interpolate",), text, self.interpolate)
         if self.table_angle and self.table_rate and list(self.table_angle) != list(self.table_rate):

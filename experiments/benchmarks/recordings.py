@@ -49,8 +49,7 @@ def write(folder: Path, more: str, change: Callable[[int, str], str]) -> Path:
             force = rng.standard_normal((BLOCK, 3)) * 0.02 + np.array([0.0, 0.0, 9.80665])
             for number, values in zip(k.tolist(), np.column_stack([k / HZ, rate, force]).tolist(), strict=True):
                 file.write(change(number, ",".join(f"{value:.6f}" for value in values)) + "\n")
-    top = "" if more.startswith("[") else more
-    (folder / "map.toml").write_text(top + MAP + ("" if top else more), encoding="utf-8")
+    (folder / "map.toml").write_text(MAP + more, encoding="utf-8")
     return path
 
 
@@ -67,7 +66,7 @@ def timed(arguments: list[str]) -> tuple[float, float, float]:
     began = time.perf_counter()
     process = subprocess.Popen([sys.executable, *arguments], stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(process.pid, 0)
-    assert status == 0, arguments
+    assert os.waitstatus_to_exitcode(status) in (0, 1), arguments  # 1: no drift shows
     return time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
 
 

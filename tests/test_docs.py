@@ -248,7 +248,7 @@ def test_the_lines_of_python_do_the_whole_job(whole_job):
     assert limit < now < 0.8 * before
     assert made.prediction.requirements[0].decisive == pytest.approx(now, rel=1e-9)
     assert made.optimisation is not None
-    assert f"{now:.4g} ppm" in gj.show(made)
+    assert f"{now:.4g} ppm" in str(made)
     assert found.simulated
     assert found.provenance["recipe"] == made.fingerprint
     assert found.result[0].value == pytest.approx(now, rel=0.35)

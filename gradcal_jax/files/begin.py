@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from gradcal_jax import units
 from gradcal_jax.display import columns
-from gradcal_jax.files import presets, started_spec
+from gradcal_jax.files import started_spec
 from gradcal_jax.files.absent import grades
 from gradcal_jax.files.column_guess import EXAMPLE
 from gradcal_jax.files.problems import instead
@@ -114,7 +114,7 @@ _DRONE: Final = {
     "makes": "espec",
     "chamber": "-25 degC, 70 degC, 1 K/min",
     "targets": "1200 ppm, 200 deg/h",
-    "force_targets": "2000 ppm, 8 mg",
+    "force_targets": "1000 ppm, 4 mg",
 }
 _TACTICAL: Final = _DRONE | {
     "sensor": "tactical MEMS",
@@ -133,7 +133,7 @@ _TACTICAL: Final = _DRONE | {
     "makes": "weiss",
     "chamber": "-40 degC, 85 degC, 1 K/min",
     "targets": "300 ppm, 35 deg/h",
-    "force_targets": "300 ppm, 1 mg",
+    "force_targets": "500 ppm, 1 mg",
 }
 PRESETS: Final[Mapping[str, Answers]] = {
     "drone-imu": _DRONE,
@@ -147,7 +147,7 @@ PRESETS: Final[Mapping[str, Answers]] = {
         "travel": "170 deg",
         "makes": "none",
         "chamber": "0 degC, 50 degC, 1 K/min",
-        "targets": "1500 ppm, 300 deg/h",
+        "targets": "2000 ppm, 300 deg/h",
     },
     "tactical-imu": _TACTICAL,
     "drone-gyro": _DRONE | {"kind": "gyro", "sheet": TYPICAL, "targets": "1200 ppm, 120 deg/h"},

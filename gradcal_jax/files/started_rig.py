@@ -91,10 +91,16 @@ def _axis(answers: Mapping[str, str], number: int, limits: str) -> tuple[str, st
     port = 'port           = "/dev/ttyUSB1"'
     if table == "hand":
         angle = ', angle = "none"' if answers["angle"].strip() == "none" else ""
-        return 'driver         = "operator"             # asks a person to turn\nport           = "terminal"', limits + angle
+        return (
+            'driver         = "operator"             # asks a person to turn\nport           = "terminal"',
+            limits + angle,
+        )
     if table == "switch":
         rate = limits.split(",")[0].removeprefix("max_")
-        return f'driver         = "switch"\n{port}', f'{rate}, forward = "forward", backward = "backward", stop = "stop"'
+        return (
+            f'driver         = "switch"\n{port}',
+            f'{rate}, forward = "forward", backward = "backward", stop = "stop"',
+        )
     if table == "grbl":
         return f'driver         = "lines"\n{port}', f'protocol = "grbl", {limits}'
     if table == "zaber":

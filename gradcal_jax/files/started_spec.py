@@ -122,7 +122,11 @@ def _other_sensors(answers: Answers, grade: str, in_t: str, *, mounted: bool) ->
     lines = [
         "[sensor.gyro.misalignment]",
         f'prior       = "{misalignment}"   # estimate',
-        *([] if answers["kind"] != "imu" else ["[sensor.gyro.g_sensitivity]", f'prior       = "{of_force}"   # estimate']),
+        *(
+            []
+            if answers["kind"] != "imu"
+            else ["[sensor.gyro.g_sensitivity]", f'prior       = "{of_force}"   # estimate']
+        ),
     ]
     if answers["kind"] == "imu":
         walk, offset, turn_on = (part.strip() for part in answers["force"].split(","))
@@ -142,15 +146,20 @@ def _other_sensors(answers: Answers, grade: str, in_t: str, *, mounted: bool) ->
 def _rig(answers: Answers, axes: tuple[str, ...], table: str, *, hand: bool) -> str:
     of = {term.key: term for term in terms_of("table", table)}
     accuracy = f'accuracy = "{of["mounting_accuracy"].value}"'
-    by_hand = '\ndrive    = "hand"\nanswer_time = "4 s"                    # to read each request, and to type the angle'
+    by_hand = (
+        '\ndrive    = "hand"\nanswer_time = "4 s"                    # to read each request, and to type the angle'
+    )
     if axes == ("x",):
         text = '[rig.site]\nlatitude = "unknown"                   # where the table stands, if its axis points up\n'
         text += '[rig.table]\nstanding = "read"                      # the angle is what its readings say, also at rest'
         text += by_hand * hand
         text += f'\nmounting = [{{ x = "+z", y = "+x", z = "+y", {accuracy} }}]   # the gyro along the table\'s axis\n'
     else:
-        text = f'[rig.site]\nlatitude = "{answers["latitude"].strip()}"\ngravity  = "9.81 m/s^2"                # at the place\n'
-        text += _table_line(of, "gravity_accuracy") + "[rig.table]" + by_hand * hand + "\n"
+        gravity = _normal_gravity(units.parse(answers["latitude"], "angle"))
+        text = f'[rig.site]\nlatitude = "{answers["latitude"].strip()}"\n'
+        text += f'gravity  = "{gravity:.4f} m/s^2"            # by the formula of the ellipsoid, at sea level\n'
+        text += 'gravity_accuracy = "200 ug"             # some hundred metres of altitude\n'
+        text += "[rig.table]" + by_hand * hand + "\n"
         text += _table_line(of, "tilt") + _table_line(of, "azimuth")
         if axes == ("turn",):
             text += "# Three ramps, and the IMU hung anew in between: x, then y, then z along the table's axis.\nmounting = [\n"
@@ -161,17 +170,26 @@ def _rig(answers: Answers, axes: tuple[str, ...], table: str, *, hand: bool) -> 
             text += "]\n"
     for number, name in enumerate(axes):
         up = name in ("x", "spin")
-        text += f'[[rig.table.axis]]                     # {"up" if up else "level, pointing East"}\n'
+        text += f"[[rig.table.axis]]                     # {'up' if up else 'level, pointing East'}\n"
         text += f'name             = "{name}"\ndirection        = {[0.0, 0.0, 1.0] if up else [1.0, 0.0, 0.0]}\n'
-        text += f'max_rate         = "{answers["rate"].strip()}"\nmax_acceleration = "{answers["acceleration"].strip()}"\n'
+        text += (
+            f'max_rate         = "{answers["rate"].strip()}"\nmax_acceleration = "{answers["acceleration"].strip()}"\n'
+        )
         text += f'travel           = "{answers["travel"].strip()}"         # each way, where a cable winds up\n'
         text += _table_line(of, "orthogonality") if number + 1 < len(axes) else ""
         text += "[rig.table.axis.angle]\n"
         text += 'read_every        = "rest"\n' if hand else 'read_every        = "1 s"\n' if axes == ("x",) else ""
-        text += f'standstill_offset = "{answers["angle"].strip()}"        # one draw each time the table comes to rest\n'
+        text += (
+            f'standstill_offset = "{answers["angle"].strip()}"        # one draw each time the table comes to rest\n'
+        )
         text += "".join(_table_line(of, f"angle.{key}") for key in ("reading_noise", "timing_error", "scale_error"))
         text += "harmonics = []                         # of the encoder by angle; whole turns cancel them\n"
     return text.rstrip("\n")
+
+
+def _normal_gravity(latitude: float) -> float:
+    """At sea level, m/s² (GRS 80)."""
+    return 9.780327 * (1.0 + 0.0053024 * math.sin(latitude) ** 2 - 5.8e-6 * math.sin(2.0 * latitude) ** 2)
 
 
 def _table_line(of: Mapping[str, Any], key: str) -> str:
@@ -240,7 +258,11 @@ def _moves(
         for sign in ("", "-"):
             moves.append('{ rest = "5 s", read_every = "1 s" }' if not hand else '{ rest = "5 s" }')
             peak = f"{math.floor(1e3 * math.degrees(fastest) * share) / 1e3:g}"
-            speed = _by_hand(angle, math.radians(float(peak))) if hand else f'peak_rate = "{peak} deg/s", shape = "linear ramps"'
+            speed = (
+                _by_hand(angle, math.radians(float(peak)))
+                if hand
+                else f'peak_rate = "{peak} deg/s", shape = "linear ramps"'
+            )
             moves.append(f"{{ {written.format(sign)}, {speed} }}")
     return "", moves, math.radians(math.floor(1e3 * math.degrees(fastest)) / 1e3)
 

@@ -7,6 +7,7 @@ import math
 import pytest
 
 import gradcal_jax as gj
+from gradcal_jax.files import tables_of
 from gradcal_jax.api.sensitivity import RATES, TIME, sensitive_figures
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets
@@ -30,7 +31,7 @@ TURNS = gj.changed(
     {
         "sensor.accelerometer": None,
         "rig.site.gravity_accuracy": None,
-        "requirement": gj.tables_of(gj.parse_spec(presets.text("ferraris")))["requirement"][:3],
+        "requirement": tables_of(gj.parse_spec(presets.text("ferraris")))["requirement"][:3],
     },
 )
 

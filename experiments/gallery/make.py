@@ -1,4 +1,4 @@
-"""Makes docs/gallery.md and its thumbnails: a picture of each function of `gradcal_jax.plots`, and one of each notebook.
+"""Makes docs/gallery.md and its thumbnails: a picture of each function of `gradcal_jax.plots`, one of each notebook.
 
 python experiments/gallery/make.py, in about two minutes. Everything in the pictures is simulated but for the recorded
 sensor of one notebook.
@@ -182,8 +182,8 @@ def page(notebooks: list[Path]) -> str:
     lines = [
         "# Gallery",
         "",
-        "Made by `experiments/gallery/make.py`. Every picture is of simulated devices but that of the notebook on a real",
-        "sensor.",
+        "Made by `experiments/gallery/make.py`. Every picture is of simulated devices but that of the notebook on",
+        "a real sensor.",
         "",
         "## Notebooks",
         "",
@@ -195,7 +195,10 @@ def page(notebooks: list[Path]) -> str:
         title = "".join(cells[0]["source"]).splitlines()[0].lstrip("# ")
         lines.append(f"| ![{title}](gallery/{path.stem}.png) | [{title}](../notebooks/{path.name}) |")
     lines += ["", "## Functions of `gradcal_jax.plots`", ""]
-    lines += ["Each draws on `ax`, or on a new figure, and returns what it drew; `plots.save(figure, path)` writes it.", ""]
+    lines += [
+        "Each draws on `ax`, or on a new figure, and returns what it drew; `plots.save(figure, path)` writes it.",
+        "",
+    ]
     lines += ["| | |", "|---|---|"]
     for name in sorted(n for n in plots.__all__ if n.startswith("draw_")):
         function = getattr(plots, name)

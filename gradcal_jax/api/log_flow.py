@@ -44,11 +44,12 @@ def instability(
 ) -> noise.Instability:
     """The smallest drift that bounds a record at rest: the Direct Bound of Berman's equations 6 and 7.
 
-    `log`: a log, or `(n,)` rates in rad/s, `rate` of them a second. One channel, masked where the table moves, less its bias over temperature (`bias_degree`, `lag` in s: see
-    `api.instability.at_rest`). The drift is measured from an average over `averaging_time_s`, for `shortest_s` to
-    `longest_s`, and must stay within `margin` standard deviations. `angle_random_walk`: rad/√s; None: from the Allan
-    deviation. `temperature_c`: only rows between two temperatures. Returns `bound` (`drift_std` in rad/s,
-    `correlation_time_s`), the Allan deviation with its fit, and `drift_block()`, text for a spec.
+    `log`: a log, or `(n,)` rates in rad/s, `rate` of them a second. One channel, masked where the table moves, less
+    its bias over temperature (`bias_degree`, `lag` in s: see `api.instability.at_rest`). The drift is measured from
+    an average over `averaging_time_s`, for `shortest_s` to `longest_s`, and must stay within `margin` standard
+    deviations. `angle_random_walk`: rad/√s; None: from the Allan deviation. `temperature_c`: only rows between two
+    temperatures. Returns `bound` (`drift_std` in rad/s, `correlation_time_s`), the Allan deviation with its fit,
+    and `drift_block()`, text for a spec.
 
     Errors: `LogError` where nothing stands still, or too little is left.
     """

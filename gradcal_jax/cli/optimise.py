@@ -219,7 +219,7 @@ def search_and_watch(
                 continue
             if kept is not None and event.checkpoint:
                 checkpoints.write_checkpoint(kept, spec, event.checkpoint)
-            line.show(progress_of(event), event.share)
+            line.show(progress_of(event), event.share, number=amount(event.best, event.unit))
     assert best is not None
     return best, interrupt.asked
 

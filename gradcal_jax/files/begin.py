@@ -1,8 +1,8 @@
 """From answers to a commented spec, rig file and column map (`gradcal start`).
 
-The error budget is that of the sensor's grade (`typical.toml`), with the source of each figure beside it; the plan turns
-the sensor at three rates while the chamber ramps, as a map of degree two in rate requires, and an IMU on a table of one
-axis is hung three times.
+The error budget is that of the sensor's grade (`typical.toml`), with the source of each figure beside it; the plan
+turns the sensor at three rates while the chamber ramps, as a map of degree two in rate requires, and an IMU on a table
+of one axis is hung three times.
 """
 
 import math
@@ -56,11 +56,11 @@ QUESTIONS: Final = (
     ),
     Question(
         "force",
-        "The accelerometers' velocity random walk, zero-g offset and its change from one power-on to the next?",
-        ("velocity random walk", "acceleration", "acceleration"),
+        "The accelerometers' velocity random walk, zero-g offset, and its change with temperature?",
+        ("velocity random walk", "acceleration", "acceleration slope"),
         lambda of: of["kind"] == "imu",
     ),
-    Question("stream", "How do samples arrive: stim300, vectornav, text (lines), own (it logs by itself)?", ("stream",)),
+    Question("stream", "How do samples come: stim300, vectornav, text (lines), own (it logs by itself)?", ("stream",)),
     Question("table", f"What turns the table: {', '.join(TABLES)}?", ("table",)),
     Question("axes", "How many axes has it: 1 or 2?", ("axes",), lambda of: of["kind"] != "gyro" and _turns(of)),
     Question("rate", "How fast does it turn at most?", ("angular rate",), _turns),
@@ -71,8 +71,8 @@ QUESTIONS: Final = (
         ("offset",),
         _turns,
     ),
-    Question("travel", 'How far each way, before a cable ends it, such as "170 deg" (or "unlimited")?', ("travel",), _turns),
-    Question("latitude", "At which latitude does it stand?", ("angle",), lambda of: of["kind"] != "gyro" and _turns(of)),
+    Question("travel", 'How far each way, before a cable ends it, as "170 deg" (or "unlimited")?', ("travel",), _turns),
+    Question("latitude", "At which latitude is it?", ("angle",), lambda of: of["kind"] != "gyro" and _turns(of)),
     Question("makes", "What makes the temperature: {chambers}?", ("chamber",), _turns),
     Question(
         "chamber",
@@ -102,7 +102,7 @@ _DRONE: Final = {
     "full_scale": "500 deg/s",
     "sheet": "0.5 deg/s, 0.005 deg/s/K, 50 ppm/K",
     "turn_on": TYPICAL,
-    "force": "0.042 m/s/sqrt(h), 20 mg, 2 mg",
+    "force": "0.042 m/s/sqrt(h), 20 mg, 0.15 mg/K",
     "stream": "own",
     "table": "grbl",
     "axes": "1",
@@ -122,7 +122,7 @@ _TACTICAL: Final = _DRONE | {
     "walk": "0.15 deg/sqrt(h)",
     "full_scale": "400 deg/s",
     "sheet": TYPICAL,
-    "force": "0.07 m/s/sqrt(h), 5 mg, 0.75 mg",
+    "force": "0.07 m/s/sqrt(h), 5 mg, 0.05 mg/K",
     "stream": "stim300",
     "table": "zaber",
     "axes": "2",
@@ -142,7 +142,7 @@ PRESETS: Final[Mapping[str, Answers]] = {
         "sensor": "BMI088",
         "walk": "0.84 deg/sqrt(h)",
         "sheet": "1 deg/s, 0.015 deg/s/K, 300 ppm/K",
-        "force": "0.103 m/s/sqrt(h), 20 mg, 2 mg",
+        "force": "0.103 m/s/sqrt(h), 20 mg, 0.2 mg/K",
         "stream": "text",
         "travel": "170 deg",
         "makes": "none",
@@ -232,6 +232,10 @@ def files_of(answers: Answers) -> dict[str, str]:
     _refuse_impossible(answers, known)
     full_scale = f'full_scale = "{math.degrees(known["full_scale"][0]):.6g} deg/s" '
     map_text = EXAMPLE.replace('# full_scale = "500 deg/s" ', full_scale)
+    if answers["kind"] == "imu":
+        commented = map_text[map_text.index("# [force]") : map_text.index("# [table_angle]")]
+        force = "".join(f'{axis} = {{ column = "a{axis}", unit = "m/s^2" }}\n' for axis in "xyz")
+        map_text = map_text.replace(commented, f"{commented[2:].splitlines()[0]}\n{force}\n")
     if not _turns(answers):
         return {"columns.toml": map_text}
     text, axes = started_spec.without_encoder(answers, known), ("axle",)

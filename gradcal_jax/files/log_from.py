@@ -37,10 +37,10 @@ def log_from(
 ) -> Log:
     """A log from arrays, examined as a recording is: gaps, stamps that repeat, saturated rows, wrong units.
 
-    `time` `(n,)` in s (or `datetime64`); `rate` `(n,)` of one axis, `(n, 3)` of x, y, z, or a mapping of axes to `(n,)`,
-    in rad/s; `temperature` `(n,)` in °C; `angle`, of the table, `(n,)` or a mapping of table axes to `(n,)`, in rad, not
-    wrapped; `force` as `rate`, in m/s², +1 g along an axis that points up; `standstill` `(n,)`: truth values, or numbers
-    that are negative while the table moves; `host_time` `(n,)`: the computer's time of each row, in s.
+    `time` `(n,)` in s (or `datetime64`); `rate` `(n,)` of one axis, `(n, 3)` of x, y, z, or a mapping of axes to
+    `(n,)`, in rad/s; `temperature` `(n,)` in °C; `angle`, of the table, `(n,)` or a mapping of table axes to `(n,)`, in
+    rad, not wrapped; `force` as `rate`, in m/s², +1 g along an axis that points up; `standstill` `(n,)`: truth values,
+    or numbers that are negative while the table moves; `host_time` `(n,)`: the computer's time of each row, in s.
 
     `data`: a DataFrame, a Dataset or a mapping; the other arguments are then names of its columns, lists of names, or
     mappings to names. `units`: of the arguments that are not in SI, such as {"rate": "deg/s", "angle": "deg"}; columns

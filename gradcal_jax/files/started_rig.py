@@ -11,7 +11,7 @@ TABLES: Final = ("grbl", "zaber", "odrive", "hand", "switch", "none")
 STREAMS: Final = ("stim300", "vectornav", "text", "own")
 """How samples reach the computer; "own": the IMU logs by itself."""
 
-_HEAD: Final = """# Made by gradcal start. Put the ports in; then: gradcal rig check FILE asks the devices, and moves nothing.
+_HEAD: Final = """# Made by gradcal start. Put the ports in; then: gradcal rig check FILE, which moves nothing.
 format = "gradcal-rig/1"
 """
 _CHAMBER: Final = """
@@ -44,7 +44,7 @@ boot   = "2 s"                         # the board restarts when its port is ope
 """,
 }
 _BY_ITSELF: Final = """
-# The IMU logs by itself, so that there is no [[imu]]. Afterwards: gradcal log RUN --recording FILE --columns columns.toml
+# The IMU logs by itself, so there is no [[imu]]. Afterwards: gradcal log RUN --recording FILE --columns columns.toml
 """
 
 

@@ -18,11 +18,11 @@ _TERMS_OF_GYRO: Final = (
     "rate_random_walk", "turn_on_bias", "drift", "scale_factor_instability", "temperature_error",
     "bias_temperature_gradient",
 )  # fmt: skip
-# Before the calibration, by grade: misalignment, acceleration sensitivity, scale factor of accelerometers.
+# Before the calibration, by grade: misalignment, g-sensitivity, the accelerometers' scale factor and its slope.
 _PRIORS: Final = {
-    "consumer": ("20 mrad", "360 deg/h/g", "1 %"),
-    "tactical": ("10 mrad", "50 deg/h/g", "5000 ppm"),
-    "navigation": ("1 mrad", "0.1 deg/h/g", "1000 ppm"),
+    "consumer": ("20 mrad", "360 deg/h/g", "1 %, 50 ppm/K"),
+    "tactical": ("10 mrad", "50 deg/h/g", "3000 ppm, 10 ppm/K"),
+    "navigation": ("1 mrad", "0.1 deg/h/g", "500 ppm, 20 ppm/K"),
 }
 # The body's axes along the table's, once each; the first axis of a table of one axis points East, level.
 _MOUNTINGS: Final = (("x", "+x", "+y", "+z"), ("y", "+z", "+x", "+y"), ("z", "+y", "+z", "+x"))
@@ -60,10 +60,10 @@ def spec_text(answers: Answers, known: Known) -> tuple[str, tuple[str, ...]]:
         grade=grade,
         terms="\n".join(line for key in _TERMS for line in _written("gyro", key, *terms[key])),
         terms_of_gyro="\n".join(line for key in _TERMS_OF_GYRO for line in _written("gyro", key, *terms[key])),
-        bias_prior=f'prior       = "{answers["sheet"].split(",")[0].strip()}"\n' if known["sheet"] else "",
+        bias_prior=_shapes("[[sensor.gyro.bias.shape]]", answers["sheet"], "deg/s", half, 4) if known["sheet"] else "",
         in_t=in_t,
         fastest=_deg(fastest),
-        other_sensors="" if kind == "gyro" else _other_sensors(answers, grade, in_t, mounted=axes == ("turn",)),
+        other_sensors="" if kind == "gyro" else _other_sensors(answers, grade, in_t, half, mounted=axes == ("turn",)),
         rig=_rig(answers, axes, table, hand=hand),
         coldest=coldest,
         warmest=warmest,
@@ -116,7 +116,23 @@ def _short(value: Any) -> str:
     return ", ".join(cast("Mapping[str, str]", value).values()) if isinstance(value, Mapping) else str(value)
 
 
-def _other_sensors(answers: Answers, grade: str, in_t: str, *, mounted: bool) -> str:
+def _shapes(head: str, sheet: str, unit: str, half: float, size: int) -> str:
+    """The prior of a map as the sheet has it: its offset, and powers of the temperature by its slope."""
+    offset, slope = (part.strip() for part in sheet.split(",")[:2])
+    dimension = {
+        "deg/s": ("angular rate", "bias slope"),
+        "mg": ("acceleration", "acceleration slope"),
+        "ppm": ("scale factor", "scale factor slope"),
+    }[unit]
+    one = units.parse(f"1 {unit}", dimension[0])
+    sizes = [units.parse(offset, dimension[0]) / one]
+    sizes += [half * units.parse(slope, dimension[1]) / one / power for power in range(1, size)]
+    rows = [", ".join(f'"{value if k == j else 0:.4g} {unit}"' for j in range(size)) for k, value in enumerate(sizes)]
+    comments = ["of the sheet", "of the sheet", *["estimate, from the slope of the sheet"] * (size - 2)]
+    return "".join(f"{head}\ncoefficients = [{row}]   # {why}\n" for row, why in zip(rows, comments, strict=True))
+
+
+def _other_sensors(answers: Answers, grade: str, in_t: str, half: float, *, mounted: bool) -> str:
     """Cross-axis terms of the gyros, the accelerometers, and the frame."""
     misalignment, of_force, scale = _PRIORS[grade]
     lines = [
@@ -129,16 +145,21 @@ def _other_sensors(answers: Answers, grade: str, in_t: str, *, mounted: bool) ->
         ),
     ]
     if answers["kind"] == "imu":
-        walk, offset, turn_on = (part.strip() for part in answers["force"].split(","))
-        drift = next(t for t in terms_of("accelerometer", grade) if t.key == "drift")
+        walk, sheet = answers["force"].split(",", 1)
+        of = {t.key: t for t in terms_of("accelerometer", grade)}
         lines += [
             "[sensor.accelerometer]",
-            f'velocity_random_walk = "{walk}"',
-            f'turn_on_bias         = "{turn_on}"',
-            f'bias         = {{ temperature = {{ basis = "polynomial", degree = 2, {in_t} }}, prior = "{offset}" }}',
-            f'scale_factor = {{ temperature = {{ basis = "polynomial", degree = 1, {in_t} }}, prior = "{scale}" }}',
-            f'misalignment = {{ prior = "{misalignment}" }}',
-            *_written("accelerometer", "drift", drift.value, drift.source),
+            f'velocity_random_walk = "{walk.strip()}"',
+            *_written("accelerometer", "turn_on_bias", *of["turn_on_bias"][1:]),
+            f'misalignment = {{ prior = "{misalignment}" }}   # estimate',
+            *_written("accelerometer", "drift", *of["drift"][1:]),
+            "[sensor.accelerometer.bias]",
+            f'temperature = {{ basis = "polynomial", degree = 2, {in_t} }}',
+            _shapes("[[sensor.accelerometer.bias.shape]]", sheet, "mg", half, 3)
+            + f'[sensor.accelerometer.scale_factor]\ntemperature = {{ basis = "polynomial", degree = 1, {in_t} }}',
+            _shapes("[[sensor.accelerometer.scale_factor.shape]]", scale, "ppm", half, 2)
+            .rstrip("\n")
+            .replace("of the sheet", "estimate"),
         ]
     return "\n".join([*lines, *(["[sensor.frame]", 'fixed_by = "case"'] if mounted else [])]) + "\n"
 
@@ -162,7 +183,7 @@ def _rig(answers: Answers, axes: tuple[str, ...], table: str, *, hand: bool) -> 
         text += "[rig.table]" + by_hand * hand + "\n"
         text += _table_line(of, "tilt") + _table_line(of, "azimuth")
         if axes == ("turn",):
-            text += "# Three ramps, and the IMU hung anew in between: x, then y, then z along the table's axis.\nmounting = [\n"
+            text += "# Three ramps, the IMU hung anew in between: x, y, z along the table's axis.\nmounting = [\n"
             text += "".join(
                 f'  {{ name = "{own} along the axis", x = "{x}", y = "{y}", z = "{z}", {accuracy} }},\n'
                 for own, x, y, z in _MOUNTINGS

@@ -20,9 +20,9 @@ def lies_in_travel(error: SpecError) -> bool:
 
 
 def within_travel(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The tables of a spec whose moves stay within the travel of every axis: a turn that does not fit goes the other way
-    or, where that does not fit either, to the farther end; a pose to the same direction or the nearer end; a last turn
-    goes back to where the cycle began. Moves that change are as fast as the axis goes, or as their `peak_rate`."""
+    """The tables of a spec whose moves stay within the travel of every axis: a turn that does not fit goes the other
+    way or, where that does not fit either, to the farther end; a pose to the same direction or the nearer end; a last
+    turn goes back to where the cycle began. Moves that change are as fast as the axis goes, or as their `peak_rate`."""
     tables: dict[str, Any] = copy.deepcopy(dict(document))
     axes = [TableAxis.model_validate(axis) for axis in tables["rig"]["table"]["axis"]]
     free = copy.deepcopy(tables)

@@ -55,9 +55,7 @@ def draw_instability(channels: Sequence[Instability]) -> Figure:
     return figure
 
 
-def draw_allan(
-    allan: AllanDeviation, fit: AllanFit, *, title: str = "", ax: Axes | None = None
-) -> tuple[Axes, Line2D]:
+def draw_allan(allan: AllanDeviation, fit: AllanFit, *, title: str = "", ax: Axes | None = None) -> tuple[Axes, Line2D]:
     """The overlapping Allan deviation with its confidence interval and the fitted model."""
     ax = new_axes(ax)
     tau, hour = allan.averaging_time_s, DEG_PER_H

@@ -7,9 +7,8 @@ import pytest
 import tomlkit
 
 import gradcal_jax as gj
-from gradcal_jax.files import tables_of
 from gradcal_jax.cli import main
-from gradcal_jax.files import presets, to_toml
+from gradcal_jax.files import presets, tables_of, to_toml
 from gradcal_jax.files.contracts import CheckRow
 from gradcal_jax.files.schemas import schema
 from gradcal_jax.files.spec import parse_spec

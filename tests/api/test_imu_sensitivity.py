@@ -7,10 +7,9 @@ import math
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.files import tables_of
 from gradcal_jax.api.sensitivity import RATES, TIME, sensitive_figures
 from gradcal_jax.cli import main
-from gradcal_jax.files import presets
+from gradcal_jax.files import presets, tables_of
 
 SIX = gj.parse_spec(presets.text("accelerometer-six-positions"))
 BARE = {

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.files import tables_of
 from gradcal_jax import files
 from gradcal_jax.api.optimise import optimise
 from gradcal_jax.api.pose_search import CyclePlan, RepeatedCycle
@@ -19,6 +18,7 @@ from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.cli import main
 from gradcal_jax.design.cycle_moves import Neighbourhood
+from gradcal_jax.files import tables_of
 from gradcal_jax.units import format_quantity, unit_of
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments" / "imu"

@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-import gradcal_jax as gj
 from gradcal_jax import files
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets

@@ -12,8 +12,7 @@ import pytest
 from jobs_small import GRID, SPEC, written
 
 import gradcal_jax as gj
-from gradcal_jax.files import tables_of
-from gradcal_jax.files import presets
+from gradcal_jax.files import presets, tables_of
 from gradcal_jax.files.sweep import read_sweep
 from gradcal_jax.information import STATISTICS
 from gradcal_jax.jobs.dataset import identity_in, read_dataset

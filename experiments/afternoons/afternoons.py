@@ -64,7 +64,7 @@ def afternoon(folder: Path, preset: str, own: bool) -> Iterator[str]:
             columns.write_text(
                 columns.read_text(encoding="utf-8").replace(", scale = 0.0305 }     # counts: deg/s per count", " }")
             )
-            yield "\n`imu.csv` is what the IMU's own logger kept, by its own clock; `mine/columns.toml` names its columns.\n"
+            yield "\n`imu.csv` is what the IMU's own logger kept, by its own clock; its columns: `mine/columns.toml`.\n"
         begun = time.monotonic()
         done = subprocess.run(
             [sys.executable, "-m", "gradcal_jax", *shlex.split(line)[1:]],
@@ -122,7 +122,7 @@ DEVICES = (
     (
         "An ICM-42688 that logs by itself, on a GRBL stepper",
         "drone-imu",
-        "The flight controller keeps its own log; the run turns the table and holds the chamber. The recording is laid\n"
+        "The flight controller keeps its own log; the run turns the table and holds the chamber. Its recording is laid\n"
         "on the run's clock by the motion.",
         True,
     ),

@@ -38,6 +38,18 @@ def _turns(of: Answers) -> bool:
     return of["table"] != "none"
 
 
+def _is_imu(of: Answers) -> bool:
+    return of["kind"] == "imu"
+
+
+def _turns_several(of: Answers) -> bool:
+    return of["kind"] != "gyro" and _turns(of)
+
+
+def _turns_imu(of: Answers) -> bool:
+    return _is_imu(of) and _turns(of)
+
+
 QUESTIONS: Final = (
     Question("sensor", "What is the sensor called?", ("text",)),
     Question("kind", "What is calibrated: gyro (one axis), gyros (x, y, z), imu (with accelerometers)?", ("kind",)),
@@ -58,11 +70,11 @@ QUESTIONS: Final = (
         "force",
         "The accelerometers' velocity random walk, zero-g offset, and its change with temperature?",
         ("velocity random walk", "acceleration", "acceleration slope"),
-        lambda of: of["kind"] == "imu",
+        _is_imu,
     ),
     Question("stream", "How do samples come: stim300, vectornav, text (lines), own (it logs by itself)?", ("stream",)),
     Question("table", f"What turns the table: {', '.join(TABLES)}?", ("table",)),
-    Question("axes", "How many axes has it: 1 or 2?", ("axes",), lambda of: of["kind"] != "gyro" and _turns(of)),
+    Question("axes", "How many axes has it: 1 or 2?", ("axes",), _turns_several),
     Question("rate", "How fast does it turn at most?", ("angular rate",), _turns),
     Question("acceleration", "How fast does it speed up?", ("angular acceleration",), _turns),
     Question(
@@ -72,7 +84,7 @@ QUESTIONS: Final = (
         _turns,
     ),
     Question("travel", 'How far each way, before a cable ends it, as "170 deg" (or "unlimited")?', ("travel",), _turns),
-    Question("latitude", "At which latitude is it?", ("angle",), lambda of: of["kind"] != "gyro" and _turns(of)),
+    Question("latitude", "At which latitude is it?", ("angle",), _turns_several),
     Question("makes", "What makes the temperature: {chambers}?", ("chamber",), _turns),
     Question(
         "chamber",
@@ -90,7 +102,7 @@ QUESTIONS: Final = (
         "force_targets",
         "And of the accelerometers' scale factor and bias?",
         ("scale factor", "acceleration"),
-        lambda of: of["kind"] == "imu" and _turns(of),
+        _turns_imu,
     ),
 )  # fmt: skip
 

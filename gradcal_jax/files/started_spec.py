@@ -280,7 +280,7 @@ def _moves(
             moves.append('{ rest = "5 s", read_every = "1 s" }' if not hand else '{ rest = "5 s" }')
             peak = f"{math.floor(1e3 * math.degrees(fastest) * share) / 1e3:g}"
             speed = (
-                _by_hand(angle, math.radians(float(peak)))
+                _by_hand(angle, math.radians(float(peak)), acceleration)
                 if hand
                 else f'peak_rate = "{peak} deg/s", shape = "linear ramps"'
             )
@@ -288,8 +288,10 @@ def _moves(
     return "", moves, math.radians(math.floor(1e3 * math.degrees(fastest)) / 1e3)
 
 
-def _by_hand(angle: float, peak: float) -> str:
-    return f'duration = "{math.ceil(20.0 * angle / peak) / 10.0:g} s", shape = "hand"'
+def _by_hand(angle: float, peak: float, acceleration: float) -> str:
+    """How long a hand takes for an angle, whose rate is an uneven raised cosine."""
+    lasting = max(2.6 * angle / peak, 1.6 * math.sqrt(_FULL_TURN * angle / acceleration))
+    return f'duration = "{math.ceil(10.0 * lasting) / 10.0:g} s", shape = "hand"'
 
 
 def _poses(
@@ -309,7 +311,7 @@ def _poses(
     def turn(axis: str, angle: float, peak: str) -> str:
         speed = f'peak_rate = "{peak} deg/s"'
         if hand:
-            speed = _by_hand(math.radians(abs(angle)), math.radians(float(peak)))
+            speed = _by_hand(math.radians(abs(angle)), math.radians(float(peak)), acceleration)
         return f'{{ turn = "{angle:g} deg", axis = "{axis}", {speed} }}, {{ rest = "5 s" }}'
 
     def there_and_back(axis: str) -> list[str]:
@@ -341,7 +343,7 @@ def _within(angle: float, reach: float) -> float:
     """The same direction within the travel (deg), or else the end that is nearer."""
     if math.isinf(reach):
         return angle
-    angle = (angle + 180.0) % 360.0 - 180.0 if abs(angle) > 180.0 else angle
+    angle = (angle + 180.0) % 360.0 - 180.0 if abs(angle) > max(180.0, reach) else angle
     return min(max(angle, -math.floor(reach)), math.floor(reach))
 
 

@@ -74,8 +74,8 @@ def draw_allan_and_bound(
 ) -> Figure:
     """For each channel the Allan deviation and, on the same axes, the Direct Bound's one-sigma limiting function."""
     figure, all_axes = new_panels(len(drawn), 1, (6.8, 4.4))
-    for ax, (rest, *one), instability in zip(all_axes[:, 0], drawn, bounds, strict=True):
-        draw_allan(*one, title=_name(rest), ax=ax)
+    for ax, (rest, allan, fit), instability in zip(all_axes[:, 0], drawn, bounds, strict=True):
+        draw_allan(allan, fit, title=_name(rest), ax=ax)
         if instability is not None:
             t = instability.bound.integration_time_s
             ax.loglog(t, instability.bound.limiting_function * DEG_PER_H, label="Direct Bound, D_L (1σ)", **style_of(2))

@@ -122,8 +122,8 @@ DEVICES = (
     (
         "An ICM-42688 that logs by itself, on a GRBL stepper",
         "drone-imu",
-        "The flight controller keeps its own log; the run turns the table and holds the chamber. Its recording is laid\n"
-        "on the run's clock by the motion.",
+        "The flight controller keeps its own log; the run turns the table and holds the chamber. Its recording is\n"
+        "laid on the run's clock by the motion.",
         True,
     ),
     (

@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, cast
 from pydantic import Field, ValidationError
 
 from gradcal_jax import units
-from gradcal_jax.display import whole_text
+from gradcal_jax.display import html, whole_text
 from gradcal_jax.files.axis_as_imu import is_of_axis
 from gradcal_jax.files.changes import differences, tables_of
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, PlaceRow, Prediction, RequirementRow, Size
@@ -112,6 +112,7 @@ class Recipe(TitledFile):
     """The spec whose plan these tracks are."""
 
     __str__ = whole_text
+    _repr_html_ = html
 
     def _problems(self) -> Iterable[Problem]:
         step = self.resolution.acceleration

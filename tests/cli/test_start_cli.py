@@ -11,7 +11,7 @@ import gradcal_jax as gj
 from gradcal_jax.api.measure import design_block, design_of, measure
 from gradcal_jax.cli import main
 from gradcal_jax.files.absent import absent_terms
-from gradcal_jax.files.begin import PRESETS, QUESTIONS, files_of
+from gradcal_jax.files.begin import PRESETS, files_of
 from gradcal_jax.files.importers import parse_column_map
 from gradcal_jax.files.rig import parse_rig
 from gradcal_jax.hardware.setup import configs_of

@@ -85,7 +85,7 @@ class Spec(TitledFile):
         gyro, table, frame = self.sensor.gyro, self.rig.table, self.sensor.frame
         if gyro is None or not self.is_one_axis:
             return False
-        on_paths = gyro.hysteresis, gyro.scale_factor_hysteresis, gyro.turn_on_transient
+        on_paths = gyro.hysteresis, gyro.scale_factor_hysteresis, gyro.turn_on_transient, gyro.own
         simple = not any(on_paths) and gyro.scale_factor_temperature_gradient is None
         level = not table.tilt and not table.azimuth and table.axis[0].keep_out is None
         begins = 0.0

@@ -49,8 +49,8 @@ def main() -> None:
     for title, preset, words, own in DEVICES:
         with tempfile.TemporaryDirectory() as folder:
             parts += [f"\n## {title}\n\n{words}\n", *afternoon(Path(folder), preset, own)]
-            print(f"{title}: done", file=sys.stderr)
-    PAGE.write_text("".join(parts), encoding="utf-8")
+        PAGE.write_text("".join(parts), encoding="utf-8")
+        print(f"{title}: done", file=sys.stderr)
 
 
 def afternoon(folder: Path, preset: str, own: bool) -> Iterator[str]:

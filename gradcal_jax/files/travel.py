@@ -22,7 +22,7 @@ def lies_in_travel(error: SpecError) -> bool:
 def within_travel(document: Mapping[str, Any]) -> dict[str, Any]:
     """The tables of a spec whose moves stay within the travel of every axis: a turn that does not fit goes the other
     way or, where that does not fit either, to the farther end; a pose to the same direction or the nearer end; a last
-    turn goes back to where the cycle began. Moves that change are as fast as the axis goes, or as their `peak_rate`."""
+    turn goes back to where the cycle began. Every turn is as fast as it was."""
     tables: dict[str, Any] = copy.deepcopy(dict(document))
     axes = [TableAxis.model_validate(axis) for axis in tables["rig"]["table"]["axis"]]
     free = copy.deepcopy(tables)
@@ -33,7 +33,7 @@ def within_travel(document: Mapping[str, Any]) -> dict[str, Any]:
     assert isinstance(schedule, PlanSchedule)
     ends = [(math.ceil(_tenths(low)) / 10.0, math.floor(_tenths(high)) / 10.0) for low, high in (a.reach for a in axes)]
     start = [to_unit(angle, "deg") for angle in schedule.start]
-    here, way = list(start), [1.0] * len(axes)
+    here, way, fastest = list(start), [1.0] * len(axes), [""] * len(axes)
     moves: list[dict[str, Any]] = []
     for number, move in enumerate(tables["plan"]["cycle"]["moves"]):
         if "pose" in move:
@@ -46,8 +46,8 @@ def within_travel(document: Mapping[str, Any]) -> dict[str, Any]:
             continue
         steps = [s for s in schedule.steps if s.source == number and s.axis >= 0]
         moves += [] if steps else [move]
-        for k, angle in [(s.axis, to_unit(s.move.angle, "deg")) for s in steps for _ in range(s.move.repeat)]:
-            low, high = ends[k]
+        for step in [s for s in steps for _ in range(s.move.repeat)]:
+            k, angle, (low, high) = step.axis, to_unit(step.move.angle, "deg"), ends[step.axis]
             if not low <= here[k] + way[k] * angle <= high:
                 way[k] = -way[k]
             goal = here[k] + way[k] * angle
@@ -58,11 +58,13 @@ def within_travel(document: Mapping[str, Any]) -> dict[str, Any]:
                 kept["duration"] = move["duration"]
             else:
                 kept.pop("shape", None)
+                kept["peak_rate"] = fastest[k] = f"{to_unit(step.move.fastest, 'deg/s'):.6g} deg/s"
             moves.append({"turn": f"{goal - here[k]:.6g} deg", **kept})
             here[k] = goal
     for k, axis in enumerate(axes):
         if abs(here[k] - start[k]) > 1e-6:
-            moves.append({"turn": f"{start[k] - here[k]:.6g} deg", "axis": axis.name})
+            last = {"turn": f"{start[k] - here[k]:.6g} deg", "axis": axis.name}
+            moves.append(last | ({"peak_rate": fastest[k]} if fastest[k] else {}))
     tables["plan"]["cycle"]["moves"] = moves
     return tables
 

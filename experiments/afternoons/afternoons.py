@@ -1,6 +1,6 @@
-"""Makes docs/afternoons.md: three IMUs from `gradcal start` to the firmware's header, each in a fresh folder.
+"""Makes docs/afternoons: three IMUs from `gradcal start` to the firmware's header, each in a fresh folder.
 
-python experiments/afternoons/afternoons.py, in about fifteen minutes on two cores. All devices are simulated; what is
+python experiments/afternoons/afternoons.py [PRESET …], in some fifteen minutes on two cores. All devices are simulated; what is
 printed is what a terminal shows, and the minutes are those of the machine that ran it.
 """
 
@@ -21,8 +21,10 @@ from gradcal_jax.decoding.spool import SampleSpool
 from gradcal_jax.hardware.journal import records_of
 from gradcal_jax.hardware.run_folder import RunFolder
 
-PAGE = Path(__file__).parents[2] / "docs" / "afternoons.md"
-HEAD = """# Three afternoons
+PAGES = Path(__file__).parents[2] / "docs" / "afternoons"
+HEAD = """# {title}
+
+{words}
 
 Made by `experiments/afternoons/afternoons.py`: every command from an empty folder to the header for the firmware, with
 what it prints. **All devices are simulated**; `--simulate` stands where your rig would be (`--rig mine/rig.toml`). The
@@ -44,12 +46,14 @@ gradcal export mine/calibration.toml --format c-header -o mine/calibration.h
 MOST_LINES = 24
 
 
-def main() -> None:
-    parts = [HEAD]
+def main(names: list[str]) -> None:
+    PAGES.mkdir(exist_ok=True)
     for title, preset, words, own in DEVICES:
+        if names and preset not in names:
+            continue
         with tempfile.TemporaryDirectory() as folder:
-            parts += [f"\n## {title}\n\n{words}\n", *afternoon(Path(folder), preset, own)]
-        PAGE.write_text("".join(parts), encoding="utf-8")
+            parts = [HEAD.format(title=title, words=words), *afternoon(Path(folder), preset, own)]
+        (PAGES / f"{preset}.md").write_text("".join(parts), encoding="utf-8")
         print(f"{title}: done", file=sys.stderr)
 
 
@@ -136,4 +140,4 @@ DEVICES = (
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -558,7 +558,7 @@ class AccelerometerTriad(_Channel, _PathOfTemperature):
             message = "has no effect at rest, where alone accelerometers are read; leave it out, or read them on slow "
             refuse(Problem(("lever_arm",), message + 'moves, too: read_on_moves_below = "5 deg/s"'))
         if self.asymmetry is not None and self.read_on_moves_below is not None:
-            message = "is told at rest alone, where the force keeps its sign; leave it out, or read_on_moves_below"
+            message = "is observable only at rest; remove it, or remove read_on_moves_below"
             refuse(Problem(("asymmetry",), message))
         return self
 

@@ -188,7 +188,7 @@ def test_a_plan_that_lacks_nothing_is_told_nothing():
 def test_a_plan_that_lacks_something_is_told_what(moves, said):
     found = sentences(moves)
     assert any(said in sentence for sentence in found), found
-    assert any("the plan says nothing of" in sentence for sentence in found)
+    assert any("not observable: " in sentence for sentence in found)
 
 
 def test_two_axes_of_the_table_that_never_meet_from_the_other_side_are_told_of_the_reversal():

@@ -1,7 +1,7 @@
 """Makes docs/afternoons: three IMUs from `gradcal start` to the firmware's header, each in a fresh folder.
 
-python experiments/afternoons/afternoons.py [PRESET …], in some fifteen minutes on two cores. All devices are simulated; what is
-printed is what a terminal shows, and the minutes are those of the machine that ran it.
+python experiments/afternoons/afternoons.py [PRESET …], in some fifteen minutes on two cores. All devices are simulated;
+what is printed is what a terminal shows, and the minutes are those of the machine that ran it.
 """
 
 import re

@@ -229,6 +229,16 @@ rates = ["-100 deg/s", "0 deg/s", "100 deg/s"]
 """
 
 
+def test_two_sweeps_do_not_write_into_one_folder(done, tmp_path):
+    """The second one says so; the lock goes with the process that has it."""
+    _, job, *_ = done
+    begun = Store(tmp_path / "a.nc", identity_of(job))
+    with pytest.raises(ValueError, match="another sweep is writing into"):
+        Store(tmp_path / "a.nc", identity_of(job))
+    begun.remove()
+    Store(tmp_path / "a.nc", identity_of(job)).remove()
+
+
 def test_standard_plans_and_drawn_points(tmp_path, pool):
     path = written(
         tmp_path,

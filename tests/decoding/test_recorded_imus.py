@@ -12,7 +12,7 @@ TURNING = np.concatenate([np.zeros(200), np.full(60, 90.0), np.zeros(100), np.fu
 @pytest.mark.parametrize(("mounting", "axis", "sign"), [(0, 0, 1), (1, 1, 1), (2, 2, 1)])
 def test_of_a_table_of_one_axis_each_mounting_shows_the_same_turns(mounting, axis, sign):
     table = gj.parse_spec(gj.presets.text("one-axis-table")).rig.table
-    rates = np.zeros((len(TURNING), 3)) + [0.5, -0.3, 0.2]
+    rates = np.tile([0.5, -0.3, 0.2], (len(TURNING), 1))
     rates[:, axis] += sign * TURNING
     found = _about_innermost(table, dict(zip("xyz", rates.T, strict=True)))
     np.testing.assert_allclose(found, TURNING, atol=1e-9)

@@ -38,10 +38,10 @@ gradcal predict mine/spec.toml
 gradcal optimise mine/spec.toml --until-met -o mine/recipe.toml
 gradcal run mine/recipe.toml --simulate -o mine/run
 gradcal log mine/run{recording}
-gradcal estimate mine/run/log.nc --recipe mine/recipe.toml -o mine/calibration.toml
+gradcal estimate mine/run/log.nc --recipe mine/recipe.toml -o mine/run/calibration.toml
 gradcal report mine/run -o mine/report.html --before mine/spec.toml
 gradcal report mine/run --certificate --number K-1 -o mine/certificate.html
-gradcal export mine/calibration.toml --format c-header -o mine/calibration.h
+gradcal export mine/run/calibration.toml --format c-header -o mine/calibration.h
 """
 MOST_LINES = 24
 

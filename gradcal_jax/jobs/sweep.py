@@ -72,6 +72,8 @@ class Store:
     sweep's parts, or another process writes into it.
     """
 
+    _lock: int | None = None
+
     def __init__(self, output: Path, identity: dict[str, Any]):
         self.folder = output.with_name(output.name + ".parts")
         mark = self.folder / "sweep.json"
@@ -95,7 +97,7 @@ class Store:
         try:
             take(self._lock)
         except OSError:
-            os.close(self._lock)
+            self._unlock()
             raise ValueError(
                 f"another sweep is writing into {self.folder}: wait until it ends, or choose another output"
             ) from None
@@ -116,8 +118,16 @@ class Store:
 
     def remove(self) -> None:
         """Delete the folder, once its contents are in the output."""
-        os.close(self._lock)
+        self._unlock()
         shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _unlock(self) -> None:
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            os.close(lock)
+
+    def __del__(self) -> None:
+        self._unlock()
 
     def _path(self, chunk: int) -> Path:
         return self.folder / f"chunk-{chunk:06d}.json"

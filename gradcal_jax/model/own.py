@@ -54,7 +54,9 @@ class OwnTerm(Term):
         (`nodes.signal("rate x")`), by jax.numpy; a·b is the number of parameters. `constant_function`: either."""
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        return nodes.integrals(lambda g: g.sums(*self.values(g)), self.size)
+        # Functions are written by jax.numpy, and where nothing is differentiated the nodes are NumPy's.
+        of = np.asarray if isinstance(nodes.temperature_change, np.ndarray) else lambda values: values
+        return nodes.integrals(lambda g: g.sums(*map(of, self.values(g))), self.size)
 
 
 def constant_function(like: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s 1"]:

@@ -452,7 +452,9 @@ def _travel(schedule: PlanSchedule, rig: Rig) -> Iterator[Problem]:
             at = schedule.start[k] + cycle * net
             for step in steps:
                 turned = (step.move.repeat - 1) * step.move.angle
-                for far in (at + end + side for end in (0.0, turned) for side in (step.move.low, step.move.high)):
+                # Where it begins is where the move before it ends.
+                ends = [side for side in (step.move.low, step.move.high) if side]
+                for far in (at + begin + end for begin in (0.0, turned) for end in ends):
                     beyond = max(far - highest, lowest - far)
                     if beyond > farthest.get(step.source, (_SLACK * (highest - lowest),))[0] and (
                         cycle == 0 or step.source not in farthest

@@ -28,7 +28,17 @@ from gradcal_jax.files.contracts import RequirementRow
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, GradientOfBias, Hysteresis, Map, PathTerm, SignalMap
+from gradcal_jax.model import (
+    AXIS_NAMES,
+    Channel,
+    Discrepancy,
+    GradientOfBias,
+    Hysteresis,
+    Map,
+    OwnTerm,
+    PathTerm,
+    SignalMap,
+)
 
 
 def tests_by_name(tests: Consistency, channels: dict[str, tuple[Test, Test]]) -> dict[str, Test]:
@@ -146,7 +156,7 @@ def _terms(spec: Spec, channel: Channel, values: np.ndarray) -> Iterator[Calibra
     triad = getattr(spec.sensor, channel.kind)
     for term in channel.model.terms:
         # A sensitivity to dT/dt and what else depends on the path of temperature are estimated beside the calibration.
-        if isinstance(term, Discrepancy | GradientOfBias | PathTerm):
+        if isinstance(term, Discrepancy | GradientOfBias | PathTerm | OwnTerm):
             continue
         own = values[channel.model.where(term.name)]
         coefficients = {name: float(v) for name, v in zip(term.names(), own, strict=True)}
@@ -165,7 +175,7 @@ def _path_coefficients(built: BuiltImu, values: np.ndarray, deviations: np.ndarr
         for term in c.model.terms:
             own = slice(begin, begin + term.size)
             begin = own.stop
-            if not isinstance(term, PathTerm | GradientOfBias):
+            if not isinstance(term, PathTerm | GradientOfBias | OwnTerm):
                 continue
             of_play = {"width": Quantity.of(float(term.width), "K")} if isinstance(term, Hysteresis) else {}
             for name, value, std in zip(term.names(), values[own], deviations[own], strict=True):

@@ -40,11 +40,13 @@ from gradcal_jax.model import (
     Hysteresis,
     ImuModel,
     Map,
+    OwnTerm,
     PathTerm,
     Polynomial,
     SignalMap,
     Term,
     TurnOnTransient,
+    own_term,
 )
 from gradcal_jax.trajectory import Geometry, Schedule, TableMotion, TablePart
 
@@ -115,7 +117,8 @@ def build_imu(
     degree = max(b.degree if isinstance(b, Polynomial | BSpline | HigherPolynomials) else 0 for b in bases)
     # A lagging unit's exponentials, and transients, are no polynomials; a play is linear in T on each piece.
     of_path = [t for c in model_.channels for t in c.model.terms if isinstance(t, PathTerm)]
-    exponential = spec.sensor.lag is not None or any(isinstance(t, TurnOnTransient) for t in of_path)
+    smooth = any(isinstance(t, TurnOnTransient | OwnTerm) for c in model_.channels for t in c.model.terms)
+    exponential = spec.sensor.lag is not None or smooth
     points = max(degree + 1, _LAGGED if exponential else 2 if of_path else 1)
     rough = bool(of_path) or any(b.breaks for b in bases)
     if like is not None and _divisions(spec, model_, like) == _divisions(like.spec, like.model, like):
@@ -281,8 +284,8 @@ def _signal_maps(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[Signa
     ]
 
 
-def _path_terms(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[PathTerm]:
-    """The terms of a channel that depend on the path of temperature."""
+def _path_terms(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[PathTerm | OwnTerm]:
+    """The terms of a channel that depend on the path of temperature, and those of classes from outside."""
     gyro = isinstance(triad, GyroTriad)
     own, unit = (f"{'rate' if gyro else 'force'} {axis}",), "rad/s" if gyro else "m/s^2"
 
@@ -291,7 +294,7 @@ def _path_terms(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[PathTe
         named = name.format(f"{float(width):g}")
         return Hysteresis(std=std, width=width, signals=signals, name=named, si_unit=si_unit)
 
-    terms = [play(p, (), HYSTERESIS, f"{unit}/K") for p in triad.hysteresis]
+    terms: list[PathTerm | OwnTerm] = [play(p, (), HYSTERESIS, f"{unit}/K") for p in triad.hysteresis]
     terms += [play(p, own, SCALE_FACTOR_HYSTERESIS, "1/K") for p in triad.scale_factor_hysteresis]
     if (gradient := triad.scale_factor_temperature_gradient) is not None:
         terms.append(GradientOfScale(std=np.asarray(float(gradient.prior)), signals=own, name=GRADIENT_OF_SCALE))
@@ -299,7 +302,7 @@ def _path_terms(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[PathTe
         std, lasting = np.asarray(float(t.prior)), np.asarray(float(t.time_constant))
         name = TRANSIENT.format(f"{float(lasting):g}")
         terms.append(TurnOnTransient(std=std, time_constant=lasting, signals=(), name=name, si_unit=unit))
-    return terms
+    return terms + [own_term(one.term, float(one.prior), one.name or one.term) for one in triad.own]
 
 
 def _accelerometer(triad: AccelerometerTriad, axis: str, processes: model.Processes) -> model.SensorModel:

@@ -44,7 +44,7 @@ from gradcal_jax.files.sensor import (
 from gradcal_jax.files.spec import expect_whole
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import segments_of
-from gradcal_jax.model import AXIS_NAMES, Channel, Hysteresis, Map, PathTerm, SignalMap, TurnOnTransient
+from gradcal_jax.model import AXIS_NAMES, Channel, Hysteresis, Map, OwnTerm, PathTerm, SignalMap, TurnOnTransient
 from gradcal_jax.trajectory import Move, frames
 
 _CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_functions="monomial")
@@ -274,6 +274,8 @@ def _channel_row(channel: Channel, triad: GyroTriad | AccelerometerTriad | None)
     }
     if isinstance(triad, GyroTriad):
         own["rate_random_walk"] = triad.rate_random_walk or 0.0
+    if outside := [term.name for term in channel.model.terms if isinstance(term, OwnTerm)]:
+        raise ValueError(f"a timeline cannot hold an error by a class of your own, such as {outside[0]}: leave it out")
     terms = [_term_row(channel, term, triad) for term in channel.model.terms if isinstance(term, Map | SignalMap)]
     own["path"] = tuple(_path_row(channel, term) for term in channel.model.terms if isinstance(term, PathTerm))
     axis = AXIS_NAMES[channel.axis]

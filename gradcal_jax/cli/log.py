@@ -138,7 +138,7 @@ def _written(run: Path, unit: str | None, recorded: "Log | None", target: Path, 
     rates, stds = (
         [1e6 * float(word) for word in provenance[key].split(", ")] for key in ("clock_rate_error", "clock_rate_std")
     )
-    each = ", ".join(f"{rate:+.3f} ppm (1σ {std:.1g} ppm)" for rate, std in zip(rates, stds, strict=True))
-    print(f"the unit's second is longer than the computer's by {each}")
+    each = ", ".join(f"{rate:+.3f} ± {std:.1g} ppm" for rate, std in zip(rates, stds, strict=True))
+    print(f"sensor clock against computer clock: {each} (1σ)")
     print(f"wrote {target}")
     return record

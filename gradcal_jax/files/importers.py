@@ -191,8 +191,10 @@ def read_column_map(path: str | Path) -> ColumnMap:
     return parse_column_map(read_text(path), str(path))
 
 
-def import_log(path: str | Path, columns: ColumnMap, *, rows: tuple[int, int | None] | None = None) -> Log:
+def import_log(path: str | Path, columns: ColumnMap | str | Path, *, rows: tuple[int, int | None] | None = None) -> Log:
     """The log in a recording of another program, examined by the map's policy; of some rows only, if asked.
+
+    `columns`: the column map (gradcal-columns/1, quantities with units), the name of its file, or its TOML text.
 
     The ending tells the kind: .csv, .txt, .tsv, .dat, .log, .asc (text; also .csv.gz), .npz, .npy, .mat (MATLAB up to
     version 7), .parquet.
@@ -201,6 +203,9 @@ def import_log(path: str | Path, columns: ColumnMap, *, rows: tuple[int, int | N
     and for faults that the policy refuses.
     """
     path = Path(path)
+    if isinstance(columns, str | Path):
+        text = isinstance(columns, str) and "\n" in columns
+        columns = parse_column_map(str(columns)) if text else read_column_map(columns)
     table = read_table(path, columns.csv, list(columns.sources()), where=columns.where)
     with naming(path):
         _refuse_contradictions(table, columns)

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Final, Literal, cast
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from gradcal_jax.display import html
 from gradcal_jax.files.bench import Rig
 from gradcal_jax.files.checks import problems_between
 from gradcal_jax.files.design import Design
@@ -63,6 +64,8 @@ class Spec(TitledFile):
     def _problems(self) -> Iterator[Problem]:
         return problems_between(self)
 
+    _repr_html_ = html
+
     @property
     def is_one_axis(self) -> bool:
         """Whether there is nothing but a gyro along the only axis of a table: its rate and bias are all that counts."""
@@ -82,7 +85,7 @@ class Spec(TitledFile):
         gyro, table, frame = self.sensor.gyro, self.rig.table, self.sensor.frame
         if gyro is None or not self.is_one_axis:
             return False
-        on_paths = gyro.hysteresis, gyro.scale_factor_hysteresis, gyro.turn_on_transient
+        on_paths = gyro.hysteresis, gyro.scale_factor_hysteresis, gyro.turn_on_transient, gyro.own
         simple = not any(on_paths) and gyro.scale_factor_temperature_gradient is None
         level = not table.tilt and not table.azimuth and table.axis[0].keep_out is None
         begins = 0.0

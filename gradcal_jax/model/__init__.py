@@ -20,6 +20,7 @@ from gradcal_jax.model.noise import (
     no_processes,
     rate_random_walk,
 )
+from gradcal_jax.model.own import OwnTerm, constant_function, own_term
 from gradcal_jax.model.path import GradientOfScale, HalfDifference, Hysteresis, PathTerm, TurnOnTransient
 from gradcal_jax.model.sensor import SensorModel, gyro_model
 from gradcal_jax.model.terms import (

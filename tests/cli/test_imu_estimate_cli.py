@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from estimate_scenes import draw_truth, record, scene
-from scipy.ndimage import uniform_filter1d
 
-from gradcal_jax import tables_of
 from gradcal_jax.cli import main
+from gradcal_jax.files import tables_of
 from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.log_file import read_log, write_log
@@ -185,13 +184,14 @@ def test_the_lag_of_a_whole_imu_is_fitted(tmp_path, capsys):
         del document["plan"][key]
     document["plan"]["programme"] = [
         {"soak": "1 min", "at": "-30 degC"},
-        *({"ramp_to": f"{end} degC", "rate": "25 K/min"} for end in (70, -30)),
+        *({"ramp_to": f"{end} degC", "rate": "12.5 K/min"} for end in (70, -30)),
     ]
     spec = spec_of(document)
     (log,) = record(spec, draw_truth(spec, rng), rng)
-    # The thermometer leads: the maps followed the log's temperature.
+    # The thermometer leads: the maps followed the log's temperature, and were at the thermometer's when it began.
     true = log.temperature_c[0]
-    ahead = true + lag_s * np.gradient(uniform_filter1d(true, 51), log.time_s)
+    ahead = true + lag_s * np.gradient(true, log.time_s)
+    ahead[0] = true[0]
     write_toml(spec, tmp_path / "spec.toml", header="made by a test")
     write_log(replace(log, temperature_c=ahead[None]), tmp_path / "log.nc")
     out = tmp_path / "unit.toml"
@@ -201,5 +201,3 @@ def test_the_lag_of_a_whole_imu_is_fitted(tmp_path, capsys):
     lags = [float(channel.thermal_lag) for channel in read_calibration(out).channel]
     assert len(lags) == 6
     assert lags == pytest.approx([lag_s] * 6, abs=1.0)
-    # Without it the readings contradict the spec, so far that they are refused, or the calibration is not valid.
-    assert main([*command, "--force"]) in (1, 2)

@@ -8,8 +8,8 @@ import pytest
 from estimate_scenes import draw_truth, record, scene
 from scipy.ndimage import uniform_filter1d
 
-from gradcal_jax import tables_of
 from gradcal_jax.cli import main
+from gradcal_jax.files import tables_of
 from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.log_file import read_log, write_log
@@ -189,9 +189,10 @@ def test_the_lag_of_a_whole_imu_is_fitted(tmp_path, capsys):
     ]
     spec = spec_of(document)
     (log,) = record(spec, draw_truth(spec, rng), rng)
-    # The thermometer leads: the maps followed the log's temperature.
+    # The thermometer leads: the maps followed the log's temperature, and were at the thermometer's when it began.
     true = log.temperature_c[0]
     ahead = true + lag_s * np.gradient(uniform_filter1d(true, 51), log.time_s)
+    ahead[0] = true[0]
     write_toml(spec, tmp_path / "spec.toml", header="made by a test")
     write_log(replace(log, temperature_c=ahead[None]), tmp_path / "log.nc")
     out = tmp_path / "unit.toml"

@@ -4,8 +4,9 @@ Three gyros stand on a table while the chamber goes up and down, or up alone in 
 relays or the difference of two thermal masses (`hardware.simulate.loops`), drawn with the size that the spec names. For
 relays the estimator has plays of 3, 10 and 30 K; for masses dT/dt late by 1 and 10 min, which are the time constants of
 the type, and those of each unit differ from them by up to 10 %. Both have dT/dt and a discrepancy of 1.5 deg/h, chosen
-by 300 other units (with 1 deg/h these had 1.002 and 1.317 times the predicted error, and NEES 1.26 and 1.58). What
-counts is the error on both branches, against the law itself on legs of the same slope. `LOOP_UNITS` of the
+by 300 other units (with 1 deg/h these had 1.002 and 1.317 times the predicted error, and NEES 1.26 and 1.58).
+
+What counts is the error on both branches, against the law itself on legs of the same slope. `LOOP_UNITS` of the
 environment: how many units of each law.
 """
 

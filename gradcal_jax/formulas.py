@@ -12,12 +12,17 @@ so a piece is ten numbers, its angle is a closed form, and shapes mix in one arr
 gives the pieces of each named shape for unit peak rate.
 """
 
+from importlib import import_module
+from itertools import pairwise
 from math import exp, expm1, floor, pi
 from typing import Any
 
 Array = Any
 EARTH_RATE = 7.292115e-5
 """rad/s, of the Earth against the stars (WGS 84)."""
+# Over a shorter break of a log the temperature is continuous; after a longer one a run begins with a stable chamber,
+# and the lag has decayed.
+_BRIDGED_S = 60.0
 
 # --- bases ------------------------------------------------------------------------------------------------------------
 
@@ -241,6 +246,35 @@ def lagged_temperature(t: Array, start: Array, slope: Array, excess: Array, lag_
     return start + slope * t + excess * xp.exp(-lag_rate * t)
 
 
+def running_affine(factor: Array, added: Array) -> tuple[Array, Array]:
+    """Compositions of all maps `x -> factor·x + added` `(…, n)` up to and including each, along the last axis."""
+    xp, step = (factor + added).__array_namespace__(), 1
+    while step < factor.shape[-1]:
+        more = (
+            factor[..., step:] * factor[..., :-step],
+            factor[..., step:] * added[..., :-step] + added[..., step:],
+        )
+        factor, added = (
+            xp.concatenate([old[..., :step], new], axis=-1) for old, new in zip((factor, added), more, strict=True)
+        )
+        step *= 2
+    return factor, added
+
+
+def follow_ramp(t: Array, slope: Array, excess: Array, lag_rate: Array, lag: float) -> tuple[Array, Array]:
+    """Factor and summand of how far a first-order lag is behind `T = … + slope·t + excess·exp(−lag_rate·t)` after t:
+
+    D = T − L,  D' = T' − D/lag;   D(t) = D(0)·e^(−t/lag) + slope·lag·(1 − e^(−t/lag)) − lag_rate·excess·I
+    I = ∫ e^(−(t−s)/lag) e^(−lag_rate·s) ds = t·e^(−at)·(1 − e^(−(b−a)t))/((b−a)t)     a < b: lag_rate and 1/lag
+    """
+    xp = t.__array_namespace__()
+    keep = xp.exp(-t / lag)
+    slow, fast = xp.minimum(lag_rate, 1.0 / lag), xp.maximum(lag_rate, 1.0 / lag)
+    y = (fast - slow) * t
+    mean = xp.where(y > 1e-8, -xp.expm1(-y) / xp.where(y > 1e-8, y, 1.0), 1.0 - 0.5 * y)
+    return keep, -slope * lag * xp.expm1(-t / lag) - lag_rate * excess * t * xp.exp(-slow * t) * mean
+
+
 def lag_filter(interval_s: float, lag_s: float) -> tuple[list[float], list[float]]:
     """A first-order lag behind samples `interval_s` apart with linear interpolation: numerator and denominator of the
     recursion, as `scipy.signal.lfilter` takes them. (A plain recursion would lag by half a sample.)
@@ -248,6 +282,29 @@ def lag_filter(interval_s: float, lag_s: float) -> tuple[list[float], list[float
     ratio = interval_s / lag_s
     keep, share = exp(-ratio), -expm1(-ratio) / ratio
     return [1.0 - share, share - keep], [1.0, -keep]
+
+
+def followed(temperature_c: Array, time_s: Array, starts: Array, lag_s: float) -> Array:
+    """The temperature of the maps: the measured one `(n,)`, whose unbroken stretches begin at the rows `starts`, with a
+    first-order lag. It begins in equilibrium, also after every long break; over a short break the temperature is
+    interpolated linearly. NumPy."""
+    if lag_s <= 0.0:
+        return temperature_c
+    # Imported where it is used: it imports all of SciPy's statistics.
+    signal: Any = import_module("scipy.signal")
+    result = 0.0 * temperature_c
+    for first, end in pairwise([*starts.tolist(), len(temperature_c)]):
+        result[first] = temperature_c[first]
+        if first and (gap := float(time_s[first] - time_s[first - 1])) <= _BRIDGED_S:
+            (now, before), (_, kept) = lag_filter(gap, lag_s)
+            result[first] = now * temperature_c[first] + before * temperature_c[first - 1] - kept * result[first - 1]
+        if end - first > 1:
+            interval = float(time_s[end - 1] - time_s[first]) / (end - 1 - first)
+            numerator, denominator = lag_filter(interval, lag_s)
+            state = [numerator[1] * temperature_c[first] - denominator[1] * result[first]]
+            late: Any = signal.lfilter(numerator, denominator, temperature_c[first + 1 : end], zi=state)
+            result[first + 1 : end] = late[0]
+    return result
 
 
 def runs(where: Array) -> Array:

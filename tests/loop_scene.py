@@ -29,8 +29,9 @@ class Course(ChamberPlant):
 
 
 @lru_cache
-def spec_of(*, back: bool, size: float = SIZE, plays: bool = True) -> Spec:
-    """A tactical unit at rest; `size`: of the hysteresis, deg/h; `back`: the chamber returns, twice as fast."""
+def spec_of(*, back: bool, size: float = SIZE, plays: bool = True, late: bool = False) -> Spec:
+    """A tactical unit at rest; `size`: of the hysteresis, deg/h; `back`: the chamber returns, twice as fast. `late`:
+    the terms are those of two thermal masses in the place of plays."""
     slope = 2.0 * (WARM - COLD) / LASTING_S * 60.0 / (1.0 if back else 2.0)
     programme = [{"soak": "10 s", "at": f"{COLD} degC"}, {"ramp_to": f"{WARM} degC", "rate": f"{slope} K/min"}]
     programme += [{"ramp_to": f"{COLD} degC", "rate": f"{slope} K/min"}] if back else []
@@ -44,7 +45,13 @@ def spec_of(*, back: bool, size: float = SIZE, plays: bool = True) -> Spec:
             "discrepancy": {"standard_deviation": "1 deg/h", "temperature_degree": 6},
         },
     }  # fmt: skip
-    if plays:
+    if late:
+        # The difference of masses of τ₁ and τ₂ is c·(τ₂·late(τ₂) − τ₁·late(τ₁)), with c = size/((τ₂ − τ₁)·1 K/min).
+        shares = {1.0: 1.0 / 9.0, 10.0: 10.0 / 9.0}
+        gyro["late_temperature_gradient"] = [
+            {"time_constant": f"{t} min", "prior": f"{size * share} deg/h/(K/min)"} for t, share in shares.items()
+        ]
+    elif plays:
         prior = size / 3.0**0.5
         gyro["hysteresis"] = [{"width": f"{w} K", "prior": f"{prior / w} deg/h/K"} for w in WIDTHS]
     axis = {
@@ -84,4 +91,6 @@ def recorded(truth: ImuTruth, spec: Spec, *, back: bool, seed: int) -> Log:
     number = (np.arange(count) >= count // 2).astype(int)
     angles = ("turn",), np.zeros((count, 1))
     at = kept.temperature_c[None]
-    return Log(kept.time_s, rate[None], ("u",), ("x", "y", "z"), at, *angles, None, number, simulated=True)
+    second = None if kept.second_c is None else kept.second_c[None]
+    fields = {"simulated": True, "second_temperature_c": second}
+    return Log(kept.time_s, rate[None], ("u",), ("x", "y", "z"), at, *angles, None, number, **fields)

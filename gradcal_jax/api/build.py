@@ -15,7 +15,7 @@ from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.model import Map, OwnTerm, PathTerm, Processes, Reference, SensorModel, SignalMap
+from gradcal_jax.model import Map, OtherTemperature, OwnTerm, PathTerm, Processes, Reference, SensorModel, SignalMap
 from gradcal_jax.trajectory import Move, Past, Schedule
 
 # A varying rate is integrated on the nodes of a piece, against exponentials of at most this many correlation times.
@@ -183,7 +183,14 @@ def section_map(section: Bias | ScaleFactor, axis: str, turn_on_std: float = 0.0
         common_std=turn_on_std,
         discrepancy=None if beyond is None else (float(beyond.standard_deviation), beyond.temperature_degree, degree),
         shapes=shapes_of(section, axis),
+        late=late_of(section),
     )
+
+
+def late_of(section: Section) -> OtherTemperature | None:
+    """The temperature that a section's map follows; None: the sensor's own."""
+    lag = getattr(section, "lag", None)
+    return OtherTemperature.late(float(lag)) if lag else None
 
 
 def shapes_of(section: Section, axis: str) -> np.ndarray | None:

@@ -18,7 +18,7 @@ from gradcal_jax.api.verdicts import UNIT_OF, limit_of
 from gradcal_jax.design import ProgrammeCoordinates
 from gradcal_jax.design.cycle_moves import Cycle
 from gradcal_jax.design.descent import Descent
-from gradcal_jax.design.free_course import FreeCourse, legs_of
+from gradcal_jax.design.free_course import FreeCourse, behind_on_leg, legs_of
 from gradcal_jax.design.pose_cycle import (
     WINDOW,
     CycleCoordinates,
@@ -41,7 +41,7 @@ from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information.residual import Statistic
-from gradcal_jax.model import Hysteresis, ImuModel, PathTerm
+from gradcal_jax.model import Hysteresis, ImuModel, TemperatureDifference
 
 _SEARCH_GRID = 21
 # Slots for turns that a search inserts, as a share, and multiples of slots, each of which is compiled once.
@@ -169,8 +169,9 @@ class CyclePlan:
     def _free_course(self) -> FreeCourse | None:
         """The chamber's courses of the search; None where that of the file is fixed."""
         spec, schedule, free = self.spec, self._schedule, self.design.free
-        plays = any(isinstance(t, Hysteresis) for c in self.built.model.channels for t in c.model.terms)
-        if "programme" not in free and (free or not (plays or self._stands)):
+        terms = (t for c in self.built.model.channels for t in c.model.terms)
+        loops = any(isinstance(t, Hysteresis | TemperatureDifference) for t in terms)
+        if "programme" not in free and (free or not (loops or self._stands)):
             return None
         first, *rest = schedule.segments
         ramps = rest if first.kind == "soak" and not first.used else schedule.segments
@@ -188,7 +189,8 @@ class CyclePlan:
         )
         before = course_before(spec)
         past = np.zeros(0) if before is None else before
-        return FreeCourse(coordinates, past, float(spec.sensor.lag or 0.0), self._window, self.built.model.size)
+        model, lag = self.built.model, float(spec.sensor.lag or 0.0)
+        return FreeCourse(coordinates, past, lag, self._window, model.size, tuple(of.lag for of in model.others))
 
     def starts(self) -> list[RepeatedCycle]:
         """What a search begins with: the file's plan and, of a free course, others of the chamber."""
@@ -248,7 +250,7 @@ class CyclePlan:
         model, lag = self.built.model, self.spec.sensor.lag or 0.0
         mountings = len(self.spec.rig.table.mounting)
         polynomials, ramps = model.shifts(np.zeros(1)) is not None, []
-        of_path = any(isinstance(term, PathTerm) for c in model.channels for term in c.model.terms)
+        of_path, lags = model.knows_path, tuple(of.lag for of in model.others)
         samples = _SAMPLES_ON_A_PATH if of_path else _SAMPLES
         past = [] if (before := course_before(self.spec)) is None else before.tolist()
         if self._executed is not None:
@@ -262,9 +264,18 @@ class CyclePlan:
                 every = math.sqrt(number / len(at)) * np.eye(model.size)[None]
                 before = self._window - 1
                 history = np.array([*past, *part.history]) if of_path else np.zeros(0)
+                begun, behind = part.begun_s + period * (at - before), np.zeros(len(lags))
+                # Executed parts before the plan leave no lag in the search; what is reported counts it.
+                for s in self._schedule.segments:
+                    if s.end > part.begun_s + _SLACK:
+                        late = behind_on_leg(behind, lags, np.asarray(s.slope), begun - s.start)
+                        break
+                    behind = behind_on_leg(behind, lags, np.asarray(s.slope), np.array([s.duration]))[0]
+                else:
+                    late = np.tile(behind, (len(at), 1))
                 ramps += [
-                    Ramp(begins + step * (k - before), part.slope, mounting, 0.0, every, elapsed, history)
-                    for k, elapsed in zip(at, part.begun_s + period * (at - before), strict=True)
+                    Ramp(begins + step * (k - before), part.slope, mounting, 0.0, every, elapsed, history, own)
+                    for k, elapsed, own in zip(at, begun, late, strict=True)
                 ]
                 continue
             # A stretch begins with cycles that nothing precedes; elsewhere a window's first cycles are those before.

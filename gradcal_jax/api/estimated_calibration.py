@@ -30,6 +30,7 @@ from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.model import (
     AXIS_NAMES,
+    SECOND,
     Channel,
     Discrepancy,
     GradientOfBias,
@@ -38,6 +39,7 @@ from gradcal_jax.model import (
     OwnTerm,
     PathTerm,
     SignalMap,
+    TemperatureDifference,
 )
 
 
@@ -165,6 +167,7 @@ def _terms(spec: Spec, channel: Channel, values: np.ndarray) -> Iterator[Calibra
         of_rate = (f"rate {AXIS_NAMES[channel.axis]}",)
         signals = term.signals if isinstance(term, SignalMap) else () if term.rate is None else of_rate
         bases = {"temperature": section.temperature, "rate": getattr(section, "rate", None)}
+        bases |= {"lag": Quantity.of(term.late.lag, "s")} if term.late is not None else {}
         yield build_term(term.name, term.unit, signals, coefficients, **bases)
 
 
@@ -177,12 +180,18 @@ def _path_coefficients(built: BuiltImu, values: np.ndarray, deviations: np.ndarr
             begin = own.stop
             if not isinstance(term, PathTerm | GradientOfBias | OwnTerm):
                 continue
-            of_play = {"width": Quantity.of(float(term.width), "K")} if isinstance(term, Hysteresis) else {}
+            of_path: dict[str, Any] = {}
+            if isinstance(term, Hysteresis):
+                of_path["width"] = Quantity.of(float(term.width), "K")
+            elif isinstance(term, TemperatureDifference) and term.other.name == SECOND:
+                of_path["second_thermometer"] = True
+            elif isinstance(term, TemperatureDifference):
+                of_path["time_constant"] = Quantity.of(term.other.lag, "s")
             for name, value, std in zip(term.names(), values[own], deviations[own], strict=True):
                 if not isinstance(term, PathTerm) or name not in term.nuisances:
                     yield PathCoefficient(
                         channel=c.name, name=name, value=float(value), standard_deviation=float(std), unit=term.unit,
-                        **of_play,
+                        **of_path,
                     )  # fmt: skip
 
 

@@ -12,9 +12,9 @@ from gradcal_jax.api.fit_of_log import Fit, fitted_twice, lag_of_maps, with_chos
 from gradcal_jax.api.fitted_lag import Lag
 from gradcal_jax.api.imu_build import BuiltImu
 from gradcal_jax.estimation import ImuRows, Smoothness, TablePoints
-from gradcal_jax.files.calibration.correction import followed
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.formulas import followed
 
 
 class Recorded(NamedTuple):
@@ -43,8 +43,7 @@ class FittedRows(NamedTuple):
 def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> FittedRows:
     """The fit of one sensor's rows."""
     rows, messages, points = recorded
-    starts = np.flatnonzero(~rows.usable & (np.diff(rows.time_s, prepend=-np.inf) > 0.0))
-    temperature_of = lambda lag: followed(rows.temperature_c, rows.time_s, np.union1d([0], starts), lag)  # noqa: E731
+    temperature_of = lambda lag: followed(rows.temperature_c, rows.time_s, rows.stretch_starts, lag)  # noqa: E731
     stable = isinstance(built.spec.plan, StandardPlan)
     model = built.model
     refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), model.channels)

@@ -11,6 +11,7 @@ from gradcal_jax import model, trajectory
 from gradcal_jax.api.build import (
     basis,
     gyro_channel,
+    late_of,
     named_processes,
     or_infinite,
     processes_of,
@@ -28,6 +29,7 @@ from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import Posterior, imu_information, imu_unweighted, posterior, segments_of
 from gradcal_jax.model import (
     AXIS_NAMES,
+    SECOND,
     Basis,
     BodyNodes,
     BSpline,
@@ -40,10 +42,12 @@ from gradcal_jax.model import (
     Hysteresis,
     ImuModel,
     Map,
+    OtherTemperature,
     OwnTerm,
     PathTerm,
     Polynomial,
     SignalMap,
+    TemperatureDifference,
     Term,
     TurnOnTransient,
     own_term,
@@ -59,6 +63,8 @@ HYSTERESIS = "hysteresis_{}K"
 SCALE_FACTOR_HYSTERESIS = "scale_factor_hysteresis_{}K"
 GRADIENT_OF_SCALE = "scale_factor_temperature_gradient"
 TRANSIENT = "turn_on_transient_{}s"
+LATE_GRADIENT = "late_temperature_gradient_{}s"
+DIFFERENCE = "thermometer_difference"
 _CONSTANT = Polynomial(0, 0.0, 1.0)
 _LAGGED = 16
 _LAG_TIMES = 8.0
@@ -116,11 +122,10 @@ def build_imu(
     bases = [t.temperature for t in terms if isinstance(t, Map | SignalMap | Discrepancy)]
     degree = max(b.degree if isinstance(b, Polynomial | BSpline | HigherPolynomials) else 0 for b in bases)
     # A lagging unit's exponentials, and transients, are no polynomials; a play is linear in T on each piece.
-    of_path = [t for c in model_.channels for t in c.model.terms if isinstance(t, PathTerm)]
-    smooth = any(isinstance(t, TurnOnTransient | OwnTerm) for c in model_.channels for t in c.model.terms)
-    exponential = spec.sensor.lag is not None or smooth
-    points = max(degree + 1, _LAGGED if exponential else 2 if of_path else 1)
-    rough = bool(of_path) or any(b.breaks for b in bases)
+    own = any(isinstance(t, OwnTerm) for c in model_.channels for t in c.model.terms)
+    exponential = spec.sensor.lag is not None or bool(_decays(model_)) or own
+    points = max(degree + 1, _LAGGED if exponential else 2 if model_.knows_path else 1)
+    rough = model_.knows_path or any(b.breaks for b in bases)
     if like is not None and _divisions(spec, model_, like) == _divisions(like.spec, like.model, like):
         return BuiltImu(spec, model_, like.motion, points, rough, sources, until_s)
     parts = executed_parts(spec)
@@ -187,7 +192,9 @@ def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str
         processes, sources["gyro"] = processes_of(own)
         channels += [
             Channel(
-                gyro_channel(gyro, axis, processes, signals=_signal_maps(gyro, axis), path=_path_terms(gyro, axis)),
+                gyro_channel(
+                    gyro, axis, processes, signals=_signal_maps(gyro, axis), path=_path_terms(sensor, gyro, axis)
+                ),
                 "gyro",
                 AXIS_NAMES.index(axis),
             )
@@ -197,7 +204,7 @@ def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str
         slow = 0.0 if force.read_on_moves_below is None else float(force.read_on_moves_below) * (1.0 + _SLACK)
         processes, sources["accelerometer"] = processes_of(named_processes(force))
         channels += [
-            Channel(_accelerometer(force, axis, processes), "accelerometer", AXIS_NAMES.index(axis), slow)
+            Channel(_accelerometer(sensor, force, axis, processes), "accelerometer", AXIS_NAMES.index(axis), slow)
             for axis in force.axes
         ]
     table, angles = spec.rig.table, [axis.angle for axis in spec.rig.table.axis]
@@ -284,7 +291,9 @@ def _signal_maps(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[Signa
     ]
 
 
-def _path_terms(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[PathTerm | OwnTerm]:
+def _path_terms(
+    sensor: sensor_file.Sensor, triad: GyroTriad | AccelerometerTriad, axis: str
+) -> list[PathTerm | OwnTerm]:
     """The terms of a channel that depend on the path of temperature, and those of classes from outside."""
     gyro = isinstance(triad, GyroTriad)
     own, unit = (f"{'rate' if gyro else 'force'} {axis}",), "rad/s" if gyro else "m/s^2"
@@ -302,15 +311,33 @@ def _path_terms(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[PathTe
         std, lasting = np.asarray(float(t.prior)), np.asarray(float(t.time_constant))
         name = TRANSIENT.format(f"{float(lasting):g}")
         terms.append(TurnOnTransient(std=std, time_constant=lasting, signals=(), name=name, si_unit=unit))
+
+    def differs(prior: float, name: str, other: OtherTemperature, gain: float, per: str = "") -> PathTerm:
+        scale = name.startswith("scale_factor")
+        si_unit = {"": ("1/K" if scale else f"{unit}/K"), "slope": "s/K" if scale else f"{unit.removesuffix('/s')}/K"}
+        of = {"signals": own if scale else (), "name": name, "si_unit": si_unit[per]}
+        return TemperatureDifference(std=np.asarray(prior), other=other, gain=gain, **of)
+
+    for head in ("", "scale_factor_"):
+        for late in getattr(triad, f"{head}late_temperature_gradient"):
+            lag = float(late.time_constant)
+            other, name = OtherTemperature.late(lag), f"{head}{LATE_GRADIENT.format(f'{lag:g}')}"
+            terms.append(differs(float(late.prior), name, other, -1.0 / lag, "slope"))
+        if (second := getattr(triad, f"{head}{DIFFERENCE}")) is not None:
+            assert sensor.second_thermometer is not None
+            other = OtherTemperature(SECOND, float(sensor.second_thermometer.lag))
+            terms.append(differs(float(second.prior), f"{head}{DIFFERENCE}", other, 1.0))
     return terms + [own_term(one.term, float(one.prior), one.name or one.term) for one in triad.own]
 
 
-def _accelerometer(triad: AccelerometerTriad, axis: str, processes: model.Processes) -> model.SensorModel:
+def _accelerometer(
+    sensor: sensor_file.Sensor, triad: AccelerometerTriad, axis: str, processes: model.Processes
+) -> model.SensorModel:
     white, terms = np.asarray(float(triad.velocity_random_walk)), list[Term](_signal_maps(triad, axis))
     if (gradient := triad.gradient_sensitivity) is not None:
         std = np.asarray(or_infinite(gradient.prior))
         terms.append(GradientOfBias(std=std, has_prior=bool(np.isfinite(std)), si_unit="m/s/K"))
-    terms += _path_terms(triad, axis)
+    terms += _path_terms(sensor, triad, axis)
     return model.SensorModel(tuple(terms), white, processes, model.angle_reference())
 
 
@@ -327,6 +354,7 @@ def _signal_map(
     of_temperature: Basis = _CONSTANT if over is None else basis(over)
     std = or_infinite(section.prior)
     fields = {"signals": signals, "name": name, "symbol": symbol, "si_unit": unit, "has_prior": bool(np.isfinite(std))}
+    fields["late"] = late_of(section)
     return SignalMap(temperature=of_temperature, std=np.asarray(std), common_std=common_std, shapes=shapes, **fields)
 
 
@@ -388,26 +416,33 @@ def _motion(parts: Sequence[tuple[TablePart, float]], spec: Spec, of: ImuModel) 
     for part, later in parts[1:]:
         whole, pause = whole.then(pause, part), later
     line, axis, mounting, start = whole
-    path = [term for c in of.channels for term in c.model.terms if isinstance(term, PathTerm)]
-    decays = [1.0 / float(term.time_constant) for term in path if isinstance(term, TurnOnTransient)]
-    decays += [] if spec.sensor.lag is None else [float(line.lag_rate)]
+    decays = [*_decays(of), *([] if spec.sensor.lag is None else [float(line.lag_rate)])]
     if decays:
         line, source = line.divided(*_divisions_by_decay(line, max(decays)))
         axis, mounting = axis[source], mounting[source]
     fine = _fineness(spec, of, line)
     motion = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), start, *fine)
     smooth = trajectory.divided_motion(motion, *_breaks(of), *fine)
-    if not path:
+    if not of.knows_path:
         return smooth
-    widths = tuple(sorted({float(term.width) for term in path if isinstance(term, Hysteresis)}))
-    return trajectory.motion_divided_by_plays(replace(smooth, history=course_before(spec)), widths, *fine)
+    plays = [term for c in of.channels for term in c.model.terms if isinstance(term, Hysteresis)]
+    widths = tuple(sorted({float(term.width) for term in plays}))
+    on_path = replace(smooth, history=course_before(spec), others=of.others)
+    return trajectory.motion_divided_by_plays(on_path, widths, *fine)
+
+
+def _decays(of: ImuModel) -> list[float]:
+    """The rates (1/s) at which exponentials in a model's columns decay."""
+    terms = [term for c in of.channels for term in c.model.terms]
+    transients = [1.0 / float(term.time_constant) for term in terms if isinstance(term, TurnOnTransient)]
+    return transients + [1.0 / other.lag for other in of.others if other.lag]
 
 
 def _divisions(spec: Spec, of: ImuModel, built: BuiltImu) -> tuple[object, ...]:
     """What divides the motion of a plan into pieces, and the nodes of these, for other error terms than it was built
     for."""
     path = [term for c in of.channels for term in c.model.terms if isinstance(term, PathTerm)]
-    times = [(type(term), term.name) for term in path]
+    times = of.others, [(type(term), term.name) for term in path]
     return spec.sensor.lag, times, _breaks(of), _fineness(spec, of, built.motion.line)
 
 

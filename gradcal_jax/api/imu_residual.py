@@ -45,6 +45,7 @@ from gradcal_jax.model import (
     Map,
     SensorModel,
     SignalMap,
+    TemperatureDifference,
 )
 from gradcal_jax.trajectory import EARTH_RATE
 from gradcal_jax.units import DEG_PER_H, PPM, G
@@ -283,6 +284,8 @@ def _states(channel: Channel, requirement: Requirement) -> np.ndarray | None:
     for term in model.terms:
         if isinstance(term, Hysteresis) and term.name.startswith(head):
             of_play[model.where(term.name).start] = float(term.width)
+        elif isinstance(term, TemperatureDifference) and bool(term.signals) == (gradient == GRADIENT_OF_SCALE):
+            of_dt[model.where(term.name)] = term.by_slope
     return np.stack([slope * of_dt - sign * of_play for sign, slope in states])
 
 

@@ -228,14 +228,14 @@ def _centred(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
 
 def bridged_temperature(log: Log, unit: int, constant_c: float | None) -> np.ndarray:
     """The thermometer's temperature with gaps interpolated, or `constant_c` (°C) for a log without one."""
-    values = None if log.temperature_c is None else log.temperature_c[unit]
-    if values is None or not (known := np.isfinite(values)).any():
+    values = log.bridged_temperature(unit)
+    if values is None:
         if constant_c is None:
             raise LogError('the log has no temperature: give that of the recording, such as --temperature "23 degC"')
         return np.full(len(log.time_s), constant_c)
     if constant_c is not None:
         raise LogError("--temperature is for logs without one: this log has its own")
-    return values if known.all() else np.interp(log.time_s, log.time_s[known], values[known])
+    return values
 
 
 def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:

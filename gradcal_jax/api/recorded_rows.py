@@ -14,7 +14,7 @@ from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.model import PathTerm
+from gradcal_jax.model import SECOND
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.
 _REHUNG_S = 6 * 3600.0
@@ -39,7 +39,7 @@ def imu_rows(built: BuiltImu, logs: Sequence[Log], name: str, options: Options) 
         part.standing[np.flatnonzero(np.diff(mounting, prepend=mounting[0] if k == 0 else -1))] = False
         parts.append(part._replace(time_s=shifted, mounting=mounting))
         end = shifted[-1]
-    if len(logs) > 1 and any(isinstance(t, PathTerm) for c in built.model.channels for t in c.model.terms):
+    if len(logs) > 1 and built.model.knows_path:
         messages.append(
             "between the logs the course of the temperature is not known: plays go straight from one to the next, and "
             "power-on is at the beginning of the first"
@@ -132,8 +132,16 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
         angles[read.rows, 0] = read.angle
     else:
         angles, at_a_stop = _table_angles(built, log, options.table_axis)
+    second = None
+    if any(of.name == SECOND for of in built.model.others):
+        if (values := log.bridged_temperature(number, second=True)) is None:
+            raise LogError(
+                "the log has no second temperature, on whose difference from the first the spec has a "
+                "thermometer_difference; a column map gives it as second_temperature"
+            )
+        second = estimation.smoothed_temperature(time, values, **over)
     return ImuRows(
-        time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop, worth, rate, at_end
+        time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop, worth, rate, at_end, second
     ), messages
 
 

@@ -44,7 +44,17 @@ from gradcal_jax.files.sensor import (
 from gradcal_jax.files.spec import expect_whole
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import segments_of
-from gradcal_jax.model import AXIS_NAMES, Channel, Hysteresis, Map, OwnTerm, PathTerm, SignalMap, TurnOnTransient
+from gradcal_jax.model import (
+    AXIS_NAMES,
+    Channel,
+    Hysteresis,
+    Map,
+    OwnTerm,
+    PathTerm,
+    SignalMap,
+    TemperatureDifference,
+    TurnOnTransient,
+)
 from gradcal_jax.trajectory import Move, frames
 
 _CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_functions="monomial")
@@ -289,6 +299,8 @@ def _path_row(channel: Channel, term: PathTerm) -> imu_rows.PathTermRow:
         kind, own = "hysteresis", {"width": float(term.width)}
     elif isinstance(term, TurnOnTransient):
         kind, own = "transient", {"time_constant": float(term.time_constant)}
+    elif isinstance(term, TemperatureDifference):
+        kind, own = "temperature difference", {"time_constant": term.other.lag, "gain": term.gain}
     names = tuple(f"{channel.name}.{name}" for name in term.names())
     stds = tuple((1.0 / np.diagonal(term.prior_rows())).tolist())
     return imu_rows.PathTermRow(kind=kind, signals=term.signals, parameters=names, stds=stds, unit=term.unit, **own)
@@ -307,6 +319,7 @@ def _term_row(channel: Channel, term: Map | SignalMap, triad: GyroTriad | Accele
         row, signals = MapRow(temperature=over, prior=section.prior, shapes=shapes), term.signals
     names = tuple(f"{channel.name}.{name}" for name in term.names())
     fields = {name: getattr(row, name) for name in MapRow.model_fields}
+    fields["lag"] = None if term.late is None else term.late.lag
     return imu_rows.ImuTermRow(name=term.name, signals=signals, parameters=names, unit=term.unit, **fields)
 
 

@@ -146,7 +146,7 @@ def _sensors(spec: "Spec") -> "Iterator[str]":
             own = [
                 key.replace("_", " ") + (f" ({size})" if (size := getattr(part, "size", None)) is not None else "")
                 for key, part in triad
-                if isinstance(part, Section) and key not in skipped
+                if isinstance(part[0] if isinstance(part, tuple) and part else part, Section) and key not in skipped
             ]
             yield f"to be found: {name} {', '.join(triad.axes)}: {', '.join(own)}"
 

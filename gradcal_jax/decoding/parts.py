@@ -60,6 +60,8 @@ class Seen:
     gaps: int = 0
     marked: int = 0
     forces: bool = False
+    second: bool = False
+    """Whether there is a second thermometer."""
     mounted: bool = True
     """Whether the mounting of every row is known."""
 
@@ -162,6 +164,7 @@ def _seen(session: Session, rows: RowTimes) -> Seen:
         seen.gaps += int(np.count_nonzero(later))
         seen.marked += int(np.count_nonzero(block["status"]))
         seen.forces = seen.forces or bool(np.isfinite(block["acceleration_g"]).any())
+        seen.second = seen.second or bool(np.isfinite(block["second_c"]).any())
         seen.mounted = seen.mounted and bool(session.mountings(host).all())
     seen.starts = sorted(set(seen.starts))
     return seen

@@ -248,6 +248,7 @@ def _as_samples(
         missing,
         none,
         none,
+        np.full(count, np.nan) if (second := recorded.bridged_temperature(number, second=True)) is None else second,
     )
 
 
@@ -306,7 +307,7 @@ def _joined(
         readings.append(replace(own, time_s=stamps + since, row=own.row + one.first))
     rows = placed[-1].first + len(parts[-1].rows)
     read = aside + sum(part.read for part in parts)
-    forced = any(part.seen.forces for part in parts)
+    forced, doubly = (any(getattr(part.seen, what) for part in parts) for what in ("forces", "second"))
     fields: dict[str, Any] = {
         "units": (unit,),
         "axes": axes,
@@ -325,14 +326,16 @@ def _joined(
     return LogInBlocks(
         rows,
         fields,
-        lambda: _blocks(placed, bool(labels), forced),
+        lambda: _blocks(placed, bool(labels), forced, doubly),
         duration_s=ends_s - placed[0].begins_s,
         standstills=last.standing + len(last.part.standing),
         masked=sum(part.seen.marked for part in parts),
     )
 
 
-def _blocks(placed: Sequence[PlacedPart], table: bool, forced: bool) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+def _blocks(
+    placed: Sequence[PlacedPart], table: bool, forced: bool, doubly: bool
+) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
     """All rows, as columns of a `Log`."""
     spins = all(one.part.table.spins for one in placed)
     mounted = all(one.part.seen.mounted for one in placed)
@@ -350,6 +353,8 @@ def _blocks(placed: Sequence[PlacedPart], table: bool, forced: bool) -> Iterator
             }
             if forced:
                 columns["specific_force_m_per_s2"] = (block["acceleration_g"] * STANDARD_GRAVITY)[None]
+            if doubly:
+                columns["second_temperature_c"] = np.ascontiguousarray(block["second_c"])[None]
             if table:
                 columns["table_course_rad"] = np.radians(part.table.course_deg(first, host))
             if spins:

@@ -13,23 +13,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray
+from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.design.other_plans import ProgrammeCoordinates
 from gradcal_jax.design.pose_cycle import Ramp
 
 # Legs of a course at least, and cycles that stand for all others: on a leg at least, and in all about.
 _LEGS, _FEWEST, _SAMPLES = 4, 3, 12
+_GROWS = 3.0
 
 
 class FreeCourse(NamedTuple):
     """Courses of the chamber, after a soak. `before` °C: turning points of the temperature before the plan; `lag` s;
-    `window`: cycles whose noise is filtered together; `parameters`: how many the model has."""
+    `window`: cycles whose noise is filtered together; `parameters`: how many the model has; `lags`: of the model's
+    other temperatures, s."""
 
     coordinates: ProgrammeCoordinates
     before: Float[np.ndarray, " b"]
     lag: float
     window: int
     parameters: int
+    lags: tuple[float, ...] = ()
 
     def ramps(self, z: Float[AnyArray, " size"], period: AnyArray) -> Ramp:
         """Stacked ramps of the course of a vector, with cycles of `period` s."""
@@ -39,6 +42,7 @@ class FreeCourse(NamedTuple):
         knots = jnp.concatenate([jnp.asarray(self.before), jnp.reshape(course.start, (1,)), course.chamber()[1]])
         earlier, since = len(self.before), course.times()
         ramps: list[Ramp] = []
+        behind = jnp.zeros(len(self.lags))
         for leg in range(legs):
             slope, lasting = course.slopes[leg], course.durations[leg]
             # The last cycle of a window is about its place; those before it lie on the leg or its continuation.
@@ -57,8 +61,10 @@ class FreeCourse(NamedTuple):
                     jnp.tile(weight * jnp.eye(self.parameters), (each, 1, 1, 1)),
                     self.coordinates.soak + since[leg] + place,
                     jnp.tile(past, (each, 1)),
+                    behind_on_leg(behind, self.lags, slope, place),
                 )
             )
+            behind = behind_on_leg(behind, self.lags, slope, lasting[None])[0]
         return Ramp(*(jnp.concatenate(of) for of in zip(*ramps, strict=True)))
 
     def starts(self, own: Float[np.ndarray, " size"]) -> list[Float[np.ndarray, " size"]]:
@@ -74,6 +80,15 @@ class FreeCourse(NamedTuple):
             slopes = np.array([turn - begin, begin - turn]) / durations
             result.append(self.coordinates.vector(begin, durations, slopes))
         return result
+
+
+def behind_on_leg(first: AnyArray, lags: tuple[float, ...], slope: AnyArray, since: AnyArray) -> AnyArray:
+    """How far (K) first-order lags (s) are behind, `(k, O)`, `since` `(k,)` s after the beginning of a leg at which
+    they are `first` `(O,)` behind. Before it, along its continuation, a deviation grows at most by e^`_GROWS`."""
+    xp = namespace(first, slope, since)
+    times = xp.asarray(lags)[None]
+    steady = slope * times
+    return steady + (first[None] - steady) * xp.exp(xp.minimum(-since[:, None] / times, _GROWS))
 
 
 def legs_of(own: int) -> int:

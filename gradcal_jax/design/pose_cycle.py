@@ -86,7 +86,8 @@ class TableLimits(NamedTuple):
 
 class Ramp(NamedTuple):
     """A part of the plan with one slope: `begins` °C, `slope` K/s, `mounting`. Its information is `first` times that of
-    the first W − 1 cycles, and `Σ_d F_dᵀ D F_d` with F the matrices `further`."""
+    the first W − 1 cycles, and `Σ_d F_dᵀ D F_d` with F the matrices `further`. `elapsed` s since power-on; `history` °C
+    and `behind` K: as of a `TableMotion`."""
 
     begins: Float[AnyArray, ""]
     slope: Float[AnyArray, ""]
@@ -95,6 +96,7 @@ class Ramp(NamedTuple):
     further: Float[AnyArray, "d p p"]
     elapsed: float | Float[AnyArray, ""] = 0.0
     history: Float[AnyArray, " H"] = np.zeros(0)
+    behind: Float[AnyArray, " O"] = np.zeros(0)
 
 
 class CycleStructure(NamedTuple):
@@ -370,7 +372,8 @@ class CycleObjective:
         if ramp.history.shape[0]:
             history, track = ramp.history, replace(track, start=track.start + ramp.elapsed)
         start = np.asarray(limits.start)
-        motion = TableMotion(track, axis, mounting, geometry, start, kind, example, nodes, history)
+        path = history, model.others, ramp.behind
+        motion = TableMotion(track, axis, mounting, geometry, start, kind, example, nodes, *path)
         return motion, self._segments(line, turns, of, model)
 
     def _nodes(self, turns: np.ndarray, varying: np.ndarray) -> np.ndarray:

@@ -10,16 +10,17 @@ Row `i` of a log represents the time from row `i − 1` to itself.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 
 from gradcal_jax.estimation.planned_moves import SLOW_S, PlannedMove, TimedMove, timed_moves
-from gradcal_jax.formulas import runs
-from gradcal_jax.model import BodyGroup, BodyNodes
+from gradcal_jax.formulas import followed, runs
+from gradcal_jax.model import SECOND, BodyGroup, BodyNodes, OtherTemperature
 from gradcal_jax.trajectory import Geometry, TableMotion, body_group, frames, held, lagrange, quadrature
 
 # A rest is one row of each channel, as in a plan, but its temperature is followed in pieces of this duration.
@@ -52,7 +53,7 @@ class ImuRows(NamedTuple):
     stand; `usable`: the row may be integrated; `mounting`: its number; `at_a_stop`: the row's angles are readings of
     axes that stand there, if only for an instant. `worth`: the readings of the spec's noise that a row's are worth
     (None: one); `at_end`: whether they are of the row's end, not of an instant near it (None: they are not);
-    `table_rate`: the rate held by the table's only axis, rad/s.
+    `table_rate`: the rate held by the table's only axis, rad/s. `second_c`: the second thermometer's temperatures.
     """
 
     time_s: np.ndarray
@@ -67,6 +68,22 @@ class ImuRows(NamedTuple):
     worth: np.ndarray | None = None
     table_rate: np.ndarray | None = None
     at_end: np.ndarray | None = None
+    second_c: np.ndarray | None = None
+
+    @property
+    def stretch_starts(self) -> np.ndarray:
+        """The rows at which the temperature may begin anew."""
+        lost = np.flatnonzero(~self.usable & (np.diff(self.time_s, prepend=-np.inf) > 0.0))
+        return np.union1d([0], lost)
+
+    def others(self, of: Sequence[OtherTemperature], temperature_c: np.ndarray) -> dict[str, np.ndarray]:
+        """Other temperatures (°C) of every row by name, beside `temperature_c`, that of the maps."""
+        return {
+            name: followed(temperature_c, self.time_s, self.stretch_starts, lag)
+            if name != SECOND or self.second_c is None
+            else self.second_c
+            for name, lag in of
+        }
 
 
 class ExecutedImu(NamedTuple):
@@ -511,20 +528,22 @@ def nodes_of_rows(
     temperature_c: np.ndarray,
     error_of=None,
     felt: np.ndarray | None = None,
+    others: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> BodyNodes:
     """The nodes of the executed motion on a table of this `geometry`. `temperature_c` `(n,)`: temperature of the maps.
     `points` along a piece for functions of temperature; 0: they have jumps, and are evaluated at every node.
 
     `error_of(axis, angle) -> (error, its derivative)`, rad: angle of every axis less that of its encoder. `felt` `(P,
     3)`: the mean specific force over every piece, m/s², NaN where unknown: away from the axes a move adds some
-    hundredths of g to gravity, and gyros are sensitive to it.
+    hundredths of g to gravity, and gyros are sensitive to it. `others`: other temperatures of the rows, by name.
     """
     motion = eqx.tree_at(lambda m: m.geometry, done.motion, geometry)
     before, after = motion.angles()
     seen_before, seen_after = (angle + _errors(error_of, angle)[0] for angle in (before, after))
     sizes = np.array([1 if way is None else len(way) - 1 for way in done.travelled])
+    warm = temperature_c, others
     groups = tuple(
-        _group(done, log, motion, np.flatnonzero(sizes == n), int(n), points, temperature_c, before, error_of, felt)
+        _group(done, log, motion, np.flatnonzero(sizes == n), int(n), points, warm, before, error_of, felt)
         for n in np.unique(sizes)
     )
     begin, end = temperature_c[done.rows[:-1]], temperature_c[done.rows[1:]]
@@ -551,8 +570,8 @@ def _errors(error_of, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([b[0] for b in both], axis=-1), np.stack([b[1] for b in both], axis=-1)
 
 
-def _group(done, log, motion, kinds, count, points, temperature_c, before, error_of, felt) -> BodyGroup:
-    geometry, line = motion.geometry, motion.line
+def _group(done, log, motion, kinds, count, points, warm, before, error_of, felt) -> BodyGroup:
+    geometry, line, (temperature_c, others) = motion.geometry, motion.line, warm
     duration = line.duration[kinds]
     own = motion.turns[kinds][:, None, :]
     if count == 1:
@@ -580,7 +599,8 @@ def _group(done, log, motion, kinds, count, points, temperature_c, before, error
     weight = np.broadcast_to(duration[:, None] / count, since.shape)
     own_kinds = kinds, kinds, np.arange(len(kinds))
     group = body_group(geometry, own_kinds, temperature, share, weight, angle + error, joint, mounting)
-    group = replace(group, time=time - log.time_s[0], slope=slope)
+    beside = {name: np.interp(time, log.time_s, of) for name, of in others.items()}
+    group = replace(group, time=time - log.time_s[0], slope=slope, others=beside or None)
     if felt is None or count == 1:
         return group
     beyond = felt[kinds] - group.integral(group.force) / np.where(duration > 0.0, duration, 1.0)[:, None]

@@ -267,7 +267,9 @@ class ImuReadings(NamedTuple):
         return steps._replace(reading_variance=variance, **own_noise), columns
 
     def _nodes(self, geometry: Geometry, error_of=None) -> BodyNodes:
-        return nodes_of_rows(self.done, self.log, geometry, self.points, self.temperature_c, error_of, self.felt)
+        others = self.log.others(self.model.others, self.temperature_c)
+        at = self.done, self.log, geometry, self.points, self.temperature_c
+        return nodes_of_rows(*at, error_of, self.felt, others)
 
 
 def readings_of(

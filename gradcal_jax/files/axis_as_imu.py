@@ -25,6 +25,7 @@ Tables = dict[str, Any]
 
 _OF_IMU: Final = (
     "name", "grade", "thermal_lag", "clock", "sample_clock_error", "temperature_offset", "temperature_lag",
+    "second_thermometer",
 )  # fmt: skip
 _OF_TABLE: Final = ("drive", "answer_time", "rate_accuracy")
 _OF_AXIS: Final = ("max_rate", "max_acceleration", "travel", "angle", "keep_out")

@@ -16,6 +16,7 @@ from gradcal_jax.files.quantity import (
     Of,
     PositiveAcceleration,
     PositiveRate,
+    PositiveScaleFactor,
     PositiveSpecificForce,
     PositiveTemperatureDifference,
     PositiveTemperatureSlope,
@@ -325,6 +326,36 @@ class RigTable(Section):
                 yield Problem(("axis", k, "angle", name), message)
 
 
+class SimulatedLoop(Section):
+    """`[[rig.simulated_loop]]`: a loop over the temperature that simulated sensors have in the place of one of the size
+    of the spec's `hysteresis`; several add. No prediction and no estimate reads it. A size is the standard deviation of
+    half of what heating and cooling differ by, over a wide cycle (relays) or at 1 K/min (thermal masses)."""
+
+    law: Literal["relays", "thermal masses"]
+    """"relays": Preisach's, many of them; "thermal masses": two with a gradient across them."""
+    gyro_bias: PositiveRate | None = None
+    """Size of the gyros' bias."""
+    gyro_scale_factor: PositiveScaleFactor | None = None
+    """Size of the gyros' scale factor."""
+    accelerometer_bias: PositiveSpecificForce | None = None
+    """Size of the accelerometers' bias."""
+    accelerometer_scale_factor: PositiveScaleFactor | None = None
+    """Size of the accelerometers' scale factor."""
+    width: PositiveTemperatureDifference = Quantity(10.0, "10 K", "temperature difference")
+    """About the half-width of the relays, which have 0.3 to 2 times it."""
+    time_constants: tuple[Time, Time] = (Quantity(60.0, "1 min", "time"), Quantity(600.0, "10 min", "time"))
+    """Of the two masses."""
+
+    def _problems(self) -> Iterator[Problem]:
+        if self.time_constants[0] == self.time_constants[1]:
+            yield Problem(("time_constants",), "two equal masses have no gradient; expected two times")
+
+    def size(self, sensors: str, quantity: str) -> float | None:
+        """The size of "bias" or "scale_factor" of gyros or accelerometers (SI); None: it has no such loop."""
+        value = getattr(self, f"{sensors}_{quantity}")
+        return None if value is None else float(value)
+
+
 class Rig(Section):
     """The bench of a whole unit."""
 
@@ -340,3 +371,5 @@ class Rig(Section):
     """Steps of the controllers, to which a recipe is rounded."""
     shift: Time = Quantity(28800.0, "8 h", "time")
     """Duration of a shift, for the number of IMUs that a fixture calibrates in one."""
+    simulated_loop: Annotated[tuple[SimulatedLoop, ...], Field(max_length=10)] = ()
+    """Loops over the temperature of simulated sensors."""

@@ -85,6 +85,8 @@ class SensorColumns(Section):
     """Columns of its accelerometers' specific force, by axis."""
     temperature: TemperatureColumn | None = None
     """Column of its temperature."""
+    second_temperature: TemperatureColumn | None = None
+    """Column of its second thermometer's temperature."""
     status: StatusColumn | None = None
     """Column of its status."""
 
@@ -117,6 +119,8 @@ class ColumnMap(Section):
     """Columns of the accelerometers' specific force, by axis."""
     temperature: TemperatureColumn | None = None
     """Column of the temperature."""
+    second_temperature: TemperatureColumn | None = None
+    """Column of the second thermometer's temperature, such as of the case."""
     status: StatusColumn | None = None
     """Column of the device's own status."""
     standstill: Source | None = None
@@ -161,11 +165,7 @@ class ColumnMap(Section):
         """The sensors; one sensor of the keys at the top where `[[sensor]]` is absent."""
         if self.sensor:
             return self.sensor
-        return (
-            SensorColumns(
-                name=self.name, rate=self.rate, force=self.force, temperature=self.temperature, status=self.status
-            ),
-        )
+        return (SensorColumns(**{key: getattr(self, key) for key in SensorColumns.model_fields}),)
 
     def sources(self) -> Iterator[Source]:
         """Every column that the map names."""
@@ -173,7 +173,7 @@ class ColumnMap(Section):
         for sensor in self.sensors:
             yield from sensor.rate.values()
             yield from sensor.force.values()
-            yield from filter(None, (sensor.temperature, sensor.status))
+            yield from filter(None, (sensor.temperature, sensor.second_temperature, sensor.status))
         yield from self.table_angle.values()
         yield from self.table_rate.values()
 
@@ -250,11 +250,12 @@ def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:
     rows = rate.shape[1]
     if rows < 2:
         raise LogError(f"there are {rows} rows of numbers; at least two are needed")
-    temperature = np.full((len(sensors), rows), np.nan)
+    warm = {key: np.full((len(sensors), rows), np.nan) for key in ("temperature", "second_temperature")}
     marked = np.zeros((len(sensors), rows), bool)
     for unit, sensor in enumerate(sensors):
-        if sensor.temperature is not None:
-            temperature[unit] = table.measured(sensor.temperature)
+        for key, values in warm.items():
+            if (column := getattr(sensor, key)) is not None:
+                values[unit] = table.measured(column)
         if sensor.status is not None:
             marked[unit] = table.numbers(sensor.status) != sensor.status.good
     left_out = np.zeros(rows, bool)
@@ -269,7 +270,8 @@ def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:
         full_scale_rad_per_s=None if columns.full_scale is None else float(columns.full_scale),
         specific_force_m_per_s2=force,
         force_axes=tuple(sensors[0].force),
-        temperature_c=temperature if any(sensor.temperature for sensor in sensors) else None,
+        temperature_c=warm["temperature"] if any(s.temperature for s in sensors) else None,
+        second_temperature_c=warm["second_temperature"] if any(s.second_temperature for s in sensors) else None,
         table_axes=tuple(columns.table_angle or columns.table_rate),
         table_angle_rad=side_by_side(columns.table_angle) if columns.table_angle else None,
         table_rate_rad_per_s=side_by_side(columns.table_rate) if columns.table_rate else None,

@@ -80,6 +80,9 @@ class ImuTermRow(MapRow):
     """Names of the coefficients in a prediction."""
     unit: str
     """Of each coefficient, in SI."""
+    lag: Size | None = None
+    """Time constant (s) of a first-order lag of the temperature, which the function follows in its place; L = T at the
+    begin of the plan."""
 
 
 class PathTermRow(Section):
@@ -87,10 +90,11 @@ class PathTermRow(Section):
 
     "hysteresis": of the two extreme states of a play, `P = max(T − width, min(T + width, P⁻))` from P = T ± width at
     the begin of the course, soaks included: the functions (high + low)/2 − T and (high − low)/(2 width). "temperature
-    gradient": dT/dt. "transient": exp(−t/time_constant), t from the begin of the plan.
+    gradient": dT/dt. "transient": exp(−t/time_constant), t from the begin of the plan. "temperature difference":
+    gain·(L − T), L a first-order lag of T with the time constant, L = T at the begin of the plan.
     """
 
-    kind: Literal["hysteresis", "temperature gradient", "transient"]
+    kind: Literal["hysteresis", "temperature gradient", "transient", "temperature difference"]
     """Which function."""
     signals: tuple[str, ...]
     """Its factors; none: 1."""
@@ -103,7 +107,9 @@ class PathTermRow(Section):
     width: Size | None = None
     """Half-width of the play (K)."""
     time_constant: Size | None = None
-    """Of the transient (s)."""
+    """Of the transient, or of the lag (s)."""
+    gain: float | None = None
+    """Of the temperature difference (1, or 1/s)."""
 
 
 class ChannelRow(Section):

@@ -163,6 +163,7 @@ VARIABLES: Final[Mapping[str, LogVariable]] = {
         ("rate", "rate_rad_per_s", "unit time axis", np.float64, "rad s-1", "angular rate of the sensor"),
         ("specific_force", "specific_force_m_per_s2", "unit time force_axis", np.float64, "m s-2", "specific force"),
         ("temperature", "temperature_c", "unit time", np.float64, "degC", "temperature of the sensor"),
+        ("second_temperature", "second_temperature_c", "unit time", np.float64, "degC", "of its second thermometer"),
         ("table_angle", "table_angle_rad", "time table_axis", np.float64, "rad", "angle of the table, not wrapped"),
         ("table_course", "table_course_rad", "time table_axis", np.float64, "rad", "reconstruction between readings"),
         ("table_rate", "table_rate_rad_per_s", "time table_axis", np.float64, "rad s-1", "rate of the table"),
@@ -258,6 +259,8 @@ class Log:
     """Of the table's angle. `None`: where they were taken is not recorded, and `table_angle_rad` holds at every row."""
     table_course_rad: Floats | None = None
     """[time, table axis]; the angle reconstructed between readings, for pictures."""
+    second_temperature_c: Floats | None = None
+    """[unit, time]; of the sensor's second thermometer."""
 
     __repr__ = summary
     _repr_html_ = html
@@ -266,7 +269,8 @@ class Log:
         """Its contents in lines: length, units, axes, arrays, faults."""
         rows = len(self.time_s)
         units = ", ".join(self.units) if len(self.units) <= 3 else f"{len(self.units)} units"
-        arrays = {"temperature": self.temperature_c, "host time": self.host_time_s, "table angle": self.table_angle_rad}
+        arrays = {"temperature": self.temperature_c, "second temperature": self.second_temperature_c}
+        arrays |= {"host time": self.host_time_s, "table angle": self.table_angle_rad}
         also = [name for name, array in arrays.items() if array is not None]
         also += [] if self.readings is None else [f"{len(self.readings.time_s)} readings of the table's angle"]
         also += [f"{len(self.stretch_starts)} stretches"] if len(self.stretch_starts) > 1 else []
@@ -361,6 +365,18 @@ class Log:
             if values is not None:
                 digest.update(np.ascontiguousarray(values[self.unit_index(unit)]).tobytes())
         return digest.hexdigest()
+
+    def bridged_temperature(self, unit: str | int = 0, *, second: bool = False) -> Floats | None:
+        """A unit's temperature at every row, of the `second` thermometer if asked, missing ones interpolated linearly;
+        None without any. [time]"""
+        columns = self.second_temperature_c if second else self.temperature_c
+        if columns is None or not np.isfinite(columns[self.unit_index(unit)]).any():
+            return None
+        values: Floats = columns[self.unit_index(unit)]
+        known = np.isfinite(values)
+        if known.all():
+            return values
+        return np.asarray(np.interp(self.time_s, self.time_s[known], values[known]), np.float64)
 
     def counts(self, unit: str | int = 0) -> dict[str, int]:
         """Counts of rows: ``used``, then removed and masked rows by reason. They add up to `rows_read`."""

@@ -114,6 +114,9 @@ class Policy(Section):
     """Sample rates against the stated one, against the host, or wandering."""
 
 
+_BY_UNIT: Final = ("rate_rad_per_s", "specific_force_m_per_s2", "temperature_c", "second_temperature_c", "marked")
+
+
 @dataclass
 class Columns:
     """The columns of a source in SI, unchecked; shapes as in `Log`."""
@@ -129,6 +132,7 @@ class Columns:
     specific_force_m_per_s2: Floats | None = None
     force_axes: tuple[str, ...] = ()
     temperature_c: Floats | None = None
+    second_temperature_c: Floats | None = None
     table_axes: tuple[str, ...] = ()
     table_angle_rad: Floats | None = None
     table_rate_rad_per_s: Floats | None = None
@@ -160,8 +164,7 @@ class Columns:
         for field_ in fields(self):
             array: Any = getattr(self, field_.name)
             if isinstance(array, np.ndarray):
-                by_unit = field_.name in ("rate_rad_per_s", "specific_force_m_per_s2", "temperature_c", "marked")
-                cut[field_.name] = array[:, kept] if by_unit else array[kept]
+                cut[field_.name] = array[:, kept] if field_.name in _BY_UNIT else array[kept]
         return replace(self, **cut)
 
 
@@ -206,6 +209,7 @@ def at_rows_with_rates(columns: Columns) -> Columns:
         columns.of_rows(rated),
         specific_force_m_per_s2=each(columns.specific_force_m_per_s2, 1),
         temperature_c=each(columns.temperature_c, 1),
+        second_temperature_c=each(columns.second_temperature_c, 1),
         table_angle_rad=each(columns.table_angle_rad, 0),
         table_rate_rad_per_s=each(columns.table_rate_rad_per_s, 0),
     )

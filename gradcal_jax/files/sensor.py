@@ -167,6 +167,67 @@ class PowerOnForceTransient(PowerOnTransient):
     prior: PositiveSpecificForce
 
 
+class LateGradientOfBias(Section):
+    """Bias in proportion to dT/dt as a first-order lag follows it, such as of a part that heats slowly. The lag begins
+    in equilibrium, as after a soak."""
+
+    time_constant: Time
+    """Its known time constant."""
+    prior: SizeOfGradientSensitivity
+    """Standard deviation of the coefficient before the calibration."""
+
+
+class LateGradientOfForce(LateGradientOfBias):
+    """As of a gyro, of an accelerometer."""
+
+    prior: ForceGradientSensitivity
+
+
+class LateGradientOfScale(LateGradientOfBias):
+    """As of the bias, of the scale factor."""
+
+    prior: PositiveScaleFactorGradient  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
+class DifferenceOfBias(Section):
+    """Bias in proportion to what the second thermometer shows less the first."""
+
+    prior: PositiveBiasSlope
+    """Standard deviation of the coefficient before the calibration."""
+
+
+class DifferenceOfForce(DifferenceOfBias):
+    """As of a gyro, of an accelerometer."""
+
+    prior: PositiveAccelerationSlope
+
+
+class DifferenceOfScale(DifferenceOfBias):
+    """As of the bias, of the scale factor."""
+
+    prior: PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
+class SecondThermometer(Section):
+    """A second thermometer, such as of the case beside that of the dies, or at another point of the block."""
+
+    lag: Time
+    """First-order lag of its temperature behind the first one's, by which plans expect it; logs have its readings."""
+
+
+class _Lagging(Section):
+    lag: Time | None = None
+    """First-order lag, known, with which this map follows the sensor's temperature; absent: at once. It begins in
+    equilibrium, as after a soak."""
+
+    @model_validator(mode="after")
+    def _smooth(self) -> "_Lagging":
+        basis = getattr(self, "temperature", None)
+        if self.lag is not None and basis is not None and basis.basis != "polynomial":
+            refuse(Problem(("lag",), "a map with a lag of its own needs a polynomial in temperature", self.lag.text))
+        return self
+
+
 class BiasDiscrepancy(Section):
     """Structure of B(T) beyond the model: the next orthogonal polynomials, with a prior."""
 
@@ -187,7 +248,7 @@ class ScaleFactorDiscrepancy(Section):
     """Highest degree in rate that may be hidden."""
 
 
-class Bias(Section):
+class Bias(_Lagging):
     """B(T), to be estimated."""
 
     temperature: TemperatureBasis
@@ -212,7 +273,7 @@ class Bias(Section):
         return self.temperature.size
 
 
-class ScaleFactor(Section):
+class ScaleFactor(_Lagging):
     """M(T, ω), to be estimated: a tensor basis in temperature and rate."""
 
     temperature: TemperatureBasis
@@ -265,6 +326,8 @@ class _Instrument(Section):
     """Standard deviation of the constant difference between the dies' temperature and the measured one."""
     temperature_lag: SizeOfTime | None = None
     """Standard deviation of the time by which the dies' temperature follows the measured one."""
+    second_thermometer: SecondThermometer | None = None
+    """A second thermometer, for `thermometer_difference`; its column in logs is `second_temperature`."""
 
     @property
     def lag(self) -> float | None:
@@ -362,7 +425,7 @@ BodyAxis = Literal["x", "y", "z"]
 BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
 
 
-class _ErrorTerm(Section):
+class _ErrorTerm(_Lagging):
     temperature: TemperatureBasis | None = None
     """Basis over temperature; absent: constant."""
     prior: Quantity | None = None
@@ -469,6 +532,19 @@ class _PathOfTemperature(Section):
     """Bias that decays from power-on, exponentials that add."""
     own: Annotated[tuple[OwnError, ...], Field(max_length=20)] = ()
     """Errors by classes of your own."""
+    late_temperature_gradient: Annotated[tuple[LateGradientOfBias, ...], Field(max_length=5)] = ()
+    """Bias in proportion to dT/dt, later by first-order lags; they add."""
+    scale_factor_late_temperature_gradient: Annotated[tuple[LateGradientOfScale, ...], Field(max_length=5)] = ()
+    """The same of the scale factor."""
+    thermometer_difference: DifferenceOfBias | None = None
+    """Bias in proportion to the difference of the two thermometers."""
+    scale_factor_thermometer_difference: DifferenceOfScale | None = None
+    """Scale factor in proportion to it."""
+
+    @property
+    def on_path(self) -> bool:
+        """Whether any of these is named."""
+        return any(getattr(self, key) for key in _PathOfTemperature.model_fields)
 
     @model_validator(mode="after")
     def _differ(self) -> "_PathOfTemperature":
@@ -476,6 +552,8 @@ class _PathOfTemperature(Section):
             ("hysteresis", self.hysteresis, "width"),
             ("scale_factor_hysteresis", self.scale_factor_hysteresis, "width"),
             ("turn_on_transient", self.turn_on_transient, "time_constant"),
+            ("late_temperature_gradient", self.late_temperature_gradient, "time_constant"),
+            ("scale_factor_late_temperature_gradient", self.scale_factor_late_temperature_gradient, "time_constant"),
         ):
             values = [float(getattr(entry, of)) for entry in entries]
             if len(set(values)) < len(values):
@@ -530,6 +608,8 @@ class AccelerometerTriad(_Channel, _PathOfTemperature):
     ] = None
     hysteresis: Annotated[tuple[PlayOfForce, ...], Field(max_length=10)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
     turn_on_transient: Annotated[tuple[PowerOnForceTransient, ...], Field(max_length=5)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    late_temperature_gradient: Annotated[tuple[LateGradientOfForce, ...], Field(max_length=5)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    thermometer_difference: DifferenceOfForce | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     velocity_increments: bool = False
     """Whether the output is an increment of velocity for each sample, so that the sample clock acts as a scale factor;
     a specific force does not depend on the clock."""
@@ -591,6 +671,12 @@ class Sensor(UncertainSection, _Instrument):
         for name, triad in (("gyro", self.gyro), ("accelerometer", self.accelerometer)):
             if triad is not None and len(set(triad.axes)) < len(triad.axes):
                 yield Problem((name, "axes"), "names an axis twice", list(triad.axes))
+            if triad is None or self.second_thermometer is not None:
+                continue
+            for key in ("thermometer_difference", "scale_factor_thermometer_difference"):
+                if getattr(triad, key) is not None:
+                    message = 'needs [sensor] second_thermometer = { lag = "5 min" }: by which plans expect it'
+                    yield Problem((name, key), message)
         if self.gyro is None and self.accelerometer is None:
             yield Problem((), "there is nothing to calibrate; add [sensor.gyro] or [sensor.accelerometer]")
 

@@ -85,8 +85,8 @@ class Spec(TitledFile):
         gyro, table, frame = self.sensor.gyro, self.rig.table, self.sensor.frame
         if gyro is None or not self.is_one_axis:
             return False
-        on_paths = gyro.hysteresis, gyro.scale_factor_hysteresis, gyro.turn_on_transient, gyro.own
-        simple = not any(on_paths) and gyro.scale_factor_temperature_gradient is None
+        lags = (getattr(of, "lag", None) for of in (gyro.bias, gyro.scale_factor))
+        simple = not gyro.on_path and not any(lags)
         level = not table.tilt and not table.azimuth and table.axis[0].keep_out is None
         begins = 0.0
         if isinstance(self.plan, MotionPlan) and self.plan.cycle is not None:

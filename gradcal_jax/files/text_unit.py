@@ -29,6 +29,7 @@ FORMAT: Final = "gradcal-text/1"
 NAMES: Final = (
     *(f"{quantity}_{axis}" for quantity in ("gyro", "acceleration") for axis in "xyz"),
     "temperature",
+    "second_temperature",
     "count",
     "time",
 )

@@ -219,6 +219,7 @@ class ImuBatch:
     gyro_dps        (n, 3) angular rate, deg/s
     acceleration_g  (n, 3) specific force, in g0 = 9.80665 m/s²
     temperature_c   (n, 3) of the gyro axes
+    second_c        (n,)   of a second thermometer, °C; of a unit that measures both, that of its accelerometers
     raw_gyro        (n, 3) integers as sent; zeros where the unit sends floating point
     status          (n,)   status bits, 0 = good; the meaning is the driver's
     gap_before      (n,)   number of samples missing just before this one, as far as the decoder has seen
@@ -236,6 +237,7 @@ class ImuBatch:
     gap_before: NDArray[np.int64]
     disturbed: NDArray[np.bool_]
     restarted: NDArray[np.bool_]
+    second_c: NDArray[np.float64]
 
     def __len__(self) -> int:
         return self.host_time_s.shape[0]
@@ -249,11 +251,12 @@ def imu_batch(
     temperature_c: Floats,
     **more: Any,
 ) -> ImuBatch:
-    """Samples that came together; fields that are not given are zero."""
+    """Samples that came together; fields that are not given are zero, or not sent."""
     count = len(device_time_s)
     none: dict[str, Any] = {"raw_gyro": np.zeros((count, 3), np.int32)}
     none |= {name: np.zeros(count, np.int64) for name in ("status", "gap_before")}
     none |= {name: np.zeros(count, np.bool_) for name in ("disturbed", "restarted")}
+    none["second_c"] = np.full(count, np.nan)
     host = np.full(count, float(host_time_s))
     return ImuBatch(host, device_time_s, gyro_dps, acceleration_g, temperature_c, **(none | more))
 

@@ -10,7 +10,16 @@ from gradcal_jax.model.installation import (
     MountingError,
     NonOrthogonality,
 )
-from gradcal_jax.model.nodes import AXIS_NAMES, BodyGroup, BodyNodes, GaussNodes, Nodes, SampleNodes
+from gradcal_jax.model.nodes import (
+    AXIS_NAMES,
+    SECOND,
+    BodyGroup,
+    BodyNodes,
+    GaussNodes,
+    Nodes,
+    OtherTemperature,
+    SampleNodes,
+)
 from gradcal_jax.model.noise import (
     Processes,
     Reference,
@@ -21,7 +30,14 @@ from gradcal_jax.model.noise import (
     rate_random_walk,
 )
 from gradcal_jax.model.own import OwnTerm, constant_function, own_term
-from gradcal_jax.model.path import GradientOfScale, HalfDifference, Hysteresis, PathTerm, TurnOnTransient
+from gradcal_jax.model.path import (
+    GradientOfScale,
+    HalfDifference,
+    Hysteresis,
+    PathTerm,
+    TemperatureDifference,
+    TurnOnTransient,
+)
 from gradcal_jax.model.sensor import SensorModel, gyro_model
 from gradcal_jax.model.terms import (
     BIAS,

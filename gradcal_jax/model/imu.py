@@ -20,7 +20,8 @@ from jaxtyping import Float
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
 from gradcal_jax.model.bases import Basis, Polynomial
 from gradcal_jax.model.installation import InstallationTerm
-from gradcal_jax.model.nodes import AXIS_NAMES, BodyNodes
+from gradcal_jax.model.nodes import AXIS_NAMES, BodyNodes, OtherTemperature
+from gradcal_jax.model.path import PathTerm, TemperatureDifference
 from gradcal_jax.model.sensor import SensorModel
 from gradcal_jax.model.terms import GradientOfBias, Map, SignalMap, block_diagonal
 
@@ -104,6 +105,19 @@ class ImuModel(PytreeModule):
         """The channel of that kind and axis, if there is one."""
         return next((c for c in self.channels if (c.kind, c.axis) == (kind, axis)), None)
 
+    @property
+    def knows_path(self) -> bool:
+        """Whether any term depends on the path of temperature."""
+        terms = [term for c in self.channels for term in c.model.terms]
+        return bool(self.others) or any(isinstance(term, PathTerm) for term in terms)
+
+    @property
+    def others(self) -> tuple[OtherTemperature, ...]:
+        """The temperatures beside that of the sensor on which its terms depend."""
+        terms = [term for c in self.channels for term in c.model.terms]
+        late = {term.late for term in terms if isinstance(term, Map | SignalMap) and term.late is not None}
+        return tuple(sorted(late | {term.other for term in terms if isinstance(term, TemperatureDifference)}))
+
     def names(self) -> list[str]:
         """Names of the reported parameters in order: `gyro_x.b00`, `accelerometer_z.k2`, `azimuth`."""
         own = [f"{c.name}.{name}" for c in self.channels for name in c.model.names()]
@@ -134,7 +148,8 @@ class ImuModel(PytreeModule):
         # Terms of all channels with the same functions of temperature are integrated together.
         ends, begin = [], 0
         parts: list[tuple] = []
-        alike: list[dict[Basis, list[tuple[np.ndarray, AnyArray]]]] = [{} for _ in nodes.groups]
+        alike: list[dict[tuple[Basis, OtherTemperature | None], list[tuple[np.ndarray, AnyArray]]]]
+        alike = [{} for _ in nodes.groups]
         for c in self.channels:
             view, moves = nodes.channel(c.kind, c.axis), c.kind == "gyro" or c.read_below > 0.0
             for term in c.model.terms:
@@ -144,17 +159,17 @@ class ImuModel(PytreeModule):
                     places = np.arange(begin, end).reshape(basis.size, -1)
                     for group, own, known in zip(nodes.groups, view.groups, alike, strict=True):
                         if moves or not group.moving:
-                            known.setdefault(basis, []).append((places, term.drive(own)))
+                            known.setdefault((basis, term.late), []).append((places, term.drive(own)))
                 else:
                     parts.append(((slice(None), slice(begin, end)), term.columns(view)))
                 begin = end
             ends.append(begin)
         for group, known in zip(nodes.groups, alike, strict=True):
             shared = group.shared()
-            for basis, terms in known.items():
+            for (basis, late), terms in known.items():
                 drive = namespace(group.weight).concatenate([d for _, d in terms], axis=-1)
                 places = np.concatenate([at for at, _ in terms], axis=1).ravel()
-                parts.append(((group.pieces[:, None], places), shared.sums(basis(group.temperature), drive)))
+                parts.append(((group.pieces[:, None], places), shared.sums(basis(shared.temperature_at(late)), drive)))
         columns = placed((len(nodes.kind), begin), *parts)
         return [columns[:, a:b] for a, b in pairwise([0, *ends])]
 
@@ -165,7 +180,7 @@ class ImuModel(PytreeModule):
         for term in (term for c in self.channels for term in c.model.terms):
             if isinstance(term, Map | SignalMap):
                 basis, count = term.temperature, term.size // term.temperature.size
-                if not isinstance(basis, Polynomial):
+                if not isinstance(basis, Polynomial) or term.late is not None:
                     return None
                 places = begin + np.arange(term.size).reshape(basis.size, count).T
                 if (key := (basis.degree, basis.centre, basis.scale, basis.internal)) not in known:

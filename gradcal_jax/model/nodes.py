@@ -5,7 +5,8 @@ integrates on Gauss–Legendre nodes of smooth motion (`GaussNodes`), a log sums
 the model are the same functions of both.
 """
 
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -53,12 +54,30 @@ class SampleNodes(PytreeModule):
         return np.add.reduceat(products.reshape(len(first), -1), self.starts, axis=0)
 
 
+class OtherTemperature(NamedTuple):
+    """A temperature beside that of the maps: a first-order lag of it, of `lag` s, or that of the second thermometer,
+    which such a lag stands for in a plan."""
+
+    name: str
+    lag: float
+
+    @classmethod
+    def late(cls, lag: float) -> "OtherTemperature":
+        """The temperature of the maps, later by a first-order lag (s)."""
+        return cls(f"{lag:g} s", lag)
+
+
+SECOND: Final = "second"
+"""Name of the second thermometer."""
+
+
 class SharedNodes(NamedTuple):
     """Nodes of `k` pieces of `U` kinds: pieces of one kind share their signals and differ in temperature.
 
     Temperature is smooth along a piece, so functions of it are interpolated from `m` points, and each signal of a kind
     has a weight at each point: `share` `(q, m)` are the interpolating polynomials of the points at the nodes. `time` s
-    and `slope` K/s: of each point, for terms of the path of temperature.
+    and `slope` K/s: of each point, for terms of the path of temperature; `others` °C: other temperatures there, by name
+    (`OtherTemperature`).
     """
 
     pieces: Int[AnyArray, " k"]
@@ -71,6 +90,7 @@ class SharedNodes(NamedTuple):
     time: Float[AnyArray, "k m"] | None = None
     slope: Float[AnyArray, "k m"] | None = None
     moving: bool = True
+    others: dict[str, Float[AnyArray, "k m"]] | None = None
 
     def signal(self, name: str) -> Float[AnyArray, "U q"]:
         """A signal by its name: "rate x" (rad/s), "force x" (m/s²), "earth x" (rad/s), "up x" and "north x" (components
@@ -96,6 +116,13 @@ class SharedNodes(NamedTuple):
             xp.swapaxes(weights[self.kind] @ first, -1, -2), (first.shape[0], first.shape[2] * second.shape[2])
         )
 
+    def temperature_at(self, of: OtherTemperature | None) -> Float[AnyArray, "k m"]:
+        """Another temperature at the points (°C); None: that of the maps."""
+        if of is None:
+            return self.temperature
+        assert self.others is not None
+        return self.others[of.name]
+
 
 NodeGroup = GaussNodes | SampleNodes | SharedNodes
 
@@ -119,6 +146,13 @@ class Nodes(PytreeModule):
     def count(self) -> int:
         return self.temperature_change.shape[0]
 
+    def at(self, other: OtherTemperature | None) -> "Nodes":
+        """The same at another temperature; None: at that of the maps."""
+        if other is None:
+            return self
+        shared = (g for g in self.groups if isinstance(g, SharedNodes))
+        return replace(self, groups=tuple(g._replace(temperature=g.temperature_at(other)) for g in shared))
+
     def integrals(self, of_group, size: int, *, moving_only: bool = False) -> Float[AnyArray, "P size"]:
         """`of_group(group) -> (k, size)` of every group at its pieces; zero at pieces without a group."""
         result = namespace(self.temperature_change).zeros((self.count, size))
@@ -135,8 +169,8 @@ class BodyGroup(PytreeModule):
     and `force` m/s² in body components, the Earth's rate and gravity in them; `earth` rad/s and `up`, the Earth's rate
     and the vertical; `attitude`: body to East-North-Up. `axes`: the axes' directions; `crosses`: see
     `trajectory.geometry`; `outer`: the rate of the stage outside each axis; `joint`: rate (rad/s) and `angle` (rad) of
-    each axis. `felt`: the force where the gyros are, off the axes, m/s²; None: as `force`. `time`, `slope`: see
-    `SharedNodes`.
+    each axis. `felt`: the force where the gyros are, off the axes, m/s²; None: as `force`. `time`, `slope`, `others`:
+    see `SharedNodes`.
     """
 
     kinds: Int[np.ndarray, " U"]
@@ -158,6 +192,7 @@ class BodyGroup(PytreeModule):
     felt: Float[AnyArray, "U q 3"] | None = None
     time: Float[AnyArray, "k m"] | None = None
     slope: Float[AnyArray, "k m"] | None = None
+    others: dict[str, Float[AnyArray, "k m"]] | None = None
 
     @property
     def moving(self) -> bool:
@@ -182,7 +217,7 @@ class BodyGroup(PytreeModule):
         signals = {f"{name} {AXIS_NAMES[k]}": of[..., k] for name, of in seen.items() for k in range(3)}
         along = signals[f"{own} {AXIS_NAMES[index]}"]
         at = self.pieces, self.kind, self.temperature, self.weight
-        return SharedNodes(*at, along, signals, self.share, self.time, self.slope)
+        return SharedNodes(*at, along, signals, self.share, self.time, self.slope, others=self.others)
 
     def integral(self, values: Float[AnyArray, "U q *s"]) -> Float[AnyArray, " U *s"]:
         """`∫ … dt` over a piece of each kind."""

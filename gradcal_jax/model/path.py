@@ -28,7 +28,7 @@ from jaxtyping import Float
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.formulas import running_clamps, then
 from gradcal_jax.model.bases import BSpline
-from gradcal_jax.model.nodes import Nodes, SharedNodes
+from gradcal_jax.model.nodes import Nodes, OtherTemperature, SharedNodes
 from gradcal_jax.model.terms import Term
 
 FREE = 3.0
@@ -139,6 +139,26 @@ class Hysteresis(PathTerm):
         low, high = running_clamps(low, high)
         first = earlier.shape[0] - 1
         return low[first:-1], high[first:-1]
+
+
+class TemperatureDifference(PathTerm):
+    """`gain` times what an `other` temperature is less that of the maps. Of the second thermometer: the difference of
+    two points. Of a first-order lag of τ, with the gain −1/τ: dT/dt, later by that lag, since T − L = τ dL/dt."""
+
+    std: Float[AnyArray, ""]
+    other: OtherTemperature = eqx.field(static=True)
+    gain: float = eqx.field(static=True)
+    signals: tuple[str, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    si_unit: str = eqx.field(static=True)
+
+    @property
+    def by_slope(self) -> float:
+        """The function for a constant dT/dt of 1 K/s."""
+        return -self.gain * self.other.lag
+
+    def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m 1"]]:
+        return [self.gain * (g.temperature_at(self.other) - g.temperature)[..., None] for g in _shared(nodes)]
 
 
 class GradientOfScale(PathTerm):

@@ -17,7 +17,7 @@ from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 from gradcal_jax.formulas import legendre
 from gradcal_jax.linalg import triangular_factor
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
-from gradcal_jax.model.nodes import NodeGroup, Nodes, SampleNodes, SharedNodes
+from gradcal_jax.model.nodes import NodeGroup, Nodes, OtherTemperature, SampleNodes, SharedNodes
 
 BIAS: Final = "bias"
 SCALE_FACTOR: Final = "scale_factor"
@@ -73,6 +73,7 @@ class Discrepancy(Term):
     rate: HigherPolynomials | None
     std: Float[AnyArray, ""]
     name: str = eqx.field(static=True)
+    late: OtherTemperature | None = eqx.field(static=True, default=None)
 
     @property
     def unit(self) -> str:
@@ -122,7 +123,7 @@ class Discrepancy(Term):
             parts = [group.sums(t, w * drive) for t, w in pairs if t.shape[-1] and w.shape[-1]]
             return namespace(group.weight).concatenate(parts, axis=-1)
 
-        return nodes.integrals(of_group, self.size, moving_only=self.rate is not None)
+        return nodes.at(self.late).integrals(of_group, self.size, moving_only=self.rate is not None)
 
 
 class Map(Term):
@@ -133,6 +134,7 @@ class Map(Term):
     `smoothness_std`: standard deviation of the difference of neighbouring coefficients; `inf` is none.
     `beyond`: functions that the structure omits, a term of its own in a model.
     `shapes`: instead of `prior_std`, the prior's covariance `shapes shapesᵀ` of the reported coefficients.
+    `late`: the temperature that the map follows; None: the sensor's own.
     """
 
     temperature: Basis
@@ -145,6 +147,7 @@ class Map(Term):
     has_prior: bool = eqx.field(static=True, default=False)
     has_smoothness: bool = eqx.field(static=True, default=False)
     shapes: Float[AnyArray, "size m"] | None = None
+    late: OtherTemperature | None = eqx.field(static=True, default=None)
 
     @property
     def unit(self) -> str:
@@ -212,7 +215,7 @@ class Map(Term):
                 return g.sums(t(g.temperature), self.drive(g))
             return namespace(g.weight).reshape(_all_products(g, t, t.size, w, w.size if w else 1), (-1, self.size))
 
-        return nodes.integrals(of_group, self.size, moving_only=w is not None)
+        return nodes.at(self.late).integrals(of_group, self.size, moving_only=w is not None)
 
     def columns_with_beyond(self, nodes: Nodes) -> tuple[Float[AnyArray, "P size"], Float[AnyArray, "P extra"]]:
         """The map's columns and the discrepancy's, computed together where its polynomials continue the map's."""
@@ -229,7 +232,7 @@ class Map(Term):
             parts = (every[:, :in_t, :in_w], every[:, in_t:], every[:, :in_t, in_w:])
             return xp.concatenate([xp.reshape(part, (len(every), -1)) for part in parts], axis=1)
 
-        both = nodes.integrals(of_group, self.size + beyond.size, moving_only=self.rate is not None)
+        both = nodes.at(self.late).integrals(of_group, self.size + beyond.size, moving_only=self.rate is not None)
         return both[:, : self.size], both[:, self.size :]
 
     def drive(self, group: NodeGroup) -> AnyArray:
@@ -311,7 +314,8 @@ class SignalMap(Term):
     """A function of temperature times a product of signals: misalignment, sensitivity to acceleration, second order.
 
     `signals`: names in the nodes (`SharedNodes.signal`), "|…|" for a magnitude; none: the function itself. `std`: of
-    each *reported* coefficient; `inf` is flat. `symbol`: name of the coefficients. `common_std`, `shapes`: as of `Map`.
+    each *reported* coefficient; `inf` is flat. `symbol`: name of the coefficients. `common_std`, `shapes`,
+    `late`: as of `Map`.
     """
 
     temperature: Basis
@@ -323,6 +327,7 @@ class SignalMap(Term):
     has_prior: bool = eqx.field(static=True, default=True)
     common_std: float | Float[AnyArray, ""] = 0.0
     shapes: Float[AnyArray, "size m"] | None = None
+    late: OtherTemperature | None = eqx.field(static=True, default=None)
 
     @property
     def unit(self) -> str:
@@ -349,6 +354,7 @@ class SignalMap(Term):
         return _prior_with_common(self.to_reported, self.temperature.constant, self.std, self.common_std)
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+        nodes = nodes.at(self.late)
         return nodes.integrals(lambda g: g.sums(self.temperature(g.temperature), self.drive(g)), self.size)
 
     def drive(self, group: NodeGroup) -> AnyArray:
@@ -439,6 +445,7 @@ def make_map(
     common_std: float = 0.0,
     discrepancy: tuple[float, int, int] | None = None,
     shapes: np.ndarray | None = None,
+    late: OtherTemperature | None = None,
 ) -> Map:
     """A map from plain numbers (SI). `discrepancy` is (standard deviation, highest degree in T, highest degree in ω).
 
@@ -458,7 +465,8 @@ def make_map(
             for b, degree in zip(polynomials, degrees, strict=False)
         ]
         of_rate = None if rate is None else bases[1]
-        beyond = Discrepancy(temperature=bases[0], rate=of_rate, std=scalar(std), name=DISCREPANCY.format(name))
+        hidden = DISCREPANCY.format(name)
+        beyond = Discrepancy(temperature=bases[0], rate=of_rate, std=scalar(std), name=hidden, late=late)
         if beyond.size == 0:
             raise ValueError("the discrepancy's degrees must exceed the model's, otherwise it describes nothing new")
     return Map(
@@ -472,4 +480,5 @@ def make_map(
         has_prior=bool(np.isfinite(prior_std)),
         has_smoothness=bool(np.isfinite(smoothness_std)),
         shapes=shapes,
+        late=late,
     )

@@ -7,12 +7,13 @@ geometry yields the body's rate, specific force and attitude at every instant.
 from dataclasses import replace
 from functools import cached_property
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, size_class
 from gradcal_jax.formulas import play_states
-from gradcal_jax.model import BodyGroup, BodyNodes
+from gradcal_jax.model import BodyGroup, BodyNodes, OtherTemperature
 from gradcal_jax.trajectory.gauss import EDGE, temperature_crossings
 from gradcal_jax.trajectory.geometry import Geometry, frames
 from gradcal_jax.trajectory.trajectory import Trajectory, quadrature
@@ -38,7 +39,8 @@ class TableMotion(PytreeModule):
 
     `start_angles` rad: of the axes at the begin of the motion. Pieces of one `kind` differ only in temperature and by
     whole turns; `example` is a piece of each of the `K` kinds, and `nodes` its number of nodes. `history` °C: turning
-    points of the temperature before the motion, in order.
+    points of the temperature before the motion, in order; `others`: temperatures beside that of the sensor, as first-
+    order lags of it, and `behind` K: how far they are behind as the motion begins (None: not at all).
     """
 
     line: Trajectory
@@ -50,6 +52,8 @@ class TableMotion(PytreeModule):
     example: Int[np.ndarray, " K"]
     nodes: Int[np.ndarray, " K"]
     history: Float[AnyArray, " H"] | None = None
+    others: tuple[OtherTemperature, ...] = eqx.field(static=True, default=())
+    behind: Float[AnyArray, " O"] | None = None
 
     def angles(self) -> tuple[Float[AnyArray, "P L"], Float[AnyArray, "P L"]]:
         """Angles of all axes (rad) as each piece begins and as it ends."""
@@ -156,7 +160,8 @@ def divided_motion(
 def _of_pieces(motion: TableMotion, line: Trajectory, source: np.ndarray, waves: int | None, least: int) -> TableMotion:
     """The motion in the pieces of `line`, which are parts of the pieces `source`."""
     at = motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles
-    return replace(table_motion(line, *at, waves, least), history=motion.history)
+    path = {"history": motion.history, "others": motion.others, "behind": motion.behind}
+    return replace(table_motion(line, *at, waves, least), **path)
 
 
 def motion_divided_by_plays(
@@ -281,8 +286,11 @@ def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
     all_before, all_after = motion.angles()
     before, after = all_before[example], all_after[example]
     begin, end = motion.line.ends()
+    firsts = [0.0] * len(motion.others) if motion.behind is None else list(motion.behind)
+    late = [(of, motion.line.behind(of.lag, first)) for of, first in zip(motion.others, firsts, strict=True)]
     groups = tuple(
-        _group(motion, np.flatnonzero(motion.nodes == n), int(n), points, all_before) for n in np.unique(motion.nodes)
+        _group(motion, np.flatnonzero(motion.nodes == n), int(n), points, all_before, late)
+        for n in np.unique(motion.nodes)
     )
     axis, mounting = motion.axis[example], motion.mounting[example]
     axes = frames(motion.geometry, before, mounting).axes
@@ -290,7 +298,7 @@ def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
     return BodyNodes(groups, motion.kind, end - begin, before, after, axes, axis, mounting, *path)
 
 
-def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, before) -> BodyGroup:
+def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, before, late) -> BodyGroup:
     line, geometry, xp = motion.line, motion.geometry, namespace(before, motion.line.duration, motion.geometry)
     example = motion.example[kinds]
     x, w = quadrature(count)
@@ -306,7 +314,9 @@ def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, befo
     weight = xp.asarray(w)[None] * line.duration[example][:, None]
     group = body_group(geometry, (kinds, pieces, kind), temperatures, share, weight, angle, joint, mounting)
     since = places * line.duration[pieces][:, None]
-    return replace(group, time=line.start[pieces][:, None] + since, slope=line.temperature_slope(since, pieces))
+    others = {of.name: line.lagging(places, of.lag, behind, pieces) for of, behind in late}
+    path = {"slope": line.temperature_slope(since, pieces), "others": others or None}
+    return replace(group, time=line.start[pieces][:, None] + since, **path)
 
 
 def body_group(

@@ -19,17 +19,26 @@ from gradcal_jax.files.spec_sections import Spec
 # Legs of a course, and where its coordinates are: logits of the legs' times, of their slopes, of the first temperature.
 LEGS = 4
 STEPS = (1e-2, 1e-3, 1e-4)
+# No play begins to move within the two smaller ones.
+SMALLER = (1e-3, 1e-4, 1e-5)
 
 
 @lru_cache
-def turning(*, back: bool = False) -> Spec:
-    """One gyro with plays of bias and scale factor, whose table turns to and fro on one axis."""
+def turning(*, back: bool = False, late: bool = False) -> Spec:
+    """One gyro with plays of bias and scale factor, whose table turns to and fro on one axis; `late`: and with what
+    follows the temperature late."""
     line = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "40 K"}
     moves = [
         move
         for turns in (2, -2)
         for move in ({"turns": turns, "axis": "turn", "peak_rate": "80 deg/s"}, {"rest": "60 s"})
     ]
+    lagging = {
+        "sensor.second_thermometer": {"lag": "4 min"},
+        "sensor.gyro.late_temperature_gradient": [{"time_constant": "10 min", "prior": "5 deg/h/(K/min)"}],
+        "sensor.gyro.scale_factor_thermometer_difference": {"prior": "10 ppm/K"},
+        "sensor.gyro.scale_factor.lag": "2 min",
+    }
     return gj.changed(
         spec_of(back=back),
         {
@@ -46,7 +55,7 @@ def turning(*, back: bool = False) -> Spec:
             "rig.table.axis[0].angle.scale_error": "0 ppm",
             "rig.table.mounting": [{"accuracy": "0 deg"}],
             "plan.cycle": {"moves": moves},
-        },
+        } | (lagging if late else {}),
     )  # fmt: skip
 
 
@@ -64,10 +73,11 @@ def objective(plan: CyclePlan, sharpness: float):
     return lambda z: plan._value(z, args), of
 
 
-def test_the_gradient_goes_through_turning_points_and_slopes():
+@pytest.mark.parametrize("late", [False, True])
+def test_the_gradient_goes_through_turning_points_and_slopes(late):
     """Central differences at three steps: between the smaller ones the error falls with the square of the step, until
     rounding; within the largest, a play may begin to move. The course has reversals within the width of the play."""
-    plan = CyclePlan(turning())
+    plan = CyclePlan(turning(late=late))
     value, of = objective(plan, 30.0)
     random = np.random.default_rng(3)
     starts = plan.starts()
@@ -81,7 +91,7 @@ def test_the_gradient_goes_through_turning_points_and_slopes():
     assert np.all(np.abs(slope[list(free)]) > 1e-6 * scale)
     for k in free:
         errors = []
-        for step in STEPS:
+        for step in SMALLER if late else STEPS:
             there = np.zeros(len(z))
             there[k] = step
             errors.append(abs((float(of_z(z + there)) - float(of_z(z - there))) / (2.0 * step) - slope[k]))
@@ -89,14 +99,23 @@ def test_the_gradient_goes_through_turning_points_and_slopes():
         assert errors[2] < 0.05 * errors[1] or errors[2] < 1e-6 * scale, (k, errors)
 
 
-@pytest.mark.parametrize("back", [False, True])
-def test_the_objective_of_a_free_course_is_about_that_of_its_plan(back):
-    plan = CyclePlan(turning(back=back))
+@pytest.mark.parametrize(("back", "late"), [(False, False), (True, False), (True, True)])
+def test_the_objective_of_a_free_course_is_about_that_of_its_plan(back, late):
+    plan = CyclePlan(turning(back=back, late=late))
     value, of = objective(plan, np.inf)
     left = float(np.exp(jax.jit(value)(plan.point(plan.start, of))))
     found = plan.spec_of(plan.start)
     assert found.gradient_schedule.stretches[0].cycles == plan.start.cycles
     assert left == pytest.approx(np.exp(plan.value_of(plan.residuals(found))), rel=0.2)
+
+
+def test_the_objective_of_a_fixed_course_with_late_terms_is_about_that_of_its_plan():
+    """There and back, so that lags of the first leg act on the second one."""
+    plan = CyclePlan(gj.changed(turning(back=True, late=True), {"design": {"free": ["cycle"]}}))
+    of = plan.structure(plan.start)
+    args = jax.tree.map(jnp.asarray, of), plan.course(plan.start.cycles).ramps, np.inf
+    left = float(np.exp(jax.jit(lambda z: plan._value(z, args))(plan.point(plan.start, of))))
+    assert left == pytest.approx(np.exp(plan.value_of(plan.residuals(plan.spec_of(plan.start)))), rel=0.1)
 
 
 def test_the_plan_of_the_file_is_a_start_and_others_keep_its_time():

@@ -81,6 +81,7 @@ def batch(pieces: list[Piece], clock_error: float = 0.0) -> tuple[ImuBatch, NDAr
                 gap_before=gaps,
                 disturbed=np.arange(n) < piece.damaged,
                 restarted=np.zeros(n, np.bool_),
+                second_c=np.full(n, np.nan),
             )
         )
         truth.append(index)

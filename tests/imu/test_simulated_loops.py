@@ -5,6 +5,7 @@ import pytest
 
 from gradcal_jax.files import presets
 from gradcal_jax.files.changes import changed
+from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import SimulatedImu
@@ -87,3 +88,36 @@ def test_a_unit_has_the_loops_and_transients_that_its_spec_names():
     hysteresis = apart[0][at] - apart[1][-at - 1]
     passed = np.exp(-at / time_constant) - np.exp(-(2400 - at) / time_constant)
     assert hysteresis - np.array(values) / HOUR * passed == pytest.approx(2.0 * np.array(loop.size) / HOUR, rel=0.25)
+
+
+def test_the_rig_names_the_law_of_simulated_loops():
+    """Also where the spec names no hysteresis; loops that the rig names are in the place of the spec's."""
+    loops = [
+        {"law": "thermal masses", "gyro_bias": "20 deg/h", "time_constants": ["2 min", "8 min"]},
+        {"law": "relays", "gyro_bias": "5 deg/h", "accelerometer_scale_factor": "30 ppm", "width": "6 K"},
+    ]
+    spec = changed(
+        parse_spec(presets.text("two-axis-table")),
+        {"rig.simulated_loop": loops, "sensor.gyro.hysteresis": [{"width": "10 K", "prior": "30 deg/h/K"}]},
+    )
+    drawn = [draw_truth(spec, seed, 1).triads for seed in range(200)]
+    for triads in drawn:
+        assert [(one.law, one.times_s, one.of_input) for one in triads["gyro"].loops] == [
+            ("thermal masses", (120.0, 480.0), False), ("relays", (60.0, 600.0), False)
+        ]  # fmt: skip
+        assert [(one.law, one.width_k, one.of_input) for one in triads["accelerometer"].loops] == [
+            ("relays", 6.0, True)
+        ]
+    sizes = np.array([[one.size for one in triads["gyro"].loops] for triads in drawn]) / HOUR
+    assert np.std(sizes, axis=(0, 2)) == pytest.approx([20.0, 5.0], rel=0.1)
+    forces = np.array([triads["accelerometer"].loops[0].size for triads in drawn])
+    assert np.std(forces) == pytest.approx(30e-6, rel=0.1)
+    equal = {"rig.simulated_loop": [loops[0] | {"time_constants": ["2 min", "120 s"]}]}
+    with pytest.raises(SpecError, match="two equal masses"):
+        changed(spec, equal)
+
+
+def test_masses_of_one_type_differ_a_little():
+    courses = [UP, UP[::-1]]
+    ones = np.array([legs("thermal masses", courses, seed)[1][:, 0] for seed in range(8)])
+    assert 0.005 < np.max(np.std(ones, axis=0)) < 0.1 * np.max(np.abs(ones))

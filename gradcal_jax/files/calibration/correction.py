@@ -8,14 +8,13 @@ the terms that are not linear, or that differ from their value at the middle tem
 Outside the range of the data, the maps keep their values at its edge.
 
 Plays ([[path]] of a calibration) follow the temperature along a log, row by row. Until it has traversed twice their
-half-width, their state at the log's beginning counts, of which the middle of what it may be is taken.
+half-width, their state at the log's beginning counts, of which the middle of what it may be is taken. Lags begin in
+equilibrium, and the difference of two thermometers is that of the log.
 """
 
-import importlib
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,9 +45,6 @@ _ROUNDS, _SETTLED, _DIVERGED = 60, 1e-14, 1e-9
 _LARGEST_FORCE = 1000.0
 _ROWS_AT_ONCE = 1 << 15
 _SLOPE_WINDOW_S = 60.0
-# Over a shorter break the temperature is continuous; after a longer one a run begins with a stable chamber, and the
-# lag has decayed.
-_BRIDGED_S = 60.0
 # SI units of sensitivities to dT/dt of biases and of scale factors; difference of two states of a play that are one, K.
 _BIAS_BY_SLOPE, _SCALE_BY_SLOPE, _KNOWN_K = ("rad/K", "m/s/K"), "s/K", 1e-6
 SIGNALS = tuple(f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz")
@@ -72,15 +68,17 @@ class Corrected(NamedTuple):
 
 class OnPath(NamedTuple):
     """What the path of temperature adds to a channel at every row `(n,)`: to its bias, SI, and to its scale factor;
-    and whether it is `known`."""
+    and whether it is `known`. `late` °C: the temperatures of maps that follow by lags (s) of their own."""
 
     bias: Floats
     scale: Floats
     known: NDArray[np.bool_]
+    late: Mapping[float, Floats]
 
     def of_rows(self, rows: slice) -> "OnPath":
         """Of some rows."""
-        return OnPath(self.bias[rows], self.scale[rows], self.known[rows])
+        late = {lag: of[rows] for lag, of in self.late.items()}
+        return OnPath(self.bias[rows], self.scale[rows], self.known[rows], late)
 
 
 def basis_values(basis: TemperatureBasis | RateBasis, x: Floats) -> Floats:
@@ -214,7 +212,10 @@ def _correct(
     matrix, _ = linear_part([c for c, *_ in channels], middle, inputs)
     inverse = np.linalg.inv(matrix)
     # The temperature stays as it is from round to round.
-    maps = [[_at_temperatures(term, np.clip(at, *c.valid_temperature)) for term in c.term] for c, at, _ in channels]
+    maps = [
+        [_at_temperatures(term, np.clip(_followed_by(term, at, path), *c.valid_temperature)) for term in c.term]
+        for c, at, path in channels
+    ]
     now, change = 0.0 * measured, 0.0 * measured
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_ROUNDS):
@@ -240,6 +241,11 @@ def _correct(
     return now
 
 
+def _followed_by(term: CalibratedTerm, at: Floats, path: OnPath | None) -> Floats:
+    """The temperature that a map follows."""
+    return at if term.lag is None or path is None else path.late[float(term.lag)]
+
+
 def _refuse_or_leave(channel: CalibratedChannel, at: Floats, measured: Floats, change: Floats, now: Floats) -> None:
     """Set to NaN what has no solution, far beyond what the sensor measures; raise `ValueError` within that."""
     # Next to a jump of the map (bins) two values may alternate: both are within the jump.
@@ -256,28 +262,6 @@ def _refuse_or_leave(channel: CalibratedChannel, at: Floats, measured: Floats, c
     now[unsolved] = np.nan
 
 
-def followed(temperature_c: Floats, time_s: Floats, starts: NDArray[np.int64], lag_s: float) -> Floats:
-    """The temperature of the maps: the measured one `(n,)`, whose unbroken stretches begin at the rows `starts`, with a
-    first-order lag. It begins in equilibrium, also after every long break; over a short break the temperature is
-    interpolated linearly."""
-    if lag_s <= 0.0:
-        return temperature_c
-    signal: Any = importlib.import_module("scipy.signal")
-    result = np.empty_like(temperature_c)
-    for first, end in itertools.pairwise([*starts.tolist(), len(temperature_c)]):
-        result[first] = temperature_c[first]
-        if first and (gap := float(time_s[first] - time_s[first - 1])) <= _BRIDGED_S:
-            (now, before), (_, kept) = formulas.lag_filter(gap, lag_s)
-            result[first] = now * temperature_c[first] + before * temperature_c[first - 1] - kept * result[first - 1]
-        if end - first > 1:
-            interval = float(time_s[end - 1] - time_s[first]) / (end - 1 - first)
-            numerator, denominator = formulas.lag_filter(interval, lag_s)
-            state = numerator[1] * temperature_c[first] - denominator[1] * result[first]
-            late: Any = signal.lfilter(numerator, denominator, temperature_c[first + 1 : end], zi=np.array([state]))
-            result[first + 1 : end] = late[0]
-    return result
-
-
 def temperature_slope(temperature_c: Floats, time_s: Floats) -> Floats:
     """dT/dt, K/s, over a minute about each row."""
     half = _SLOPE_WINDOW_S / 2
@@ -287,43 +271,55 @@ def temperature_slope(temperature_c: Floats, time_s: Floats) -> Floats:
     return (after - before) / np.maximum(span, np.finfo(np.float64).tiny)
 
 
-def known_temperature(log: Log, unit: int) -> Floats:
+def known_temperature(log: Log, unit: int, *, second: bool = False) -> Floats:
     """A unit's temperature at every row, missing ones interpolated linearly. Raises `LogError` without any."""
-    if log.temperature_c is None or not np.isfinite(log.temperature_c[unit]).any():
-        raise LogError(f"the log has no temperature of unit {log.units[unit]}, and the calibration depends on it")
-    values = log.temperature_c[unit]
-    known = np.isfinite(values)
-    if known.all():
-        return values
-    return np.asarray(np.interp(log.time_s, log.time_s[known], values[known]), np.float64)
+    values = log.bridged_temperature(unit, second=second)
+    if values is None:
+        which = "second temperature" if second else "temperature"
+        raise LogError(f"the log has no {which} of unit {log.units[unit]}, and the calibration depends on it")
+    return values
 
 
 def needs_temperature(calibration: Calibration) -> bool:
     """Whether any term changes with temperature."""
     terms = [term for channel in calibration.channel for term in channel.term]
     changing = (TEMPERATURE_RATE in t.signals or (t.temperature is not None and t.temperature.size > 1) for t in terms)
-    return any(changing) or any(one.width is not None or _by_slope(one) for one in calibration.path)
+    return any(changing) or any(map(_follows, calibration.path))
 
 
-def _by_slope(one: PathCoefficient) -> bool:
-    return one.unit in (*_BIAS_BY_SLOPE, _SCALE_BY_SLOPE)
+def _follows(one: PathCoefficient) -> bool:
+    """Whether it is a function of temperatures, and not of the time since power-on, which a log does not know."""
+    return one.width is not None or one.second_thermometer or one.unit in (*_BIAS_BY_SLOPE, _SCALE_BY_SLOPE)
 
 
-def on_path(calibration: Calibration, channel: str, temperature_c: Floats, slope: Floats) -> OnPath | None:
-    """What the path of a channel's temperature `(n,)` adds, of the plays and the sensitivities to dT/dt (`slope`, K/s)
-    under [[path]]; None without any. The time since power-on is not known: no transient counts."""
-    here = [one for one in calibration.path if one.channel == channel and (one.width is not None or _by_slope(one))]
-    bias, scale = np.zeros((2, len(temperature_c)))
-    known = np.ones(len(temperature_c), bool)
+def on_path(calibration: Calibration, channel: CalibratedChannel, own: Floats, log: Log, unit: int) -> OnPath | None:
+    """What the path of a channel's temperature `own` `(n,)` adds, of what a calibration has under [[path]] but
+    transients, and of lags of its maps; None without any. Raises `LogError` without a second temperature that is
+    needed."""
+    here = [one for one in calibration.path if one.channel == channel.name and _follows(one)]
+    lags = {float(term.lag) for term in channel.term if term.lag is not None}
+    if not here and not lags:
+        return None
+
+    def later(lag: float) -> Floats:
+        return formulas.followed(own, log.time_s, log.stretch_starts, lag)
+
+    bias, scale = np.zeros((2, len(own)))
+    known = np.ones(len(own), bool)
     for one in here:
-        function = slope
         if one.width is not None:
-            low, high = formulas.play_states(temperature_c, float(one.width))
-            function = 0.5 * (low + high) - temperature_c
+            low, high = formulas.play_states(own, float(one.width))
+            function = 0.5 * (low + high) - own
             known &= high - low <= _KNOWN_K
+        elif one.second_thermometer:
+            function = known_temperature(log, unit, second=True) - own
+        elif one.time_constant is not None:
+            function = (own - later(float(one.time_constant))) / float(one.time_constant)
+        else:
+            function = temperature_slope(own, log.time_s)
         to = scale if one.unit in ("1/K", _SCALE_BY_SLOPE) else bias
         to += one.value * function
-    return OnPath(bias, scale, known) if here else None
+    return OnPath(bias, scale, known, {lag: later(lag) for lag in lags})
 
 
 def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
@@ -349,13 +345,11 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
     if needs_temperature(calibration):
         temperature = known_temperature(log, number)
         lags = [float(channel.thermal_lag or 0.0) for channel in common]
-        lagged = {lag: followed(temperature, log.time_s, log.stretch_starts, lag) for lag in set(lags)}
+        lagged = {lag: formulas.followed(temperature, log.time_s, log.stretch_starts, lag) for lag in set(lags)}
         at = np.stack([lagged[lag] for lag in lags])
         if any(TEMPERATURE_RATE in term.signals for channel in common for term in channel.term):
             slope = temperature_slope(temperature, log.time_s)
-        if calibration.path:
-            of_log = temperature_slope(temperature, log.time_s)
-            paths = [on_path(calibration, c.name, own, of_log) for c, own in zip(common, at, strict=True)]
+        paths = [on_path(calibration, c, own, log, number) for c, own in zip(common, at, strict=True)]
     readings = {_input(name): values for name, values in columns.items() if np.isfinite(values).any()}
     corrected = correct(common, readings, at, slope, paths)
     usable = log.usable(number)

@@ -80,6 +80,8 @@ def export(
     if target != "csv":
         lags = {channel.thermal_lag: channel.label for channel in calibration.channel if channel.thermal_lag}
         notes += [f"the thermal lag of {label}, {float(lag):.3g} s, is not carried" for lag, label in lags.items()]
+        late = {(term.name, float(term.lag)) for channel in plain.channel for term in channel.term if term.lag}
+        notes += [f"the lag of the {name.replace('_', ' ')}, {lag:.3g} s, is not carried" for name, lag in sorted(late)]
         if calibration.unobservable:
             notes.append(f"not observed by the data: {', '.join(calibration.unobservable)}")
     notes += _of_branches(calibration)
@@ -91,19 +93,24 @@ def export(
 
 
 def _of_branches(calibration: Calibration) -> Iterator[str]:
-    """What maps that are the mean of heating and cooling lose on each branch."""
-    sizes: dict[tuple[str, str], float] = {}
+    """What maps that are the mean of heating and cooling, of equal temperatures everywhere, lose."""
+    sizes: dict[tuple[str, str, str], float] = {}
     for one in calibration.path:
+        of_scale, what, size = one.unit in ("1/K", "s/K"), "", 0.0
         if one.width is not None:
-            of = one.channel, "scale factor" if one.unit == "1/K" else "bias"
-            sizes[of] = sizes.get(of, 0.0) + one.value * float(one.width)
-    for (channel, what), size in sizes.items():
+            what = "the mean of heating and cooling; hysteresis, up to {:.3g} {} on either branch, is lost"
+            size = float(one.width)
+        elif one.second_thermometer:
+            what, size = "what follows the second thermometer, {:.3g} {} for each K of its difference, is lost", 1.0
+        elif one.unit in ("rad/K", "m/s/K", "s/K"):
+            what, size = "what follows dT/dt, {:.3g} {} at 1 K/min, is lost", 1.0 / 60.0
+        if what:
+            of = one.channel, "scale factor" if of_scale else "bias", what
+            sizes[of] = sizes.get(of, 0.0) + one.value * size
+    for (channel, what, words), size in sizes.items():
         of_bias = ("deg/h", DEG_PER_H) if channel.startswith("gyro") else ("ug", _MICRO_G)
         unit, factor = ("ppm", PPM) if what == "scale factor" else of_bias
-        yield (
-            f"{what} of {channel.replace('_', ' ')}: the mean of heating and cooling; hysteresis, up to "
-            f"{abs(size) * factor:.3g} {unit} on either branch, is lost"
-        )
+        yield f"{what} of {channel.replace('_', ' ')}: " + words.format(abs(size) * factor, unit)
 
 
 def export_sensors(calibrations: Sequence[Calibration], firmware: str) -> Export:

@@ -62,6 +62,8 @@ class CalibratedTerm(Section):
     """Basis over temperature; absent: constant."""
     rate: RateBasis | None = None
     """Basis over the channel's own rate; absent: the same at every rate."""
+    lag: Time | None = None
+    """First-order lag with which it follows the temperature of its channel; absent: at once."""
     coefficients: Annotated[dict[str, Number], Field(min_length=1, max_length=40_000)]
     """By name, in SI; temperature slow, rate fast."""
 
@@ -102,6 +104,10 @@ class PathCoefficient(Section):
     """SI unit of both."""
     width: PositiveTemperatureDifference | None = None
     """Half-width of the play; absent: it is no hysteresis."""
+    time_constant: Time | None = None
+    """Of a sensitivity to dT/dt that a first-order lag follows; absent: none."""
+    second_thermometer: Flag = False
+    """Whether it is for each K of the second thermometer's difference from the first."""
 
 
 class Residuals(Section):

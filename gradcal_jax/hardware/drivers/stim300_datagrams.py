@@ -69,6 +69,11 @@ def _sound(reversed_frame: bytes, layout: DatagramLayout) -> bool:
     return crc ^ 0xFFFFFFFF == int.from_bytes(reversed_frame[end : layout.length], "little")
 
 
+def _temperatures(block: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """(n, 6) bytes -> (n, 3) °C."""
+    return np.ascontiguousarray(block).view(">i2").astype(np.float64) / 256.0
+
+
 def _int24(columns: NDArray[np.uint8]) -> NDArray[np.int32]:
     """(n, 9) big-endian bytes -> (n, 3) signed integers."""
     wide = columns.astype(np.int32).reshape(-1, 3, 3)
@@ -277,10 +282,12 @@ class Stim300Decoder:
         if (at := layout.acceleration) >= 0:
             acceleration = _int24(block[:, at : at + 9]).astype(np.float64) * self._acceleration_scale
             status |= block[:, at + 9].astype(np.int64) << 8
-        temperature = np.full((count, 3), np.nan)
+        temperature, second = np.full((count, 3), np.nan), np.full(count, np.nan)
         if (at := layout.temperature) >= 0:
-            temperature = np.ascontiguousarray(block[:, at : at + 6]).view(">i2").astype(np.float64) / 256.0
+            temperature = _temperatures(block[:, at : at + 6])
             status |= block[:, at + 6].astype(np.int64) << 16
+            if layout.acceleration >= 0:
+                second = _temperatures(block[:, at + 7 : at + 13]).mean(axis=1)
         counts, gaps = self._gaps.push(
             block[:, layout.counter].astype(np.int64), host_time_s, disturbed=self._disturbed
         )
@@ -288,4 +295,5 @@ class Stim300Decoder:
         disturbed[0], self._disturbed = self._disturbed, False
         times, rates = counts.astype(np.float64) / float(INTERNAL_RATE_HZ), raw.astype(np.float64) * self._gyro_scale
         more = {"raw_gyro": raw, "status": status, "gap_before": gaps, "disturbed": disturbed, "restarted": restarted}
+        more["second_c"] = second
         return imu_batch(host_time_s, times, rates, acceleration, temperature, **more)

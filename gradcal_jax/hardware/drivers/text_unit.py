@@ -104,12 +104,13 @@ class TextUnitDecoder:
         if not rows:
             return join([])
         table = np.array(rows)
-        times, gaps, restarted = self._times(table[:, 7 + (self._stamp == "time")], host_time_s, disturbed[0])
+        times, gaps, restarted = self._times(table[:, 8 + (self._stamp == "time")], host_time_s, disturbed[0])
         (gyro, _), (force, _), (degree, zero) = self._scales
         temperature = np.repeat(table[:, 6:7] * degree + zero, 3, axis=1)
+        second = table[:, 7] * degree + zero
         astray = np.array(disturbed) & bool(self.round_samples)
         found = host_time_s, times, table[:, 0:3] * gyro, table[:, 3:6] * force, temperature
-        return imu_batch(*found, gap_before=gaps, disturbed=astray, restarted=restarted)
+        return imu_batch(*found, second_c=second, gap_before=gaps, disturbed=astray, restarted=restarted)
 
     def _times(self, stamps: Any, host_time_s: float, disturbed: bool) -> tuple[Any, Any, Any]:
         """The unit's own times, the samples missing before each, and whether it restarted before each."""

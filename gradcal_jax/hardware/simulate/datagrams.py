@@ -21,8 +21,8 @@ def datagrams(samples: SensorSamples, first: int, rate_hz: float) -> NDArray[np.
     count = samples.time_s.shape[0]
     none = np.zeros((count, 1), np.uint8)
     gyro = samples.rate_dps * 2.0**14
-    raw = np.clip(np.rint(samples.temperature_c * 256.0), -32768, 32767).astype(">i2")
-    sensors = np.ascontiguousarray(np.repeat(raw[:, None], 3, axis=1)).view(np.uint8).reshape(count, 6)
+    second = samples.temperature_c if samples.second_c is None else samples.second_c
+    gyros, forces = (_int16(of) for of in (samples.temperature_c, second))
     number: NDArray[np.int64] = first + np.arange(count, dtype=np.int64)
     counter = ((number + 1) * round(2000.0 / rate_hz) % 256).astype(np.uint8)[:, None]
     latency = np.tile(np.frombuffer(_LATENCY_US.to_bytes(2, "big"), np.uint8), (count, 1))
@@ -33,9 +33,15 @@ def datagrams(samples: SensorSamples, first: int, rate_hz: float) -> NDArray[np.
         _int24(samples.acceleration_g * 2.0**19),
         none,
     ]
-    bodies = np.concatenate([*parts, sensors, none, sensors, none, counter, latency], axis=1)
+    bodies = np.concatenate([*parts, gyros, none, forces, none, counter, latency], axis=1)
     crc = crc32_mpeg2_of_rows(np.hstack([bodies, np.zeros((count, _UNSENT), np.uint8)]))
     return np.hstack([bodies, crc.astype(">u4")[:, None].view(np.uint8)])
+
+
+def _int16(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """(n,) temperatures -> (n, 6) bytes of three channels of them."""
+    raw = np.clip(np.rint(values * 256.0), -32768, 32767).astype(">i2")
+    return np.ascontiguousarray(np.repeat(raw[:, None], 3, axis=1)).view(np.uint8).reshape(-1, 6)
 
 
 def _int24(values: NDArray[np.float64]) -> NDArray[np.uint8]:

@@ -13,11 +13,11 @@ from typing import Any, Final
 import numpy as np
 
 from ...files.bases import RatePolynomial, RateSpline, TemperaturePolynomial, TemperatureSpline
-from ...files.sensor import AccelerometerTriad, GyroTriad, TemperatureError
+from ...files.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureError
 from ...files.spec_sections import Spec
 from ...units import to_unit
 from ..pose import turn_by
-from .imu import ErrorTerm, ImuTruth, Kind, Matrix, ScaleFactors, TableTruth, TriadTruth
+from .imu import DifferenceTruth, ErrorTerm, ImuTruth, Kind, Matrix, ScaleFactors, TableTruth, TriadTruth
 from .loops import LAWS, Law, LoopTruth
 from .plants import AxisTruth
 from .sensor import Process, TruthBasis, Vectors
@@ -29,6 +29,10 @@ _XYZ: Final = "xyz"
 _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
 _GRADIENT: Final = "bias_temperature_gradient"
+_LATE: Final = "late_temperature_gradient"
+_DIFFERENCE: Final = "thermometer_difference"
+# The lag of a second thermometer is as the spec says within this share.
+_LAG_SPREAD: Final = 0.2
 _TYPICAL_GRADIENT: Final[dict[Kind, float]] = {"gyro": np.radians(1.0) / 60.0, "accelerometer": 1e-3 * 9.8 * 60.0}
 _OTHERS: Final = [["" if a == b else f"m_{b}" for b in _XYZ] for a in _XYZ]
 # The errors of each kind of sensor, in the order of their draws: section of the spec, size for a flat prior (SI),
@@ -148,7 +152,7 @@ class _Draws:
                 self.values[f"{kind}_{_XYZ[row]}.{symbols[row][column]}{ending}"] = float(values[row, column, power])
             else:
                 values[row, column, power] = 0.0
-        return ErrorTerm(values, basis, factors)
+        return ErrorTerm(values, basis, factors, float(section.lag or 0.0))
 
     def _scale_factors(self, section: Any, size: float, axes: tuple[str, ...]) -> ScaleFactors:
         of_t, of_w = basis_truth(section.temperature), basis_truth(section.rate, "deg/s")
@@ -158,25 +162,53 @@ class _Draws:
             symbol = f"b{j}{i}" if powers else f"b{ordinal(of_w, j)}_{ordinal(of_t, i)}"
             if _XYZ[row] in axes:
                 self.values[f"gyro_{_XYZ[row]}.{symbol}"] = float(values[row, i, j])
-        return ScaleFactors(values, of_t, of_w)
+        return ScaleFactors(values, of_t, of_w, float(section.lag or 0.0))
 
 
-def _draw_path(triad: Any, truth: TriadTruth, random: np.random.Generator, law: Law | None) -> TriadTruth:
-    """The truth of three sensors with what depends on the path of temperature, of the sizes that the spec names."""
+def _draw_path(spec: Spec, kind: Kind, truth: TriadTruth, random: np.random.Generator, law: Law | None) -> TriadTruth:
+    """The truth of three sensors with loops and transients, of the sizes that the spec names; loops are those of its
+    rig, or else by a law that is drawn."""
+    triad: Any = getattr(spec.sensor, kind)
     own = law or LAWS[int(random.integers(len(LAWS)))]
     loops: list[LoopTruth] = []
-    both: list[tuple[Any, bool]] = [(triad.hysteresis, False), (triad.scale_factor_hysteresis, True)]
-    for plays, of_input in both:
+    for quantity, plays in (("bias", triad.hysteresis), ("scale_factor", triad.scale_factor_hysteresis)):
         sizes = np.array([float(p.prior) * float(p.width) for p in plays])
-        if len(sizes):
+        of_rig = [one for one in spec.rig.simulated_loop if one.size(kind, quantity) is not None]
+        for one in of_rig:
+            size: Vectors = float(one.size(kind, quantity) or 0.0) * random.standard_normal(3)
+            times = float(one.time_constants[0]), float(one.time_constants[1])
+            at = one.law, _three(size), float(one.width), int(random.integers(1 << 31))
+            loops.append(LoopTruth(*at, quantity == "scale_factor", times))
+        if len(sizes) and not of_rig:
             width = float(np.average([float(p.width) for p in plays], weights=sizes))
-            size: Vectors = float(np.sqrt(np.sum(sizes**2))) * random.standard_normal(3)
-            loops.append(LoopTruth(own, _three(size), width, int(random.integers(1 << 31)), of_input))
+            size = float(np.sqrt(np.sum(sizes**2))) * random.standard_normal(3)
+            loops.append(LoopTruth(own, _three(size), width, int(random.integers(1 << 31)), quantity == "scale_factor"))
     transients = tuple(
         (_three(float(t.prior or 0.0) * random.standard_normal(3)), float(t.time_constant))
         for t in triad.turn_on_transient
     )
     return replace(truth, loops=tuple(loops), transients=transients)
+
+
+def _draw_differences(
+    sensor: Sensor, kind: Kind, second_lag_s: float, random: np.random.Generator, names: dict[str, float]
+) -> tuple[DifferenceTruth, ...]:
+    """Errors of three sensors by masses that follow the temperature late; `names`: their names and values, added to."""
+    triad: Any = getattr(sensor, kind)
+    result: list[DifferenceTruth] = []
+    for head in ("", "scale_factor_"):
+        late = [
+            (f"{head}{_LATE}_{float(of.time_constant):g}s", of, float(of.time_constant))
+            for of in getattr(triad, f"{head}{_LATE}")
+        ]
+        second = getattr(triad, f"{head}{_DIFFERENCE}")
+        for name, of, lag_s in [*late, *([] if second is None else [(f"{head}{_DIFFERENCE}", second, second_lag_s)])]:
+            values: Vectors = float(of.prior) * random.standard_normal(3)
+            names |= {f"{kind}_{a}.{name}": float(v) for a, v in zip(_XYZ, values, strict=True) if a in triad.axes}
+            # A mass that is behind by τ dT/dt is cooler where that is positive.
+            gain = 1.0 if of is second else -1.0 / lag_s
+            result.append(DifferenceTruth(_three(gain * values), lag_s, bool(head)))
+    return tuple(result)
 
 
 def _three(values: Vectors) -> tuple[float, float, float]:
@@ -191,13 +223,21 @@ def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> Im
     both: dict[Kind, Any] = {"gyro": sensor.gyro, "accelerometer": sensor.accelerometer}
     triads: dict[Kind, TriadTruth] = {k: draws.triad(k, triad) for k, triad in both.items() if triad is not None}
     path = np.random.default_rng([seed, number, 20265])
-    triads = {kind: _draw_path(both[kind], truth, path, law) for kind, truth in triads.items()}
+    triads = {kind: _draw_path(spec, kind, truth, path, law) for kind, truth in triads.items()}
+    random = np.random.default_rng([seed, number, 20266])
+    second, second_lag_s = sensor.second_thermometer, 0.0
+    if second is not None:
+        second_lag_s = float(second.lag) * (1.0 + _LAG_SPREAD * float(random.uniform(-1.0, 1.0)))
+    for kind, truth in triads.items():
+        differences = _draw_differences(sensor, kind, second_lag_s, random, draws.values)
+        triads[kind] = replace(truth, differences=differences)
     lever = _LEVER_M * draws.random.standard_normal(3)
     clock = 0.0
     if sensor.sample_clock_error:
         clock = draws.values["sample_clock"] = float(sensor.sample_clock_error) * float(draws.random.standard_normal())
     of_gyros = lever + _APART_M * draws.random.standard_normal(3)
-    return ImuTruth(triads, tuple(lever.tolist()), tuple(of_gyros.tolist()), clock, draws.values)
+    levers = tuple(lever.tolist()), tuple(of_gyros.tolist())
+    return ImuTruth(triads, *levers, clock, draws.values, second_lag_s)
 
 
 def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:

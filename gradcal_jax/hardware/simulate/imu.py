@@ -11,7 +11,8 @@ rotation. Each sample is the mean over its interval, with the sensors' own error
     gyro           ω_i + B(T) + M(T, ω_i)ω_i + Σ m_ij(T)ω_j + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + k dT/dt + drift + walks
     accelerometer  f_i + b(T) + s(T)f_i + Σ m_ij(T)f_j + k(T)f_i² + h(T)f_i³ + a(T)|f_i| + Σ c_jl(T)f_j f_l + drift
                    + walk
-    both           loops over the temperature (`loops`), and exponentials since the unit was switched on
+    both           loops over the temperature (`loops`), exponentials since the unit was switched on, and differences of
+                   temperature to other masses, one of which the second thermometer measures
 
 Units are SI here (rad/s, m/s², °C), unlike in the rest of this package.
 """
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..pose import turn_about, turn_by
-from .loops import Loop, LoopTruth
+from .loops import Loop, LoopTruth, Mass
 from .plants import AxisPlant, ChamberPlant, UncontrolledRoom
 from .sensor import Drifts, Process, SampledSensor, SensorSamples, TruthBasis, Vectors
 
@@ -52,11 +53,13 @@ sensor axis, or the same for all. The products are xy, xz and yz."""
 
 @dataclass(frozen=True)
 class ErrorTerm:
-    """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis."""
+    """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis;
+    `lag_s`: of the mass whose temperature it follows."""
 
     values: NDArray[np.float64]
     basis: TruthBasis
     factors: str
+    lag_s: float = 0.0
 
     def __call__(self, own: Vectors, force: Vectors, temperature_c: NDArray[np.float64]) -> Vectors:
         coefficients = np.einsum("nt,akt->nak", self.basis(temperature_c), self.values)
@@ -66,11 +69,12 @@ class ErrorTerm:
 
 @dataclass(frozen=True)
 class ScaleFactors:
-    """M(T, ω), `values` `(3, nT, nω)`, of gyros; ω in deg/s in its basis."""
+    """M(T, ω), `values` `(3, nT, nω)`, of gyros; ω in deg/s in its basis; `lag_s`: as of `ErrorTerm`."""
 
     values: NDArray[np.float64]
     temperature: TruthBasis
     rate: TruthBasis
+    lag_s: float = 0.0
 
     def __call__(self, own: Vectors, force: Vectors, temperature_c: NDArray[np.float64]) -> Vectors:
         of_rate = self.rate(np.degrees(own).ravel()).reshape(*own.shape, -1)
@@ -78,10 +82,20 @@ class ScaleFactors:
 
 
 @dataclass(frozen=True)
+class DifferenceTruth:
+    """Errors of three sensors, `values`, for each K that a mass with the time constant `lag_s` is warmer; `of_input`:
+    they multiply the input."""
+
+    values: tuple[float, float, float]
+    lag_s: float
+    of_input: bool = False
+
+
+@dataclass(frozen=True)
 class TriadTruth:
     """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s;
     `gradient`: of the output for each K/s. `loops` over the temperature; `transients`: values at power-on of three
-    sensors, and time constant (s)."""
+    sensors, and time constant (s); `differences` of temperature."""
 
     errors: tuple[ErrorTerm | ScaleFactors, ...]
     white: float
@@ -90,6 +104,12 @@ class TriadTruth:
     gradient: tuple[float, float, float] = (0.0, 0.0, 0.0)
     loops: tuple[LoopTruth, ...] = ()
     transients: tuple[tuple[tuple[float, float, float], float], ...] = ()
+    differences: tuple[DifferenceTruth, ...] = ()
+
+    @property
+    def lags_s(self) -> set[float]:
+        """Of the masses that it follows."""
+        return {of.lag_s for of in (*self.errors, *self.differences) if of.lag_s}
 
 
 @dataclass(frozen=True)
@@ -109,13 +129,15 @@ class TableTruth:
 @dataclass(frozen=True)
 class ImuTruth:
     """A unit's errors. `lever`, `gyro_lever`: of the accelerometers and gyros from the intersection of the axes, m, in
-    the body. `names`: the hidden parameters, by their names in a calibration."""
+    the body. `names`: the hidden parameters, by their names in a calibration. `second_lag_s`: of the mass that the
+    second thermometer measures; 0: none."""
 
     triads: Mapping[Kind, TriadTruth]
     lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
     gyro_lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
     clock_error: float = 0.0
     names: dict[str, float] = field(default_factory=dict[str, float])
+    second_lag_s: float = 0.0
 
 
 class SimulatedImu(SampledSensor):
@@ -142,6 +164,8 @@ class SimulatedImu(SampledSensor):
         self._walked: dict[Kind, Vectors] = {"gyro": np.zeros(3), "accelerometer": np.zeros(3)}
         self._drifts = {kind: Drifts(triad.drifts, self._random) for kind, triad in truth.triads.items()}
         self._loops: dict[Kind, list[tuple[LoopTruth, Loop]]] = {}
+        self._lags_s = {lag for triad in truth.triads.values() for lag in triad.lags_s} | {truth.second_lag_s} - {0.0}
+        self._masses: dict[float, Mass] = {}
         self._power_on_s = start_s
         self.restart(start_s, sample_rate_hz)
 
@@ -155,6 +179,7 @@ class SimulatedImu(SampledSensor):
         rate, force = self._motion(edges)
         temperature = self._chamber.load_at((edges[1:] + edges[:-1]) / 2.0)
         middles = self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0)
+        late = {0.0: temperature} | {lag: self._mass(lag, temperature) for lag in sorted(self._lags_s)}
         output: dict[Kind, Vectors] = {"gyro": nan, "accelerometer": nan}
         for kind, triad in self.truth.triads.items():
             lever = self.truth.gyro_lever if kind == "gyro" else self.truth.lever
@@ -163,13 +188,26 @@ class SimulatedImu(SampledSensor):
             mean = own.reshape(count, _PARTS, 3).mean(axis=1)
             sensed = own
             for error in triad.errors:
-                sensed = sensed + error(own, felt, temperature)
+                sensed = sensed + error(own, felt, late[error.lag_s])
             output[kind] = sensed.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
             if any(triad.gradient):
                 change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
                 output[kind] = output[kind] + change[:, None] * np.array(triad.gradient)
             output[kind] = output[kind] + self._of_path(kind, triad, middles, mean, ends[1:] - 0.5 * self.true_period_s)
-        return SensorSamples(ends[1:], np.degrees(output["gyro"]), output["accelerometer"] / _STANDARD_GRAVITY, middles)
+            for of in triad.differences:
+                apart = (late[of.lag_s] - temperature).reshape(count, _PARTS).mean(axis=1)
+                driven = apart[:, None] * (mean if of.of_input else 1.0)
+                output[kind] = output[kind] + driven * np.array(of.values)
+        lag_s = self.truth.second_lag_s
+        second = late[lag_s].reshape(count, _PARTS).mean(axis=1) if lag_s else None
+        outputs = np.degrees(output["gyro"]), output["accelerometer"] / _STANDARD_GRAVITY
+        return SensorSamples(ends[1:], *outputs, middles, second)
+
+    def _mass(self, lag_s: float, temperature_c: Vectors) -> Vectors:
+        """The temperatures of a mass at all parts of the samples."""
+        if lag_s not in self._masses:
+            self._masses[lag_s] = Mass(float(temperature_c[0]), lag_s)
+        return self._masses[lag_s].take(temperature_c, self.true_period_s / _PARTS)
 
     def _of_path(
         self, kind: Kind, triad: TriadTruth, temperature_c: Vectors, mean: Vectors, time_s: Vectors

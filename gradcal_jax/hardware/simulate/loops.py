@@ -7,12 +7,15 @@ thermal masses   two masses that follow the temperature with different time cons
 Each is scaled by half of what heating and cooling differ by over a wide cycle (relays), or on a ramp (thermal masses).
 """
 
+import importlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ...formulas import lag_filter
 
 Vectors = NDArray[np.float64]
 Law = Literal["relays", "thermal masses"]
@@ -24,20 +27,24 @@ _COLDEST_C, _WARMEST_C = -90.0, 150.0
 _NARROWEST, _WIDEST = 0.3, 2.0
 # The largest change of temperature between two evaluations, K.
 _STEP_K = 0.02
-# Time constants of two thermal masses, s, and the slope on which their difference has its size, K/s.
-_FAST_S, _SLOW_S, _SLOPE_K_PER_S = 60.0, 600.0, 1.0 / 60.0
+# The slope on which the difference of two thermal masses has its size, K/s.
+_SLOPE_K_PER_S = 1.0 / 60.0
+# The time constants of a sensor's masses are those of its type within this share.
+_SPREAD = 0.1
 
 
 @dataclass(frozen=True)
 class LoopTruth:
     """The loop of three sensors: its `law`; half of what heating and cooling differ by, of each (SI); the half-width of
-    the play that the spec has in its place, K; `of_input`: it multiplies the input, as a scale factor."""
+    the play that the spec has in its place, K (relays); `of_input`: it multiplies the input, as a scale factor;
+    `times_s`: time constants of two masses."""
 
     law: Law
     size: tuple[float, float, float]
     width_k: float
     seed: int
     of_input: bool = False
+    times_s: tuple[float, float] = (60.0, 600.0)
 
     def begin(self, temperature_c: float) -> "Loop":
         """The loop in a sensor that has been long at a temperature."""
@@ -101,15 +108,28 @@ class _Relays(Loop):
 
 class _ThermalMasses(Loop):
     def _start(self, truth: LoopTruth, temperature_c: float) -> None:
-        self._masses = np.array([temperature_c, temperature_c])
-        self._scale = 1.0 / (_SLOPE_K_PER_S * (_SLOW_S - _FAST_S))
+        spread = _SPREAD * np.random.default_rng([truth.seed, 20267]).uniform(-1.0, 1.0, 2)
+        fast_s, slow_s = np.array(truth.times_s) * (1.0 + spread)
+        self._masses = Mass(temperature_c, float(fast_s)), Mass(temperature_c, float(slow_s))
+        self._scale = 1.0 / (_SLOPE_K_PER_S * (slow_s - fast_s))
 
     def shape(self, temperature_c: Vectors, period_s: float) -> Vectors:
-        keep = np.exp(-period_s / np.array([_FAST_S, _SLOW_S]))
-        result = np.empty(len(temperature_c))
-        masses = self._masses
-        for k, t in enumerate(temperature_c.tolist()):
-            masses = t + (masses - t) * keep
-            result[k] = masses[0] - masses[1]
-        self._masses = masses
-        return result * self._scale
+        fast, slow = (mass.take(temperature_c, period_s) for mass in self._masses)
+        return (fast - slow) * self._scale
+
+
+class Mass:
+    """A thermal mass that follows a temperature with a time constant, and has been long at a first one."""
+
+    def __init__(self, temperature_c: float, time_s: float) -> None:
+        self._time_s, self._given, self._own = time_s, temperature_c, temperature_c
+
+    def take(self, temperature_c: Vectors, period_s: float) -> Vectors:
+        """Its temperatures `(n,)` at consecutive ones that it follows, linear in between."""
+        signal: Any = importlib.import_module("scipy.signal")
+        numerator, denominator = lag_filter(period_s, self._time_s)
+        state = [numerator[1] * self._given - denominator[1] * self._own]
+        result: Vectors = signal.lfilter(numerator, denominator, temperature_c, zi=state)[0]
+        if len(result):
+            self._given, self._own = float(temperature_c[-1]), float(result[-1])
+        return result

@@ -84,12 +84,14 @@ class Drifts:
 
 @dataclass(frozen=True)
 class SensorSamples:
-    """`n` samples: mean rate as measured (deg/s), specific force (g), temperature (°C), true time of their ends."""
+    """`n` samples: mean rate as measured (deg/s), specific force (g), temperature (°C), true time of their ends, and
+    the second thermometer's temperature (None: as the first's)."""
 
     time_s: NDArray[np.float64]
     rate_dps: NDArray[np.float64]
     acceleration_g: NDArray[np.float64]
     temperature_c: NDArray[np.float64]
+    second_c: NDArray[np.float64] | None = None
 
 
 class SampledSensor(ABC):

@@ -1,0 +1,297 @@
+"""Terms that follow the temperature late, against masses that are stepped sample by sample: dT/dt by a lag, a second
+thermometer, maps with lags of their own."""
+
+import json
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from loop_scene import recorded
+from loop_scene import spec_of as spec_of_loop
+
+import gradcal_jax as gj
+from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
+from gradcal_jax.api.imu_build import BuiltImu, build_imu
+from gradcal_jax.api.imu_residual import quantity_of
+from gradcal_jax.files.calibration import read_calibration, write_calibration
+from gradcal_jax.files.calibration.correction import apply
+from gradcal_jax.files.calibration.exports import export
+from gradcal_jax.files.importers import import_log, parse_column_map
+from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log_file import read_log, write_log
+from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.schemas import schema
+from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.hardware.simulate.draws import draw_truth
+from gradcal_jax.hardware.simulate.imu import ImuTruth
+
+HOUR = np.pi / 180.0 / 3600.0
+LINEAR = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "30 K"}
+BY_RATE = {"basis": "polynomial", "degree": 0, "centre": "0 deg/s", "scale": "100 deg/s"}
+LAGS, SECOND_S, BIAS_S, SCALE_S = (70.0, 500.0), 120.0, 200.0, 90.0
+PATH: dict[str, Any] = {
+    "late_temperature_gradient": [
+        {"time_constant": f"{lag:g} s", "prior": "3 deg/h/(K/min)"} for lag in LAGS
+    ],
+    "scale_factor_late_temperature_gradient": [{"time_constant": "500 s", "prior": "20 ppm/(K/min)"}],
+    "thermometer_difference": {"prior": "5 deg/h/K"},
+    "scale_factor_thermometer_difference": {"prior": "20 ppm/K"},
+}  # fmt: skip
+GYRO: dict[str, Any] = {
+    "axes": ["z"], "angle_random_walk": "0.3 deg/sqrt(h)", **PATH,
+    "bias": {"temperature": LINEAR, "prior": "100 deg/h", "lag": f"{BIAS_S} s"},
+    "scale_factor": {"temperature": LINEAR, "rate": BY_RATE, "prior": "5000 ppm", "lag": f"{SCALE_S} s"},
+}  # fmt: skip
+FORCE: dict[str, Any] = {
+    "axes": ["z"], "velocity_random_walk": "0.05 m/s/sqrt(h)",
+    "bias": {"temperature": LINEAR, "prior": "2 mg", "lag": f"{BIAS_S} s"}, "scale_factor": {"prior": "500 ppm"},
+    "late_temperature_gradient": [{"time_constant": "500 s", "prior": "50 ug/(K/min)"}],
+    "thermometer_difference": {"prior": "100 ug/K"},
+}  # fmt: skip
+SENSOR = {"clock": "sensor", "second_thermometer": {"lag": f"{SECOND_S} s"}, "gyro": GYRO, "accelerometer": FORCE}
+MOVES = [{"rest": "37 s"}, {"turn": "180 deg"}, {"rest": "53 s"}, {"turn": "-180 deg"}]
+COURSE = [
+    {"soak": "3 min", "at": "10 degC", "used": True},
+    {"ramp_to": "36 degC", "rate": "2 K/min"},
+    {"ramp_to": "30 degC", "rate": "3 K/min", "used": False},
+    {"ramp_to": "33 degC", "rate": "1.5 K/min"},
+    {"ramp_to": "12 degC", "rate": "2 K/min"},
+]
+
+
+def spec_with(sensor: dict[str, Any], programme: list[dict[str, Any]] | None = None, **more: Any) -> Spec:
+    axis = {"name": "turn", "direction": [1.0, 0.0, 0.0], "max_rate": "400 deg/s", "max_acceleration": "400 deg/s^2"}
+    angle = {"reading_noise": "5 arcsec", "standstill_offset": "5 arcsec", "read_every": "5 s"}
+    mounting = {"x": "+z", "y": "+y", "z": "-x"}
+    return spec_of({
+        "format": "gradcal-spec/1", "sensor": sensor,
+        "rig": {
+            "site": {"latitude": "40 deg", "gravity": "9.8 m/s^2"},
+            "table": {"axis": [axis | {"angle": angle}], "mounting": mounting, "standing": "held"},
+            "chamber": {"range": ["-40 degC", "85 degC"], "max_heating": "5 K/min", "max_cooling": "5 K/min"},
+        },
+        "plan": {"method": "gradient", "programme": programme or COURSE, "cycle": {"moves": MOVES}},
+        **more,
+    })  # fmt: skip
+
+
+def lagging(time: np.ndarray, temperature: np.ndarray, lag: float) -> np.ndarray:
+    """A first-order lag from sample to sample, of a temperature that is linear in between."""
+    result = np.empty_like(temperature)
+    now = result[0] = temperature[0]
+    for k in range(1, len(time)):
+        step = max(time[k] - time[k - 1], 1e-12)
+        slope, keep = (temperature[k] - temperature[k - 1]) / step, np.exp(-step / lag)
+        # The steady state is behind by lag·slope.
+        now = temperature[k] - lag * slope + (now - temperature[k - 1] + lag * slope) * keep
+        result[k] = now
+    return result
+
+
+def dense_columns(built: BuiltImu, channel: str) -> dict[str, np.ndarray]:
+    """Columns of a channel over each piece, by sums over fine steps of the motion."""
+    line, parts = built.motion.line, 800
+    v = (np.arange(parts) + 0.5) / parts
+    places = np.broadcast_to(v, (line.piece_count, parts))
+    temperature, rate = line.temperature(places), line.rate(places)
+    time, weight = line.start[:, None] + places * line.duration[:, None], line.duration[:, None] / parts
+    begin, _ = line.ends()
+    moments, course = np.append(line.start[0], time.ravel()), np.append(begin[0], temperature.ravel())
+
+    def late(lag: float) -> np.ndarray:
+        return lagging(moments, course, lag)[1:].reshape(temperature.shape)
+
+    earth = np.zeros_like(rate)
+    for g in built.body_nodes().groups:
+        earth[g.pieces] = g.earth[g.kind, 0, 2][:, None]
+    drive = earth - np.where(built.motion.axis[:, None] == 0, rate, 0.0)
+    result = {f"late_temperature_gradient_{lag:g}s": (temperature - late(lag)) / lag for lag in LAGS}
+    result["thermometer_difference"] = late(SECOND_S) - temperature
+    result["a1"] = (late(BIAS_S) - 20.0) / 30.0
+    if channel == "gyro_z":
+        slow = (temperature - late(LAGS[1])) / LAGS[1]
+        result[f"scale_factor_late_temperature_gradient_{LAGS[1]:g}s"] = slow * drive
+        result["scale_factor_thermometer_difference"] = (late(SECOND_S) - temperature) * drive
+        result["b01"] = (late(SCALE_S) - 20.0) / 30.0 * drive
+    return {name: np.sum(of * weight, axis=1) for name, of in result.items()}
+
+
+@pytest.mark.parametrize("lag", [None, "200 s", "120 s"])
+def test_columns_are_the_integrals_of_the_definition(lag):
+    """Also behind the chamber, with the same and with another time constant as that of the second thermometer."""
+    built = build_imu(spec_with(SENSOR | ({} if lag is None else {"thermal_lag": lag})))
+    compared = 0
+    for c, columns in zip(built.model.channels, built.model.own_columns(built.body_nodes()), strict=True):
+        names = c.model.names()
+        own_terms = {name: of for name, of in dense_columns(built, c.name).items() if name in names}
+        # Over moves accelerometers are not read.
+        kept = ~built.motion.line.gap & ((built.motion.axis < 0) | (c.kind == "gyro"))
+        for name, dense in own_terms.items():
+            own = columns[kept, names.index(name)]
+            size = np.max(np.abs(dense))
+            assert size > 0.0, name
+            assert own == pytest.approx(dense[kept], rel=1e-5, abs=1e-6 * size), name
+            compared += 1
+    assert compared == 10
+
+
+def test_a_timeline_and_the_names_of_the_terms():
+    document = json.loads(gj.timeline(spec_with(SENSOR)).model_dump_json())
+    jsonschema.Draft202012Validator(schema("unit-timeline")).validate(document)
+    gyro, force = document["channels"]
+    assert [(row["kind"], row["time_constant"]) for row in gyro["path"]] == [
+        ("temperature difference", lag) for lag in (*LAGS, SECOND_S, LAGS[1], SECOND_S)
+    ]
+    assert [row["gain"] for row in force["path"]] == [pytest.approx(-1.0 / LAGS[1]), 1.0]
+    assert [row["signals"] for row in gyro["path"]] == [[], [], [], ["rate z"], ["rate z"]]
+    assert [row["lag"] for row in gyro["terms"]] == [BIAS_S, SCALE_S]
+    assert force["path"][1]["unit"] == "m/s^2/K"
+
+
+def test_a_plan_that_goes_on_keeps_the_lags():
+    """[[done]]: half of a programme and then the other half have the columns of the whole, up to the pause."""
+    sensor = {"clock": "sensor", "gyro": {k: v for k, v in GYRO.items() if "thermometer" not in k}}
+    first = [{"soak": "1 min", "at": "0 degC"}, {"ramp_to": "30 degC", "rate": "1 K/min"}]
+    second = [{"soak": "1 s", "at": "30 degC"}, {"ramp_to": "20 degC", "rate": "1 K/min"}]
+    parts = [{"method": "gradient", "programme": p, "cycle": {"moves": [{"rest": "60 s"}]}} for p in (first, second)]
+    done = [{"plan": parts[0], "start": "1 min", "end": "31 min", "pause": "2 min"}]
+    built = build_imu(spec_with(sensor, second, done=done))
+    line, names = built.motion.line, built.model.names()
+    # The end of the pause has no duration.
+    columns = built.model.own_columns(built.body_nodes())[0] / np.maximum(line.duration, 1e-9)[:, None]
+    used = np.flatnonzero(np.arange(len(line.gap)) > np.flatnonzero(line.gap)[-1])
+    begin, _ = line.ends()
+    # The ramp before has left a lag of 500 s in its steady state, almost, which the pause lets decay a little.
+    found = columns[used[0], names.index("gyro_z.late_temperature_gradient_500s")]
+    assert begin[used[0]] == pytest.approx(30.0, abs=0.1)
+    assert 0.5 * (1.0 / 60.0) < found < 1.0 / 60.0
+    later = columns[used[-1], names.index("gyro_z.late_temperature_gradient_500s")]
+    assert later < 0.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"second_thermometer": None}, "needs .sensor. second_thermometer"),
+        (
+            {
+                "gyro": GYRO
+                | {
+                    "bias": {
+                        "temperature": {"basis": "bins", "edges": ["0 degC", "20 degC", "40 degC"]},
+                        "lag": "1 min",
+                    }
+                }
+            },
+            "needs a polynomial in temperature",
+        ),
+        (
+            {"gyro": GYRO | {"late_temperature_gradient": PATH["late_temperature_gradient"][:1] * 2}},
+            "have one time_constant",
+        ),
+    ],
+)
+def test_what_has_no_meaning_is_refused(changes, says):
+    with pytest.raises(SpecError, match=says):
+        spec_with({key: value for key, value in (SENSOR | changes).items() if value is not None})
+
+
+def test_a_requirement_counts_the_slope_of_the_service():
+    """At a constant dT/dt the functions are that slope, and minus the lag of the second thermometer times it."""
+    sensor = {key: SENSOR[key] for key in ("clock", "second_thermometer", "gyro")}
+    of = {"name": "b", "quantity": "gyro_bias", "temperature": ["15 degC", "30 degC"], "branch": "heating", "grid": [2]}
+    built = build_imu(spec_with(sensor, requirement=[of | {"slope": ["1 K/min", "1 K/min"]}]))
+    (element,) = quantity_of(built, built.spec.requirement[0]).elements
+    assert element.path is not None
+    own = dict(zip(built.model.channels[0].model.names(), element.path[0], strict=True))
+    for lag in LAGS:
+        assert own[f"late_temperature_gradient_{lag:g}s"] == pytest.approx(1.0 / 60.0)
+    assert own["thermometer_difference"] == pytest.approx(-SECOND_S / 60.0)
+    assert own["scale_factor_thermometer_difference"] == 0.0
+
+
+FOLLOWED = {
+    "sensor.second_thermometer": {"lag": "4 min"},
+    "sensor.gyro.hysteresis": [],
+    "sensor.gyro.late_temperature_gradient": [{"time_constant": "12 min", "prior": "8 deg/h/(K/min)"}],
+    "sensor.gyro.thermometer_difference": {"prior": "4 deg/h/K"},
+    "sensor.gyro.bias.lag": "2 min",
+}
+
+
+@lru_cache
+def followed(number: int) -> tuple[SensorEstimate, ImuTruth, Log]:
+    """An IMU at rest on a chamber that goes up and down, with masses that follow late, and its estimate."""
+    spec = gj.changed(spec_of_loop(back=True), FOLLOWED)
+    truth = draw_truth(spec, 50, number)
+    log = recorded(truth, spec, back=True, seed=200 + number)
+    (report,) = estimate_sensors(spec, [log])
+    return report, truth, log
+
+
+def test_estimates_have_the_drawn_masses_of_simulated_sensors():
+    """The second thermometer's lag is another than the plan expects: the log has its readings."""
+    standardised = []
+    for number in range(6):
+        report, truth, _ = followed(number)
+        assert abs(truth.second_lag_s - 240.0) > 1.0
+        for one in report.calibration.path:
+            true = truth.names[f"{one.channel}.{one.name}"]
+            standardised.append((one.value - true) / one.standard_deviation)
+    standardised = np.array(standardised).reshape(6, -1)
+    # Three gyros, of each dT/dt, dT/dt late, and the difference.
+    assert standardised.shape[1] == 9
+    assert 0.55 < np.mean(standardised**2) < 1.6
+    assert sum(bool(followed(number)[0].calibration.contradicted) for number in range(6)) <= 1
+
+
+def test_a_calibration_takes_off_what_follows_late(tmp_path):
+    """And says so, in every form; without the second thermometer's column it is refused."""
+    report, _, log = followed(1)
+    write_calibration(report.calibration, tmp_path / "calibration.toml")
+    calibration = read_calibration(tmp_path / "calibration.toml")
+    assert calibration.path == report.calibration.path
+    assert {str(term.lag) for channel in calibration.channel for term in channel.term} == {"120 s"}
+    kept = [one for one in calibration.path if one.second_thermometer]
+    assert len(kept) == 3
+    before, after = (np.nan_to_num(of.rate_rad_per_s[0]) for of in (log, apply(calibration, log).log))
+    # Less what the Earth adds, a constant, means of five minutes leave the drift and white noise, 2 deg/h at most.
+    means = [(of - of.mean(axis=0)).reshape(16, 300, 3).mean(axis=1) / HOUR for of in (before, after)]
+    assert np.sqrt(np.mean(means[0] ** 2)) > 10.0
+    assert np.sqrt(np.mean(means[1] ** 2)) < 2.0
+    with pytest.raises(LogError, match="no second temperature"):
+        apply(calibration, replace(log, second_temperature_c=None))
+    with pytest.raises(LogError, match="no second temperature"):
+        estimate_sensors(report.built.spec, [replace(log, second_temperature_c=None)])
+    notes = " ".join(export(calibration, "px4").notes)
+    for said in (
+        "the lag of the bias, 120 s, is not carried", "bias of gyro x: what follows the second thermometer, ",
+        "bias of gyro x: what follows dT/dt, ",
+    ):  # fmt: skip
+        assert said in notes
+
+
+def test_a_column_map_reads_the_second_thermometer(tmp_path):
+    rows = np.column_stack(
+        [np.arange(50) / 10.0, np.full((50, 3), 0.1), np.linspace(20, 21, 50), np.linspace(70, 68, 50)]
+    )
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,x,y,z,die,case", comments="")
+    columns = """
+        format = "gradcal-columns/1"
+        time = { column = "t", unit = "s" }
+        temperature = { column = "die", unit = "degC" }
+        second_temperature = { column = "case", unit = "degF" }
+        [rate]
+        x = { column = "x", unit = "deg/s" }
+    """
+    log = import_log(tmp_path / "log.csv", parse_column_map(columns))
+    assert log.second_temperature_c is not None
+    assert log.second_temperature_c[0, [0, -1]] == pytest.approx([(70 - 32) / 1.8, 20.0])
+    write_log(log, tmp_path / "log.nc")
+    again = read_log(tmp_path / "log.nc").second_temperature_c
+    assert again is not None
+    np.testing.assert_array_equal(again, log.second_temperature_c)

@@ -26,7 +26,6 @@ _HOME_OF_NAME: dict[str, str] = {
     "read_rig": "files.rig",
     "read_spec": "files",
     "schema": "files",
-    "tables_of": "files",
     "write_toml": "files",
     # prediction
     "check": "api.flow",
@@ -42,7 +41,6 @@ _HOME_OF_NAME: dict[str, str] = {
     "recipe": "api",
     "replan": "api.replan",
     "read_recipe": "files.recipe",
-    "show": "pages.bench_sheet",
     # many at once
     "read_sweep": "files.sweep",
     "sweep": "jobs.sweep",
@@ -55,7 +53,7 @@ _HOME_OF_NAME: dict[str, str] = {
     "read_log": "files.log_file",
     "write_log": "files.log_file",
     "import_log": "files.importers",
-    "parse_column_map": "files.importers",
+    "log_from": "files.log_from",
     # identification
     "instability": "api.log_flow",
     "allan": "api.log_flow",
@@ -106,6 +104,9 @@ _GONE: dict[str, str] = {
     "recipes": "sweep, with write_recipes of gradcal_jax.jobs.recipes_of_sweep",
     "read_catalogue": "read_sweep, whose axes take sections of other specs",
     "unobservable": "check",
+    "show": "print(recipe)",
+    "tables_of": "gradcal_jax.files.tables_of",
+    "parse_column_map": "import_log, which takes the map as text or the name of its file",
 }
 
 
@@ -114,6 +115,8 @@ def __getattr__(name: str) -> Any:
         sentence = f"gradcal_jax.{name} is now gradcal_jax.{_OLD_NAMES[name]}; the old name goes with the next release"
         warnings.warn(sentence, DeprecationWarning, stacklevel=2)
         return __getattr__(_OLD_NAMES[name])
+    if name == "plots":
+        return importlib.import_module("gradcal_jax.plots")
     if name not in _HOME_OF_NAME:
         hint = f": in its place {_GONE[name]}" if name in _GONE else ""
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
@@ -123,4 +126,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return sorted([*globals(), *__all__, "plots"])

@@ -27,7 +27,6 @@ from gradcal_jax.files import parse_spec as parse_spec
 from gradcal_jax.files import presets as presets
 from gradcal_jax.files import read_spec as read_spec
 from gradcal_jax.files import schema as schema
-from gradcal_jax.files import tables_of as tables_of
 from gradcal_jax.files import write_toml as write_toml
 from gradcal_jax.files.calibration import Calibration as Calibration
 from gradcal_jax.files.calibration import read_calibration as read_calibration
@@ -35,10 +34,10 @@ from gradcal_jax.files.calibration import write_calibration as write_calibration
 from gradcal_jax.files.calibration.correction import apply as apply
 from gradcal_jax.files.calibration.exports import export as export
 from gradcal_jax.files.importers import import_log as import_log
-from gradcal_jax.files.importers import parse_column_map as parse_column_map
 from gradcal_jax.files.log import Log as Log
 from gradcal_jax.files.log_file import read_log as read_log
 from gradcal_jax.files.log_file import write_log as write_log
+from gradcal_jax.files.log_from import log_from as log_from
 from gradcal_jax.files.recipe import read_recipe as read_recipe
 from gradcal_jax.files.rig import read_rig as read_rig
 from gradcal_jax.files.sweep import read_sweep as read_sweep
@@ -52,7 +51,6 @@ from gradcal_jax.information import residual as residual
 from gradcal_jax.jobs.dataset import read_dataset as read_dataset
 from gradcal_jax.jobs.sweep import sweep as sweep
 from gradcal_jax.model import SensorModel as SensorModel
-from gradcal_jax.pages.bench_sheet import show as show
 from gradcal_jax.pages.report import report as report
 from gradcal_jax.trajectory import gradient_plan as gradient_plan
 from gradcal_jax.trajectory import programme as programme

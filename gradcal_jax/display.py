@@ -22,6 +22,11 @@ def summary(self: object) -> str:
     return "\n".join(_fitted(_listing(self) if shown is None else shown()))
 
 
+def whole_text(self: object) -> str:
+    """The `__str__` of a recipe: the whole sheet that `gradcal check` prints."""
+    return import_module("gradcal_jax.pages.bench_sheet").show(self)
+
+
 def html(self: object) -> str:
     """The `_repr_html_` of a class: the tables that its command prints."""
     # The pages know every class, and no class knows them.

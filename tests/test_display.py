@@ -1,5 +1,6 @@
 """Objects show themselves: `repr` fits a terminal, notebooks get the tables of the commands, a tab lists our names."""
 
+import base64
 import dataclasses
 import inspect
 import json
@@ -97,6 +98,7 @@ def test_specs_predictions_recipes_and_timelines_show_what_they_are(preset):
         assert row.name in shown
         assert display.amount(row.judged, row.unit) in shown
     fits(gj.timeline(spec))
+    assert "data:image/png" in spec._repr_html_()
     html = prediction._repr_html_()
     table = requirement_table(prediction.requirements)
     assert all(f">{cell}</t" in html for cells in table for cell in cells)
@@ -121,7 +123,15 @@ def test_what_an_estimate_shows_is_what_its_command_prints():
     calibration = report.calibrations[0]
     assert calibration.serial_number in fits(calibration)
     assert f">{display.amount(calibration.result[0].value, 'ppm')}</td>" in calibration._repr_html_()
-    assert fits(gj.recipe(spec)).startswith("Recipe: Berman")
+    recipe = gj.recipe(spec)
+    assert fits(recipe).startswith("Recipe: Berman")
+    assert str(recipe).count("\n") > 30
+    for value in (spec, recipe, log, report, calibration, gj.predict(spec)):
+        html = value._repr_html_()
+        pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
+        assert pictures
+        assert all(base64.b64decode(p).startswith(b"\x89PNG") for p in pictures)
+        assert len(html) < 80_000
 
 
 @pytest.mark.parametrize("name", CALIBRATIONS)

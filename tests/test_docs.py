@@ -1,6 +1,7 @@
 """What README and docs say is so: commands and options exist, lines run, links lead somewhere, figures are right."""
 
 import contextlib
+import inspect
 import io
 import json
 import os
@@ -9,9 +10,12 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 
 import gradcal_jax as gj
+from gradcal_jax import plots
 from gradcal_jax.cli import main
 from gradcal_jax.cli.app import build
 from gradcal_jax.cli.commands_page import all_commands, commands_page
@@ -135,12 +139,33 @@ def test_the_lines_of_python_in_the_readme_print_a_prediction(tmp_path, monkeypa
     capsys.readouterr()
     exec(compile(lines, "README.md", "exec"), {})
     assert sum(1 for line in lines.splitlines() if line) == 4
-    assert re.search(r"^scale factor +mean of max +[\d.]+ ppm .* met$", capsys.readouterr().out, flags=re.M)
+    assert re.search(r"^gyro scale factor +mean of max +[\d.]+ ppm .* met$", capsys.readouterr().out, flags=re.M)
 
 
 def test_the_page_of_notebooks_has_all_there_are():
     linked = set(re.findall(r"\(\.\./(notebooks/[^)]+)\)", TEXTS["docs/notebooks.md"]))
     assert linked == {f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
+
+
+def test_the_gallery_has_a_picture_of_every_function_and_every_notebook():
+    """Each is small, and shows something."""
+    page = TEXTS["docs/gallery.md"]
+    wanted = {name for name in plots.__all__ if name.startswith("draw_")}
+    wanted |= {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")}
+    assert set(re.findall(r"!\[[^\]]*\]\(gallery/([\w-]+)\.png\)", page)) == wanted
+    for name in wanted:
+        path = ROOT / "docs/gallery" / f"{name}.png"
+        assert path.stat().st_size < 60_000
+        assert np.ptp(plt.imread(path)[..., :3]) > 0.3, name
+    assert {path.stem for path in (ROOT / "docs/gallery").glob("*.png")} == wanted
+    for name in (name for name in wanted if name.startswith("draw_")):
+        assert f"`{name}({', '.join(inspect.signature(getattr(plots, name)).parameters)})`" in page
+
+
+def test_the_class_of_one_s_own_in_the_how_to_predicts(capsys):
+    (lines,) = re.findall(r"```python\n(.+?)```", TEXTS["docs/how-to/own-term.md"], flags=re.S)
+    exec(compile(lines, "own-term.md", "exec"), {})
+    assert capsys.readouterr().out.count("gyro_x.Magnetic") == 3
 
 
 def test_the_known_answers_are_those_of_the_table():
@@ -248,7 +273,7 @@ def test_the_lines_of_python_do_the_whole_job(whole_job):
     assert limit < now < 0.8 * before
     assert made.prediction.requirements[0].decisive == pytest.approx(now, rel=1e-9)
     assert made.optimisation is not None
-    assert f"{now:.4g} ppm" in gj.show(made)
+    assert f"{now:.4g} ppm" in str(made)
     assert found.simulated
     assert found.provenance["recipe"] == made.fingerprint
     assert found.result[0].value == pytest.approx(now, rel=0.35)

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 import gradcal_jax as gj
 from gradcal_jax import plots
+from gradcal_jax.files import tables_of
 
 HERE = Path(__file__).parent
 DEG = np.pi / 180.0
@@ -88,7 +89,7 @@ def dynamic_rows() -> list[tuple[str, str, str, str]]:
 
 def variants() -> dict[str, dict]:
     """Readings of the dynamic gradient plan that the text allows, as changes of the spec."""
-    moves = gj.tables_of(spec("dynamic_gradient"))["plan"]["cycle"]["moves"]
+    moves = tables_of(spec("dynamic_gradient"))["plan"]["cycle"]["moves"]
     order = [0, 2, 1, 3, 4, 6, 5, 7]
     raised = []
     for move in moves:

@@ -15,7 +15,7 @@ from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.model import Map, OtherTemperature, PathTerm, Processes, Reference, SensorModel, SignalMap
+from gradcal_jax.model import Map, OtherTemperature, OwnTerm, PathTerm, Processes, Reference, SensorModel, SignalMap
 from gradcal_jax.trajectory import Move, Past, Schedule
 
 # A varying rate is integrated on the nodes of a piece, against exponentials of at most this many correlation times.
@@ -142,7 +142,7 @@ def gyro_channel(
     *,
     harmonics: dict[int, float] | None = None,
     signals: Sequence[SignalMap] = (),
-    path: Sequence[PathTerm] = (),
+    path: Sequence[PathTerm | OwnTerm] = (),
 ) -> SensorModel:
     """The model of the gyro along an axis of the body: its maps, the terms of its other `signals` and of the `path`
     of temperature, and its noise."""

@@ -36,6 +36,7 @@ from gradcal_jax.model import (
     GradientOfBias,
     Hysteresis,
     Map,
+    OwnTerm,
     PathTerm,
     SignalMap,
     TemperatureDifference,
@@ -157,7 +158,7 @@ def _terms(spec: Spec, channel: Channel, values: np.ndarray) -> Iterator[Calibra
     triad = getattr(spec.sensor, channel.kind)
     for term in channel.model.terms:
         # A sensitivity to dT/dt and what else depends on the path of temperature are estimated beside the calibration.
-        if isinstance(term, Discrepancy | GradientOfBias | PathTerm):
+        if isinstance(term, Discrepancy | GradientOfBias | PathTerm | OwnTerm):
             continue
         own = values[channel.model.where(term.name)]
         coefficients = {name: float(v) for name, v in zip(term.names(), own, strict=True)}
@@ -177,7 +178,7 @@ def _path_coefficients(built: BuiltImu, values: np.ndarray, deviations: np.ndarr
         for term in c.model.terms:
             own = slice(begin, begin + term.size)
             begin = own.stop
-            if not isinstance(term, PathTerm | GradientOfBias):
+            if not isinstance(term, PathTerm | GradientOfBias | OwnTerm):
                 continue
             of_path: dict[str, Any] = {}
             if isinstance(term, Hysteresis):

@@ -68,7 +68,7 @@ def _refuse_the_implausible(built: BuiltImu, name: str, solution: ImuEstimate) -
 
 def lag_of_maps(built: BuiltImu, name: str, rows: ImuRows, temperature_of: Callable[[float], np.ndarray]) -> Lag:
     """The lag of the maps of all channels, at the motion that is found without one."""
-    _, readings, solution, _ = fitted_twice(built, name, rows, temperature_of(0.0))
+    _, readings, solution, _ = fitted_twice(built, name, rows, temperature_of(0.0), checked=False)
 
     def chi_squared(lag: float) -> float:
         of = readings._replace(temperature_c=temperature_of(lag))
@@ -84,12 +84,15 @@ def fitted_twice(
     temperature: np.ndarray,
     threshold: float | None = None,
     points: TablePoints | None = None,
+    *,
+    checked: bool = True,
 ) -> Fit:
-    """The fit with a `temperature` (degC) for each row. `points`: the rows are those of a table of points.
+    """The fit with a `temperature` (degC) for each row. `points`: the rows are those of a table of points; `checked`:
+    whether readings of another unit or table are refused, which a lag may make of the right ones.
 
     A rate-dependent scale factor of a per cent would be estimated at wrong rates if they were not corrected.
     """
-    fit = _read(built, name, rows, rows, temperature, threshold, points)
+    fit = _read(built, name, rows, rows, temperature, threshold, points, checked=checked)
     # Angles that no encoder tells are estimated.
     first, rows = fit.solution, rows._replace(angles=fit.readings.log.angles)
     held = tuple(calibrated_channels(built, built.model.to_reported @ first.parameters, _EVERYWHERE))
@@ -98,7 +101,7 @@ def fitted_twice(
     far = np.nanmax(np.abs(rates - rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))
     fastest = np.nanmax(np.abs(rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))
     seen = rows._replace(rates=np.where(far <= SCALE_FACTOR_ERROR * fastest, rates, rows.rates))
-    return _read(built, name, rows, seen, temperature, threshold, points, felt, first.parameters)
+    return _read(built, name, rows, seen, temperature, threshold, points, felt, first.parameters, checked=checked)
 
 
 def with_chosen_smoothness(built: BuiltImu, fit: Fit, threshold: float | None) -> tuple[BuiltImu, Fit, Smoothness]:
@@ -120,6 +123,8 @@ def _read(
     points: TablePoints | None,
     felt: np.ndarray | None = None,
     about: np.ndarray | None = None,
+    *,
+    checked: bool,
 ) -> Fit:
     """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
     estimate, linearised about `about`; where no encoder tells the table's angles, again about those of the estimate,
@@ -158,6 +163,8 @@ def _read(
         rows, seen = rows._replace(angles=angles), seen._replace(angles=angles)
         about = solution.parameters
         number += 1
+    if not checked:
+        return Fit(done, readings, solution, seen.rates)
     _refuse_the_implausible(built, name, solution)
     scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
     if scale > _ABSURD:

@@ -43,12 +43,14 @@ from gradcal_jax.model import (
     ImuModel,
     Map,
     OtherTemperature,
+    OwnTerm,
     PathTerm,
     Polynomial,
     SignalMap,
     TemperatureDifference,
     Term,
     TurnOnTransient,
+    own_term,
 )
 from gradcal_jax.trajectory import Geometry, Schedule, TableMotion, TablePart
 
@@ -120,7 +122,8 @@ def build_imu(
     bases = [t.temperature for t in terms if isinstance(t, Map | SignalMap | Discrepancy)]
     degree = max(b.degree if isinstance(b, Polynomial | BSpline | HigherPolynomials) else 0 for b in bases)
     # A lagging unit's exponentials, and transients, are no polynomials; a play is linear in T on each piece.
-    exponential = spec.sensor.lag is not None or bool(_decays(model_))
+    own = any(isinstance(t, OwnTerm) for c in model_.channels for t in c.model.terms)
+    exponential = spec.sensor.lag is not None or bool(_decays(model_)) or own
     points = max(degree + 1, _LAGGED if exponential else 2 if model_.knows_path else 1)
     rough = model_.knows_path or any(b.breaks for b in bases)
     if like is not None and _divisions(spec, model_, like) == _divisions(like.spec, like.model, like):
@@ -288,8 +291,10 @@ def _signal_maps(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[Signa
     ]
 
 
-def _path_terms(sensor: sensor_file.Sensor, triad: GyroTriad | AccelerometerTriad, axis: str) -> list[PathTerm]:
-    """The terms of a channel that depend on the path of temperature."""
+def _path_terms(
+    sensor: sensor_file.Sensor, triad: GyroTriad | AccelerometerTriad, axis: str
+) -> list[PathTerm | OwnTerm]:
+    """The terms of a channel that depend on the path of temperature, and those of classes from outside."""
     gyro = isinstance(triad, GyroTriad)
     own, unit = (f"{'rate' if gyro else 'force'} {axis}",), "rad/s" if gyro else "m/s^2"
 
@@ -298,7 +303,7 @@ def _path_terms(sensor: sensor_file.Sensor, triad: GyroTriad | AccelerometerTria
         named = name.format(f"{float(width):g}")
         return Hysteresis(std=std, width=width, signals=signals, name=named, si_unit=si_unit)
 
-    terms = [play(p, (), HYSTERESIS, f"{unit}/K") for p in triad.hysteresis]
+    terms: list[PathTerm | OwnTerm] = [play(p, (), HYSTERESIS, f"{unit}/K") for p in triad.hysteresis]
     terms += [play(p, own, SCALE_FACTOR_HYSTERESIS, "1/K") for p in triad.scale_factor_hysteresis]
     if (gradient := triad.scale_factor_temperature_gradient) is not None:
         terms.append(GradientOfScale(std=np.asarray(float(gradient.prior)), signals=own, name=GRADIENT_OF_SCALE))
@@ -322,7 +327,7 @@ def _path_terms(sensor: sensor_file.Sensor, triad: GyroTriad | AccelerometerTria
             assert sensor.second_thermometer is not None
             other = OtherTemperature(SECOND, float(sensor.second_thermometer.lag))
             terms.append(differs(float(second.prior), f"{head}{DIFFERENCE}", other, 1.0))
-    return terms
+    return terms + [own_term(one.term, float(one.prior), one.name or one.term) for one in triad.own]
 
 
 def _accelerometer(

@@ -12,7 +12,7 @@ from gradcal_jax.api.branches import BRANCHES, branch_of
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.display import summary
 from gradcal_jax.files.log import SENSOR_RATE, EvenSeries, Log, LogError, Reason
-from gradcal_jax.files.signal_faults import changing_noise, refuse_repeated, without_faults
+from gradcal_jax.files.signal_faults import changing_noise, refuse_clipped, refuse_repeated, without_faults
 from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H
 
@@ -93,6 +93,10 @@ def allan_of(
     try:
         deviation = identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid)
         return deviation, identify.fit_allan(deviation, terms=terms, confidence=confidence)
+    except np.linalg.LinAlgError:
+        raise LogError(
+            f"axis {rest.axis} of {rest.unit}: its rows repeat a pattern, and are no noise: --plot shows it"
+        ) from None
     except ValueError as error:
         if confidence <= 0.0 or confidence >= 1.0 or not set(terms) <= set(TERMS):
             raise
@@ -184,11 +188,13 @@ def at_rest(
     if log.status is not None:
         log = replace(log, status=log.status & ~np.uint16(other))  # which is no matter of this channel
     raw, read = log, log.counts(unit)
-    refused = refuse_repeated(f"{kind} {label} of {name}", log.channel(axis, unit, force=force)[_resting(log, unit)])
+    where, own = f"{kind} {label} of {name}", log.channel(axis, unit, force=force)
+    refuse_clipped(where, own if log.standstill is None else own[log.standstill >= 0])
+    refused = refuse_repeated(where, own[_resting(log, unit)])
     log, faults = without_faults(log, {f"{kind} {label}"}, at_rest=True)
     even = log.even(axis, unit, force=force)
     valid = even.valid.copy()
-    changing = changing_noise(f"{kind} {label} of {name}", log.channel(axis, unit, force=force)[_resting(log, unit)])
+    changing = changing_noise(where, own[_resting(log, unit)])
     messages = [*filter(None, (refused, changing)), *faults[name].sentences]
     if log.standstill is not None:
         valid &= (even.row >= 0) & (log.standstill[even.row] >= 0)
@@ -471,8 +477,8 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
     elif 0.0 < fit.angle_random_walk.value < _QUIETEST:
         notes.append(
             f"an angle random walk of {fit.angle_random_walk.value * DEG_PER_SQRT_H:.2g} deg/sqrt(h) is that of a "
-            "large fibre-optic or ring laser gyro: is it one, or are rates in rad/s stated as deg/s, or stamps in s as "
-            "ms?"
+            "large fibre-optic or ring laser gyro: is it one, or are increments of angle taken as rates, or rates in "
+            "rad/s stated as deg/s, or stamps in s as ms?"
         )
     if fit.low_passed:
         notes.append(

@@ -3,18 +3,32 @@
 from collections.abc import Sequence
 from typing import Literal
 
+import numpy as np
+
 from gradcal_jax import identify
 from gradcal_jax.api import instability as noise
 from gradcal_jax.api.estimate import EstimateReport, estimate_log
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.files.log import Log
+from gradcal_jax.files.log_from import log_from
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.identify.allan import TERMS
 
 
+def _log_of(log: Log | np.ndarray, rate: float | None) -> Log:
+    """The log, or one of rates (rad/s) of which there are `rate` a second."""
+    if isinstance(log, Log):
+        if rate is not None:
+            raise ValueError("rate: a log has its own times; leave it out")
+        return log
+    if rate is None or not rate > 0.0:
+        raise ValueError("rate: say how many samples a second the array has, such as rate=100.0")
+    return log_from(np.arange(len(log)) / rate, log)
+
+
 def instability(
-    log: Log,
+    log: Log | np.ndarray,
     axis: str | int = 0,
     unit: str | int = 0,
     *,
@@ -26,18 +40,20 @@ def instability(
     temperature_c: tuple[float, float] | None = None,
     bias_degree: int | None = None,
     lag: float | Literal["auto", "fit", "none"] = "auto",
+    rate: float | None = None,
 ) -> noise.Instability:
     """The smallest drift that bounds a record at rest: the Direct Bound of Berman's equations 6 and 7.
 
-    One channel, masked where the table moves, less its bias over temperature (`bias_degree`, `lag` in s: see
-    `api.instability.at_rest`). The drift is measured from an average over `averaging_time_s`, for `shortest_s` to
-    `longest_s`, and must stay within `margin` standard deviations. `angle_random_walk`: rad/√s; None: from the Allan
-    deviation. `temperature_c`: only rows between two temperatures. Returns `bound` (`drift_std` in rad/s,
-    `correlation_time_s`), the Allan deviation with its fit, and `drift_block()`, text for a spec.
+    `log`: a log, or `(n,)` rates in rad/s, `rate` of them a second. One channel, masked where the table moves, less
+    its bias over temperature (`bias_degree`, `lag` in s: see `api.instability.at_rest`). The drift is measured from
+    an average over `averaging_time_s`, for `shortest_s` to `longest_s`, and must stay within `margin` standard
+    deviations. `angle_random_walk`: rad/√s; None: from the Allan deviation. `temperature_c`: only rows between two
+    temperatures. Returns `bound` (`drift_std` in rad/s, `correlation_time_s`), the Allan deviation with its fit,
+    and `drift_block()`, text for a spec.
 
     Errors: `LogError` where nothing stands still, or too little is left.
     """
-    rest = noise.at_rest(log, axis, unit, bias_degree=bias_degree, lag=lag)
+    rest = noise.at_rest(_log_of(log, rate), axis, unit, bias_degree=bias_degree, lag=lag)
     return noise.instability(
         rest,
         averaging_time_s=averaging_time_s,
@@ -50,7 +66,7 @@ def instability(
 
 
 def allan(
-    log: Log,
+    log: Log | np.ndarray,
     axis: str | int = 0,
     unit: str | int = 0,
     *,
@@ -58,16 +74,18 @@ def allan(
     confidence: float = 0.683,
     bias_degree: int | None = None,
     lag: float | Literal["auto", "fit", "none"] = "auto",
+    rate: float | None = None,
 ) -> tuple[identify.AllanDeviation, identify.AllanFit]:
     """The overlapping Allan deviation of a record at rest, and the coefficients of a weighted fit (IEEE 952).
 
-    One channel, prepared as in `instability` (`bias_degree`, `lag`). `terms`: which the sensor may have. The deviation
+    `log`: a log, or `(n,)` rates in rad/s, `rate` of them a second. One channel, prepared as in `instability`
+    (`bias_degree`, `lag`). `terms`: which the sensor may have. The deviation
     `(times,)` is in rad/s against averaging times in s; the fit has quantisation (rad), angle random walk (rad/√s),
     bias instability (rad/s) and rate random walk (rad/s/√s), each with its standard error, and bounds of `confidence`.
 
     Errors: `LogError` where nothing stands still; `ValueError` for unknown terms.
     """
-    rest = noise.at_rest(log, axis, unit, bias_degree=bias_degree, lag=lag)
+    rest = noise.at_rest(_log_of(log, rate), axis, unit, bias_degree=bias_degree, lag=lag)
     deviation, fit = noise.allan_of(rest, terms=terms, confidence=confidence)
     return deviation, noise.of_sensor(rest, fit)
 

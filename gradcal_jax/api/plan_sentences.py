@@ -109,7 +109,7 @@ def plan_warnings(built: BuiltImu, known: Posterior) -> list[str]:
     for name in names:
         channel, _, symbol = name.partition(".")
         groups.setdefault(channel, []).append(symbol)
-    sentences += [f"the plan says nothing of {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
+    sentences += [f"not observable: {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
     sentences += of_path or _one_way_of_class(built)
     sentences += _unseen_by_gravity(built)
     sentences += _limited_by_priors(built, known) + _as_before(built, known)
@@ -238,7 +238,7 @@ def _as_before(built: BuiltImu, known: Posterior) -> list[str]:
         then, now = (quantity.residual(k).statistic() for k in (before, known))
         if then is not None and now is not None and now > NOT_OBSERVED * then:
             sentences.append(
-                f"requirement '{requirement.name}' stays as it was by the priors: the plan says nothing of it"
+                f"requirement '{requirement.name}' stays as the priors have it: the plan does not observe it"
             )
     return sentences
 

@@ -21,6 +21,7 @@ from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.systematic import CountedPosteriors, budget_of_imu, shares_of_variance
 from gradcal_jax.api.tested_maps import noticing
 from gradcal_jax.api.verdicts import UNIT_OF, decision_rule, mission_weights, run_of, target_of, verdict_of
+from gradcal_jax.estimation import posteriors_together
 from gradcal_jax.files import Prediction
 from gradcal_jax.files.absent import absent_terms, with_typical
 from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, PlaceRow, RequirementRow
@@ -41,31 +42,49 @@ from gradcal_jax.model import Discrepancy
 _GRID = 41
 
 
-def predict(spec: Spec, *, limits: bool = False, notices: bool = False, outlook: bool = False) -> Prediction:
+def predict(
+    spec: Spec, *, limits: bool = False, notices: bool = False, outlook: bool = False, place: str | None = None
+) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
     `limits`: also the error sources that limit each requirement, and its range where noise figures are `uncertain`.
     `notices`: also which hidden structure of the maps the plan would notice. `outlook`: also the chance that a sensor
     meets a target, and the risks of a second run that checks it. The covariance is the exact one of generalised least
     squares under the spec's noise (`gradcal_jax.information`); verdicts and risks also count every term that the spec
-    omits, at its class's typical figure. What cannot be observed is None, with a warning. Errors: `SpecError` for a
-    plan that turns several axes of a sensor as if each had a table of its own.
+    omits, at its class's typical figure. What cannot be observed is None, with a warning. `place`: of a fixture, the
+    place of which all else is beside the residuals of every place (None: the worst). Errors: `SpecError` for a plan
+    that turns several axes of a sensor as if each had a table of its own.
     """
     spec = expect_spec(spec)
     if spec.rig.table.place:
-        return _at_places(spec, limits=limits, notices=notices, outlook=outlook)
-    omitted = tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent_terms(spec))
+        return _at_places(spec, place, limits=limits, notices=notices, outlook=outlook)
     built = build_imu(spec)
     known = imu_posterior(built)
     budget = counted_posteriors(built, known)
-    sources = ErrorBudget(budget.built, budget.fit) if limits and spec.requirement else None
+    return _prediction(built, known, budget, budget, limits=limits, notices=notices, outlook=outlook)
+
+
+def _prediction(
+    built: BuiltImu,
+    known: Posterior,
+    budget: CountedPosteriors,
+    alone: CountedPosteriors,
+    *,
+    limits: bool,
+    notices: bool,
+    outlook: bool,
+) -> Prediction:
+    """The prediction of an IMU with these posteriors; `alone`: of the IMU alone, which tells what limits it."""
+    spec = built.spec
+    omitted = tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent_terms(spec))
+    sources = ErrorBudget(alone.built, alone.fit) if limits and spec.requirement else None
     rows: list[RequirementRow] = []
     for requirement in spec.requirement:
         row = requirement_row(built, budget, requirement)
         more = _risks(budget, requirement, row) if outlook else {}
         if sources is not None:
             axis = (row.limited_by or "").removeprefix("axis ") or None
-            more["limited_by"] = limited_by(_shares(budget, requirement, sources.shares(requirement)), axis)
+            more["limited_by"] = limited_by(_shares(alone, requirement, sources.shares(requirement)), axis)
         rows.append(row.model_copy(update=more))
     return Prediction(
         requirements=tuple(_between(rows, extremes(spec) if limits else [])),
@@ -76,36 +95,75 @@ def predict(spec: Spec, *, limits: bool = False, notices: bool = False, outlook:
     )
 
 
-def _at_places(spec: Spec, **options: bool) -> Prediction:
-    """The prediction of a fixture: of its worst place, by the residual over the target or else over that of the others,
-    with the values of all places and the IMUs of a shift. Places that hang alike are computed once."""
-    alike: dict[str, list[str]] = {}
+def _at_places(spec: Spec, place: str | None, **options: bool) -> Prediction:
+    """The prediction of a fixture, whose IMUs are estimated together: of a place, or of the worst by the residual over
+    the target or else over that of the others, with the values of all places and the IMUs of a shift. Places that hang
+    alike are computed once."""
     at = specs_at_places(spec)
+    alike: dict[str, list[str]] = {}
     for name, one in at.items():
         hung = [m.model_dump(exclude={"name"}) for m in one.rig.table.mounting]
         alike.setdefault(repr((hung, one.sensor.model_dump())), []).append(name)
-    rows = {names[0]: requirement_rows(at[names[0]]) for names in alike.values()}
-    values = {name: {row.name: row.judged for row in rows[names[0]]} for names in alike.values() for name in names}
+    builts = [build_imu(at[names[0]]) for names in alike.values()]
+    full = [_complete(built) for built in builts]
+    alone = [imu_posterior(built) for built in builts]
+    own = [budget_of_imu(*of) for of in zip(builts, alone, full, strict=True)]
+    counts, warnings = [len(names) for names in alike.values()], []
+    known, budgets = alone, own
+    try:
+        known = _together(builts, alone, counts)
+        fits = known
+        if any(one is not other for one, other in zip(builts, full, strict=True)):
+            fits = _together(full, [budget.fit for budget in own], counts)
+        budgets = [budget_of_imu(*of) for of in zip(builts, known, full, fits, strict=True)]
+    except MemoryError as error:
+        warnings = [f"{error}: each place is that of an IMU alone"]
+    rows = [
+        [requirement_row(built, budget, requirement) for requirement in spec.requirement]
+        for built, budget in zip(builts, budgets, strict=True)
+    ]
+    single = [
+        [requirement_row(built, budget, requirement).judged for requirement in spec.requirement]
+        for built, budget in zip(builts, own, strict=True)
+    ]
+    least = [min((r.judged for r in of if r.judged is not None), default=0.0) for of in zip(*rows, strict=True)]
 
-    def excess(name: str) -> float:
+    def excess(k: int) -> float:
         """How far a place is beyond its targets, or beyond the best place."""
-        ratios = []
-        for row in rows[name]:
-            others = [v for v in (of[row.name] for of in values.values()) if v is not None]
-            ratios.append(np.inf if row.judged is None else row.judged / (row.target or min(others) or 1.0))
+        ratios = [
+            np.inf if row.judged is None else row.judged / (row.target or best or 1.0)
+            for row, best in zip(rows[k], least, strict=True)
+        ]
         return max(ratios, default=0.0)
 
-    worst = max(rows, key=excess)
-    whole = predict(at[worst], **options)
+    named = [k for k, names in enumerate(alike.values()) if place in names]
+    shown = named[0] if named else max(range(len(rows)), key=excess)
+    whole = _prediction(builts[shown], known[shown], budgets[shown], own[shown], **options)
+    values = {
+        name: PlaceRow(
+            name=name,
+            values={row.name: row.judged for row in rows[k]},
+            alone={row.name: value for row, value in zip(rows[k], single[k], strict=True)},
+        )
+        for k, names in enumerate(alike.values())
+        for name in names
+    }
     runs = float(spec.rig.shift) / whole.duration_s
     return whole.model_copy(
         update={
-            "places": tuple(PlaceRow(name=name, values=values[name]) for name in at),
-            "place": worst,
+            "places": tuple(values[name] for name in at),
+            "place": place if named else list(alike.values())[shown][0],
             "minutes_per_imu": whole.duration_s / 60.0 / len(at),
             "imus_per_shift": len(at) * (float(np.floor(runs)) if runs >= 1.0 else runs),
+            "warnings": (*whole.warnings, *warnings),
         }
     )
+
+
+def _together(builts: Sequence[BuiltImu], alone: Sequence[Posterior], counts: Sequence[int]) -> list[Posterior]:
+    """The posteriors of IMUs at places that hang differently, estimated together with all others of the fixture."""
+    plans = [(b.model, b.motion, b.body_nodes(), one) for b, one in zip(builts, alone, strict=True)]
+    return posteriors_together(plans, counts, clock=builts[0].spec.sensor.takes_host_clock)
 
 
 def requirement_rows(spec: Spec, until_s: float = np.inf) -> list[RequirementRow]:
@@ -118,8 +176,13 @@ def requirement_rows(spec: Spec, until_s: float = np.inf) -> list[RequirementRow
 
 def counted_posteriors(built: BuiltImu, known: Posterior) -> CountedPosteriors:
     """The posteriors that decide on every requirement."""
+    return budget_of_imu(built, known, _complete(built))
+
+
+def _complete(built: BuiltImu) -> BuiltImu:
+    """The IMU with the error terms that its spec omits, at their classes' typical figures."""
     full = with_typical(built.spec)
-    return budget_of_imu(built, known, built if full is built.spec else build_imu(full, built.until_s, like=built))
+    return built if full is built.spec else build_imu(full, built.until_s, like=built)
 
 
 def _between(rows: Sequence[RequirementRow], others: Sequence[Spec]) -> Sequence[RequirementRow]:

@@ -44,7 +44,7 @@ def structure_in_words(test: StructureTest) -> str:
     degree = f"degree {of_temperature} in temperature" + (f" and {of_rate} in rate" if test.quantity != BIAS else "")
     return (
         f"the {test.quantity.replace('_', ' ')} has more structure than the model (chance "
-        f"{test.test.probability:.1g}): the data ask for {degree}"
+        f"{test.test.probability:.1g}): {degree} fits significantly better"
     )
 
 

@@ -241,9 +241,13 @@ class CountedPosteriors(NamedTuple):
         return self.any_run if run == "any run" else self.whole
 
 
-def budget_of_imu(built: BuiltImu, known: Posterior, complete: BuiltImu) -> CountedPosteriors:
-    """The posteriors of a unit's plan."""
-    fit = known if complete is built else imu_posterior(complete)
+def budget_of_imu(
+    built: BuiltImu, known: Posterior, complete: BuiltImu, fit: Posterior | None = None
+) -> CountedPosteriors:
+    """The posteriors of a unit's plan; `complete`: with what the spec omits, after the plan known as in `fit` (default:
+    by itself)."""
+    if fit is None:
+        fit = known if complete is built else imu_posterior(complete)
     turn_on = another_run(systematic_figures(complete.spec), terms_of_imu(complete), complete.model.size)
     every = columns_of_imu(complete)
     own = own_of_imu(built, known)

@@ -88,6 +88,8 @@ def build() -> App:
         help_format="plaintext",  # a Markdown reader would cost a quarter of the start-up
         help_formatter="plain" if is_plain(sys.stdout) else "default",
     )
+    # Completion of commands and options by the tab key, for bash, zsh and fish.
+    app.register_install_completion_command(add_to_startup=False)
     for number, (title, commands) in enumerate(GROUPS):
         group = Group(title, sort_key=number)
         for place, command in enumerate(commands):

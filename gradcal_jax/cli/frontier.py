@@ -38,7 +38,8 @@ def show_frontier(
     reached: list[FrontierPoint] = []
 
     def show(motion: float, step: "SearchStep") -> None:
-        line.show(f"{time_text(motion)}: {step.share:4.0%}  {amount(step.best, step.unit)}")
+        best = amount(step.best, step.unit)
+        line.show(f"{time_text(motion)}: {step.share:4.0%}  {best}", number=(motion, best))
 
     with MovingLine(sys.stderr) as line:
         for point in room.frontier(spec, times, steps=steps, watch=show):

@@ -1,7 +1,7 @@
 """`gradcal log`: the log of a run, from the journal's raw bytes; and `log turns`: a log of turns by hand."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
@@ -10,6 +10,9 @@ from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, load, quantity
 from gradcal_jax.cli.status import DONE
 from gradcal_jax.units import time_text
+
+if TYPE_CHECKING:
+    from gradcal_jax.files.log import Log
 
 log_app = App(name="log", help="The log of a run, or of turns by hand.")
 
@@ -83,9 +86,10 @@ def log(
     Parameters
     ----------
     output
-        The log file (netCDF); absent: log.nc in the folder. An older log is replaced.
+        The log file (netCDF); absent: log.nc in the folder. An older log is replaced. With several units, one file
+        each, with the unit's name in the file's.
     unit
-        The unit whose log to write, where several were on the table.
+        The unit whose log to write, where several were on the table; without it, the logs of all.
     recording
         Another logger's recording of the unit in this run: its clock is found by the motion.
     columns
@@ -93,23 +97,38 @@ def log(
     json
         Print the contents of the log as JSON.
     """
-    from gradcal_jax.decoding.run_log import log_in_blocks
-    from gradcal_jax.files.log_file import write_log
+    from gradcal_jax.decoding.run_log import units_in
 
     if columns is not None and recording is None:
         raise ValueError("--columns says what a --recording's columns mean, and there is none")
     recorded = None if recording is None else load(recording, Recording(columns=columns), unit=unit)
     target = output or run / "log.nc"
+    names = [unit] if unit is not None or recorded is not None else units_in(run)
+    several = len(names) > 1
+    printed = [
+        _written(run, name, recorded, target.with_stem(f"{target.stem}-{name}") if several else target, quiet=json)
+        for name in names
+    ]
+    if json:
+        print(as_json(printed if several else printed[0]))
+    return DONE
+
+
+def _written(run: Path, unit: str | None, recorded: "Log | None", target: Path, *, quiet: bool) -> dict[str, Any]:
+    """Write the log of a unit; what `--json` prints of it."""
+    from gradcal_jax.decoding.run_log import log_in_blocks
+    from gradcal_jax.files.log_file import write_log
+
     # A day's samples lie on the disk that the log will be on.
     with log_in_blocks(run, unit, recording=recorded, spool=target.parent) as result:
         write_log(result, target)
     about, counts, name = result.fields, result.counts(), result.fields["units"][0]
     findings, provenance = about["findings"], about["provenance"]
-    if json:
-        record = {"log": str(target), "unit": name, "duration_s": result.duration_s, "rows": counts}
-        record |= {"standstills": result.standstills, "simulated": about["simulated"], "provenance": dict(provenance)}
-        print(as_json(record | {"findings": [finding.message for finding in findings]}))
-        return DONE
+    record = {"log": str(target), "unit": name, "duration_s": result.duration_s, "rows": counts}
+    record |= {"standstills": result.standstills, "simulated": about["simulated"], "provenance": dict(provenance)}
+    record |= {"findings": [finding.message for finding in findings]}
+    if quiet:
+        return record
     print(
         f"{time_text(result.duration_s)} of {name}: {counts['used']} samples used of {about['rows_read']}, "
         f"{result.standstills} standstills" + (" (simulated devices)" if about["simulated"] else "")
@@ -119,7 +138,7 @@ def log(
     rates, stds = (
         [1e6 * float(word) for word in provenance[key].split(", ")] for key in ("clock_rate_error", "clock_rate_std")
     )
-    each = ", ".join(f"{rate:+.3f} ppm (1σ {std:.1g} ppm)" for rate, std in zip(rates, stds, strict=True))
-    print(f"the unit's second is longer than the computer's by {each}")
+    each = ", ".join(f"{rate:+.3f} ± {std:.1g} ppm" for rate, std in zip(rates, stds, strict=True))
+    print(f"sensor clock against computer clock: {each} (1σ)")
     print(f"wrote {target}")
-    return DONE
+    return record

@@ -99,8 +99,6 @@ def optimise(
     pause
         Time from the end of a run to where it goes on, by default "30 min"; an IMU's drifts begin anew.
     """
-    from gradcal_jax.files.recipe import spec_in
-
     drawable(plot)
     if (steps is not None and 0 < steps < 20) or (steps or 0) < 0:
         raise ValueError(f"--steps: expected 0, for the spec's own plan, or at least 20; got {steps}")
@@ -114,7 +112,7 @@ def optimise(
             raise ValueError("where to? Name the recipe of the rest with -o rest.toml")
         writable(output, force)
         return plan_the_rest(spec, output, time=time, pause=pause or "30 min", quick=quick, json=json)
-    specification = spec_in(spec)
+    specification = _read(spec)
     _refuse("but of the folder of a run", {"--time": time, "--pause": pause})
     if motion is not None:
         _refuse("with --motion", of_recipe | of_search | {"--quick": quick})
@@ -172,6 +170,30 @@ def optimise(
     return DONE if best.converged else NOT_AS_WISHED
 
 
+def _read(path: Path) -> "Spec":
+    """The spec in a file or recipe; moves beyond the table's travel are made to fit."""
+    import tomllib
+
+    from gradcal_jax.files import SpecError
+    from gradcal_jax.files.mission import missions_from
+    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.spec import spec_of
+    from gradcal_jax.files.travel import lies_in_travel, within_travel
+
+    try:
+        return spec_in(path)
+    except SpecError as error:
+        if not lies_in_travel(error):
+            raise
+        with missions_from(path.parent):
+            mended = spec_of(within_travel(tomllib.loads(path.read_text(encoding="utf-8"))), str(path))
+        complain(
+            f"{error}\nThe search begins with these moves made to fit: turns go the other way or as far as the travel "
+            "allows, and a last one goes back."
+        )
+        return mended
+
+
 def _refuse(where: str, options: Mapping[str, object]) -> None:
     """Raise `ValueError` for options that are given and that nothing looks at."""
     if given := [name for name, value in options.items() if value is not None and value is not False]:
@@ -197,7 +219,7 @@ def search_and_watch(
                 continue
             if kept is not None and event.checkpoint:
                 checkpoints.write_checkpoint(kept, spec, event.checkpoint)
-            line.show(progress_of(event), event.share)
+            line.show(progress_of(event), event.share, number=amount(event.best, event.unit))
     assert best is not None
     return best, interrupt.asked
 

@@ -136,11 +136,14 @@ def _fixture(prediction: "Prediction") -> list[str]:
     if names:
         rows += [(of.name, *(amount(of.values.get(n), "").strip() for n in names)) for of in prediction.places]
     units = ", ".join(f"{row.name}: {row.unit}" for row in prediction.requirements)
+    (alone,) = (of.alone or {} for of in prediction.places if of.name == prediction.place)
+    others = ", ".join(amount(alone[row.name], row.unit).strip() for row in prediction.requirements if alone)
     return [
         f"{len(prediction.places)} IMUs at once: {prediction.minutes_per_imu:.3g} min for each, "
         f"{prediction.imus_per_shift:.4g} in a shift",
         *([columns(rows, indent="", right=tuple(range(1, len(names) + 1))), units] if names else []),
-        f"below, the worst place: {prediction.place}",
+        f"below, the worst place: {prediction.place}"
+        + (f"; estimated without the others it would have {others}" if others else ""),
     ]
 
 

@@ -1,5 +1,6 @@
 """Progress of long work: a moving line or bars on a terminal, plain lines elsewhere."""
 
+import math
 import sys
 import time
 from typing import TYPE_CHECKING, Any, Final
@@ -12,24 +13,32 @@ if TYPE_CHECKING:
 
 # Before this, the remaining time is not shown.
 _SOON_S: Final = 3.0
+# Away from a terminal: time between lines that say the same.
+_EVERY_S: Final = 30.0
 _STAGES: Final = {"reading": "reading points", "predict": "predicting", "optimise": "optimising"}
 
 
 class MovingLine:
-    """One line that is overwritten on a terminal; separate lines elsewhere."""
+    """One line that is overwritten on a terminal; elsewhere a line whenever the number changes, or after 30 s."""
 
     def __init__(self, stream: Any) -> None:
         self.plain = is_plain(stream)
         self._stream = stream
         self._open = False
         self._begun = time.monotonic()
+        self._printed_s, self._number = -math.inf, object()
 
     def __enter__(self) -> "MovingLine":
         return self
 
-    def show(self, line: str, share: float | None = None) -> None:
-        """Replace the line; with the `share` of the work that is done, also show the remaining time."""
-        spent = time.monotonic() - self._begun
+    def show(self, line: str, share: float | None = None, number: object = None) -> None:
+        """Replace the line; with the `share` of the work that is done, also show the remaining time. `number`: what the
+        line is about."""
+        now = time.monotonic()
+        spent = now - self._begun
+        if self.plain and number == self._number and now - self._printed_s < _EVERY_S:
+            return
+        self._printed_s, self._number = now, number
         if share is not None and 0.0 < share < 1.0 and spent > _SOON_S:
             line += f"  {time_text(float(round(spent * (1.0 - share) / share)))} left"
         if self.plain:
@@ -49,10 +58,11 @@ class MovingLine:
 
 
 class Bars:
-    """On stderr, a bar for each stage, with a line for each result above; away from a terminal only these lines."""
+    """On stderr, a bar for each stage, with a line for each result above; away from a terminal lines."""
 
     def __init__(self) -> None:
         self._bars: Any = None
+        self._line = MovingLine(sys.stderr)
         self._tasks: dict[str, Any] = {}
 
     def __enter__(self) -> "Bars":
@@ -75,12 +85,14 @@ class Bars:
     def show(self, now: "JobProgress") -> None:
         """Show a report of progress."""
         if self._bars is None:
-            if now.newest:
-                print(f"{now.done}/{now.total} {now.newest}", file=sys.stderr, flush=True)
+            begun = "" if now.begun is None else f", {now.begun} begun"
+            line = f"{_STAGES[now.stage]}: {now.done} of {now.total} done{begun}"
+            self._line.show(f"{line}; {now.newest}" if now.newest else line, now.done / now.total, number=now.newest)
             return
         if now.stage not in self._tasks:
             self._tasks[now.stage] = self._bars.add_task(_STAGES[now.stage], total=now.total)
-        self._bars.update(self._tasks[now.stage], completed=now.done)
+        begun = "" if now.begun is None else f", {now.begun} begun"
+        self._bars.update(self._tasks[now.stage], completed=now.done, description=_STAGES[now.stage] + begun)
         if now.newest:
             self._bars.console.print(now.newest, highlight=False, markup=False)
 

@@ -1,13 +1,17 @@
 """`gradcal report`: one page with plan, prediction, run and calibration."""
 
+import itertools
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from gradcal_jax.cli.output import Flag, Force, Json, Output, as_json, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE
+
+if TYPE_CHECKING:
+    from gradcal_jax.pages.sources import Sources
 
 
 def report(
@@ -34,9 +38,9 @@ def report(
     ----------
     sources
         The folder of a run, a recipe or a spec, a calibration, or those of them that belong together. A calibration in
-        the folder of a run is taken with it, calibration.toml before others.
+        the folder of a run is taken with it, calibration.toml before others; of several, each has a page of its own.
     output
-        The page (.html).
+        The page (.html); of several, the rest of each calibration's name is added to the file's.
     before
         A spec or recipe whose plan to compare with; without it, the spec's priors.
     limits
@@ -60,39 +64,47 @@ def report(
     json
         Print every number of the page as JSON.
     """
-    from gradcal_jax.pages.sources import read_sources
+    from gradcal_jax.pages.sources import calibrations_in, read_sources
 
-    writable(output, force)
-    if dcc is not None:
-        writable(dcc, force)
-    documents = read_sources(sources, before=before, limits=limits)
-    use_float64()
-    if certificate:
-        from gradcal_jax.files.rig import read_rig
-        from gradcal_jax.pages import certificate as room
-
-        read = None if rig is None else read_rig(rig)
-        words = {"number": number, "customer": customer, "operator": operator, "performed": performed}
-        document = room.certificate_of(documents, read, **words)
-        if dcc is not None:
-            from gradcal_jax.pages.dcc import write_dcc
-
-            write_dcc(document, read, dcc)
-        room.write_certificate(document, output)
-        print(
-            as_json(room.certificate_tables(document))
-            if json
-            else f"wrote {output}" + (f" and {dcc}" if dcc is not None else "")
-        )
-        return DONE
-    if rig is not None or dcc is not None or number or customer or operator or performed:
+    if not certificate and (rig is not None or dcc is not None or number or customer or operator or performed):
         raise ValueError("--rig, --number, --customer, --operator, --performed and --dcc belong to --certificate")
-    from gradcal_jax.pages.report import write_page
-    from gradcal_jax.pages.report_data import as_tables
+    several = calibrations_in(sources[0]) if len(sources) == 1 and sources[0].is_dir() else []
+    names = {one: one.stem.removeprefix("calibration").strip("-_") or one.stem for one in several}
+    each = [((*sources, one), f"-{name}") for one, name in names.items()] if len(several) > 1 else [(sources, "")]
+    files = [tuple(p and p.with_stem(p.stem + more) for p in (output, dcc)) for _, more in each]
+    for path in itertools.chain(*files):
+        if path is not None:
+            writable(path, force)
+    words = {"number": number, "customer": customer, "operator": operator, "performed": performed}
+    tables: list[Any] = []
+    for (of, _), (page, xml) in zip(each, files, strict=True):
+        assert page is not None
+        documents = read_sources(of, before=before, limits=limits)
+        use_float64()
+        if certificate:
+            tables.append(_certificate(documents, page, xml, rig, words))
+        else:
+            from gradcal_jax.pages.report import write_page
+            from gradcal_jax.pages.report_data import as_tables
 
-    data = write_page(documents, output, panel=panel)
+            tables.append(as_tables(write_page(documents, page, panel=panel)))
+        if not json:
+            print(f"wrote {page}" + (f" and {xml}" if xml is not None else ""))
     if json:
-        print(as_json(as_tables(data)))
-    else:
-        print(f"wrote {output}")
+        print(as_json(tables if len(each) > 1 else tables[0]))
     return DONE
+
+
+def _certificate(documents: "Sources", page: Path, xml: Path | None, rig: Path | None, words: dict[str, str]) -> Any:
+    """Write a certificate, and a DCC; what `--json` prints of it."""
+    from gradcal_jax.files.rig import read_rig
+    from gradcal_jax.pages import certificate as room
+
+    read = None if rig is None else read_rig(rig)
+    document = room.certificate_of(documents, read, **words)
+    if xml is not None:
+        from gradcal_jax.pages.dcc import write_dcc
+
+        write_dcc(document, read, xml)
+    room.write_certificate(document, page)
+    return room.certificate_tables(document)

@@ -283,7 +283,7 @@ class _Watcher:
                 self._last = now
             return
         if not self._quiet and (now != self._last or not self._line.plain):
-            self._line.show(progress_text(progress, self._simulated))
+            self._line.show(progress_text(progress, self._simulated), number=progress.state)
         self._last = now
         if progress.state.value == "paused" and not self._asked:
             self._asked = True

@@ -45,7 +45,7 @@ def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Jso
                 print(as_json(status))
             elif status["at_s"] != shown:
                 shown = status["at_s"]
-                line.show(status_text(status))
+                line.show(status_text(status), number=status.get("state"))
             silent_s = time.time() - float(status["at_s"])
             if "exit_status" in status:
                 return DONE if status["exit_status"] == "success" and status["verified_safe"] else FAILED

@@ -24,6 +24,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..files.bench import RigTable
 from ..files.log import SERIAL_NUMBER, AngleReadings, Finding, Log, Reason
 from ..files.log_file import LogInBlocks
 from ..files.recipe import Recipe
@@ -75,6 +76,12 @@ def log_in_blocks(
             found = _of_unit(stack, spool, first, run.recipe(), run.rig(), unit, records_of(run.journal_path))
         provenance = {**about, **found.fields["provenance"]}
         yield replace(found, fields={**found.fields, "provenance": provenance})
+
+
+def units_in(folder: str | Path) -> list[str | None]:
+    """The names of the IMUs of a run that have logs; None where its only one needs no name."""
+    names = [device.name for device in RunFolder(Path(folder)).rig().imu]
+    return list(names) if len(names) > 1 else [None]
 
 
 def _begins(record: object) -> bool:
@@ -150,13 +157,17 @@ def _of_recording(
     if len(labels) == len(rates) == 1:
         # Both have one axis only: its name does not matter.
         rates = dict(zip(labels, rates.values(), strict=True))
+    table = recipe.spec.rig.table
+    turned = rates
+    if not set(rates) & set(labels) and table.axis[-1].name in labels:
+        turned = {table.axis[-1].name: _about_innermost(table, rates)}
     parts: list[Part] = []
     alignments: list[Alignment] = []
     samples = stack.enter_context(SampleSpool(len(rates), spool))
     for session in sessions:
         if session.stretches():
             tracks = {label: _track(session.events, axis) for axis, label in zip(axes, labels, strict=True)}
-            alignments.append(align(recorded.time_s, rates, tracks))
+            alignments.append(align(recorded.time_s, turned, tracks))
             first = len(samples)
             samples.push(_as_samples(recorded, number, rates, alignments[-1], session.events))
             clock, every_s = _clock_of(alignments[-1]), recorded.sample_interval_s
@@ -175,6 +186,22 @@ def _of_recording(
     )
     findings = (*log.fields["findings"], Finding("clock found by the motion", "keep", 0, message))
     return replace(log, fields={**log.fields, "findings": findings})
+
+
+def _about_innermost(table: RigTable, rates_dps: Mapping[str, Floats]) -> Floats:
+    """The rate about the table's innermost axis, as an IMU senses it whose mounting at that time is not known yet."""
+    names, turning = tuple(rates_dps), table.axis[-1].unit_vector
+    along = np.array(
+        [[np.dot(one.columns["xyz".index(name)], turning) for name in names] for one in table.mounting], np.float64
+    )
+    rates = np.stack(list(rates_dps.values()), axis=-1)
+    rates = rates - np.nanmedian(rates, axis=0)
+    if len(along) == 1:
+        return rates @ along[0]
+    fastest = np.abs(np.nan_to_num(rates)).argmax(axis=1)
+    signs = np.sign(along[np.abs(along).argmax(axis=0), np.arange(len(names))])
+    sensed = np.take_along_axis(rates, fastest[:, None], axis=1)[:, 0]
+    return np.linalg.norm(rates, axis=1) * np.sign(sensed) * signs[fastest]
 
 
 def _track(events: Sequence[Event], axis: str) -> AngleTrack:
@@ -207,11 +234,14 @@ def _as_samples(
     missing = np.maximum(np.round(steps / recorded.sample_interval_s).astype(np.int64) - 1, 0)
     status = np.zeros(count, np.int64) if recorded.status is None else recorded.status[number].astype(np.int64)
     none = np.zeros(count, bool)
+    forces = np.full((count, 3), np.nan)
+    if recorded.force_axes == ("x", "y", "z") and recorded.specific_force_m_per_s2 is not None:
+        forces = recorded.specific_force_m_per_s2[number] / STANDARD_GRAVITY
     return ImuBatch(
         host,
         recorded.time_s,
         np.stack(list(rates.values()), axis=-1),
-        np.full((count, 3), np.nan),
+        forces,
         np.repeat(temperature[:, None], 3, axis=1),
         np.zeros((count, 3), np.int32),
         status,

@@ -137,8 +137,10 @@ class _Leg(NamedTuple):
 
 
 def mean_angles(log: ImuRows, spans: list[tuple[int, int]]) -> list[np.ndarray]:
-    """The mean angles (rad) of all axes in every standstill; an axis that is not read there stands as before."""
+    """The mean angles (rad) of all axes in every standstill. An axis that is not read there stands as it was last read,
+    while another one turned, or as in the standstill before."""
     result: list[np.ndarray] = []
+    after = 0
     for first, last in spans:
         read = log.angles[first : last + 1]
         known = np.isfinite(read)
@@ -147,7 +149,11 @@ def mean_angles(log: ImuRows, spans: list[tuple[int, int]]) -> list[np.ndarray]:
             raise ValueError(
                 f"the table's angles are not known where it stands, {log.time_s[first]:.6g} s into the log"
             )
-        result.append(np.where(known.any(axis=0), mean, result[-1] if result else mean))
+        for k in np.flatnonzero(~known.any(axis=0)):
+            stops = np.flatnonzero(np.isfinite(log.angles[after:first, k]))
+            mean[k] = log.angles[after + stops[-1], k] if len(stops) else result[-1][k]
+        result.append(mean)
+        after = last + 1
     return result
 
 

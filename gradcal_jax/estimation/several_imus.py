@@ -19,12 +19,15 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from gradcal_jax.estimation.consistency import Test, chi_squared_test
 from gradcal_jax.estimation.imu_solve import ImuEstimate, ImuReadings
-from gradcal_jax.information import Posterior, segments_of, whiten
+from gradcal_jax.information import NoiseSteps, Posterior, imu_system, segments_of, whiten
 from gradcal_jax.information.posterior import OBSERVABLE
-from gradcal_jax.model import CommonScale, ImuModel, MountingError
+from gradcal_jax.model import BodyNodes, CommonScale, ImuModel, MountingError
+from gradcal_jax.trajectory import TableMotion
 
 # An axis whose encoder's error has less than this share of the largest variance draws nothing.
 _NONE = 1e-14
+# Numbers in the rows of one IMU with the columns of the encoder's errors.
+_MOST = 5e7
 
 
 class SeveralImus(NamedTuple):
@@ -68,42 +71,97 @@ def solve_together(
     if any(len(a) != len(axes[0]) or np.any(a != axes[0]) for a in axes):
         raise ValueError("the logs of the IMUs have different moves, so their encoder errors are not the same")
     parts = [_reduced(*of) for of in zip(readings, solutions, shared, strict=True)]
-    first = readings[0].model
-    prior = np.concatenate([np.zeros(0), *(np.asarray(term.stds) for term in first.installation)])
-    prior = prior[shared[0][first.calibrated :]]
-    table = len(prior)
-    own_prior = np.concatenate([prior**-2.0, np.ones(len(parts[0].vector) - table)])
     if len({len(part.vector) for part in parts}) > 1:
         raise ValueError("the logs of the IMUs have different readings of the encoder")
-    whole = np.diag(own_prior) + np.sum([p.information for p in parts], axis=0)
+    whole, table = _whole(readings[0].model, shared[0], parts, [1] * len(parts))
     vector = np.sum([p.vector for p in parts], axis=0)
-    scale = 1.0 / np.sqrt(np.diag(whole))
-    factor = cholesky(whole * scale[:, None] * scale, lower=True)
+    scale, factor = _scaled_factor(whole)
     common = scale * cho_solve((factor, True), scale * vector)
-    half = scale[:, None] * solve_triangular(factor, np.eye(len(scale)), lower=True).T
+    half = _root_of_inverse(scale, factor)
     joint = [_with(*of, common, half, table) for of in zip(solutions, parts, shared, strict=True)]
     tests = [_agreement(of, whole, vector, table) if len(parts) > 1 else None for of in parts]
     return SeveralImus(joint, tests)
 
 
+def posteriors_together(
+    plans: Sequence[tuple[ImuModel, TableMotion, BodyNodes, Posterior]], counts: Sequence[int], *, clock: bool = True
+) -> list[Posterior]:
+    """The posterior of an IMU of each kind after one motion of the table, estimated together with all others: model,
+    motion, nodes and the posterior of one alone, and how many there are of each kind.
+
+    Errors: `MemoryError` for a plan with more readings than can be held, with the errors of the encoder at each.
+    """
+    parts, shared = [], []
+    for model, motion, nodes, _ in plans:
+        steps, columns = imu_system(motion, model, nodes)
+        shared.append(shared_parameters(model, clock=clock))
+        if (drawn := np.count_nonzero(np.any(np.asarray(steps.covariance)[:, _own_states(model) :], axis=(1, 2)))) and (
+            drawn * len(columns) > _MOST
+        ):
+            raise MemoryError(
+                f"the plan has {len(columns)} readings and {drawn} errors of the encoders, too many to predict the "
+                "estimate of all IMUs together"
+            )
+        nothing = np.zeros(len(columns)), np.zeros(model.size)
+        parts.append(_without_own(model, steps, columns, shared[-1], *nothing))
+    whole, table = _whole(plans[0][0], shared[0], parts, counts)
+    half = _root_of_inverse(*_scaled_factor(whole))
+    spreads = [_spread(part, own, half, table) for part, own in zip(parts, shared, strict=True)]
+    return [Posterior(spread, alone.hidden) for spread, (*_, alone) in zip(spreads, plans, strict=True)]
+
+
+def _whole(
+    model: ImuModel, shared: np.ndarray, parts: Sequence[_Reduced], counts: Sequence[int]
+) -> tuple[np.ndarray, int]:
+    """The information on s from all IMUs and the priors, and how many of s are the table's."""
+    prior = np.concatenate([np.zeros(0), *(np.asarray(term.stds) for term in model.installation)])
+    prior = prior[shared[model.calibrated :]]
+    table = len(prior)
+    own = np.concatenate([prior**-2.0, np.ones(len(parts[0].vector) - table)])
+    return np.diag(own) + sum(n * part.information for n, part in zip(counts, parts, strict=True)), table
+
+
+def _scaled_factor(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scale and lower triangle of `information = diag(1/scale) L Lᵀ diag(1/scale)`."""
+    scale = 1.0 / np.sqrt(np.diag(information))
+    return scale, cholesky(information * scale[:, None] * scale, lower=True)
+
+
+def _root_of_inverse(scale: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """A square root of the covariance."""
+    return scale[:, None] * solve_triangular(factor, np.eye(len(scale)), lower=True).T
+
+
 def _reduced(readings: ImuReadings, solution: ImuEstimate, shared: np.ndarray) -> _Reduced:
-    model = readings.model
+    motion, model = readings.done.motion, readings.model
     steps, columns = readings.linear(solution.parameters)
-    errors = _encoder_columns(readings, steps)
-    channels = sum(1 + c.model.processes.count for c in model.channels)
+    used = np.asarray(segments_of(motion, model).used)
+    apart = np.where(used, readings.observed - readings.expected(solution.parameters), 0.0)
+    return _without_own(model, steps, columns, shared, readings.by_steps(apart), solution.parameters)
+
+
+def _without_own(
+    model: ImuModel,
+    steps: NoiseSteps,
+    columns: np.ndarray,
+    shared: np.ndarray,
+    apart: np.ndarray,
+    about: np.ndarray,
+) -> _Reduced:
+    """The rows of an IMU, `apart` from what is expected `about` its parameters, in the order of the noise steps."""
+    errors = _encoder_columns(model, steps)
+    channels = _own_states(model)
     # The filter of the IMU's own noise: the encoder's states neither move nor are seen.
     own = slice(channels, None)
     covariance, initial, observed = (np.array(x) for x in (steps.covariance, steps.initial, steps.observation))
     covariance[:, own, :], covariance[:, :, own], initial[own, :], initial[:, own] = 0.0, 0.0, 0.0, 0.0
     observed[:, own] = 0.0
     quiet = steps._replace(covariance=covariance, initial=initial, observation=observed)
-    used = np.asarray(segments_of(readings.done.motion, model).used)
-    apart = readings.by_steps(np.where(used, readings.observed - readings.expected(solution.parameters), 0.0))
-    kept = readings.by_steps(used)
-    white = np.asarray(whiten(quiet, np.concatenate([apart[:, None], columns, errors], axis=1)))[kept]
+    white = np.asarray(whiten(quiet, np.concatenate([apart[:, None], columns, errors], axis=1)))
+    white = white[np.asarray(steps.used)]
     size = model.size
     jacobian = white[:, 1 : 1 + size]
-    data = white[:, 0] + jacobian @ solution.parameters
+    data = white[:, 0] + jacobian @ about
     prior = np.asarray(model.prior_rows())
     of_own = ~np.any(prior[:, shared] != 0.0, axis=1)
     rows = np.concatenate([jacobian[:, ~shared], prior[of_own][:, ~shared]])
@@ -121,10 +179,14 @@ def _reduced(readings: ImuReadings, solution: ImuEstimate, shared: np.ndarray) -
     return _Reduced(np.flatnonzero(~shared), rotated, through, back, information, vector)
 
 
-def _encoder_columns(readings: ImuReadings, steps) -> np.ndarray:
+def _own_states(model: ImuModel) -> int:
+    """The number of noise states that are the IMU's own; after them come the encoders'."""
+    return sum(1 + c.model.processes.count for c in model.channels)
+
+
+def _encoder_columns(model: ImuModel, steps: NoiseSteps) -> np.ndarray:
     """`(N, u)`: what each innovation of the encoders' errors, of variance one, adds to every row."""
-    channels = sum(1 + c.model.processes.count for c in readings.model.channels)
-    own = slice(channels, None)
+    own = slice(_own_states(model), None)
     transition = np.asarray(steps.transition)[:, own, own]
     covariance = np.asarray(steps.covariance)[:, own, own]
     observed = np.asarray(steps.observation)[:, own]
@@ -158,13 +220,17 @@ def _with(
     parameters = np.array(solution.parameters)
     parameters[part.own] = part.back @ (part.rotated - part.through @ common)
     parameters[shared] = common[:table]
-    spread = np.zeros((len(parameters), part.back.shape[1] + half.shape[1]))
+    known = Posterior(_spread(part, shared, half, table), solution.known.hidden)
+    return solution._replace(estimate=solution.estimate._replace(parameters=parameters[None], known=(known,)))
+
+
+def _spread(part: _Reduced, shared: np.ndarray, half: np.ndarray, table: int) -> np.ndarray:
+    """The spread `(p, p)` of an IMU's parameters, with the square root `half` of the covariance of s."""
+    spread = np.zeros((len(shared), part.back.shape[1] + half.shape[1]))
     spread[part.own, : part.back.shape[1]] = part.back
     spread[part.own, part.back.shape[1] :] = -part.back @ (part.through @ half)
     spread[shared, part.back.shape[1] :] = half[:table]
-    triangle = np.asarray(np.linalg.qr(spread.T, mode="r"))
-    known = Posterior(triangle.T, solution.known.hidden)
-    return solution._replace(estimate=solution.estimate._replace(parameters=parameters[None], known=(known,)))
+    return np.asarray(np.linalg.qr(spread.T, mode="r")).T
 
 
 def _agreement(part: _Reduced, whole: np.ndarray, vector: np.ndarray, table: int) -> Test | None:

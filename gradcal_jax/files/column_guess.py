@@ -14,6 +14,7 @@ import numpy as np
 from gradcal_jax import units
 from gradcal_jax.files import presets
 from gradcal_jax.files.log import LogError
+from gradcal_jax.files.tables import ForceColumn, Measured, RateColumn
 
 EXAMPLE: Final = presets.template("columns.toml")
 
@@ -68,6 +69,19 @@ _UNITS: Final = {
 # A unit in brackets at the end of a name, and powers behind a stroke.
 _BRACKET: Final = re.compile(r"[(\[]([^()\[\]]+)[)\]]\s*$")
 _POWER: Final = {"1": "", "2": "^2", "3": "^3"}
+_COUNTS: Final = re.compile(r"(?:raw|lsb|counts?|cnts?|ticks?|digits?|adc|int16)", re.IGNORECASE)
+_AXIS: Final = r"[ _.\-\[]*[xyz0-2]\]?"
+# Names that leave no doubt.
+_QUANTITIES: Final = {
+    quantity: re.compile(pattern, re.IGNORECASE)
+    for quantity, pattern in {
+        "a rate": rf"(?:gyro?(?:scope)?|ang(?:ular)?[ _.]?(?:velocity|vel|rate)|omega){_AXIS}",
+        "a specific force": rf"(?:lin(?:ear)?[ _.]?)?acc(?:el(?:eration|erometer)?)?{_AXIS}",
+        "a quaternion": r"q(?:uat(?:ernion)?)?[ _.\-\[]*[wxyz0-3]\]?|orientation[ _.]?[wxyz]",
+        "an angle": rf"roll|pitch|yaw|heading|azimuth|(?:euler|angle)[ _.\-]?(?:roll|pitch|yaw)|(?:euler|angle){_AXIS}",
+        "a magnetic field": rf"mag(?:net(?:ic|ometer)?)?(?:[ _.]?field)?{_AXIS}",
+    }.items()
+}
 
 
 def without_a_map(path: Path) -> LogError:
@@ -143,6 +157,21 @@ def contradiction(column: str, unit: str) -> str | None:
         if abs(units.convert(1.0, named, unit) - 1.0) < 1e-9:
             return None
     return f"the name of column '{column}' says {text}, and the map says {unit}: which of them is right?"
+
+
+def question_of(name: str, source: Measured) -> str | None:
+    """A question where a column's name says another quantity than its map, or another unit; None where neither."""
+    own = "a rate" if isinstance(source, RateColumn) else "a specific force" if isinstance(source, ForceColumn) else ""
+    plain = _BRACKET.sub("", name).strip()
+    for quantity, pattern in _QUANTITIES.items():
+        if own and quantity != own and pattern.fullmatch(plain):
+            return f"the name of column '{name}' says {quantity}, and the map says {own}: which of them is right?"
+    bracket = _BRACKET.search(name)
+    if source.scale != 1.0:
+        return None
+    if bracket and _COUNTS.fullmatch(bracket[1].strip()):
+        return f"the name of column '{name}' says counts, and the map says {source.unit}: give the scale of a count"
+    return contradiction(name, source.unit)
 
 
 def _in_words_of_maps(text: str) -> str | None:

@@ -438,6 +438,8 @@ class PlaceRow(Section):
     """Of the place."""
     values: dict[str, Finite | None]
     """The residual of each requirement, by its name, in its unit; null: not observable."""
+    alone: dict[str, Finite | None] | None = None
+    """The same of an IMU that is estimated without the others, from which it does not learn of the table."""
 
 
 class Prediction(Section):

@@ -39,7 +39,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from gradcal_jax.files.column_guess import contradiction
+from gradcal_jax.files.column_guess import question_of
 from gradcal_jax.files.document import parsed, read_text
 from gradcal_jax.files.log import SENSOR_RATE, Floats, Log, LogError, naming
 from gradcal_jax.files.log_faults import Columns, Policy, at_rows_with_rates, examine
@@ -62,6 +62,9 @@ from gradcal_jax.files.tables import (
 )
 
 FORMAT: Final = "gradcal-columns/1"
+_MEND: Final = '(mend the map, or have it say [policy] wrong_units = "keep")'
+_MANY: Final = 200
+"""Rows of which it is no chance that all rates are whole numbers."""
 
 
 class StatusColumn(Source):
@@ -150,6 +153,10 @@ class ColumnMap(Section):
             yield Problem(("sensor",), "two sensors have the same name")
         if self.time is None and self.sample_rate is None:
             yield Problem(("time",), 'give the time\'s column, or sample_rate = "100 Hz"', kind="missing")
+        own = self.sources() if self.rate or self.sensor else ()
+        if not self.interpolate and any(isinstance(one, Measured) and one.where is not None for one in own):
+            text = "expected true: columns that are told apart by where have rows of their own"
+            yield Problem(("interpolate",), text, self.interpolate)
         if self.table_angle and self.table_rate and list(self.table_angle) != list(self.table_rate):
             yield Problem(("table_rate",), "names other axes than table_angle")
 
@@ -184,8 +191,10 @@ def read_column_map(path: str | Path) -> ColumnMap:
     return parse_column_map(read_text(path), str(path))
 
 
-def import_log(path: str | Path, columns: ColumnMap, *, rows: tuple[int, int | None] | None = None) -> Log:
+def import_log(path: str | Path, columns: ColumnMap | str | Path, *, rows: tuple[int, int | None] | None = None) -> Log:
     """The log in a recording of another program, examined by the map's policy; of some rows only, if asked.
+
+    `columns`: the column map (gradcal-columns/1, quantities with units), the name of its file, or its TOML text.
 
     The ending tells the kind: .csv, .txt, .tsv, .dat, .log, .asc (text; also .csv.gz), .npz, .npy, .mat (MATLAB up to
     version 7), .parquet.
@@ -194,27 +203,40 @@ def import_log(path: str | Path, columns: ColumnMap, *, rows: tuple[int, int | N
     and for faults that the policy refuses.
     """
     path = Path(path)
-    _refuse_contradictions(columns)
+    if isinstance(columns, str | Path):
+        text = isinstance(columns, str) and "\n" in columns
+        columns = parse_column_map(str(columns)) if text else read_column_map(columns)
     table = read_table(path, columns.csv, list(columns.sources()), where=columns.where)
     with naming(path):
+        _refuse_contradictions(table, columns)
         log = _columns(table, columns, path.name)
         if columns.interpolate:
             log = at_rows_with_rates(log)
-        return examine(log if rows is None else log.part(rows), columns.policy)
+        examined = examine(log if rows is None else log.part(rows), columns.policy)
+        _refuse_counts(table, columns)
+        return examined
 
 
-def _refuse_contradictions(columns: ColumnMap) -> None:
-    """Unless units are to be kept whatever they are, or a scale may take one to the other."""
+def _refuse_contradictions(table: Numbers, columns: ColumnMap) -> None:
+    """Unless units are to be kept whatever they are."""
     if columns.policy.wrong_units == "keep":
         return
     for source in columns.sources():
-        if (
-            isinstance(source, Measured)
-            and isinstance(source.column, str)
-            and source.scale == 1.0
-            and (question := contradiction(source.column, source.unit))
-        ):
-            raise LogError(f'{question} (mend the map, or have it say [policy] wrong_units = "keep")')
+        if isinstance(source, Measured):
+            for name in table.names(source):
+                if question := question_of(name, source):
+                    raise LogError(f"{question} {_MEND}")
+
+
+def _refuse_counts(table: Numbers, columns: ColumnMap) -> None:
+    """Where rates in degrees or radians a second are whole numbers alone."""
+    for source in columns.sources() if columns.policy.wrong_units == "refuse" else ():
+        if isinstance(source, RateColumn) and source.unit in ("deg/s", "rad/s") and source.scale == 1.0:
+            values = table.numbers(source)
+            known = values[np.isfinite(values)]
+            if len(known) > _MANY and np.ptp(known) > 1.0 and np.all(known == np.rint(known)):
+                words = f"{source.words()} holds whole numbers alone: are they counts? Then give the scale of one"
+                raise LogError(f"{words} {_MEND}")
 
 
 def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:

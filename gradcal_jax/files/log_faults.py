@@ -9,11 +9,13 @@
     missing force               a specific force that is no finite number                             mask, refuse
     saturated                   at full scale, or stuck at its own extreme three rows on end          mask, keep, refuse
     marked                      the device's own status                                               mask, keep, refuse
-    missing temperature         a temperature that is no finite number                                mask, keep, refuse
+    missing temperature         a temperature that is no finite number, or jumps away and back        mask, keep, refuse
     frozen temperature          unchanged for long, in a record where it changes                      mask, keep, refuse
     wrong unit                  sizes that no sensor has; a factor against the table or stated rate   keep, refuse
     rows in turns               rows that are nearer to the next but one than to the next                 keep, refuse
     uneven stamps               apart by unlike times, and yet never far from an even clock               keep
+    rows out of order           many earlier stamps, by no more than a hundredth of the record            sort, refuse
+    changed rate                evenly at one rate in a part, and at another in the rest                  keep, refuse
     clock drift                 sample rate against the stated one, against the host, or wandering    keep, refuse
 
 *mask* takes the rows out of use and counts them, *split* makes two stretches, *keep* only reports, *refuse* raises.
@@ -27,10 +29,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax import formulas
-from gradcal_jax.files.log import Bools, Finding, Floats, Log, LogError, Reason, intervals_within, mean_interval
+from gradcal_jax.files.log import (
+    Bools,
+    Finding,
+    Floats,
+    Log,
+    LogError,
+    Reason,
+    Whole,
+    intervals_within,
+    mean_interval,
+)
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.signal_faults import at_a_limit, frozen_temperature, quiet_windows
-from gradcal_jax.files.uneven_stamps import even_clock
+from gradcal_jax.files.signal_faults import at_a_limit, frozen_temperature, jumped_temperature, quiet_windows
+from gradcal_jax.files.uneven_stamps import against_earlier, changed_rate, even_clock, refuse_intervals, refuse_restart
 
 _FASTEST_RATE: Final = 90.0
 """rad/s, 5000 deg/s: beyond the full scale of the sensors that this program calibrates."""
@@ -45,17 +57,10 @@ _SHORT, _OFTEN = 0.3, 0.05
 _MANY_ROWS: Final = 20
 """Fewer rows are not many."""
 _COARSE: Final = 0.1
-"""Fraction of rows with the stamp of another, above which stamps do not distinguish rows."""
-_RESTART: Final = 10
-"""Consecutive rows after an earlier stamp that are not single outliers."""
-_COUNTERS: Final[Mapping[str, float]] = {
-    "32 bits of µs": 2**32 * 1e-6,
-    "32 bits of ms": 2**32 * 1e-3,
-    "32 bits of ns": 2**32 * 1e-9,
-    "24 bits of µs": 2**24 * 1e-6,
-    "16 bits of ms": 2**16 * 1e-3,
-    "16 bits of µs": 2**16 * 1e-6,
-}
+"""Fraction of rows with the stamp of another, above which stamps do not distinguish rows; of rows out of order, above
+which they are put in order."""
+_SHUFFLED: Final = 0.01
+"""Share of the record's span over which rows are out of order, and not of two clocks."""
 _INTERVALS: Final = (2e-5, 1.5)
 _LONGEST_S: Final = 14 * 86400.0
 """Stamps closer or farther apart, and records longer, are those of another unit: a gyro gives some samples a second."""
@@ -103,6 +108,8 @@ class Policy(Section):
     """Sizes that no sensor has, and factors against the table or the stated rate."""
     rows_in_turns: Literal["keep", "refuse"] = "refuse"
     """Rows that are alike in turns, as those of several sensors in one column are."""
+    changed_rate: Literal["keep", "refuse"] = "refuse"
+    """Rows that come at one rate in a part of the record, and at another in the rest."""
     clock_drift: Literal["keep", "refuse"] = "keep"
     """Sample rates against the stated one, against the host, or wandering."""
 
@@ -151,7 +158,7 @@ class Columns:
             raise LogError(f"of {count} rows fewer than two lie from row {first} on, as asked for")
         return replace(self.of_rows(slice(first, last)), rows_before=first, rows_after=count - last)
 
-    def of_rows(self, kept: slice | Bools) -> "Columns":
+    def of_rows(self, kept: slice | Bools | Whole) -> "Columns":
         """The same of some rows."""
         cut: dict[str, Any] = {}
         for field_ in fields(self):
@@ -176,7 +183,9 @@ def examine(columns: Columns, policy: Policy | None = None) -> Log:
 
 def at_rows_with_rates(columns: Columns) -> Columns:
     """The rows in which all rates are given, with the other channels interpolated to their stamps; farther from a
-    channel's own rows than three of its intervals it is missing. Raises `LogError` where there are no two such rows."""
+    channel's own rows than three of its intervals it is missing. Rows of one stamp, each of other channels, are one.
+    Raises `LogError` where there are no two rows with all rates."""
+    columns = _of_one_stamp(columns)
     rated: Bools = np.isfinite(columns.rate_rad_per_s).all(axis=(0, 2)).astype(bool)
     count = len(rated)
     if np.count_nonzero(rated) < 2:
@@ -205,6 +214,18 @@ def at_rows_with_rates(columns: Columns) -> Columns:
         table_rate_rad_per_s=each(columns.table_rate_rad_per_s, 0),
     )
     return replace(joined, rows_after=count - int(np.count_nonzero(rated)))
+
+
+def _of_one_stamp(columns: Columns) -> Columns:
+    """Rates that stand in rows of their own joined where rows in succession have one stamp and no rate twice."""
+    rate, time = columns.rate_rad_per_s.copy(), columns.time_s
+    if time is None or np.isfinite(rate).all():
+        return columns
+    begins = np.flatnonzero(np.diff(time, prepend=np.nan) != 0.0)
+    if np.any(np.add.reduceat(np.isfinite(rate), begins, axis=1, dtype=int) > 1):
+        return columns
+    rate[:, begins] = np.fmax.reduceat(rate, begins, axis=1)
+    return replace(columns, rate_rad_per_s=rate)
 
 
 class _Examination:
@@ -289,20 +310,31 @@ class _Examination:
         if action == "mask":
             self.status[where] |= reason.value
 
-    def ordered(self, rows: int) -> tuple[Floats, Bools]:
+    def ordered(self, rows: int) -> tuple[Floats, Whole]:
         """The increasing times, and their rows in the source."""
         raw = self.raw
         if raw.time_s is None:
             if raw.sample_rate_hz is None:
                 raise LogError("there are neither time stamps nor a sample rate: give one of them")
-            return np.arange(rows) / raw.sample_rate_hz, np.ones(rows, bool)
-        time = raw.time_s
+            return np.arange(rows) / raw.sample_rate_hz, np.arange(rows)
+        time, order = raw.time_s, np.arange(len(raw.time_s))
         readable = np.abs(time) < _ABSURD
-        earlier = np.maximum.accumulate(np.where(readable, time, -np.inf))
-        before = np.concatenate([[-np.inf], earlier[:-1]])[:rows]
-        duplicate = readable & (time == before)
-        unordered = readable & (time < before)
-        self.refuse_restart(time, before, unordered)
+        refuse_intervals(time[readable])
+        before, duplicate, unordered = against_earlier(time, readable)
+        refuse_restart(time, before, unordered, raw.rows_before)
+        if (count := int(np.count_nonzero(unordered))) > max(_MANY_ROWS, _COARSE * rows):
+            back = float(np.max((before - time)[unordered]))
+            if back > _SHUFFLED * float(np.ptp(time[readable])):
+                raise LogError(
+                    f"{_rows(count)} are stamped before an earlier row, by up to {back:.6g} s: are two clocks, or the "
+                    "rows of several sensors, in one column? Then where says whose are meant; or mend the stamps"
+                )
+            text = f"{_rows(count)} are stamped before an earlier row, by up to {back:.3g} s: rows are taken by stamps"
+            action = "refuse" if self.policy.unordered_stamps == "refuse" else "sort"
+            self.note_fault("rows out of order", action, count, text)
+            order = np.argsort(np.where(readable, time, np.inf), kind="stable")
+            time, readable = time[order] - time[order[0]], readable[order]
+            before, duplicate, unordered = against_earlier(time, readable)
         if np.count_nonzero(duplicate) > _COARSE * rows:
             span = float(np.max(time[readable]) - np.min(time[readable]))
             own = f'"{(np.count_nonzero(readable) - 1) / span:.6g} Hz"' if span > 0.0 else "what it was"
@@ -318,31 +350,24 @@ class _Examination:
         ):
             count = int(np.count_nonzero(where))
             if count:
-                self.note_fault(kind, action, count, f"{_rows(count)} {words}, first row {int(np.argmax(where))}")
+                first = int(order[where].min())
+                self.note_fault(kind, action, count, f"{_rows(count)} {words}, first row {first}")
                 self.removed[kind] = count
         kept = readable & ~duplicate & ~unordered
         if np.count_nonzero(kept) < 2:
             raise LogError(f"of {rows} rows only {np.count_nonzero(kept)} have a time later than the rows before them")
-        return time[kept], kept
-
-    def refuse_restart(self, time: Floats, before: Floats, unordered: Bools) -> None:
-        """A clock that steps back and continues from there does not give the order of the rows."""
-        for start, stop in formulas.runs(unordered).tolist():
-            usual = float(np.median(np.abs(np.diff(time[start:stop])))) if stop - start >= _RESTART else 0.0
-            # Rows that are only late are followed by a jump back to the others' times.
-            if usual > 0.0 and (stop == len(time) or time[stop] - time[stop - 1] < 3 * usual):
-                step = float(before[start] - time[start])
-                turns = [words for words, turn in _COUNTERS.items() if abs(step + usual - turn) < 0.01 * turn]
-                row = start + self.raw.rows_before
-                raise LogError(
-                    f"the clock steps back at row {row}, by {step:.6g} s, and goes on from there: "
-                    + (f"a counter of {turns[0]} that wrapped? " if turns else "did it restart? ")
-                    + f'Read the parts one by one, --rows "0..{row}" and --rows "{row}..", or mend the stamps'
-                )
+        return time[kept], order[kept]
 
     def stretches(self, time: Floats) -> tuple[Floats, NDArray[np.int64]]:
         """The times, and the rows at which stretches begin; even times where stamps are uneven but no row is lost."""
         interval = np.diff(time)
+        if (changed := changed_rate(interval)) is not None:
+            row, first, second = changed
+            text = (
+                f"rows come at {first:.6g} Hz up to row {row}, and at {second:.6g} Hz behind it; a record has one: "
+                f'read the parts one by one, --rows "0..{row}" and --rows "{row}.."'
+            )
+            self.note_fault("changed rate", self.policy.changed_rate, 0, text)
         usual = float(np.median(interval))
         # In pairs of which some have lost a row most intervals are those between pairs.
         short = interval < _SHORT * usual
@@ -398,6 +423,10 @@ class _Examination:
         missing, policy = ~(np.abs(temperature) < _ABSURD), self.policy
         self.mask(missing, Reason.MISSING_TEMPERATURE, policy.missing_temperatures, "without a temperature")
         known = np.where(missing, np.nan, temperature)
+        jumped = np.stack([jumped_temperature(values, starts) for values in known])
+        words = "with a temperature that jumps away for a while, as of a thermometer that restarts or loses contact"
+        self.mask(jumped, Reason.MISSING_TEMPERATURE, policy.missing_temperatures, words)
+        known[jumped] = np.nan
         frozen = np.stack([frozen_temperature(time, values, starts) for values in known])
         whole = [name for name, rows in zip(self.raw.units, frozen, strict=True) if rows.all()]
         if whole:
@@ -433,7 +462,12 @@ class _Examination:
                 apart = f"{ratio:.3g} times as far apart"
                 self.wrong_unit(f"stamps are {apart} as at the stated rate: are they in another unit?")
         elif not (_INTERVALS[0] < interval < _INTERVALS[1] and time[-1] - time[0] < _LONGEST_S):
-            whole = f"{time[-1] - time[0]:.3g} s in all"
+            longest, whole = float(np.max(np.diff(time))), f"{time[-1] - time[0]:.3g} s in all"
+            if interval < _INTERVALS[1] and longest > 0.5 * (time[-1] - time[0]):
+                raise LogError(
+                    f"stamps jump by {longest:.6g} s behind row {np.argmax(np.diff(time))}: do they go over "
+                    "to another clock, as from the time since the start to that of day? Read the parts by --rows"
+                )
             self.wrong_unit(f"stamps are {interval:.3g} s apart, {whole}: are they in another unit?")
         for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
             walk = _least_walk(rate[unit, usable[unit], axis], interval)

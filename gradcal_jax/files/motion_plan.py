@@ -9,7 +9,7 @@ without shape and duration is a limit: a short turn does not reach it.
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Final, Literal, cast
 
 from pydantic import Field, GetJsonSchemaHandler, ValidationError, model_serializer
 from pydantic.json_schema import JsonSchemaValue
@@ -28,6 +28,8 @@ from gradcal_jax.files.schedule import (
 )
 from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
 
+BEYOND_TRAVEL: Final = "travel"
+"""The kind of the problems of moves beyond an axis's travel, which `files.travel` mends."""
 _SLACK = 1e-6
 _FULL_TURN = 2.0 * math.pi
 _MOST = 1e6 * _FULL_TURN
@@ -436,35 +438,36 @@ def _limits(move: ResolvedMove, axis: TableAxis) -> Iterator[Problem]:
 
 
 def _travel(schedule: PlanSchedule, rig: Rig) -> Iterator[Problem]:
-    """Every axis must stay within its travel either way of zero, and outside forbidden angles, in every cycle."""
+    """Every axis must stay within its travel either way of zero, and outside forbidden angles, in every cycle: the
+    first and the last are the farthest. Each move that does not, at its farthest."""
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     for k, axis in enumerate(rig.table.axis):
         lowest, highest = axis.reach
         if math.isinf(highest):
             continue
-        net = math.fsum(s.move.repeat * s.move.angle for s in schedule.steps if s.axis == k)
-        for first in sorted({0, cycles - 1}):
-            at, beyond, reach, where = schedule.start[k] + first * net, 0.0, 0.0, 0
-            for step in schedule.steps:
-                if step.axis != k:
-                    continue
+        steps = [step for step in schedule.steps if step.axis == k]
+        net = math.fsum(step.move.repeat * step.move.angle for step in steps)
+        farthest: dict[int, tuple[float, float, int]] = {}
+        for cycle in sorted({0, cycles - 1}):
+            at = schedule.start[k] + cycle * net
+            for step in steps:
                 turned = (step.move.repeat - 1) * step.move.angle
-                for far in (at + end + side for end in (0.0, turned) for side in (step.move.low, step.move.high)):
-                    if (excess := max(far - highest, lowest - far)) > beyond:
-                        beyond, reach, where = excess, far, step.source
+                # Where it begins is where the move before it ends.
+                ends = [side for side in (step.move.low, step.move.high) if side]
+                for far in (at + begin + end for begin in (0.0, turned) for end in ends):
+                    beyond = max(far - highest, lowest - far)
+                    if beyond > farthest.get(step.source, (_SLACK * (highest - lowest),))[0] and (
+                        cycle == 0 or step.source not in farthest
+                    ):
+                        farthest[step.source] = beyond, far, cycle
                 at += step.move.repeat * step.move.angle
-            if beyond > _SLACK * (highest - lowest):
-                free = f"its travel is {axis.travel} each way"
-                if axis.keep_out is not None:
-                    degrees = (f"{math.degrees(side):.6g}" for side in axis.reach)
-                    free = "it keeps between {} and {} deg".format(*degrees)
-                message = (
-                    f'takes axis "{axis.name}" {math.degrees(abs(reach)):.6g} deg from zero'
-                    + (f" in cycle {first + 1} (each ends {math.degrees(net):.6g} deg further)" if first else "")
-                    + f"; {free}"
-                )
-                yield Problem(("cycle", "moves", where), message)
-                break
+        free = f"its travel is {axis.travel} each way"
+        if axis.keep_out is not None:
+            free = "it keeps between {} and {} deg".format(*(f"{math.degrees(side):.6g}" for side in axis.reach))
+        for source, (_, reach, cycle) in sorted(farthest.items()):
+            later = f" in cycle {cycle + 1} (each ends {math.degrees(net):.6g} deg further)" if cycle else ""
+            message = f'takes axis "{axis.name}" {math.degrees(abs(reach)):.6g} deg from zero{later}; {free}'
+            yield Problem(("cycle", "moves", source), message, kind=BEYOND_TRAVEL)
 
 
 def _beyond_drive(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:

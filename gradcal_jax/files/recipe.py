@@ -15,6 +15,7 @@ from typing import Any, Final, Literal, cast
 from pydantic import Field, ValidationError
 
 from gradcal_jax import units
+from gradcal_jax.display import html, whole_text
 from gradcal_jax.files.axis_as_imu import is_of_axis
 from gradcal_jax.files.changes import differences, tables_of
 from gradcal_jax.files.contracts import NoticeRow, ParameterRow, PlaceRow, Prediction, RequirementRow, Size
@@ -109,6 +110,9 @@ class Recipe(TitledFile):
     """The optimiser's own record: objective, before, now, starts, limits."""
     spec: Spec = Field(title="gradcal-spec/1")
     """The spec whose plan these tracks are."""
+
+    __str__ = whole_text
+    _repr_html_ = html
 
     def _problems(self) -> Iterable[Problem]:
         step = self.resolution.acceleration

@@ -196,7 +196,7 @@ class RigFile(TitledFile):
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
     """Units under calibration."""
     longest_pause: Time = Quantity(1800.0, "30 min", "time")
-    """How long a run that paused by itself waits for somebody before it ends, everything safe."""
+    """How long a run that paused by itself waits for the operator before it ends with everything safe."""
     alarm: Alarm | None = None
     """The command that calls the operator."""
     operator: OperatorPlace | None = None

@@ -14,6 +14,7 @@ from gradcal_jax.files.quantity import (
     BiasSlope,
     ForceGradientSensitivity,
     Margin,
+    Number,
     Of,
     PositiveAccelerationSensitivity,
     PositiveAccelerationSlope,
@@ -507,8 +508,19 @@ ScaleFactorPlays = Annotated[tuple[PlayOfScaleFactor, ...], Field(max_length=10)
 Transients = Annotated[tuple[PowerOnTransient, ...], Field(max_length=5)]
 
 
+class OwnError(Section):
+    """An error by a class of your own, a subclass of `gradcal_jax.model.OwnTerm`, which is estimated."""
+
+    term: Text
+    """Name of the class."""
+    prior: Annotated[Number, Field(gt=0.0)]
+    """Standard deviation of each of its parameters before the calibration, in the SI unit of the class."""
+    name: Text | None = None
+    """Name of its parameters; absent: that of the class."""
+
+
 class _PathOfTemperature(Section):
-    """What depends on the path of temperature and not on its present value alone, each estimated."""
+    """What depends on the path of temperature and not on its present value alone, each estimated; and own errors."""
 
     hysteresis: Plays = ()
     """Hysteresis of the bias, plays that add."""
@@ -518,6 +530,8 @@ class _PathOfTemperature(Section):
     """Scale factor in proportion to dT/dt."""
     turn_on_transient: Transients = ()
     """Bias that decays from power-on, exponentials that add."""
+    own: Annotated[tuple[OwnError, ...], Field(max_length=20)] = ()
+    """Errors by classes of your own."""
     late_temperature_gradient: Annotated[tuple[LateGradientOfBias, ...], Field(max_length=5)] = ()
     """Bias in proportion to dT/dt, later by first-order lags; they add."""
     scale_factor_late_temperature_gradient: Annotated[tuple[LateGradientOfScale, ...], Field(max_length=5)] = ()
@@ -624,7 +638,7 @@ class AccelerometerTriad(_Channel, _PathOfTemperature):
             message = "has no effect at rest, where alone accelerometers are read; leave it out, or read them on slow "
             refuse(Problem(("lever_arm",), message + 'moves, too: read_on_moves_below = "5 deg/s"'))
         if self.asymmetry is not None and self.read_on_moves_below is not None:
-            message = "is told at rest alone, where the force keeps its sign; leave it out, or read_on_moves_below"
+            message = "is observable only at rest; remove it, or remove read_on_moves_below"
             refuse(Problem(("asymmetry",), message))
         return self
 

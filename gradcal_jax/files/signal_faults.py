@@ -28,6 +28,8 @@ _OFF: Final = 0.02
 # Rows of which the least step is found, and of a window in which the noise is.
 _LOOKED_AT, _WINDOW = 1 << 17, 64
 _FROZEN_S: Final = 30.0
+# K from row to row that no thermometer jumps, and the largest share of rows between such jumps.
+_JUMP_K, _JUMPED = 5.0, 0.2
 FAR: Final = 10.0
 """Standard deviations from its neighbours beyond which a row is wrong."""
 # Rows around one with which it is compared at rest, and in motion; the largest share of wrong ones.
@@ -136,6 +138,13 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
             f"{where}: no row at rest is {'below' if distinct[-1] > 0.0 else 'above'} zero, and many are near it: is "
             "the sign lost, or a magnitude logged? Log the signed rates"
         )
+    far = np.abs(distinct - np.median(known)) > FAR * 1.4826 * float(np.median(np.abs(known - np.median(known))))
+    if np.sum(counts[far]) > _RARE * len(known) and (some := int(np.max(counts[far]))) > 0.5 * np.sum(counts[far]):
+        raise LogError(
+            f"{where}: {some / len(known):.2g} of its rows at rest have the value "
+            f"{distinct[far][np.argmax(counts[far])]:.6g} (SI), far from all others: does it stand for a missing one? "
+            "Leave those cells empty"
+        )
     if counts[most] > _ONE_VALUE * len(known) and counts[most] > _UNUSUAL * np.max(np.delete(counts, most), initial=0):
         return (
             f"{where}: {counts[most] / len(known):.2g} of its rows at rest have one value ({distinct[most]:.4g}, SI), "
@@ -202,10 +211,11 @@ def far_from_neighbours(values: Floats) -> Bools:
     return result
 
 
-def glitches(values: Floats, standing: Whole | None) -> Bools:
+def glitches(values: Floats, standing: Whole | None, *, by_hand: bool = False) -> Bools:
     """`(n,)`: rare single rows and pairs of a channel, far from the median of the five rows about them: more than `FAR`
     standard deviations of the noise about them, or of all standstills, `standing` `(n,)`, within which they are then
-    looked for alone."""
+    looked for alone. `by_hand`: also `FAR` times the steps from row to
+    row about them, since a bump of a hand lasts for several rows."""
     apart = np.full(len(values), np.nan)
     ndimage: Any = importlib.import_module("scipy.ndimage")
     looked_at = np.isfinite(values)
@@ -234,9 +244,15 @@ def glitches(values: Floats, standing: Whole | None) -> Bools:
     # (In motion a wrong row moves its neighbours' medians, too, but by less.)
     worst = some >= 0.3 * ndimage.maximum_filter1d(some, _BESIDE)
     beyond = (some > FAR / _OF_FIVE * noise) & (noise > 0.0)
-    # Several such rows close together are a bump or the begin of a motion, which the sensor did feel.
-    crowded = ndimage.uniform_filter1d(beyond.astype(float), _CROWD, mode="constant") * _CROWD > _PAIR + 0.5
-    far = beyond & worst & looked_at[known] & ~crowded
+    far = beyond & worst & looked_at[known]
+    if by_hand:
+        # (A pair makes three steps, and two single rows four.)
+        steps = np.abs(np.diff(own, prepend=own[:1]))
+        far &= some > FAR * ndimage.rank_filter(steps, -5, _CROWD)
+    else:
+        # Several such rows close together are a bump or the begin of a motion, which the sensor did feel.
+        crowded = ndimage.uniform_filter1d(beyond.astype(float), _CROWD, mode="constant") * _CROWD > _PAIR + 0.5
+        far &= ~crowded
     if np.mean(far) < _RARE:
         result[known[far]] = True
     return result
@@ -287,6 +303,46 @@ def frozen_temperature(time_s: Floats, values: Floats, starts: Whole) -> Bools:
     return result
 
 
+def refuse_clipped(where: str, values: Floats) -> None:
+    """Raise `LogError` where a limit cuts off the noise of a channel at rest."""
+    limit, known = at_a_limit(values), values[np.isfinite(values)]
+    share = np.count_nonzero(limit) / max(len(known), 1)
+    if share > _RARE:
+        middle = float(np.median(known))
+        size, noise = np.abs(values[limit] - middle), 1.4826 * float(np.median(np.abs(known - middle)))
+        if float(np.max(size)) < FAR * noise:
+            raise LogError(
+                f"{where}: {share:.2g} of its rows at rest are at a limit {float(np.min(size)) / noise:.2g} standard "
+                "deviations from the middle, which cuts off its noise: no record of it tells how large that is; take a "
+                "larger full scale, or the values before they are limited"
+            )
+
+
+def jumped_temperature(values: Floats, starts: Whole) -> Bools:
+    """`(n,)`: rows between jumps of the temperature (°C), of which most rows know nothing: 85 °C of a thermometer that
+    restarts, 0 of a lost contact; none if they are many. `starts`: rows at which stretches begin."""
+    result = np.zeros(len(values), bool)
+    known = np.flatnonzero(np.isfinite(values))
+    cut = np.abs(np.diff(values[known])) > _JUMP_K
+    if not cut.any():
+        return result
+    cuts = np.flatnonzero(cut | np.isin(known[1:], starts)) + 1
+    begins, ends = np.concatenate([[0], cuts]), np.concatenate([cuts, [len(known)]])
+    pieces = list(zip(begins.tolist(), ends.tolist(), strict=True))
+    own, longest = values[known], int(np.argmax(ends - begins))
+    # From the longest piece on, forward and back, a piece that begins near where the last good one ended is good.
+    for order, last in ((pieces[longest:], 1), (pieces[longest::-1], 0)):
+        good = own[order[0][last] - last]
+        for piece in order[1:]:
+            near, far = piece[1 - last] + last - 1, piece[last] - last
+            behind_gap = known[piece[0] if last else piece[1]] in starts
+            if behind_gap or abs(own[near] - good) <= _JUMP_K:
+                good = own[far]
+            else:
+                result[known[piece[0] : piece[1]]] = True
+    return result if np.mean(result) < _JUMPED else np.zeros(len(values), bool)
+
+
 def after_gaps(log: Log) -> tuple[Whole, list[str]]:
     """Rows at which a log's stretches begin, gaps that it does not mark included, and a sentence on those."""
     interval = np.diff(log.time_s)
@@ -312,7 +368,7 @@ def signal_faults(
 ) -> SignalFaults:
     """What the samples of a unit's `channels` ("gyro x"; None: of all) show by themselves, of rows not masked;
     `at_rest`: of a record in which everything that is not marked as moving stands still; `by_hand`: of one that a hand
-    turns now and then, whose bumps no rule tells from wrong rows if the standstills are not marked."""
+    turns now and then, whose bumps are no wrong rows."""
     number, usable = log.unit_index(unit), log.usable(unit)
     saturated, frozen, far, unknown = (np.zeros(len(usable), bool) for _ in range(4))
     slow = log.standstill is None and log.sample_interval_s * _LEAST_RATE > 1.0
@@ -349,8 +405,8 @@ def signal_faults(
                 own = own if log.standstill is None else np.where(log.standstill >= 0, own, np.nan)
                 apart = far_from_neighbours(own)
             else:
-                bumps = by_hand and log.standstill is None
-                apart = np.zeros(len(own), bool) if slow or bumps else glitches(own, log.standstill)
+                unmarked = by_hand and log.standstill is None
+                apart = np.zeros(len(own), bool) if slow else glitches(own, log.standstill, by_hand=unmarked)
             if apart.any():
                 far |= apart
                 count = np.count_nonzero(apart)

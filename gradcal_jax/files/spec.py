@@ -32,7 +32,7 @@ def expect_whole(spec: Spec, what: str) -> None:
 
 def goes_on(what: str) -> ValueError:
     """The message where a plan continues an executed part, which `what` does not support."""
-    return ValueError(f"{what} is of a plan that begins a run, and this one goes on with what was done: [[done]]")
+    return ValueError(f"{what} needs a plan that starts a run; this spec continues an interrupted one ([[done]])")
 
 
 def read_spec(path: str | Path) -> Spec:

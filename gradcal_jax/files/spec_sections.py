@@ -8,6 +8,7 @@ from typing import Annotated, Any, Final, Literal, cast
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from gradcal_jax.display import html
 from gradcal_jax.files.bench import Rig
 from gradcal_jax.files.checks import problems_between
 from gradcal_jax.files.design import Design
@@ -62,6 +63,8 @@ class Spec(TitledFile):
 
     def _problems(self) -> Iterator[Problem]:
         return problems_between(self)
+
+    _repr_html_ = html
 
     @property
     def is_one_axis(self) -> bool:

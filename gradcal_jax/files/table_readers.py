@@ -20,15 +20,18 @@ from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.problems import instead
 from gradcal_jax.files.tables import DELIMITERS, Array, Measured, Numbers, Source, TextTable, Where
 
-_LOOKED_AT, _PREAMBLE = 200, 500
-"""First lines in which rows of several sensors, or a checksum, are looked for; lines that may stand above a header."""
+_LOOKED_AT, _PREAMBLE, _BLOCK = 200, 500, 1 << 14
+"""First lines in which rows of several sensors, or a checksum, are looked for; lines that may stand above a header;
+lines that are read at once."""
 _WHICH: Final = re.compile(
     r"(?:(?:sensor|imu|device|unit|node|board|channel|gyro|topic|frame|msg|message|source)[ _]?)?"
-    r"(?:id|name|index|no|nr|num|number|type|kind|sensor|imu|device|unit|node|topic|source|instance)",
+    r"(?:id|name|index|no|nr|num|number|type|kind|sensor|imu|device|unit|node|topic|source|instance|axis|signal|quantity|variable)",
     re.IGNORECASE,
 )
 """A column that may tell several sensors apart."""
-_MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "inf", "-inf")
+_MISSING: Final = re.compile(
+    r"[+-]?(nan|inf(inity)?|1\.?#[a-z]+)?(\([a-z0-9]*\))?|n/?a|#[a-z/0]+[!?]?|null|none|missing|-+|\?+", re.IGNORECASE
+)
 """Words for a missing value."""
 _MANY_UNREAD, _SHARE_UNREAD = 20, 0.02
 """Values in no notation of numbers beyond which a column is not one of numbers with a few torn ones."""
@@ -88,7 +91,8 @@ def read_table(
     if size == 0:
         raise LogError(f"{path} is empty")
     with naming(path):
-        table = readers[kind](path, layout, sources if where is None or kind in _TEXT else [*sources, where])
+        others = [] if kind in _TEXT else [*_wheres(sources), *([] if where is None else [where])]
+        table = readers[kind](path, layout, [*sources, *others])
         if where is not None and kind not in _TEXT:
             table.kept = where.chosen(table.raw(where))
         return table
@@ -100,20 +104,20 @@ def _read_text_table(path: Path, layout: TextTable, sources: Sequence[Source], w
         with _opened(path, layout) as lines:
             for _ in range(layout.skip):
                 lines.readline()
-            header = _header(lines, layout, delimiter, sources) if layout.header else []
+            header, whole = _header(lines, layout, delimiter, sources) if layout.header else ([], False)
             used = sorted({_place(source, header, layout.header) for source in sources})
             start = lines.tell()
-            some = list(itertools.islice(_tables(iter(lines.readline, ""), layout), _LOOKED_AT))
+            first = list(itertools.islice(_tables(iter(lines.readline, ""), layout), _LOOKED_AT))
             lines.seek(start)
-            _refuse_several(some, layout, delimiter, header, used, where)
-            rows = partial(_prepared, lines, layout, delimiter, some)
+            some = [[field.strip() for field in _split(line, delimiter)] for line in first]
+            told_apart = where is not None or any(_wheres(sources))
+            _refuse_several(some, layout, header, used, told_apart)
+            rows = _prepared(lines, layout, first)
             if where is not None:
-                rows = partial(_only, rows, where, _place(where, header, layout.header), delimiter)
-            values = _quick(rows(), delimiter, layout.comment, used)
-            if values is None:
-                lines.seek(start)
-                names = {place: f"'{header[place]}'" if place < len(header) else f"number {place}" for place in used}
-                values = _patient(rows(), delimiter, layout.comment, names)
+                rows = _only(rows, where, _place(where, header, layout.header), delimiter)
+            names = {place: f"'{header[place]}'" if place < len(header) else f"number {place}" for place in used}
+            words = dict.fromkeys(_place(one, header, layout.header) for one in _wheres(sources))
+            values, found = _values(rows, delimiter, layout.comment, names, list(words), len(header) * whole)
     except (UnicodeError, EOFError, gzip.BadGzipFile) as error:
         if not isinstance(error, UnicodeError):
             raise LogError("is no whole gzip file: was it cut off?") from None
@@ -122,8 +126,46 @@ def _read_text_table(path: Path, layout: TextTable, sources: Sequence[Source], w
         raise LogError(f"{text}, or is it another kind of file?") from None
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror or error}") from None
-    by_place = {place: values[:, number] for number, place in enumerate(used)}
-    return Numbers(lambda source: by_place[_place(source, header, layout.header)])
+    by_place = {place: values[:, number] for number, place in enumerate(names)}
+    texts = {
+        place: np.array(list(found))[values[:, number].astype(np.int64)]
+        for number, place in enumerate(words, start=len(names))
+    }
+
+    return _OfText(by_place, texts, header, some[0] if some else [], layout.header)
+
+
+class _OfText(Numbers):
+    def __init__(
+        self,
+        numbers: Mapping[int, Array],
+        texts: Mapping[int, Array],
+        header: list[str],
+        first: Sequence[str],
+        named: bool,
+    ) -> None:
+        super().__init__(lambda source: (texts if isinstance(source, Where) else numbers)[self._place_of(source)])
+        self._header, self._named = header, named
+        # A row of units stands below the names: no word of it is a number.
+        self._units = first if named and all(_number(text) != _number(text) for text in first) else ()
+
+    def _place_of(self, source: Source) -> int:
+        return _place(source, self._header, self._named)
+
+    def names(self, source: Source) -> list[str]:
+        place = self._place_of(source)
+        if place >= len(self._header):
+            return []
+        name = self._header[place]
+        unit = self._units[place].strip("()[] ") if place < len(self._units) else ""
+        return [name, f"{name} ({unit})"] if unit else [name]
+
+
+def _wheres(sources: Iterable[Source]) -> Iterator[Where]:
+    """What the columns of several sensors are told apart by."""
+    for source in sources:
+        if isinstance(source, Measured) and source.where is not None:
+            yield source.where
 
 
 def _opened(path: Path, layout: TextTable) -> TextIO:
@@ -140,7 +182,7 @@ def _tables(lines: Iterable[str], layout: TextTable) -> Iterator[str]:
             yield line
 
 
-def _prepared(lines: TextIO, layout: TextTable, delimiter: str | None, some: Sequence[str]) -> Iterable[str]:
+def _prepared(lines: TextIO, layout: TextTable, some: Sequence[str]) -> Iterable[str]:
     """The lines as tables of numbers have them: without others, checksums, decimal commas."""
     rows: Iterable[str] = lines if layout.lines is None else _tables(lines, layout)
     tail = re.compile(layout.strip)
@@ -150,33 +192,30 @@ def _prepared(lines: TextIO, layout: TextTable, delimiter: str | None, some: Seq
     return rows if layout.decimal == "." else (line.translate(_COMMAS) for line in rows)
 
 
-def _only(rows: Callable[[], Iterable[str]], where: Where, place: int, delimiter: str | None) -> Iterator[str]:
+def _only(rows: Iterable[str], where: Where, place: int, delimiter: str | None) -> Iterator[str]:
     """The lines of one of several sensors."""
-    seen, found = dict[str, None](), False
-    for line in rows():
+    meant = dict[str, bool]()
+    for line in rows:
         fields = _split(line, delimiter)
         text = fields[place].strip() if place < len(fields) else ""
-        if text == where.equals or (not isinstance(where.equals, str) and _number(text) == where.equals):
-            found = True
+        if text not in meant:
+            meant[text] = where.means(text)
+        if meant[text]:
             yield line
-        elif len(seen) < 8:
-            seen[text] = None
-    if not found:
-        raise LogError(f"where: no row has {where.equals_text} in {where.words()}, but such as {', '.join(seen)}")
+    if not any(meant.values()):
+        raise where.absent(meant)
 
 
 def _refuse_several(
-    some: Sequence[str],
+    rows: Sequence[Sequence[str]],
     layout: TextTable,
-    delimiter: str | None,
     header: Sequence[str],
     used: Sequence[int],
-    where: Where | None,
+    told_apart: bool,
 ) -> None:
     """A table whose first lines are of several kinds, or of several sensors."""
-    rows = [[field.strip() for field in _split(line, delimiter)] for line in some]
     places = [k for k, name in enumerate(header) if _WHICH.fullmatch(name)] if layout.header else [0]
-    for place in places if where is None and layout.lines is None else ():
+    for place in () if told_apart or layout.lines is not None else places:
         values = [row[place] for row in rows if len(row) > place]
         kinds = list(dict.fromkeys(values))
         turns = sum(a != b for a, b in itertools.pairwise(values))
@@ -186,7 +225,8 @@ def _refuse_several(
             equals = kinds[0] if _number(kinds[0]) == _number(kinds[0]) else f'"{kinds[0]}"'
             raise LogError(
                 f"column '{header[place]}' has {len(kinds)} values in turns ({', '.join(kinds[:4])}): rows of several "
-                f'sensors? Say whose are meant, such as where = {{ column = "{header[place]}", equals = {equals} }}'
+                f'sensors? Say whose are meant, such as where = {{ column = "{header[place]}", equals = {equals} }}, '
+                "of the map or of one of its columns"
             )
         if not any(_number(kind) == _number(kind) for kind in kinds):
             raise LogError(
@@ -195,9 +235,11 @@ def _refuse_several(
             )
 
 
-def _header(lines: TextIO, layout: TextTable, delimiter: str | None, sources: Sequence[Source]) -> list[str]:
+def _header(
+    lines: TextIO, layout: TextTable, delimiter: str | None, sources: Sequence[Source]
+) -> tuple[list[str], bool]:
     """The names, with `lines` left at the first row of numbers: the first line with all names of the map, or else the
-    first that is not all numbers; either may itself be commented out."""
+    first that is not all numbers; either may itself be commented out, and whether it is not."""
     wanted = {source.column for source in sources if isinstance(source.column, str)}
     first = lines.tell()
     for _ in range(_PREAMBLE if wanted else 0):
@@ -205,12 +247,12 @@ def _header(lines: TextIO, layout: TextTable, delimiter: str | None, sources: Se
             break
         names = [name.strip() for name in _split(line.strip().lstrip(layout.comment).strip(), delimiter)]
         if wanted <= set(names):
-            return names
+            return names, not line.lstrip().startswith(layout.comment)
     lines.seek(first)
     return _first_names(lines, layout, delimiter)
 
 
-def _first_names(lines: TextIO, layout: TextTable, delimiter: str | None) -> list[str]:
+def _first_names(lines: TextIO, layout: TextTable, delimiter: str | None) -> tuple[list[str], bool]:
     remark = ""
     while True:
         start = lines.tell()
@@ -222,18 +264,18 @@ def _first_names(lines: TextIO, layout: TextTable, delimiter: str | None) -> lis
         if plain:
             names = [name.strip() for name in _split(plain, delimiter)]
             if any(np.isnan(_number(name)) and name.lower() != "nan" for name in names):
-                return names
+                return names, True
         elif line:
             continue
         if remark:
             lines.seek(start)
-            return [name.strip() for name in _split(remark, delimiter)]
+            return [name.strip() for name in _split(remark, delimiter)], False
         raise LogError("there is no line of column names: write header = false under [csv] if there is none")
 
 
 def _split(line: str, delimiter: str | None) -> list[str]:
-    if delimiter is None:
-        return line.split()
+    if delimiter is None or '"' not in line:
+        return line.split(delimiter)
     try:
         return next(csv.reader([line], delimiter=delimiter), list[str]())
     except csv.Error:
@@ -259,55 +301,89 @@ def _place(source: Source, header: list[str], named: bool) -> int:
     return header.index(source.column)
 
 
+def _values(
+    lines: Iterable[str],
+    delimiter: str | None,
+    comment: str,
+    names: Mapping[int, str],
+    words: Sequence[int],
+    width: int,
+) -> tuple[Floats, Mapping[str, int]]:
+    """The numbers `(rows, names and words)` in columns by their place; those of `words` are numbers of texts in the
+    table behind.
+
+    Blocks whose rows are whole are read by NumPy's compiled reader. In others missing values and texts become NaN,
+    which are counted and named later. A column without any number, or in another notation of numbers, is an error, and
+    so are many rows of more fields than the header's `width` (0: there is none).
+    """
+    blocks, texts, wide = list[Floats](), dict[str, int](), list[str]()
+    odd, unread, readable = dict[int, str](), dict.fromkeys(names, 0), set[int]()
+    unbroken = iter(lines)
+    while block := list(itertools.islice(unbroken, _BLOCK)):
+        if width:
+            long = block if delimiter is None else (line for line in block if line.count(delimiter) >= width)
+            wide += [line for line in long if _is_wide(line, delimiter, comment, width)]
+        values = None if words else _quick(block, delimiter, comment, list(names))
+        if values is None:
+            numbers = array.array("d")
+            for line in block:
+                if not (plain := line.split(comment, 1)[0].strip()):
+                    continue
+                fields = [field.strip() for field in _split(plain, delimiter)]
+                for place in names:
+                    text = fields[place] if place < len(fields) else ""
+                    number = _number(text)
+                    numbers.append(number)
+                    if number == number:
+                        readable.add(place)
+                    elif not _MISSING.fullmatch(text):
+                        unread[place] += 1
+                        if not any(way.fullmatch(odd.get(place, "")) for way in _CERTAIN):
+                            odd[place] = text
+                for place in words:
+                    text = fields[place] if place < len(fields) else ""
+                    numbers.append(texts.setdefault(text, len(texts)))
+            values = np.frombuffer(numbers, np.float64).reshape(-1, len(names) + len(words))
+        else:
+            readable.update(names)
+        blocks.append(values)
+    values = np.concatenate(blocks) if blocks else np.empty((0, 1))
+    if not len(values):
+        raise LogError("there are no rows below the header")
+    if len(wide) > max(_MANY_UNREAD, _SHARE_UNREAD * len(values)):
+        raise LogError(
+            f"{len(wide)} of {len(values)} rows have more fields than the {width} names of the header, such as "
+            f"'{wide[0].strip()[:60]}': is a comma within the numbers, or has the first column no name? Mend the file, "
+            "or number the columns, with header = false and skip = 1 under [csv]"
+        )
+    for place, text in odd.items():
+        shown = text[:40].replace(_LEADER, ".")
+        for way, meaning in _WAYS.items():
+            if way.fullmatch(text) and (place not in readable or way in _CERTAIN):
+                raise LogError(f"column {names[place]} holds {meaning}: '{shown}'")
+        if place not in readable:
+            raise LogError(f"column {names[place]} holds no numbers, but such as '{shown}'")
+        if unread[place] > max(_MANY_UNREAD, _SHARE_UNREAD * len(values)):
+            raise LogError(
+                f"column {names[place]}: in {unread[place]} of {len(values)} rows stands no number, but such as "
+                f"'{shown}': in another notation? Mend them, or leave the cells empty"
+            )
+    return values, texts
+
+
+def _is_wide(line: str, delimiter: str | None, comment: str, width: int) -> bool:
+    plain = line.split(comment, 1)[0].strip()
+    return len(plain) > 0 and any(field.strip() for field in _split(plain, delimiter)[width:])
+
+
 def _quick(lines: Iterable[str], delimiter: str | None, comment: str, used: list[int]) -> Floats | None:
-    """All rows at once, by NumPy's compiled reader, where every row is whole; otherwise None."""
+    """All rows at once, where every row is whole; otherwise None."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             return np.loadtxt(lines, np.float64, comments=comment, delimiter=delimiter, usecols=used, ndmin=2)
     except (ValueError, IndexError, OverflowError, UserWarning, DeprecationWarning):
         return None
-
-
-def _patient(lines: Iterable[str], delimiter: str | None, comment: str, names: Mapping[int, str]) -> Floats:
-    """Row by row: missing values and texts become NaN, which are counted and named later.
-
-    A column without any number, or in another notation of numbers, is an error.
-    """
-    numbers = array.array("d")
-    odd: dict[int, str] = {}
-    unread: dict[int, int] = dict.fromkeys(names, 0)
-    readable: set[int] = set()
-    for line in lines:
-        plain = line.split(comment, 1)[0].strip()
-        if not plain:
-            continue
-        fields = _split(plain, delimiter)
-        for place in names:
-            text = fields[place].strip() if place < len(fields) else ""
-            number = _number(text)
-            numbers.append(number)
-            if number == number:
-                readable.add(place)
-            elif text.lower() not in _MISSING:
-                unread[place] += 1
-                if not any(way.fullmatch(odd.get(place, "")) for way in _CERTAIN):
-                    odd[place] = text
-    if not numbers:
-        raise LogError("there are no rows below the header")
-    for place, text in odd.items():
-        for way, words in _WAYS.items():
-            if way.fullmatch(text) and (place not in readable or way in _CERTAIN):
-                raise LogError(f"column {names[place]} holds {words}: '{text[:40].replace(_LEADER, '.')}'")
-        if place not in readable:
-            raise LogError(f"column {names[place]} holds no numbers, but such as '{text[:40].replace(_LEADER, '.')}'")
-        rows = len(numbers) // len(names)
-        if unread[place] > max(_MANY_UNREAD, _SHARE_UNREAD * rows):
-            raise LogError(
-                f"column {names[place]}: in {unread[place]} of {rows} rows stands no number, but such as "
-                f"'{text[:40].replace(_LEADER, '.')}': in another notation? Mend them, or leave the cells empty"
-            )
-    return np.frombuffer(numbers, np.float64).reshape(-1, len(names))
 
 
 def _number(text: str) -> float:

@@ -4,9 +4,10 @@ A column is identified by its name or number; the user gives its unit, scale and
 which consist of these sections, refuse columns without units.
 """
 
+import itertools
 import re
-from collections.abc import Callable, Iterator
-from typing import Annotated, Any, ClassVar, Final, Literal
+from collections.abc import Callable, Iterable, Iterator
+from typing import Annotated, Any, ClassVar, Final, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,36 @@ class Source(Section):
         return f"column {name}" + ("" if self.index is None else f", index {self.index}")
 
 
+class Where(Source):
+    """Of several sensors in the same columns, the rows of one."""
+
+    equals: Text | Number
+    """What stands in the column in the rows that are taken."""
+
+    def means(self, value: object) -> bool:
+        """Whether this is the value of the rows that are taken."""
+        if isinstance(self.equals, str):
+            return str(value) == self.equals
+        try:
+            return float(cast("float | str", value)) == self.equals
+        except ValueError:
+            return False
+
+    def absent(self, values: Iterable[object]) -> LogError:
+        """The error where no row has the value, but these."""
+        equals = f'"{self.equals}"' if isinstance(self.equals, str) else f"{self.equals:g}"
+        some = ", ".join(str(value) for value in itertools.islice(values, 8))
+        return LogError(f"where: no row has {equals} in {self.words()}, but such as {some}")
+
+    def chosen(self, values: Array) -> NDArray[np.bool_]:
+        """The rows that are taken. Raises `LogError` where there are none."""
+        kinds, places = np.unique(values, return_inverse=True)
+        meant = np.array([self.means(kind) for kind in kinds.tolist()], bool)
+        if not meant.any():
+            raise self.absent(kinds.tolist())
+        return meant[places]
+
+
 class Measured(Source):
     """A quantity: (number - zero) × scale, in the unit."""
 
@@ -50,6 +81,9 @@ class Measured(Source):
     """Factor of the numbers, after `zero` is taken off."""
     zero: Number = 0.0
     """Number that stands for zero."""
+    where: Where | None = None
+    """Of several sensors in the same column the rows of this one, such as `{ column = "id", equals = "gyro" }`; with
+    `interpolate = true`."""
 
     @field_validator("scale")
     @classmethod
@@ -95,26 +129,6 @@ class TemperatureColumn(Measured):
     """An absolute temperature."""
 
     DIMENSION = "temperature"
-
-
-class Where(Source):
-    """Of several sensors in the same columns, the rows of one."""
-
-    equals: Text | Number
-    """What stands in the column in the rows that are taken."""
-
-    @property
-    def equals_text(self) -> str:
-        """As it is written."""
-        return f'"{self.equals}"' if isinstance(self.equals, str) else f"{self.equals:g}"
-
-    def chosen(self, values: Array) -> NDArray[np.bool_]:
-        """The rows that are taken. Raises `LogError` where there are none."""
-        kept = values.astype(str) == self.equals if isinstance(self.equals, str) else values == self.equals
-        if not np.any(kept):
-            some = ", ".join(str(value) for value in np.unique(values)[:8].tolist())
-            raise LogError(f"where: no row has {self.equals_text} in {self.words()}, but such as {some}")
-        return np.asarray(kept)
 
 
 def _pattern(value: str) -> str:
@@ -181,9 +195,13 @@ class Numbers:
         """One column of any type, all rows."""
         return self._find(source)
 
+    def names(self, source: Source) -> list[str]:
+        """What the file calls a column; with the unit behind it that stands in a row of its own, if there is one."""
+        return [source.column] if isinstance(source.column, str) else []
+
     def numbers(self, source: Source) -> Array:
         """One column, unconverted (integers stay integers)."""
-        values = self._find(source)
+        values = self.raw(source)
         if values.dtype.kind not in "biuf":
             raise LogError(f"{source.words()} holds no numbers")
         if self.rows is None:
@@ -198,6 +216,9 @@ class Numbers:
         values = self.numbers(source).astype(np.float64)
         at_zero = units.parse(f"0 {source.unit}", dimension)  # not 0 for degF
         factor = units.parse(f"1 {source.unit}", dimension) - at_zero
+        if source.where is not None:
+            of_all = source.where.chosen(self.raw(source.where))
+            values[~(of_all if self.kept is None else of_all[self.kept])] = np.nan
         with np.errstate(all="ignore"):  # absurd numbers are found and named afterwards
             return (values - source.zero) * (source.scale * factor) + at_zero
 

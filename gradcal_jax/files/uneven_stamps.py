@@ -1,6 +1,7 @@
-"""Stamps that are not even though the sensor's clock is: bursts of a queue, pairs, whole milliseconds.
+"""Stamps of a clock that restarts, that are no stamps, or change their rate; and those that are not even though the
+sensor's clock is: bursts of a queue, pairs, whole milliseconds.
 
-Such stamps come back to an even clock again and again, where lost rows leave it for ever:
+Uneven stamps come back to an even clock again and again, where lost rows leave it for ever:
 
     t_i             stamps;  a burst begins where an interval is longer than jitter
     P               median time from burst to burst;  m  rows of most bursts
@@ -15,7 +16,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from gradcal_jax.files.log import Floats, Whole
+from gradcal_jax import formulas
+from gradcal_jax.files.log import Bools, Floats, LogError, Whole
 
 _MANY, _MANY_ROWS = 0.005, 20
 # Bursts over which a wandering clock is averaged, and bursts by which stamps may leave it.
@@ -24,6 +26,79 @@ _BURSTS, _WITHIN = 40, 1.5
 _PAUSE, _EVENLY = 1.6, 0.02
 # Least share of whole bursts from which their number of rows is known.
 _WHOLE: Final = 0.3
+# Rows without which stamps are not looked at; share of steps that are not forward, and steps that the stamps then span.
+_LOOKED_AT, _NOT_FORWARD, _SPANNED = 100, 0.3, 10.0
+# Rows on end behind an earlier stamp that are not single outliers.
+_RESTART: Final = 10
+_COUNTERS: Final = {
+    "32 bits of µs": 2**32 * 1e-6,
+    "32 bits of ms": 2**32 * 1e-3,
+    "32 bits of ns": 2**32 * 1e-9,
+    "24 bits of µs": 2**24 * 1e-6,
+    "16 bits of ms": 2**16 * 1e-3,
+    "16 bits of µs": 2**16 * 1e-6,
+}
+# Blocks of rows by whose intervals a changed rate is seen: their number, the share of a block's intervals that are
+# alike, within what share, the share of blocks of each rate, and the least ratio of the rates.
+_BLOCKS, _EVEN, _ALIKE, _SOME, _CHANGED = 50, 0.8, 0.1, 0.1, 1.3
+
+
+def against_earlier(time: Floats, readable: Bools) -> tuple[Floats, Bools, Bools]:
+    """The latest time before each row, and which rows have it again or an earlier one."""
+    earlier = np.maximum.accumulate(np.where(readable, time, -np.inf))
+    before = np.concatenate([[-np.inf], earlier[:-1]])[: len(time)]
+    return before, readable & (time == before), readable & (time < before)
+
+
+def refuse_restart(time: Floats, before: Floats, unordered: Bools, rows_before: int) -> None:
+    """Raise `LogError` for a clock that steps back and goes on from there: it does not give the order of the rows."""
+    for start, stop in formulas.runs(unordered).tolist():
+        usual = float(np.median(np.abs(np.diff(time[start:stop])))) if stop - start >= _RESTART else 0.0
+        # Rows that are only late are followed by a jump back to the others' times.
+        if usual > 0.0 and (stop == len(time) or time[stop] - time[stop - 1] < 3 * usual):
+            step, row = float(before[start] - time[start]), start + rows_before
+            turns = [words for words, turn in _COUNTERS.items() if abs(step + usual - turn) < 0.01 * turn]
+            raise LogError(
+                f"the clock steps back at row {row}, by {step:.6g} s, and goes on from there: "
+                + (f"a counter of {turns[0]} that wrapped? " if turns else "did it restart, or wrap? ")
+                + f'Read the parts one by one, --rows "0..{row}" and --rows "{row}..", or mend the stamps'
+                + ("" if turns else "; or do rows of another sensor follow? Then where says whose are meant")
+            )
+
+
+def refuse_intervals(time: Floats) -> None:
+    """Raise `LogError` for stamps `(n,)` that do not grow from row to row."""
+    if len(time) < _LOOKED_AT:
+        return
+    steps = np.diff(time)
+    low, high = np.quantile(time, [0.05, 0.95])
+    if np.mean(steps <= 0.0) > _NOT_FORWARD and high - low <= _SPANNED * np.mean(np.abs(steps)):
+        raise LogError(
+            "the stamps do not grow from row to row: is time the column of intervals between rows, or of two clocks in "
+            "turns, or of a counter that wraps every few rows, or has it too few digits? Leave time out and give "
+            "sample_rate"
+        )
+
+
+def changed_rate(interval: Floats) -> tuple[int, float, float] | None:
+    """Of intervals `(n,)` that are alike in one part and others in another the row of the change, and both rates (Hz);
+    None where they do not change so. Bursts, jitter and lost rows are in every part."""
+    size = len(interval) // _BLOCKS
+    if size < 4:
+        return None
+    blocks = interval[: size * _BLOCKS].reshape(_BLOCKS, size)
+    usual = np.median(blocks, axis=1)
+    even = np.mean(np.abs(blocks / usual[:, None] - 1.0) < _ALIKE, axis=1) > _EVEN
+    if np.count_nonzero(even) < 2 * _SOME * _BLOCKS:
+        return None
+    low, high = np.quantile(usual[even], [_SOME, 1.0 - _SOME])
+    if high < _CHANGED * low:
+        return None
+    first = usual[np.argmax(even)]
+    other = np.flatnonzero(even & (np.abs(np.log(usual / first)) > np.log(_CHANGED)))[0]
+    near = np.log(interval[(start := max(other - 1, 0) * size) : (other + 1) * size])
+    row = start + 1 + int(np.argmax(np.abs(near - np.log(usual[other])) < np.abs(near - np.log(first))))
+    return row, float(1.0 / first), float(1.0 / usual[other])
 
 
 def even_clock(time: Floats, suspects: Whole) -> tuple[Floats, Whole, int] | None:

@@ -18,14 +18,10 @@ from typing import Any, Literal
 
 import serial
 
+from ..files.locking import take
 from .clock import Clock
 from .errors import Disconnected, PortRefused, PortTaken
 from .journal import Direction, Recorder
-
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
 
 Parity = Literal["N", "E", "O"]
 _MOST = 65536  # bytes read at once
@@ -62,7 +58,7 @@ class PortLock:
                 f"account that uses the rig write in {folder}, or remove it while nothing runs."
             ) from None
         try:
-            self._take()
+            take(self._handle)
         except OSError:
             holds = os.pread(self._handle, 200, 1).decode("utf-8", "replace").strip() if os.name == "posix" else ""
             os.close(self._handle)
@@ -94,13 +90,6 @@ class PortLock:
             return handle
         finally:
             os.close(inside)
-
-    def _take(self) -> None:
-        if sys.platform == "win32":
-            os.lseek(self._handle, 0, os.SEEK_SET)
-            msvcrt.locking(self._handle, msvcrt.LK_NBLCK, 1)
-        else:
-            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def release(self) -> None:
         # The file stays: unlinking it would let two processes hold locks on two files of one name.

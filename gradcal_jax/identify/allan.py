@@ -53,8 +53,9 @@ Runs = tuple[tuple[int, int], ...]
 
 TERMS = ("quantisation", "angle_random_walk", "bias_instability", "rate_random_walk")
 _FLICKER = 2.0 * np.log(2.0) / np.pi
-# Second differences are summed in pieces that fit into the cache.
-_PIECE = 1 << 15
+# Second differences are summed in pieces that fit into the cache, and are too short for BLAS to start threads, which on
+# a busy machine wait for one another.
+_PIECE = 1 << 13
 _TAPS = (1.0, -2.0, 1.0)
 # Lags of a smooth sum, for each doubling of the distance from a kink.
 _PER_OCTAVE = 8

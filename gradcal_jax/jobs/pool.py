@@ -46,7 +46,8 @@ class TaskRunner(ABC):
 class JobProgress(NamedTuple):
     """`done` of `total` points or cases in a `stage`: "reading", "predict", "optimise".
 
-    `kept` of them are from an earlier run; `newest`: a line on the last result, where there is one.
+    `kept` of them are from an earlier run; `begun`, those done included; `newest`: a line on the last result, where
+    there is one.
     """
 
     stage: str
@@ -54,6 +55,7 @@ class JobProgress(NamedTuple):
     total: int
     kept: int = 0
     newest: str = ""
+    begun: int | None = None
 
 
 Report = Callable[[JobProgress], None]
@@ -85,14 +87,15 @@ class LocalPool(TaskRunner):
     def run(self, tasks: Iterable[Task]) -> Iterator[tuple[int, Any]]:
         from loky import wait
 
-        waiting = deque(tasks)
+        source, again = iter(tasks), deque[Task]()
         flying: dict[Any, Task] = {}
         tries: Counter[int] = Counter()
-        while waiting or flying:
+        while True:
             # No more than there are workers: where one of them is killed, all that fly are lost.
-            while waiting and len(flying) < self.workers:
-                task = waiting.popleft()
+            while len(flying) < self.workers and (task := again.popleft() if again else next(source, None)):
                 flying[self._started().submit(do, task.name, task.arguments)] = task
+            if not flying:
+                return
             done = wait(flying, return_when="FIRST_COMPLETED").done
             ended = False
             for future in done:
@@ -102,7 +105,7 @@ class LocalPool(TaskRunner):
                     continue
                 ended, tries[task.key] = True, tries[task.key] + 1
                 if tries[task.key] < _TRIES:
-                    waiting.appendleft(task)
+                    again.appendleft(task)
                 else:
                     yield task.key, WorkerEnded("a worker's process ended before its work was done")
             if ended:

@@ -6,8 +6,10 @@ or on interruptions.
 
 import hashlib
 import json
+import os
 import shutil
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +18,7 @@ import gradcal_jax
 from gradcal_jax.api.contract_rows import versions_of
 from gradcal_jax.display import summary
 from gradcal_jax.files import tables_of
+from gradcal_jax.files.locking import take
 from gradcal_jax.files.sweep import Sweep
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.jobs.points import Points
@@ -65,8 +68,11 @@ class SweepIncomplete(RuntimeError):
 class Store:
     """Finished chunks in a folder beside the output, from which an interrupted sweep resumes.
 
-    Errors: `ValueError` where the folder holds another sweep's.
+    The folder is locked as long as this object or its process lives. Errors: `ValueError` where it holds another
+    sweep's parts, or another process writes into it.
     """
+
+    _lock: int | None = None
 
     def __init__(self, output: Path, identity: dict[str, Any]):
         self.folder = output.with_name(output.name + ".parts")
@@ -87,6 +93,14 @@ class Store:
         else:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_whole(mark, json.dumps(identity, indent=1))
+        self._lock = os.open(self.folder / "sweep.lock", os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            take(self._lock)
+        except OSError:
+            self._unlock()
+            raise ValueError(
+                f"another sweep is writing into {self.folder}: wait until it ends, or choose another output"
+            ) from None
 
     def read(self, chunk: int) -> list[PointResult] | None:
         """A finished chunk; None where it is absent or damaged."""
@@ -104,7 +118,16 @@ class Store:
 
     def remove(self) -> None:
         """Delete the folder, once its contents are in the output."""
+        self._unlock()
         shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _unlock(self) -> None:
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            os.close(lock)
+
+    def __del__(self) -> None:
+        self._unlock()
 
     def _path(self, chunk: int) -> Path:
         return self.folder / f"chunk-{chunk:06d}.json"
@@ -144,16 +167,23 @@ def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, p
                 results |= {r.point: r for r in there}
         kept = len(results)
         base = tables_of(job.base)
-        progress(JobProgress(job.file.do, len(results), len(points), kept))
-        tasks = [Task(n, job.file.do, (base, [(i, points.changes(i)) for i in chunks[n]])) for n in left]
+        begun_points = kept
+
+        def tasks() -> Iterator[Task]:
+            nonlocal begun_points
+            for n in left:
+                begun_points += len(chunks[n])
+                progress(JobProgress(job.file.do, len(results), len(points), kept, begun=begun_points))
+                yield Task(n, job.file.do, (base, [(i, points.changes(i)) for i in chunks[n]]))
+
         lost, reason = 0, ""
-        for number, answer in workers.run(tasks):
+        for number, answer in workers.run(tasks()):
             if isinstance(answer, Exception):
                 lost, reason = lost + len(chunks[number]), str(answer)
                 continue
             store.write(number, answer)
             results |= {r.point: r for r in answer}
-            progress(JobProgress(job.file.do, len(results), len(points), kept))
+            progress(JobProgress(job.file.do, len(results), len(points), kept, begun=begun_points))
     if lost:
         raise SweepIncomplete(
             f"{lost} of {len(points)} points could not be computed ({reason}); the others are kept in {store.folder}, "

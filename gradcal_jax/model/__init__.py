@@ -29,6 +29,7 @@ from gradcal_jax.model.noise import (
     no_processes,
     rate_random_walk,
 )
+from gradcal_jax.model.own import OwnTerm, constant_function, own_term
 from gradcal_jax.model.path import (
     GradientOfScale,
     HalfDifference,

@@ -93,7 +93,8 @@ class SharedNodes(NamedTuple):
     others: dict[str, Float[AnyArray, "k m"]] | None = None
 
     def signal(self, name: str) -> Float[AnyArray, "U q"]:
-        """A signal by its name, "rate x"; "|rate x|" its magnitude. "size ik": contribution of the coordinate
+        """A signal by its name: "rate x" (rad/s), "force x" (m/s²), "earth x" (rad/s), "up x" and "north x" (components
+        of directions); "|rate x|" its magnitude. "size ik": contribution of the coordinate
         k (m) of an accelerometer along i to its reading over a whole move (over which ∫ω̇ dt is zero),
 
             [(ω + 2ω_earth) × (ω × e_k)]_i = ω_i (ω + 2ω_earth)_k − δ_ik (ω + 2ω_earth)·ω        ω: against the Earth
@@ -206,7 +207,13 @@ class BodyGroup(PytreeModule):
     def shared(self, own: str = "rate", index: int = 0) -> SharedNodes:
         """The nodes with a component of rate or force for the `rate` of a single axis, and all of them as signals."""
         force = self.force if own == "force" or self.felt is None else self.felt
-        seen = {"rate": self.rate, "force": force, "earth": self.earth}
+        seen = {
+            "rate": self.rate,
+            "force": force,
+            "earth": self.earth,
+            "up": self.up,
+            "north": self.attitude[..., 1, :],
+        }
         signals = {f"{name} {AXIS_NAMES[k]}": of[..., k] for name, of in seen.items() for k in range(3)}
         along = signals[f"{own} {AXIS_NAMES[index]}"]
         at = self.pieces, self.kind, self.temperature, self.weight

@@ -14,7 +14,6 @@ from jaxtyping import Float
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 from gradcal_jax.model.nodes import Nodes
 from gradcal_jax.model.noise import Processes, Reference, angle_reference, no_processes
-from gradcal_jax.model.path import PathTerm
 from gradcal_jax.model.terms import (
     BIAS,
     SCALE_FACTOR,
@@ -121,7 +120,7 @@ def gyro_model(
     temperature_gradient_std: float | None = None,
     harmonics: dict[int, float] | None = None,
     signals: Sequence[SignalMap] = (),
-    path: Sequence[PathTerm] = (),
+    path: Sequence[Term] = (),
 ) -> SensorModel:
     """A channel from its maps, terms of other signals and of the path of temperature, and plain numbers (SI), with the
     maps' discrepancies as the last terms.

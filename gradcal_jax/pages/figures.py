@@ -44,6 +44,8 @@ _STYLE: Any = {
 }
 # Maps whose ratio is everywhere nearer to 1 than this look alike (a natural logarithm).
 _ALIKE = 0.3
+# A map of ratios that are all nearer to 1 than this shows nothing.
+_SAME = 0.02
 # Distances of labels on a map from its edge, and from one another, as shares of its sides.
 _INSIDE, _APART = 0.06, np.array([0.15, 0.09])
 
@@ -95,6 +97,8 @@ def _maps(fact: MapFact, key: str, where: str) -> Iterator[Picture]:
         earlier = fact.maps[place - 1] if place else None
         if earlier is not None and _alike(box, earlier[1]):
             ratio = box._replace(values=box.values / earlier[1].values, unit="ratio")
+            if float(np.abs(ratio.values - 1.0).max()) < _SAME:
+                continue
             words = f"{where}: residual {label} over that {earlier[0]}."
             # At least from a tenth less to a tenth more, so that small differences have nearly one colour.
             ends = Normalize(min(float(ratio.values.min()), 0.9), max(float(ratio.values.max()), 1.1))

@@ -1,16 +1,30 @@
-"""Results as they show themselves in a notebook: the tables that their commands print, in HTML."""
+"""Objects as they show themselves in a notebook: the tables that their commands print, and a small picture, in HTML."""
 
+import base64
+import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from html import escape
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
 
 from gradcal_jax.api.estimate import EstimateReport
+from gradcal_jax.files.bench_tables import CHAMBER_HEAD, chamber_rows
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.contracts import Prediction
 from gradcal_jax.files.log import Log
+from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.requirement_table import requirement_table
+from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.pages.coefficients import coefficient_table, estimated_coefficients, parameters
 from gradcal_jax.units import times_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_SIZE: Final = (4.8, 2.4)
+_MOST_POINTS: Final = 2000
 
 
 class _Table(NamedTuple):
@@ -30,8 +44,56 @@ def _prediction(prediction: Prediction) -> Iterator[str | _Table]:
     yield _text(times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s))
     if prediction.requirements:
         yield _Table(requirement_table(prediction.requirements), (2, 3, 4, 5))
+        yield from _shares(prediction)
     yield _Table(*coefficient_table(parameters(prediction, None, {})))
     yield _list([row.sentence for row in prediction.notices] + list(prediction.warnings))
+
+
+def _shares(prediction: Prediction) -> Iterator[str]:
+    """The residual of each requirement that has a target, in shares of it."""
+    rows = [row for row in prediction.requirements if row.target and row.judged is not None][::-1]
+
+    def draw(ax: "Axes") -> None:
+        shares = [100.0 * (row.coverage or 1.0) * (row.judged or 0.0) / (row.target or 1.0) for row in rows]
+        ax.barh([row.name for row in rows], shares)
+        ax.axvline(100.0, color="black", linewidth=0.8)
+        ax.set_xlabel("share of the target, %")
+
+    if rows:
+        yield _picture(draw)
+
+
+def _spec(spec: Spec) -> Iterator[str | _Table]:
+    first, *lines = repr(spec).splitlines()
+    yield _head(first)
+    yield "<pre>" + escape("\n".join(lines)) + "</pre>"
+    schedule = spec.schedule
+    if isinstance(schedule, StandardSchedule):
+        each = schedule.duration / len(schedule.temperatures)
+        points = [at for k, t in enumerate(schedule.temperatures) for at in ((k * each, t), ((k + 1) * each, t))]
+    else:
+        ends = [((s.start, s.temperature_start), (s.end, s.temperature_end)) for s in schedule.segments]
+        points = [at for pair in ends for at in pair]
+
+    def draw(ax: "Axes") -> None:
+        ax.plot([start / 3600.0 for start, _ in points], [temperature for _, temperature in points])
+        ax.set(xlabel="time, h", ylabel="chamber, °C")
+
+    yield _picture(draw)
+
+
+def _recipe(recipe: Recipe) -> Iterator[str | _Table]:
+    yield _head(recipe.title or "Recipe")
+    yield _text(f"{recipe.made.by}; {recipe.status}; recipe {recipe.fingerprint[:12]}")
+    yield _Table([CHAMBER_HEAD, *chamber_rows(recipe)])
+    yield _Table(requirement_table(recipe.prediction.requirements), (2, 3, 4, 5))
+
+    def draw(ax: "Axes") -> None:
+        from gradcal_jax.plots import draw_planned_temperature
+
+        draw_planned_temperature(recipe, ax=ax)
+
+    yield _picture(draw)
 
 
 def _estimate(report: EstimateReport) -> Iterator[str | _Table]:
@@ -40,6 +102,7 @@ def _estimate(report: EstimateReport) -> Iterator[str | _Table]:
         yield _text(f"{len(one.solution.weights)} readings; {one.calibration.valid_range}")
         yield _Table(*estimated_coefficients(one.calibration))
         yield _tests(one.calibration)
+        yield from _map_pictures(one.calibration)
         if one.requirements:
             yield _Table(requirement_table(one.requirements), (2, 3, 4, 5))
         yield _list(one.messages)
@@ -54,6 +117,7 @@ def _calibration(calibration: Calibration) -> Iterator[str | _Table]:
     yield _head("Calibration of " + _named(calibration.serial_number, calibration.simulated))
     yield _text("; ".join(filter(None, (calibration.title, calibration.valid_range))))
     yield _Table(*coefficient_table(parameters(None, calibration, {})))
+    yield from _map_pictures(calibration)
     if calibration.result:
         yield _Table(
             [("requirement", "statistic", "residual 1σ", "target", "verdict"), *calibration.result_rows], (2, 3)
@@ -63,6 +127,19 @@ def _calibration(calibration: Calibration) -> Iterator[str | _Table]:
     yield _list([*(f"not observable: {name}" for name in calibration.unobservable), calibration.lacks or ""])
 
 
+def _map_pictures(calibration: Calibration) -> Iterator[str]:
+    """The first map of the calibration over temperature."""
+    from gradcal_jax.plots.calibration_maps import panels_of
+
+    def draw(ax: "Axes") -> None:
+        from gradcal_jax.plots import draw_calibrated_term
+
+        draw_calibrated_term(calibration, *maps[0], ax=ax)
+
+    if (maps := panels_of(calibration)) and calibration.covariance is not None:
+        yield _picture(draw)
+
+
 def _log(log: Log) -> Iterator[str | _Table]:
     heading, *_ = log.summary_lines()
     yield _head(heading)
@@ -70,6 +147,18 @@ def _log(log: Log) -> Iterator[str | _Table]:
         yield _Table([(f"rows of {unit}", "number"), *((use, str(n)) for use, n in log.counts(unit).items())], (1,))
     if log.findings:
         yield _Table([("action", "fault"), *((finding.done, finding.message) for finding in log.findings)])
+    every = max(1, len(log.time_s) // _MOST_POINTS)
+
+    def draw(ax: "Axes") -> None:
+        for k, axis in enumerate(log.axes):
+            ax.plot(
+                log.time_s[::every] / 3600.0, np.degrees(log.rate_rad_per_s[0, ::every, k]), linewidth=0.5, label=axis
+            )
+        ax.set(xlabel="time, h", ylabel="rate, deg/s")
+        ax.legend()
+
+    if log.axes:
+        yield _picture(draw)
 
 
 _PARTS: Final[Mapping[str, Callable[[Any], Iterator[str | _Table]]]] = {
@@ -77,11 +166,23 @@ _PARTS: Final[Mapping[str, Callable[[Any], Iterator[str | _Table]]]] = {
     "EstimateReport": _estimate,
     "Calibration": _calibration,
     "Log": _log,
+    "Spec": _spec,
+    "Recipe": _recipe,
 }
 
 
 def _named(serial_number: str, simulated: bool) -> str:
     return serial_number + (", SIMULATED" if simulated else "")
+
+
+def _picture(draw: "Callable[[Axes], None]") -> str:
+    """A small picture within the HTML."""
+    from gradcal_jax.plots.style import new_axes
+
+    ax, image = new_axes(None, _SIZE), io.BytesIO()
+    draw(ax)
+    ax.get_figure(root=True).savefig(image, format="png", dpi=80)  # pyright: ignore[reportOptionalMemberAccess]
+    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(image.getvalue()).decode()}">'
 
 
 def _head(text: str) -> str:

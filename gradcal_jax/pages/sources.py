@@ -12,6 +12,7 @@ from typing import Any
 from gradcal_jax.files.calibration import Calibration, is_calibration, read_calibration
 from gradcal_jax.files.contracts import Prediction
 from gradcal_jax.files.document import read_text, read_toml
+from gradcal_jax.files.places import places_of, specs_at_places
 from gradcal_jax.files.recipe import Predicted, Recipe, is_recipe, recipe_of, spec_in
 from gradcal_jax.files.spec import Spec, spec_of
 from gradcal_jax.files.spec_sections import FORMAT
@@ -37,20 +38,37 @@ class Sources:
     paths: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def spec(self) -> Spec | None:
-        """The spec of the plan, as rounded in a recipe."""
-        return self.plan if self.recipe is None else self.recipe.spec
+        """The spec of the plan, as rounded in a recipe; of a fixture, that of the calibration's place, or the worst."""
+        whole = self._whole
+        if whole is None or not whole.rig.table.place:
+            return whole
+        return specs_at_places(whole)[self._place or getattr(self.prediction, "place", None) or ""]
 
     @cached_property
     def prediction(self) -> Predicted | Prediction:
         """The prediction of the plan: a recipe's own, or that of its spec."""
-        if self.recipe is not None:
+        whole = self._whole
+        assert whole is not None
+        if self.recipe is not None and not whole.rig.table.place:
             return self.recipe.prediction
         from gradcal_jax.api.prediction import predict
 
-        assert self.plan is not None
-        return predict(self.plan, limits=True, notices=True)
+        return predict(whole, limits=True, notices=True, place=self._place)
+
+    @property
+    def _whole(self) -> Spec | None:
+        return self.plan if self.recipe is None else self.recipe.spec
+
+    @property
+    def _place(self) -> str | None:
+        """The place of the calibration's IMU in the fixture."""
+        whole = self._whole
+        if whole is None or self.calibration is None or not (name := self.calibration.provenance.get("unit")):
+            return None
+        names = [name] if self.run is None else [device.name for device in self.run.rig().imu]
+        return places_of(whole, names if name in names else [name])[name]
 
 
 def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: Path | None = None) -> Sources:
@@ -93,8 +111,11 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
     if run is not None:
         if "recipe" not in parts:
             take("recipe", run.recipe(), run.path / "recipe.toml")
-        if "calibration" not in parts and (own := _calibration_in(run.path)) is not None:
-            take_calibration(own)
+        if "calibration" not in parts and (own := calibrations_in(run.path)):
+            if len(own) > 1:
+                names = ", ".join(path.name for path in own)
+                raise ValueError(f"{run.path} holds several calibrations ({names}): name the one that is meant, too")
+            take_calibration(own[0])
         parts["hidden_truth"] = _hidden_truth(run)
     if "plan" in parts and "recipe" in parts:
         raise ValueError("a page is of one plan, and the recipe has its spec inside: leave the other spec out")
@@ -110,21 +131,17 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
     return Sources(**parts, paths=tuple(named), notes=tuple(_misfits(parts)))
 
 
-def _calibration_in(folder: Path) -> Path | None:
-    """The calibration in a run's folder: `CALIBRATION_IN_RUN`, or the only one of another name. Errors: `ValueError`
-    where there are several."""
+def calibrations_in(folder: Path) -> list[Path]:
+    """The calibrations in a run's folder: `CALIBRATION_IN_RUN` alone, or all of other names."""
     if (usual := folder / CALIBRATION_IN_RUN).is_file():
-        return usual
+        return [usual]
     found: list[Path] = []
     for path in sorted(folder.glob("*.toml")):
         # A file that cannot be read is no calibration; what it is meant to be does not matter here.
         with suppress(ValueError, OSError):
             if is_calibration(read_toml(read_text(path), str(path))):
                 found.append(path)
-    if len(found) > 1:
-        names = ", ".join(path.name for path in found)
-        raise ValueError(f"{folder} holds several calibrations ({names}): name the one that is meant, too")
-    return found[0] if found else None
+    return found
 
 
 def _limits(path: Path) -> dict[str, float]:

@@ -55,9 +55,7 @@ def draw_instability(channels: Sequence[Instability]) -> Figure:
     return figure
 
 
-def draw_allan(
-    rest: RestRecord, allan: AllanDeviation, fit: AllanFit, *, ax: Axes | None = None
-) -> tuple[Axes, Line2D]:
+def draw_allan(allan: AllanDeviation, fit: AllanFit, *, title: str = "", ax: Axes | None = None) -> tuple[Axes, Line2D]:
     """The overlapping Allan deviation with its confidence interval and the fitted model."""
     ax = new_axes(ax)
     tau, hour = allan.averaging_time_s, DEG_PER_H
@@ -66,7 +64,8 @@ def draw_allan(
         tau, fit.lower * hour, fit.upper * hour, alpha=0.25, color=PALETTE[0], label=f"{fit.confidence:.1%} confidence"
     )
     ax.loglog(fit.averaging_time_s, fit.model_deviation * hour, label="fitted Q, N, B, K", **style_of(1))
-    ax.set(xlabel="averaging or integration time, s", ylabel="rate, deg/h", title=_name(rest))
+    ax.set(xlabel="averaging or integration time, s", ylabel="rate, deg/h", title=title)
+    ax.legend()
     return ax, line
 
 
@@ -75,8 +74,8 @@ def draw_allan_and_bound(
 ) -> Figure:
     """For each channel the Allan deviation and, on the same axes, the Direct Bound's one-sigma limiting function."""
     figure, all_axes = new_panels(len(drawn), 1, (6.8, 4.4))
-    for ax, one, instability in zip(all_axes[:, 0], drawn, bounds, strict=True):
-        draw_allan(*one, ax=ax)
+    for ax, (rest, allan, fit), instability in zip(all_axes[:, 0], drawn, bounds, strict=True):
+        draw_allan(allan, fit, title=_name(rest), ax=ax)
         if instability is not None:
             t = instability.bound.integration_time_s
             ax.loglog(t, instability.bound.limiting_function * DEG_PER_H, label="Direct Bound, D_L (1σ)", **style_of(2))

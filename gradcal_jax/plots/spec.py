@@ -72,6 +72,16 @@ def draw_prediction(spec: Spec) -> Figure:
     return figure
 
 
+def draw_requirement(spec: Spec, name: str = "", *, ax: Axes | None = None) -> Axes:
+    """The residual of one requirement, by its name; the first, without it. Errors: `ValueError` where there is none."""
+    named = [r for r in expect_spec(spec).requirement if name in ("", r.name)]
+    if not named:
+        raise ValueError(f"the spec has no [[requirement]]{f' named {name!r}' if name else ''}")
+    built, ax = build_imu(spec), new_axes(ax)
+    _draw_requirement(built, imu_posterior(built), named[0], ax)
+    return ax
+
+
 def _draw_requirement(built: BuiltImu, known: Posterior, requirement: Requirement, ax: Axes) -> None:
     """The residual of one requirement."""
     if isinstance(requirement, MissionHeadingRequirement):

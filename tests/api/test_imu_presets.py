@@ -8,7 +8,7 @@ import tomlkit
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
-from gradcal_jax.files import presets, to_toml
+from gradcal_jax.files import presets, tables_of, to_toml
 from gradcal_jax.files.contracts import CheckRow
 from gradcal_jax.files.schemas import schema
 from gradcal_jax.files.spec import parse_spec
@@ -51,7 +51,7 @@ def test_a_preset_is_commented_and_written_back_it_is_the_same(name, tmp_path):
     assert text.count("#") >= 5
     assert presets.title(name) == spec.title
     assert name.startswith("paper") or all(requirement.target is not None for requirement in spec.requirement)
-    assert gj.tables_of(spec) == document
+    assert tables_of(spec) == document
     gj.write_toml(spec, tmp_path / "copy.toml", header="written back")
     assert tomllib.loads((tmp_path / "copy.toml").read_text(encoding="utf-8")) == document
     assert gj.read_spec(tmp_path / "copy.toml") == spec
@@ -100,7 +100,7 @@ def test_keys_of_a_unit_are_changed_as_those_of_an_axis_and_moves_are_written_as
     }
     other = gj.changed(spec, moves)
     assert isinstance(other, gj.Spec)
-    assert gj.tables_of(other)["plan"]["cycle"]["moves"][1] == {"turn": "720 deg", "axis": "spin"}
+    assert tables_of(other)["plan"]["cycle"]["moves"][1] == {"turn": "720 deg", "axis": "spin"}
     assert other.rig.table.axis[0].angle.reading_noise.text == "2 arcsec"
     with pytest.raises(gj.SpecError, match="an angle as text with a unit"):
         gj.changed(spec, {"rig.table.axis[0].angle.reading_noise": 1e-5})
@@ -127,7 +127,7 @@ def test_a_move_whose_angle_follows_from_rate_and_duration_is_written_with_its_s
     moves = document["plan"]["cycle"]["moves"]
     moves += [{"shape": "cosine ramps", "peak_rate": rate, "duration": "3 s"} for rate in ("100 deg/s", "-100 deg/s")]
     spec = gj.parse_spec(to_toml(gj.parse_spec(tomlkit.dumps(document))))
-    assert gj.tables_of(spec)["plan"]["cycle"]["moves"][-2:] == moves[-2:]
+    assert tables_of(spec)["plan"]["cycle"]["moves"][-2:] == moves[-2:]
 
 
 def test_a_second_run_that_checks_an_imu_has_its_risks():

@@ -9,7 +9,7 @@ import pytest
 import gradcal_jax as gj
 from gradcal_jax.api.sensitivity import RATES, TIME, sensitive_figures
 from gradcal_jax.cli import main
-from gradcal_jax.files import presets
+from gradcal_jax.files import presets, tables_of
 
 SIX = gj.parse_spec(presets.text("accelerometer-six-positions"))
 BARE = {
@@ -30,7 +30,7 @@ TURNS = gj.changed(
     {
         "sensor.accelerometer": None,
         "rig.site.gravity_accuracy": None,
-        "requirement": gj.tables_of(gj.parse_spec(presets.text("ferraris")))["requirement"][:3],
+        "requirement": tables_of(gj.parse_spec(presets.text("ferraris")))["requirement"][:3],
     },
 )
 

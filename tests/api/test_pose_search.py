@@ -18,6 +18,7 @@ from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.cli import main
 from gradcal_jax.design.cycle_moves import Neighbourhood
+from gradcal_jax.files import tables_of
 from gradcal_jax.units import format_quantity, unit_of
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments" / "imu"
@@ -211,7 +212,7 @@ def test_uncertain_noise_of_a_unit_makes_a_range_that_holds_every_draw():
 def test_the_value_of_a_cycle_is_the_mean_or_the_worst_over_what_noise_may_be(robust):
     plan = CyclePlan(small(**UNCERTAIN, **{"design.robust": robust, "design.minimise": "worst ratio"}))
     left, cycle = left_by(plan, plan.start)
-    found = gj.tables_of(plan.spec_of(cycle))["plan"]
+    found = tables_of(plan.spec_of(cycle))["plan"]
     for row, texts in zip(left, cases_of(robust), strict=True):
         assert row == pytest.approx([r.decisive for r in gj.predict(small(plan=found, **texts)).requirements], rel=0.02)
     of = jax.tree.map(jnp.asarray, plan.structure(plan.start))

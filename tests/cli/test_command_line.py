@@ -1,5 +1,6 @@
 """The command line from outside: statuses, sentences, plain text, and what a start-up may not import."""
 
+import io
 import json
 import os
 import subprocess
@@ -9,6 +10,7 @@ import time
 import pytest
 
 from gradcal_jax.cli import main
+from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.files import presets
 from gradcal_jax.pages.plain_text import columns
 from gradcal_jax.units import time_text
@@ -224,3 +226,14 @@ def test_times_are_said_as_people_say_them(seconds, words):
 def test_columns_line_up():
     assert columns([("a", "10"), ("bbb", "2")], indent="", right=(1,)) == "a    10\nbbb   2"
     assert columns([]) == ""
+
+
+def test_away_from_a_terminal_a_line_is_printed_when_its_number_changes_or_after_half_a_minute(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    stream = io.StringIO()
+    with MovingLine(stream) as line:
+        for second in range(100):
+            now[0] = float(second)
+            line.show(f"{second} s", number=second // 50)
+    assert stream.getvalue().split("\n")[:-1] == ["0 s", "30 s", "50 s", "80 s"]

@@ -1,17 +1,19 @@
 """`gradcal estimate`, `apply` and `export` of a whole unit, as a user calls them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from estimate_scenes import draw_truth, record, scene
 
 from gradcal_jax.cli import main
+from gradcal_jax.files import tables_of
 from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.log_file import read_log, write_log
 from gradcal_jax.files.rig import TEMPLATE
-from gradcal_jax.files.spec import read_spec
+from gradcal_jax.files.spec import read_spec, spec_of
 from gradcal_jax.files.writing import write_toml
 
 LABORATORY = """
@@ -155,3 +157,47 @@ def test_a_certificate_and_a_dcc_of_an_imu(folder, capsys):
     assert "Corrections of accelerometer z over temperature" in text
     assert r"\metre\second\tothe{-2}" in text
     assert "accelerometer z" in page.read_text(encoding="utf-8")
+
+
+def test_coefficients_that_did_not_pass_are_left_out_of_an_export(folder, capsys):
+    kept, table = read_calibration(folder / "unit.toml"), folder / "unit.csv"
+    for given, gone in (
+        ("a3", {channel.name for channel in kept.channel}),
+        ("x.a3", {"gyro_x", "accelerometer_x"}),
+        ("gyro_y.a3", {"gyro_y"}),
+    ):
+        command = ["export", str(folder / "unit.toml"), "--format", "csv", "--zero", given, "-o", str(table), "--force"]
+        assert main(command) == 0
+        (said,) = [line for line in capsys.readouterr().out.splitlines() if "set to zero" in line]
+        assert set(said.split(": ")[-1].split(", ")) == {f"{name}.a3" for name in gone}
+        zeroed = table.read_text(encoding="utf-8")
+        assert main(["export", str(folder / "unit.toml"), "--format", "csv", "-o", str(table), "--force"]) == 0
+        assert table.read_text(encoding="utf-8") != zeroed
+        capsys.readouterr()
+    assert main(["export", str(folder / "unit.toml"), "--format", "csv", "--zero", "q9"]) == 2
+    assert "no coefficient q9" in capsys.readouterr().err
+
+
+def test_the_lag_of_a_whole_imu_is_fitted(tmp_path, capsys):
+    document, lag_s, rng = tables_of(scene("two axes", 0.1)), 40.0, np.random.default_rng(4)
+    for key in ("temperature", "gradient"):
+        del document["plan"][key]
+    document["plan"]["programme"] = [
+        {"soak": "1 min", "at": "-30 degC"},
+        *({"ramp_to": f"{end} degC", "rate": "12.5 K/min"} for end in (70, -30)),
+    ]
+    spec = spec_of(document)
+    (log,) = record(spec, draw_truth(spec, rng), rng)
+    # The thermometer leads: the maps followed the log's temperature, and were at the thermometer's when it began.
+    true = log.temperature_c[0]
+    ahead = true + lag_s * np.gradient(true, log.time_s)
+    ahead[0] = true[0]
+    write_toml(spec, tmp_path / "spec.toml", header="made by a test")
+    write_log(replace(log, temperature_c=ahead[None]), tmp_path / "log.nc")
+    out = tmp_path / "unit.toml"
+    command = ["estimate", str(tmp_path / "log.nc"), "--spec", str(tmp_path / "spec.toml"), "-o", str(out)]
+    assert main([*command, "--lag", "fit"]) in (0, 1)
+    assert "the maps follow the temperature" in capsys.readouterr().out
+    lags = [float(channel.thermal_lag) for channel in read_calibration(out).channel]
+    assert len(lags) == 6
+    assert lags == pytest.approx([lag_s] * 6, abs=1.0)

@@ -4,29 +4,36 @@ import io
 import itertools
 import tomllib
 
+import numpy as np
 import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.api.measure import design_block, design_of, measure
 from gradcal_jax.cli import main
 from gradcal_jax.files.absent import absent_terms
-from gradcal_jax.files.begin import PRESETS, QUESTIONS, files_of
+from gradcal_jax.files.begin import PRESETS, files_of
 from gradcal_jax.files.importers import parse_column_map
 from gradcal_jax.files.rig import parse_rig
+from gradcal_jax.hardware.setup import configs_of
 
-USUAL = PRESETS["drone-imu"]
+USUAL = PRESETS["drone-gyro"]
+IMUS = ("drone-imu", "bmi088", "tactical-imu")
+SENSOR = "my {}\n{}\n\n0.2 deg/sqrt(h)\n500 deg/s\n\n\n"
+"""Answers on a sensor: its name, its kind, its noise and full scale."""
 
 
 def sound(texts):
     spec = gj.parse_spec(texts["spec.toml"])
     assert absent_terms(spec) == []
-    assert spec.design is not None
-    assert parse_rig(texts["rig.toml"]).axis
+    assert (spec.design is not None) == spec.turns_one_gyro
+    rig = parse_rig(texts["rig.toml"])
+    assert rig.axis
+    configs_of(rig)
     assert parse_column_map(texts["columns.toml"]).name
     return spec
 
 
-@pytest.mark.parametrize("preset", [name for name in PRESETS if name != "no-encoder"])
+@pytest.mark.parametrize("preset", ["drone-gyro", "tactical-gyro"])
 def test_a_preset_asks_nothing_and_its_files_are_sound_and_met(preset, tmp_path, capsys):
     out = tmp_path / "mine"
     assert main(["start", "--preset", preset, "-o", str(out)]) == 0
@@ -45,7 +52,8 @@ def test_a_preset_asks_nothing_and_its_files_are_sound_and_met(preset, tmp_path,
 
 def test_without_an_encoder_a_person_and_gravity_do(tmp_path, monkeypatch, capsys):
     """By the preset, and by the answer "none" with a slower hand."""
-    asked = "box\n\n\n\n200 deg/s\n400 deg/s^2\nnone\n\n0 degC, 50 degC, 4 K/min\n200 ppm, 60 deg/h\n"
+    asked = SENSOR.format("box", "imu") + "0.06 m/s/sqrt(h), 20 mg, 0.2 mg/K\nstim300\nhand\n\n200 deg/s\n400 deg/s^2\n"
+    asked += "none\n\n\nnone\n0 degC, 50 degC, 4 K/min\n200 ppm, 60 deg/h\n500 ppm, 2 mg\n"
     monkeypatch.setattr("sys.stdin", io.StringIO(asked))
     assert main(["start", "--preset", "no-encoder", "-o", str(tmp_path / "a")]) == 0
     assert main(["start", "-o", str(tmp_path / "b")]) == 0
@@ -59,27 +67,78 @@ def test_without_an_encoder_a_person_and_gravity_do(tmp_path, monkeypatch, capsy
         assert axis.options["angle"] == "none"
 
 
-def test_ten_questions_are_asked_and_enter_takes_what_is_usual(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("sys.stdin", io.StringIO("my gyro\n" + "\n" * 8 + "500 ppm, 50 deg/h\n"))
+@pytest.mark.parametrize("preset", IMUS)
+def test_an_imu_is_started_with_a_plan_that_meets_its_limits_on_its_own_hardware(preset, tmp_path, capsys):
+    out = tmp_path / "mine"
+    assert main(["start", "--preset", preset, "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "not asked, and so in spec.toml with a figure typical of the class" in said
+    spec = sound({path.name: path.read_text(encoding="utf-8") for path in out.iterdir()})
+    assert (len(spec.sensor.gyro.axes), len(spec.sensor.accelerometer.axes)) == (3, 3)
+    prediction = gj.predict(spec)
+    assert [row.verdict for row in prediction.requirements] == ["met"] * 4
+    rig, answers = gj.read_rig(out / "rig.toml"), PRESETS[preset]
+    assert [axis.driver for axis in rig.axis] == ["lines" if answers["table"] == "grbl" else answers["table"]] * len(
+        spec.rig.table.axis
+    )
+    # An IMU that logs by itself has no entry, and its recording is in the next commands.
+    assert (rig.imu == ()) == (answers["stream"] == "own") == ("--recording" in said)
+    assert (rig.chamber is None) == (answers["makes"] == "none")
+    reach = float(spec.rig.table.axis[0].travel)
+    if reach < 3.0:  # the whole of a short travel is used
+        angles = [step.move.angle for step in spec.schedule.steps]
+        assert max(map(abs, angles)) > 0.99 * 2.0 * reach
+
+
+def test_the_sheet_is_the_sensor_s_own(tmp_path, monkeypatch):
+    """Its figures are in the budget and in the prior; nothing of another sensor is."""
+    answers = "my imu\nimu\n\n0.3 deg/sqrt(h)\n400 deg/s\n2 deg/s, 0.02 deg/s/K, 80 ppm/K\n100 deg/h\n"
+    answers += "0.05 m/s/sqrt(h), 10 mg, 0.1 mg/K\ntext\nzaber\n2\n" + "\n" * 10
+    monkeypatch.setattr("sys.stdin", io.StringIO(answers))
+    assert main(["start", "-o", str(tmp_path)]) == 0
+    gyro = gj.read_spec(tmp_path / "spec.toml").sensor.gyro
+    assert (str(gyro.turn_on_bias), str(gyro.temperature_error.bias_slope)) == ("100 deg/h", "0.02 deg/s/K")
+    constant, slope, *_ = gyro.bias.shape
+    half = float(gyro.bias.temperature.scale)
+    assert np.degrees(constant.coefficients[0]) == pytest.approx(2.0)
+    assert np.degrees(slope.coefficients[1]) == pytest.approx(0.02 * half, rel=1e-3)
+
+
+def test_without_a_table_gravity_calibrates(tmp_path, monkeypatch, capsys):
+    asked = SENSOR.format("box", "imu") + "0.06 m/s/sqrt(h), 20 mg, 0.2 mg/K\nown\nnone\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(asked))
+    assert main(["start", "-o", str(tmp_path / "mine")]) == 0
+    assert "--gravity" in capsys.readouterr().out
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["columns.toml"]
+
+
+def test_questions_are_asked_enter_takes_what_is_usual_and_back_goes_back(tmp_path, monkeypatch, capsys):
+    given = "my gyro\nimu\n<\ngyro\n\n0.2 deg/sqrt(h)\n500 deg/s\n" + "\n" * 10 + "500 ppm, 50 deg/h\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(given))
     assert main(["start", "-o", str(tmp_path / "mine")]) == 0
     asked = capsys.readouterr().out
-    assert all(f"{n}. " in asked for n in range(1, 11))
-    assert len(QUESTIONS) == 10
+    assert all(f"{n}. " in asked for n in range(1, 17))
+    assert "17. " not in asked
+    assert "accelerometers'" not in asked
     spec = gj.read_spec(tmp_path / "mine" / "spec.toml")
-    assert (spec.sensor.name, str(spec.requirement[0].target)) == ("my gyro", "500 ppm")
+    assert (spec.sensor.name, spec.sensor.gyro.axes, str(spec.requirement[0].target)) == ("my gyro", ("x",), "500 ppm")
     assert str(spec.rig.table.axis[0].max_rate) == USUAL["rate"]
 
 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ("", "the answers ended at question 1 of 10"),
-        ("x\nconsummer\n", "nearest: 'consumer'"),
-        ("x\n\nfast\n", "angle random walk"),
-        ("x\n\n\n\n\n\n\n\n-25 degC, 70 degC\n", "expected 3 answers"),
-        ("x\n\n\n-5 deg/s\n", "more than zero"),
+        ("", "the answers ended at question 1"),
+        ("x\nimuu\n", "nearest: 'imu'"),
+        ("x\n\nconsummer\n", "nearest: 'consumer'"),
+        ("x\n\n\nfast\n", "angle random walk"),
+        ("x\n\n\n\n", "expected an answer"),
+        (SENSOR.format("x", "gyro") + "\n" * 7 + "-25 degC, 70 degC\n", "expected 3 answers"),
+        (SENSOR.format("x", "gyro").replace("500", "-5"), "more than zero"),
         ('a"b\n', "without quotes"),
-        ("x\n\n\n\n\n\n\n\n20 degC, 25 degC, 1 K/min\n\n", "at least 10 K"),
+        (SENSOR.format("x", "gyro") + "\n" * 7 + "20 degC, 25 degC, 1 K/min\n\n", "at least 10 K"),
+        (SENSOR.format("x", "gyro") + "\n\n\n\nnone" + "\n" * 9, "tell the angles"),
+        (SENSOR.format("x", "imu") + "0.1 m/s/sqrt(h), 10 mg, 0.1 mg/K\n\n\n2" + "\n" * 15, "with zaber or odrive"),
     ],
 )
 def test_answers_that_are_not_understood_are_sentences_and_nothing_is_written(
@@ -89,6 +148,18 @@ def test_answers_that_are_not_understood_are_sentences_and_nothing_is_written(
     assert main(["start", "-o", str(tmp_path / "mine")]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "mine").exists()
+
+
+@pytest.mark.parametrize(
+    ("preset", "table", "travel"),
+    [
+        *itertools.product(("drone-imu",), ("grbl", "hand"), ("25 deg", "170 deg", "200 deg", "400 deg", "unlimited")),
+        *itertools.product(("tactical-imu",), ("odrive",), ("95 deg", "170 deg", "200 deg", "400 deg", "unlimited")),
+    ],
+)
+def test_the_plan_of_an_imu_fits_any_travel(preset, table, travel):
+    spec = sound(files_of({**PRESETS[preset], "table": table, "travel": travel}))
+    assert spec.schedule.steps
 
 
 RATES, TRAVELS = (

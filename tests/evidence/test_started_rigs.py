@@ -20,12 +20,12 @@ SEEDS = 20
 LEVEL, MOST = 0.01, 0.03
 # Answers that differ from those of a preset.
 RIGS: dict[str, tuple[str, dict[str, str]]] = {
-    "drone IMU": ("drone-imu", {}),
-    "drone IMU, slow table": ("drone-imu", {"rate": "120 deg/s", "acceleration": "60 deg/s^2", "angle": "0.2 deg"}),
-    "drone IMU, quick chamber": ("drone-imu", {"chamber": "-10 degC, 60 degC, 3 K/min", "travel": "unlimited"}),
-    "tactical IMU": ("tactical-imu", {}),
-    "tactical IMU, fine encoder": ("tactical-imu", {"angle": "3 arcsec", "walk": "0.05 deg/sqrt(h)"}),
-    "navigation gyro": ("tactical-imu", {"grade": "navigation", "walk": "0.005 deg/sqrt(h)", "angle": "1 arcsec"}),
+    "drone IMU": ("drone-gyro", {}),
+    "drone IMU, slow table": ("drone-gyro", {"rate": "120 deg/s", "acceleration": "60 deg/s^2", "angle": "0.2 deg"}),
+    "drone IMU, quick chamber": ("drone-gyro", {"chamber": "-10 degC, 60 degC, 3 K/min", "travel": "unlimited"}),
+    "tactical IMU": ("tactical-gyro", {}),
+    "tactical IMU, fine encoder": ("tactical-gyro", {"angle": "3 arcsec", "walk": "0.05 deg/sqrt(h)"}),
+    "navigation gyro": ("tactical-gyro", {"grade": "navigation", "walk": "0.005 deg/sqrt(h)", "angle": "1 arcsec"}),
 }
 
 _HEAD = """# How often tests of the fit fire on sound data

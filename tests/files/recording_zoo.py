@@ -315,3 +315,120 @@ VN = HEAD + 'sample_rate = "100 Hz"\nrate.x = { column = 7, unit = "deg/s" }\n[c
 sentences("sentences of a receiver", VN)
 sentences("two kinds of sentences, and which", VN + "lines = '^.VNIMU'\n", mixed=True)
 sentences("two kinds of sentences", VN, "several kinds", mixed=True)
+
+
+# --- neighbours: what else stands in tables, in stamps, in values ----------------------------------------------------
+
+
+def named(name: str, column: str, asks: str, unit: str = "deg/s", size: float = 1.0):
+    """A kind of name, of values that could be a gyro's."""
+    lines(f"a column named {name}", f"t,{column}", lambda k, v: f"{k / HZ:.2f},{size * v:.6f}", "", asks,
+          base=HEAD + TIME + f'rate.x = {{ column = "{column}", unit = "{unit}" }}\n')  # fmt: skip
+
+
+named("as a quaternion", "qx", "says a quaternion")
+named("as an angle", "roll", "says an angle")
+named("as a specific force", "acc_x", "says a specific force")
+named("as a magnetic field", "mag_x", "says a magnetic field")
+named("as counts", "gx (LSB)", "says counts")
+named("in turns a minute", "gx [rpm]", "says rpm")
+lines("stamps named as ticks", "t [ticks],gx", lambda k, v: f"{k * 328},{v:.6f}", "", "says counts",
+      base=HEAD + 'time = { column = "t [ticks]", unit = "us" }\n' + RATE)  # fmt: skip
+lines("a row of other units", "t,gx\ns,rad/s", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.8f}", "", "says rad/s")
+lines("a row of units in brackets", "t,gx\n[s],[mdps]", lambda k, v: f"{k / HZ:.2f},{1e3 * v:.3f}", "", "says mdps")
+lines("whole numbers", "t,gx", lambda k, v: f"{k / HZ:.2f},{v / 0.2:.0f}", "", "are they counts")
+lines("row numbers without a name", "t,gx", lambda k, v: f"{k + 1},{k / HZ:.2f},{v:.6f}", "", "more fields than")
+lines("unquoted thousands", "t,gx", lambda k, v: f"{k / HZ:.2f},{1000 + v / 5e-4:,.0f}", "", "more fields than",
+      base=COUNTS)  # fmt: skip
+lines("decimal commas between commas", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}".replace(".", ","), "",
+      "more fields than")  # fmt: skip
+lines("a comma at the end", "t,gx,", lambda k, v: f"{k / HZ:.2f},{v:.6f},")
+lines("words of a C library", "t,gx", lambda k, v: f"{k / HZ:.2f}," + ("-nan(ind)" if k % 90 == 7 else f"{v:.6f}"))
+lines("lines of both systems", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}" + "\r" * (k % 2))
+lines("a mark of the byte order amid", "t,gx", lambda k, v: "\ufeff" * (k == 6000) + f"{k / HZ:.2f},{v:.6f}")
+lines("remarks amid", "t,gx", lambda k, v: ("% resync\n# again\n" if k % 3000 == 5 else "") + f"{k / HZ:.2f},{v:.6f}")
+lines("zero bytes at the end", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}" + "\0" * 500 * (k == ROWS - 1))
+lines("a comma too many, now and then", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}" + "," * (k % 700 == 3))
+lines("half of the rows empty", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}\n,")
+lines("a tenth without a stamp", "t,gx", lambda k, v: ("" if k % 9 == 3 else f"{k / HZ:.2f}") + f",{v:.6f}", "",
+      "unreadable row")  # fmt: skip
+lines("a number for a missing value", "t,gx", lambda k, v: f"{k / HZ:.2f}," + ("-999" if k % 20 == 7 else f"{v:.6f}"),
+      "", "stand for a missing one")  # fmt: skip
+lines("a small number for a missing one", "t,gx", lambda k, v: f"{k / HZ:.2f}," + ("-1" if k % 20 == 7 else f"{v:.6f}"),
+      "", "stand for a missing one")  # fmt: skip
+lines(
+    "rare numbers for missing values", "t,gx", lambda k, v: f"{k / HZ:.2f}," + ("-9999" if k % 999 == 7 else f"{v:.6f}")
+)
+
+KIND = 'rate.x = { column = "v", unit = "deg/s", where = { column = "id", equals = "gyr" } }\n'
+KIND += 'force.x = { column = "v", unit = "m/s^2", where = { column = "id", equals = "acc" } }\n'
+KIND += 'temperature = { column = "v", unit = "degC", where = { column = "id", equals = "tmp" } }\n'
+lines("three kinds of rows in one column", "t,id,v", lambda k, v: (f"{k / HZ + 0.002:.4f},tmp,{22 + k / ROWS:.3f}\n"
+      if k % 50 == 0 else "") + f"{k / HZ:.4f},gyr,{v:.6f}\n{k / HZ + 0.004:.4f},acc,{9.8 + v:.5f}",
+      base=HEAD + "interpolate = true\n" + TIME + KIND)  # fmt: skip
+AXES = "".join(
+    f'rate.{a} = {{ column = "v", unit = "deg/s", where = {{ column = "axis", equals = "{a}" }} }}\n' for a in "xy"
+)
+lines("an axis a row", "t,axis,v", lambda k, v: f"{k / HZ:.2f},x,{v:.6f}\n{k / HZ:.2f},y,{1 - v:.6f}",
+      base=HEAD + "interpolate = true\n" + TIME + AXES)  # fmt: skip
+lines("an axis a row, and not which", "t,axis,v", lambda k, v: f"{k / HZ:.2f},x,{v:.6f}\n{k / HZ:.2f},y,{1 - v:.6f}",
+      "", "several sensors", base=HEAD + TIME + 'rate.x = { column = "v", unit = "deg/s" }\n')  # fmt: skip
+
+swapped = K.reshape(-1, 10)[:, ::-1].ravel()
+
+
+def shuffled(name: str, order: np.ndarray, asks: str | None = None, later: np.ndarray | float = 0.0):
+    """A kind of order of sound rows."""
+    ZOO[name] = lambda folder: Recorded(table(folder, (K / HZ + later)[order], noise()[order]), MAP, asks)
+
+
+shuffled("pairs of rows swapped", K.reshape(-1, 2)[:, ::-1].ravel())
+shuffled("tens of rows from the last", swapped)
+shuffled("packets out of order", np.argsort(K + 3.0 * rng.random(ROWS)))
+shuffled("two clocks in turns", K, "two clocks", 1000.0 * (K % 2))
+shuffled("from the start's clock to that of the day", K, "another clock", 1.7e9 * (K > 3000))
+shuffled("daylight saving ends", K, "steps back", -3600.0 * (K > 7000))
+shuffled("daylight saving begins", K, None, 3600.0 * (K > 7000))
+stamped("two logs on end", np.concatenate([K[:6000], K[:6000]]) / HZ, asks="steps back")
+stamped("intervals for stamps", 0.01 + 1e-5 * rng.standard_normal(ROWS), asks="do not grow", stamp=".7f")
+stamped("one interval for all stamps", np.full(ROWS, 0.01), asks="do not grow")
+stamped("six digits of an epoch", 1.7e9 + K / HZ, asks="do not grow", stamp=".5E")
+stamped("32 bits with a sign", (2**31 - 60_000_000 + K * 10_000 + 2**31) % 2**32 - 2**31, in_unit("us"), "wrapped",
+        stamp="d")  # fmt: skip
+stamped("days of a spreadsheet", 45_000.0 + K / HZ / 86_400.0, in_unit("d"), stamp=".9f")
+
+
+def changed_to(hz: float):
+    def write(folder: Path) -> Recorded:
+        time = np.concatenate([K[:6000] / HZ, 60.0 + K[:6000] / hz])
+        return Recorded(table(folder, time, np.concatenate([noise(6000), noise(6000, hz)])), MAP, "rows come at 100 Hz")
+
+    ZOO[f"a rate that changes to {hz:g} Hz"] = write
+
+
+changed_to(200.0)
+changed_to(50.0)
+valued("noise cut off at a limit", lambda w: np.clip(w, -0.05, 0.09), "cuts off its noise")
+valued("noise cut off on one side", lambda w: np.maximum(w, -0.03), "cuts off its noise")
+QUIET = np.convolve(np.abs(noise() - 0.02), np.ones(25) / 25, "same") < 0.038
+valued("zeros while it seems at rest", lambda w: np.where(QUIET, 0.0, w), "a dead band")
+
+WARM = 22.0 + 3.0 * K / ROWS
+
+
+def warmed(name: str, shown: np.ndarray, asks: str | None = None):
+    """A kind of thermometer."""
+    ZOO[f"a thermometer {name}"] = lambda folder: Recorded(
+        text(folder, [f"{k / HZ:.2f},{v:.6f},{c:.3f}" for k, v, c in zip(K, noise(), shown, strict=True)], "t,gx,temp"),
+        MAP + 'temperature = { column = "temp", unit = "degC" }\n',
+        asks,
+    )
+
+
+warmed("at 0", 0.0 * WARM, "never changes")
+warmed("at 85", 0.0 * WARM + 85.0, "never changes")
+warmed("that begins at 85", np.where(K < 100, 85.0, WARM), "jumps away")
+warmed("that restarts", np.where(K % 700 < 20, 85.0, WARM), "jumps away")
+warmed("with a loose wire", np.where(K % 1000 == 7, 0.0, WARM), "jumps away")
+warmed("in tenths", 10.0 * WARM, "counts")
+warmed("that stops", np.where(K > 5000, WARM[5000], WARM), "stands still")

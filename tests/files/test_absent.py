@@ -5,6 +5,7 @@ import tomllib
 import pytest
 
 import gradcal_jax as gj
+from gradcal_jax.files import tables_of
 from gradcal_jax.files.absent import (
     EARTH,
     _table,
@@ -52,7 +53,7 @@ def within(named, full):
 
 def paper_without_zeros(name):
     """A preset of the paper as if it did not say that what it leaves out is zero."""
-    tables = gj.tables_of(gj.parse_spec(gj.presets.text(name)))
+    tables = tables_of(gj.parse_spec(gj.presets.text(name)))
     sensor, rig = tables["sensor"], tables["rig"]
     for key in [
         t.key for kind in ("sensor", "table") for t in terms_of(kind, "tactical" if kind == "sensor" else "fine")
@@ -100,8 +101,8 @@ def test_with_typical_figures_nothing_is_absent_and_nothing_that_was_named_chang
     spec = gj.parse_spec(gj.presets.text(preset))
     full = with_typical(spec)
     assert absent_terms(full) == []
-    named = gj.tables_of(spec)["sensor"]
-    assert within(named, gj.tables_of(full)["sensor"])
+    named = tables_of(spec)["sensor"]
+    assert within(named, tables_of(full)["sensor"])
 
 
 def test_the_grade_is_said_or_follows_the_drift_then_the_random_walk():

@@ -169,9 +169,9 @@ def test_what_cannot_be_planned_anew_is_a_sentence(spec: Spec) -> None:
     with pytest.raises(SpecError, match="expected a time after its start"):
         with_done(spec, [(60.0, 30.0)])
     rest = with_done(spec, [(0.0, spec.schedule.duration)])
-    with pytest.raises(ValueError, match="a limit is of a plan that begins a run"):
+    with pytest.raises(ValueError, match="a limit needs a plan that starts a run"):
         limits(rest)
-    with pytest.raises(ValueError, match="a timeline is of a plan that begins a run"):
+    with pytest.raises(ValueError, match="a timeline needs a plan that starts a run"):
         timeline(rest)
 
 

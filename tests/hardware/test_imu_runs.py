@@ -13,7 +13,11 @@ from imu_bench import estimated, hand, made, short, stopped_in_its_second_cycle
 from scipy.stats import chi2
 from simulated_devices.line_clock import LineClock
 
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.imu_build import build_imu
+from gradcal_jax.api.recorded_rows import imu_rows
 from gradcal_jax.decoding import run_log
+from gradcal_jax.estimation.imu_executed import executed_imu
 from gradcal_jax.files import changed, presets
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.rig import RigFile, parse_rig
@@ -165,6 +169,24 @@ def test_the_estimate_finds_what_was_hidden(ran: tuple[Path, Log]) -> None:
     # Of another unit it is far off: the bands can tell.
     wrong = estimated(log, spec, hidden["units"]["unit1"] | hidden["installation"])[2]
     assert wrong > chi2.ppf(1.0 - 1e-12, count)
+
+
+def test_an_axis_that_is_not_read_in_a_rest_stands_as_it_was_last_read(ran: tuple[Path, Log]) -> None:
+    """As where a run is killed, or a rest is short since its computer is slow."""
+    folder, log = ran
+    built = build_imu(RunFolder(folder).recipe().spec)
+    rows, _ = imu_rows(built, [log], "unit2", Options())
+    whole = executed_imu(rows, built.motion.geometry)
+    assert log.standstill is not None
+    # After the pose of 45 and 135 deg, of which the spin is read as soon as it stands.
+    rest = np.flatnonzero(rows.standing & (log.standstill == np.unique(log.standstill[log.standstill >= 0])[-3]))
+    angles, first = rows.angles.copy(), rows.angles[rest[np.isfinite(rows.angles[rest, 1])][0], 1]
+    assert np.degrees(first) == pytest.approx(135.0, abs=0.1)
+    angles[rest, 1] = np.nan
+    angles[rest[0] - 2, 1] = first
+    found = executed_imu(rows._replace(angles=angles), built.motion.geometry)
+    for one, other in zip(found.motion.angles(), whole.motion.angles(), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=np.radians(0.02))
 
 
 def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path: Path) -> None:

@@ -8,10 +8,11 @@ from simulated_devices.line_clock import LineClock
 from test_operator import gimbal
 
 from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.drivers.operator import OperatorAxis, OperatorConfig
 from gradcal_jax.hardware.drivers.switch import SwitchAxis, SwitchConfig, SwitchLine
 from gradcal_jax.hardware.errors import LimitExceeded, NotVerified, Rejected
 from gradcal_jax.hardware.roles import AxisLimits, AxisSafe
-from gradcal_jax.hardware.simulate.devices import HandTurnedAxis, SimulatedAxis, SimulatedPerson
+from gradcal_jax.hardware.simulate.devices import SimulatedAxis, SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
@@ -116,7 +117,8 @@ def test_in_a_rehearsal_axes_stop_off_their_goals_and_their_readings_do_not_show
     clock = VirtualClock()
     plants = [AxisPlant(AxisTruth(), clock.now()) for _ in range(2)]
     motor = SimulatedAxis(plants[0], clock, TOLD)
-    hand = HandTurnedAxis(plants[1], clock, TOLD, SimulatedPerson(3, miss_deg=3.0), 1)
+    person = SimulatedPerson(clock, {"hand": plants[1]}, SimulatedHand(3, miss_deg=3.0))
+    hand = OperatorAxis(person, OperatorConfig(angle="none"), clock, "hand")
     with clock.party():
         motor.home()
         for axis, plant in ((motor, plants[0]), (hand, plants[1])):

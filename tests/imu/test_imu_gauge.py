@@ -188,7 +188,7 @@ def test_a_plan_that_lacks_nothing_is_told_nothing():
 def test_a_plan_that_lacks_something_is_told_what(moves, said):
     found = sentences(moves)
     assert any(said in sentence for sentence in found), found
-    assert any("the plan says nothing of" in sentence for sentence in found)
+    assert any("not observable: " in sentence for sentence in found)
 
 
 def test_two_axes_of_the_table_that_never_meet_from_the_other_side_are_told_of_the_reversal():
@@ -277,6 +277,6 @@ def test_a_requirement_that_is_left_as_it_was_is_said():
     document["plan"]["cycle"] = {"moves": [{"rest": "8 s"}, *turns("spin")]}
     document["plan"]["temperature"] = ["20 degC", "25 degC"]
     found = predict(spec_of(document)).warnings
-    said = [sentence for sentence in found if "stays as it was by the priors" in sentence]
+    said = [sentence for sentence in found if "stays as the priors have it" in sentence]
     assert any("'accelerometer scale factor'" in sentence for sentence in said), found
     assert not any("'gyro bias'" in sentence for sentence in said)

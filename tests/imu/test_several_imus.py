@@ -11,13 +11,15 @@ from scipy import stats
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fit_of_log import Fit, fitted_twice
-from gradcal_jax.api.imu_build import build_imu
+from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.recorded_rows import imu_rows
-from gradcal_jax.estimation import solve_together
+from gradcal_jax.estimation import posteriors_together, solve_together
 from gradcal_jax.files.bench import Place
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.places import specs_at_places
 from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.information import Posterior
 
 NAMES = ("a", "b", "c", "d")
 PLACES = (
@@ -122,6 +124,43 @@ def test_four_imus_are_within_their_joint_covariances():
         assert not any("contradicts the other IMUs" in message for message in report.messages)
     tables = [report.solution.parameters[report.built.model.calibrated :] for report in reports]
     assert all(table == pytest.approx(tables[0]) for table in tables)
+
+
+def predicted(counts: tuple[int, ...], names: str = "abcd") -> list[Posterior]:
+    """The joint posteriors of so many IMUs at each of the places."""
+    built = [build_imu(specs_at_places(with_places(scene("two axes", 1.0)))[name]) for name in names]
+    plans = [(b.model, b.motion, b.body_nodes(), imu_posterior(b)) for b in built]
+    return posteriors_together(plans, counts)
+
+
+def test_what_is_predicted_together_is_what_is_estimated_together():
+    """Of every parameter's standard deviation by four IMUs, over that by one: the estimate of a simulated log, which is
+    linear about its own values, against the plan's prediction, which has no log."""
+    reports, own, _ = together(5)
+    for name, report, one, joint in zip(NAMES, reports, own, predicted((1, 1, 1, 1)), strict=True):
+        model, every = report.built.model, np.eye(report.built.model.size)
+        alone = imu_posterior(build_imu(specs_at_places(with_places(scene("two axes", 1.0)))[name]))
+        before = joint.deviations(every) / alone.deviations(every)
+        after = report.solution.known.deviations(every) / one.solution.known.deviations(every)
+        assert after == pytest.approx(before, rel=0.05)
+        assert before[model.calibrated :].min() < 0.8
+
+
+def test_one_imu_together_with_none_is_predicted_alone_and_copies_count():
+    (alone,), four = predicted((1,), "a"), predicted((1, 1, 1, 1), "aaaa")
+    built = build_imu(specs_at_places(with_places(scene("two axes", 1.0)))["a"])
+    every = np.eye(built.model.size)
+    assert alone.deviations(every) == pytest.approx(imu_posterior(built).deviations(every), rel=1e-6)
+    (copies,) = predicted((4,), "a")
+    assert copies.deviations(every) == pytest.approx(four[0].deviations(every), rel=1e-9)
+    assert np.min(copies.deviations(every) / alone.deviations(every)) < 0.8
+
+
+def test_the_prediction_of_a_fixture_is_of_the_joint_estimate():
+    places = predict(with_places(scene("two axes", 1.0))).places
+    ratios = [of.values[name] / of.alone[name] for of in places for name in of.values]
+    assert max(ratios) < 1.0 + 1e-6
+    assert min(ratios) < 0.95
 
 
 def test_the_covariance_in_the_calibration_is_the_joint_one():

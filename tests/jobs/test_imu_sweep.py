@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
+from gradcal_jax.files import tables_of
 from gradcal_jax.files.sweep import parse_sweep
 from gradcal_jax.jobs.dataset import dataset_of
 from gradcal_jax.jobs.evaluate import optimise_points, predict_points
@@ -22,7 +23,7 @@ def test_a_sweep_predicts_the_points_of_a_unit_and_says_which_cannot_be():
     job = parse_sweep(FILE)
     assert isinstance(job.base, gj.Spec)
     points = Points(job)
-    results = predict_points(gj.tables_of(job.base), [(i, points.changes(i)) for i in range(len(points))])
+    results = predict_points(tables_of(job.base), [(i, points.changes(i)) for i in range(len(points))])
     assert "rig.table.tilt" in results[2].failure
     data = dataset_of(job, points, tuple(results), identity_of(job))
     for i, tilt in enumerate(("10 urad", "1 mrad")):
@@ -38,7 +39,7 @@ def test_a_sweep_predicts_the_points_of_a_unit_and_says_which_cannot_be():
 def test_plans_of_imus_are_optimised_in_sweeps(monkeypatch):
     monkeypatch.setattr("gradcal_jax.api.optimise.EVALUATIONS", 60)
     job = parse_sweep(FILE.replace("[[axis]]", 'do = "optimise"\n[[axis]]'))
-    first, wrong = optimise_points(gj.tables_of(job.base), [(i, Points(job).changes(i)) for i in (0, 2)])
+    first, wrong = optimise_points(tables_of(job.base), [(i, Points(job).changes(i)) for i in (0, 2)])
     assert "rig.table.tilt" in wrong.failure
     found = gj.parse_spec(first.spec)
     rows = gj.predict(found).requirements

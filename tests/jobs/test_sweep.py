@@ -12,7 +12,7 @@ import pytest
 from jobs_small import GRID, SPEC, written
 
 import gradcal_jax as gj
-from gradcal_jax.files import presets
+from gradcal_jax.files import presets, tables_of
 from gradcal_jax.files.sweep import read_sweep
 from gradcal_jax.information import STATISTICS
 from gradcal_jax.jobs.dataset import identity_in, read_dataset
@@ -78,7 +78,7 @@ USED_SOAK = {"plan.soak": {"duration": "1 min", "used": True}}
 def test_a_worker_predicts_as_predict_does(base, changes):
     spec = gj.parse_spec(base)
     expected = gj.predict(gj.changed(spec, changes))
-    (found,) = predict_points(gj.tables_of(spec), [(0, changes)])
+    (found,) = predict_points(tables_of(spec), [(0, changes)])
     assert found.failure == ""
     assert (found.duration_s, found.motion_s) == (expected.duration_s, expected.motion_s)
     names = {i: requirement.name for i, requirement in enumerate(spec.requirement)}
@@ -229,6 +229,16 @@ rates = ["-100 deg/s", "0 deg/s", "100 deg/s"]
 """
 
 
+def test_two_sweeps_do_not_write_into_one_folder(done, tmp_path):
+    """The second one says so; the lock goes with the process that has it."""
+    _, job, *_ = done
+    begun = Store(tmp_path / "a.nc", identity_of(job))
+    with pytest.raises(ValueError, match="another sweep is writing into"):
+        Store(tmp_path / "a.nc", identity_of(job))
+    begun.remove()
+    Store(tmp_path / "a.nc", identity_of(job)).remove()
+
+
 def test_standard_plans_and_drawn_points(tmp_path, pool):
     path = written(
         tmp_path,
@@ -274,7 +284,7 @@ def test_a_sweep_of_which_no_point_is_a_spec_says_why(tmp_path, pool):
 def test_a_point_that_fails_does_not_take_its_neighbours_along(done, pool):
     _, job, swept, _ = done
     points = Points(job)
-    base = gj.tables_of(job.base)
+    base = tables_of(job.base)
     first, second = 0, 1
     share = [(first, points.changes(first)), (99, {"plan.gradient": "30 K/min"}), (second, points.changes(second))]
     ((_, found),) = pool.run([Task(0, "predict", (base, share))])

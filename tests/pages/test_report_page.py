@@ -328,9 +328,15 @@ def test_maps_that_look_alike_are_shown_as_a_ratio_whose_colours_tell_its_size(w
     fact = next(f for f in whole[0].maps if f.quantity == "gyro_scale_factor")
     ((_, box), *_) = fact.maps
     shades = []
-    for factor in (1.001, 1.09, 2.0):
+    for factor in (1.001, 1.05, 1.09, 2.0):
         other = fact._replace(maps=(("before", box), ("predicted", box._replace(values=factor * box.values))))
-        ((_, second, _),) = map_pictures([other], {})
+        ((first, *between, _),) = map_pictures([other], {})
+        assert "residual before" in first.caption
+        if factor == 1.001:
+            # A map that is 1 everywhere shows nothing, and is left out.
+            assert between == []
+            continue
+        (second,) = between
         assert ("residual predicted over that before" in second.caption) == (factor < 1.3)
         shades.append(second.svg)
     assert shades[0] != shades[1]

@@ -4,8 +4,8 @@
     px4         TC_G*, TC_A*: biases over temperature, cubics in float32; no scale factor; in steps of 1 °C
     kalibr      imu.yaml at one temperature: scale, misalignment (triangular), gyros' sensitivity to acceleration
     matrices    YAML at one temperature: corrected = matrix · (raw − bias) for gyros and accelerometers
-    c-header    a function in float32 with all that the calibration has (polynomials)
-    template    whatever a template of the user's makes of maps, matrices and noise, in the language of Jinja
+    c-header    a float32 function of the whole calibration; polynomial bases only
+    template    a Jinja template of the user's, filled with maps, matrices and noise
     csv         every coefficient with its standard deviation, for spreadsheets; nothing is lost
 
 Each export reports in numbers what its target cannot carry: the largest error against the calibration over its range.

@@ -1,6 +1,6 @@
 """Commented specs to start from, and the texts of other files.
 
-Sensor figures are typical of a class of devices, of no vendor's.
+Sensor figures are typical of a class of devices, not of one vendor's.
 """
 
 import tomllib

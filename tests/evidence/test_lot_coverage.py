@@ -27,11 +27,12 @@ POWERS = np.stack([GRID**k for k in range(4)], axis=1)
 
 _HEAD = """# Lots: many calibrations of one type
 
-Made by `pytest -m evidence tests/evidence/test_lots.py`: simulated lots of 20 IMUs with one, three and no repeating
-shapes among four coefficients, each IMU calibrated by least squares of 12 to 60 readings of its own. Coverage: of the
-95 % intervals of mean and spread, of all lots and temperatures. A stranger differs by 12 to 24 standard deviations of
-type and calibration, in a direction drawn at random. Right count: as many shapes as there are, or the sentence that
-they do not repeat; prior: one is written; false stranger: lots without any in which one is named.
+Made by `pytest -m evidence tests/evidence/test_lot_coverage.py`: simulated lots of 20 IMUs with one, three and no
+repeating shapes among four coefficients, each IMU calibrated by least squares of 12 to 60 readings of its own.
+Coverage: of the 95 % intervals of mean and spread, of all lots and temperatures. A stranger differs by 12 to 24
+standard deviations of type and calibration, in a direction drawn at random. Right count: as many shapes as there
+are, or the sentence that they do not repeat; prior: one is written; false stranger: lots without any in which one
+is named.
 
 | shapes | lots | mean within | spread within | right count | prior | false stranger | stranger found | no other named |
 |---|---|---|---|---|---|---|---|---|

@@ -1,0 +1,144 @@
+"""Makes docs/afternoons: three IMUs from `gradcal start` to the firmware's header, each in a fresh folder.
+
+python experiments/afternoons/afternoons.py [PRESET …], in some fifteen minutes on two cores. All devices are simulated;
+what is printed is what a terminal shows, and the minutes are those of the machine that ran it.
+"""
+
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from gradcal_jax.decoding.sessions import sessions_of
+from gradcal_jax.decoding.spool import SampleSpool
+from gradcal_jax.hardware.journal import records_of
+from gradcal_jax.hardware.run_folder import RunFolder
+
+PAGES = Path(__file__).parents[2] / "docs" / "afternoons"
+HEAD = """# {title}
+
+{words}
+
+Made by `experiments/afternoons/afternoons.py`: every command from an empty folder to the header for the firmware, with
+what it prints. **All devices are simulated**; `--simulate` stands where your rig would be (`--rig mine/rig.toml`). The
+middle of long outputs is left out, and marked `[…]`. Seconds are those of a busy machine of two cores; the chamber's
+hours pass in no time here.
+"""
+COMMANDS = """\
+gradcal start --preset {preset} -o mine
+gradcal check mine/spec.toml
+gradcal predict mine/spec.toml
+gradcal optimise mine/spec.toml --until-met -o mine/recipe.toml
+gradcal run mine/recipe.toml --simulate -o mine/run
+gradcal log mine/run{recording}
+gradcal estimate mine/run/log.nc --recipe mine/recipe.toml -o mine/run/calibration.toml
+gradcal report mine/run -o mine/report.html --before mine/spec.toml
+gradcal report mine/run --certificate --number K-1 -o mine/certificate.html
+gradcal export mine/run/calibration.toml --format c-header -o mine/calibration.h
+"""
+MOST_LINES = 24
+
+
+def main(names: list[str]) -> None:
+    PAGES.mkdir(exist_ok=True)
+    for title, preset, words, own in DEVICES:
+        if names and preset not in names:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            parts = [HEAD.format(title=title, words=words), *afternoon(Path(folder), preset, own)]
+        (PAGES / f"{preset}.md").write_text("".join(parts), encoding="utf-8")
+        print(f"{title}: done", file=sys.stderr)
+
+
+def afternoon(folder: Path, preset: str, own: bool) -> Iterator[str]:
+    """The commands of one device, and what they print."""
+    recording = " --recording imu.csv --columns mine/columns.toml" * own
+    spent = 0.0
+    for line in COMMANDS.format(preset=preset, recording=recording).splitlines():
+        if own and line.startswith("gradcal log"):
+            recorded_by_itself(folder / "mine/run", folder / "imu.csv")
+            columns = folder / "mine/columns.toml"
+            columns.write_text(
+                columns.read_text(encoding="utf-8").replace(", scale = 0.0305 }     # counts: deg/s per count", " }")
+            )
+            yield "\n`imu.csv` is what the IMU's own logger kept, by its own clock; its columns: `mine/columns.toml`.\n"
+        begun = time.monotonic()
+        done = subprocess.run(
+            [sys.executable, "-m", "gradcal_jax", *shlex.split(line)[1:]],
+            cwd=folder, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        took = time.monotonic() - begun
+        spent += took
+        shown = shortened((done.stdout + done.stderr).rstrip().splitlines())
+        status = "" if done.returncode == 0 else f", status {done.returncode}"
+        yield f"\n    $ {line}\n" + "".join(f"    {text}\n" if text else "\n" for text in shown)
+        yield f"\n*{took:.0f} s{status}*\n"
+    yield f"\nIn all {spent / 60.0:.1f} min of machine.\n"
+
+
+def shortened(lines: list[str]) -> list[str]:
+    """The first and last lines of a long output; long lines folded."""
+    folded = [part for line in lines for part in ([line] if len(line) <= 116 else wrapped(line))]
+    if len(folded) <= MOST_LINES:
+        return folded
+    return [*folded[: MOST_LINES - 8], "[…]", *folded[-8:]]
+
+
+def wrapped(line: str) -> list[str]:
+    return re.findall(r".{1,112}(?:\s|$)", line)
+
+
+def recorded_by_itself(run: Path, path: Path) -> None:
+    """All samples of the run's IMU as its own logger keeps them: means of two, by a clock of its own."""
+    folder = RunFolder(run)
+    with ExitStack() as stack:
+        samples = stack.enter_context(SampleSpool())
+        for _ in sessions_of(records_of(folder.journal_path), folder.rig().imu[0], samples):
+            pass
+        rows = samples.read(0, len(samples))
+    even = len(rows) // 2 * 2
+    columns = [
+        rows["device_s"],
+        *np.moveaxis(rows["gyro_dps"], -1, 0),
+        *np.moveaxis(9.80665 * rows["acceleration_g"], -1, 0),
+    ]
+    columns.append(rows["temperature_c"])
+    means = [column[:even].reshape(-1, 2).mean(axis=1) for column in columns]
+    means[0] = 1e3 * (means[0] + 4321.0)
+    np.savetxt(path, np.stack(means, axis=1), delimiter=",", fmt="%.6f", comments="", header="t,gx,gy,gz,ax,ay,az,temp")
+
+
+DEVICES = (
+    (
+        "A BMI088 on a table of ±170°",
+        "bmi088",
+        "A home-made table of one axis, turned by a stepper behind GRBL, whose cable ends it at ±170°; a fridge and a\n"
+        "hair dryer, by the clock; the board prints lines of text. Three ramps, the IMU hung anew in between.",
+        False,
+    ),
+    (
+        "An ICM-42688 that logs by itself, on a GRBL stepper",
+        "drone-imu",
+        "The flight controller keeps its own log; the run turns the table and holds the chamber. Its recording is\n"
+        "laid on the run's clock by the motion. In this rehearsal the tests of the fit contradict the model, so the\n"
+        "calibration is not valid; the cause is not established.",
+        True,
+    ),
+    (
+        "A tactical IMU on a two-axis table",
+        "tactical-imu",
+        "A table of two axes (Zaber), a chamber (Weiss), an IMU that streams (STIM300); one ramp shows everything.",
+        False,
+    ),
+)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -21,7 +21,6 @@ from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.systematic import CountedPosteriors, budget_of_imu, shares_of_variance
 from gradcal_jax.api.tested_maps import noticing
 from gradcal_jax.api.verdicts import UNIT_OF, decision_rule, mission_weights, run_of, target_of, verdict_of
-from gradcal_jax.estimation import posteriors_together
 from gradcal_jax.files import Prediction
 from gradcal_jax.files.absent import absent_terms, with_typical
 from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, PlaceRow, RequirementRow
@@ -162,6 +161,9 @@ def _at_places(spec: Spec, place: str | None, **options: bool) -> Prediction:
 
 def _together(builts: Sequence[BuiltImu], alone: Sequence[Posterior], counts: Sequence[int]) -> list[Posterior]:
     """The posteriors of IMUs at places that hang differently, estimated together with all others of the fixture."""
+    # Imported where it is used: estimates import SciPy's larger rooms.
+    from gradcal_jax.estimation import posteriors_together
+
     plans = [(b.model, b.motion, b.body_nodes(), one) for b, one in zip(builts, alone, strict=True)]
     return posteriors_together(plans, counts, clock=builts[0].spec.sensor.takes_host_clock)
 

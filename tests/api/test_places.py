@@ -60,7 +60,7 @@ def test_a_place_of_words_is_its_matrix():
 
 
 def test_the_prediction_is_of_every_place_and_of_the_worst():
-    """An IMU alone, at a place that hangs as a spec without places, has that spec's values; with the others no worse."""
+    """An IMU alone, at a place that hangs as a spec without places, has that spec's values; with others no worse."""
     up = {"x": "+x", "y": "+z", "z": "-y"}
     slant = [[1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]]
     found = gj.predict(fixture([{"name": "flat"}, {"name": "up", **up}, {"name": "slant", "matrix": slant}]))

@@ -185,6 +185,8 @@ def _path_coefficients(built: BuiltImu, values: np.ndarray, deviations: np.ndarr
                 of_path["width"] = Quantity.of(float(term.width), "K")
             elif isinstance(term, TemperatureDifference) and term.other.name == SECOND:
                 of_path["second_thermometer"] = True
+            elif isinstance(term, OwnTerm):
+                of_path["own"] = True
             elif isinstance(term, TemperatureDifference):
                 of_path["time_constant"] = Quantity.of(term.other.lag, "s")
             for name, value, std in zip(term.names(), values[own], deviations[own], strict=True):

@@ -26,6 +26,7 @@ from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.temperature_path import PlayOfBias
 from gradcal_jax.information import Posterior, imu_information, imu_unweighted, posterior, segments_of
 from gradcal_jax.model import (
     AXIS_NAMES,
@@ -298,7 +299,7 @@ def _path_terms(
     gyro = isinstance(triad, GyroTriad)
     own, unit = (f"{'rate' if gyro else 'force'} {axis}",), "rad/s" if gyro else "m/s^2"
 
-    def play(p: sensor_file.PlayOfBias, signals: tuple[str, ...], name: str, si_unit: str) -> PathTerm:
+    def play(p: PlayOfBias, signals: tuple[str, ...], name: str, si_unit: str) -> PathTerm:
         std, width = np.asarray(float(p.prior)), np.asarray(float(p.width))
         named = name.format(f"{float(width):g}")
         return Hysteresis(std=std, width=width, signals=signals, name=named, si_unit=si_unit)

@@ -57,7 +57,7 @@ def apply(
     outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
     if json:
         rows = {"rows": corrected.log.counts(0), "outside": outside, "not_calibrated": list(corrected.left_alone)}
-        rows["unknown_branch"] = corrected.unknown_branch
+        rows |= {"unknown_branch": corrected.unknown_branch, "not_taken_off": list(corrected.left_in)}
         print(as_json({"log": str(output), "simulated": corrected.log.simulated, **rows}))
     else:
         print(described(corrected.log, str(log)))
@@ -71,6 +71,8 @@ def apply(
             )
         if corrected.left_alone:
             print(f"note: not calibrated, and left unchanged: {', '.join(corrected.left_alone)}")
+        if corrected.left_in:
+            print(f"note: known, and not taken off: {', '.join(corrected.left_in)}")
         print(f"wrote {output}")
     return NOT_AS_WISHED if any(outside.values()) else DONE
 

@@ -17,7 +17,8 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, across_stops, nodes_of_rows
+from gradcal_jax.estimation.executed_nodes import nodes_of_rows
+from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, across_stops
 from gradcal_jax.estimation.robust import reweighted
 from gradcal_jax.estimation.solve import Estimate, Whitened
 from gradcal_jax.information import (

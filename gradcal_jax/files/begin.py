@@ -24,8 +24,7 @@ Answers = Mapping[str, str]
 
 class Question(NamedTuple):
     """A question: its name, its words, and the kinds of its answers, which commas separate. `when`: whether it is asked
-    after these answers; `example`: an answer, where the presets have none. A question of several kinds that is
-    `optional` takes "typical", too."""
+    after these answers. An `optional` one takes "typical", too."""
 
     name: str
     asks: str

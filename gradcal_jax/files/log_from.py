@@ -121,11 +121,7 @@ def _in_si(kind: str, value: Any, data: Any, given: Mapping[str, str]) -> Floats
     unit = given.get(kind) or getattr(column, "attrs", {}).get("units") or _SI[kind]
     values = np.asarray(column)
     if values.dtype.kind in "mM":
-        return (
-            (values - values[0]) / np.timedelta64(1, "s")
-            if values.dtype.kind == "M"
-            else values / np.timedelta64(1, "s")
-        )
+        return (values - values[0] if values.dtype.kind == "M" else values) / np.timedelta64(1, "s")
     values = values.astype(np.float64)
     if kind == "time" and len(values):
         # The nanoseconds of an epoch.

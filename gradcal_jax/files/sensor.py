@@ -14,21 +14,15 @@ from gradcal_jax.files.quantity import (
     BiasSlope,
     ForceGradientSensitivity,
     Margin,
-    Number,
     Of,
     PositiveAccelerationSensitivity,
-    PositiveAccelerationSlope,
     PositiveAngle,
-    PositiveBiasSlope,
     PositiveLength,
     PositiveRate,
     PositiveScaleFactor,
-    PositiveScaleFactorGradient,
-    PositiveScaleFactorSlope,
     PositiveSecondOrder,
     PositiveSpecificForce,
     PositiveSquareSensitivity,
-    PositiveTemperatureDifference,
     PositiveThirdOrder,
     Quantity,
     RateRandomWalk,
@@ -44,6 +38,14 @@ from gradcal_jax.files.quantity import (
     VelocityRandomWalk,
 )
 from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.temperature_path import (
+    DifferenceOfForce,
+    LateGradientOfForce,
+    PlayOfForce,
+    PowerOnForceTransient,
+    SecondThermometer,
+    TemperaturePath,
+)
 from gradcal_jax.files.uncertain import UncertainSection, figures_of
 
 
@@ -121,98 +123,6 @@ def _gradient_of_bias(table: type[BiasTemperatureGradient], dimension: str, leas
         return value if value is None or isinstance(value, Section) else Of(dimension, at_least=least).read(value)
 
     return BeforeValidator(read)
-
-
-class PlayOfBias(Section):
-    """An error that depends on the path of temperature: a play, which follows the temperature with a slack of plus and
-    minus `width`. Heating and cooling legs that are longer than twice the width differ by 2 × coefficient × width."""
-
-    width: PositiveTemperatureDifference
-    """Half-width of the play."""
-    prior: PositiveBiasSlope
-    """Standard deviation of the coefficient before the calibration, for each K between play and temperature."""
-
-
-class PlayOfForce(PlayOfBias):
-    """As of a gyro, of an accelerometer."""
-
-    prior: PositiveAccelerationSlope
-
-
-class PlayOfScaleFactor(PlayOfBias):
-    """As of the bias, of the scale factor."""
-
-    prior: PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
-
-
-class ScaleFactorTemperatureGradient(Section):
-    """Sensitivity of the scale factor to dT/dt, which is estimated."""
-
-    prior: PositiveScaleFactorGradient
-    """Standard deviation of the coefficient before the calibration."""
-
-
-class PowerOnTransient(Section):
-    """A bias that decays exponentially from power-on, which is at the beginning of the plan or the log."""
-
-    time_constant: Time
-    """Its known time constant."""
-    prior: PositiveRate
-    """Standard deviation of its value at power-on, before the calibration."""
-
-
-class PowerOnForceTransient(PowerOnTransient):
-    """As of a gyro, of an accelerometer."""
-
-    prior: PositiveSpecificForce
-
-
-class LateGradientOfBias(Section):
-    """Bias in proportion to dT/dt as a first-order lag follows it, such as of a part that heats slowly. The lag begins
-    in equilibrium, as after a soak."""
-
-    time_constant: Time
-    """Its known time constant."""
-    prior: SizeOfGradientSensitivity
-    """Standard deviation of the coefficient before the calibration."""
-
-
-class LateGradientOfForce(LateGradientOfBias):
-    """As of a gyro, of an accelerometer."""
-
-    prior: ForceGradientSensitivity
-
-
-class LateGradientOfScale(LateGradientOfBias):
-    """As of the bias, of the scale factor."""
-
-    prior: PositiveScaleFactorGradient  # pyright: ignore[reportIncompatibleVariableOverride]
-
-
-class DifferenceOfBias(Section):
-    """Bias in proportion to what the second thermometer shows less the first."""
-
-    prior: PositiveBiasSlope
-    """Standard deviation of the coefficient before the calibration."""
-
-
-class DifferenceOfForce(DifferenceOfBias):
-    """As of a gyro, of an accelerometer."""
-
-    prior: PositiveAccelerationSlope
-
-
-class DifferenceOfScale(DifferenceOfBias):
-    """As of the bias, of the scale factor."""
-
-    prior: PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
-
-
-class SecondThermometer(Section):
-    """A second thermometer, such as of the case beside that of the dies, or at another point of the block."""
-
-    lag: Time
-    """First-order lag of its temperature behind the first one's, by which plans expect it; logs have its readings."""
 
 
 class _Lagging(Section):
@@ -503,70 +413,7 @@ class LeverArm(Section):
     """Standard deviation of each of three coordinates before the calibration; absent: unknown."""
 
 
-Plays = Annotated[tuple[PlayOfBias, ...], Field(max_length=10)]
-ScaleFactorPlays = Annotated[tuple[PlayOfScaleFactor, ...], Field(max_length=10)]
-Transients = Annotated[tuple[PowerOnTransient, ...], Field(max_length=5)]
-
-
-class OwnError(Section):
-    """An error by a class of your own, a subclass of `gradcal_jax.model.OwnTerm`, which is estimated."""
-
-    term: Text
-    """Name of the class."""
-    prior: Annotated[Number, Field(gt=0.0)]
-    """Standard deviation of each of its parameters before the calibration, in the SI unit of the class."""
-    name: Text | None = None
-    """Name of its parameters; absent: that of the class."""
-
-
-class _PathOfTemperature(Section):
-    """What depends on the path of temperature and not on its present value alone, each estimated; and own errors."""
-
-    hysteresis: Plays = ()
-    """Hysteresis of the bias, plays that add."""
-    scale_factor_hysteresis: ScaleFactorPlays = ()
-    """Hysteresis of the scale factor, plays that add."""
-    scale_factor_temperature_gradient: ScaleFactorTemperatureGradient | None = None
-    """Scale factor in proportion to dT/dt."""
-    turn_on_transient: Transients = ()
-    """Bias that decays from power-on, exponentials that add."""
-    own: Annotated[tuple[OwnError, ...], Field(max_length=20)] = ()
-    """Errors by classes of your own."""
-    late_temperature_gradient: Annotated[tuple[LateGradientOfBias, ...], Field(max_length=5)] = ()
-    """Bias in proportion to dT/dt, later by first-order lags; they add."""
-    scale_factor_late_temperature_gradient: Annotated[tuple[LateGradientOfScale, ...], Field(max_length=5)] = ()
-    """The same of the scale factor."""
-    thermometer_difference: DifferenceOfBias | None = None
-    """Bias in proportion to the difference of the two thermometers."""
-    scale_factor_thermometer_difference: DifferenceOfScale | None = None
-    """Scale factor in proportion to it."""
-
-    @property
-    def on_path(self) -> bool:
-        """Whether any of these is named."""
-        return any(getattr(self, key) for key in _PathOfTemperature.model_fields)
-
-    @model_validator(mode="after")
-    def _differ(self) -> "_PathOfTemperature":
-        for key, entries, of in (
-            ("hysteresis", self.hysteresis, "width"),
-            ("scale_factor_hysteresis", self.scale_factor_hysteresis, "width"),
-            ("turn_on_transient", self.turn_on_transient, "time_constant"),
-            ("late_temperature_gradient", self.late_temperature_gradient, "time_constant"),
-            ("scale_factor_late_temperature_gradient", self.scale_factor_late_temperature_gradient, "time_constant"),
-        ):
-            values = [float(getattr(entry, of)) for entry in entries]
-            if len(set(values)) < len(values):
-                refuse(Problem((key,), f"two entries have one {of}: their coefficients cannot be separated"))
-        return self
-
-    @property
-    def widths(self) -> tuple[float, ...]:
-        """The half-widths of all plays, K."""
-        return tuple(sorted({float(play.width) for play in (*self.hysteresis, *self.scale_factor_hysteresis)}))
-
-
-class GyroTriad(_Gyro, _PathOfTemperature):
+class GyroTriad(_Gyro, TemperaturePath):
     """`[sensor.gyro]`: common properties of the IMU's gyros. An absent table is not estimated: known."""
 
     axes: BodyAxes = ("x", "y", "z")
@@ -588,7 +435,7 @@ class GyroTriad(_Gyro, _PathOfTemperature):
         return self
 
 
-class AccelerometerTriad(_Channel, _PathOfTemperature):
+class AccelerometerTriad(_Channel, TemperaturePath):
     """`[sensor.accelerometer]`: common properties of the unit's accelerometers. Read where the table stands, and on
     moves no faster than `read_on_moves_below`."""
 

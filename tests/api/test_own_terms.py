@@ -89,9 +89,17 @@ def test_an_estimate_finds_its_parameter(axis):
     )  # fmt: skip
     (calibration,) = gj.estimate(spec, log).calibrations
     (found,) = calibration.path
-    assert (found.name, found.unit) == ("decay", "rad/s")
+    assert (found.name, found.unit, found.own) == ("decay", "rad/s", True)
     assert found.standard_deviation < 0.2 * hidden
     assert found.value == pytest.approx(hidden, abs=4.0 * found.standard_deviation)
+    # Of the unit of a sensitivity to dT/dt, or any other: nobody but the class knows its function.
+    like_slope = found.model_copy(update={"unit": "rad/K", "value": 1.0})
+    corrected = [gj.apply(calibration.model_copy(update={"path": path}), log) for path in ((), (found,), (like_slope,))]
+    assert [one.left_in for one in corrected] == [(), ("gyro_x.decay",), ("gyro_x.decay",)]
+    for one in corrected[1:]:
+        np.testing.assert_array_equal(one.log.rate_rad_per_s, corrected[0].log.rate_rad_per_s)
+    (note,) = (note for note in gj.export(calibration, "csv").notes if "decay" in note)
+    assert note.endswith("of a class of your own, is lost")
 
 
 def test_a_class_that_nobody_defined_is_a_sentence(axis):

@@ -12,7 +12,7 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
-from gradcal_jax.estimation.imu_executed import turning_points
+from gradcal_jax.estimation.executed_nodes import turning_points
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.schemas import schema
 from gradcal_jax.files.spec import spec_of

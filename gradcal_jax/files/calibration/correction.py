@@ -62,6 +62,9 @@ class Corrected(NamedTuple):
     """Channels of the log that the calibration does not have."""
     unknown_branch: int = 0
     """Rows at the beginning in which the state of a hysteresis is not known."""
+    left_in: tuple[str, ...] = ()
+    """Coefficients under [[path]], as gyro_x.NAME, that are not taken off: transients after power-on, and errors by
+    classes of the user's own."""
 
     __repr__ = summary
 
@@ -288,8 +291,10 @@ def needs_temperature(calibration: Calibration) -> bool:
 
 
 def _follows(one: PathCoefficient) -> bool:
-    """Whether it is a function of temperatures, and not of the time since power-on, which a log does not know."""
-    return one.width is not None or one.second_thermometer or one.unit in (*_BIAS_BY_SLOPE, _SCALE_BY_SLOPE)
+    """Whether it is a function of temperatures that is known here, and not of the time since power-on, which a log does
+    not know, or of a class of the user's own."""
+    of_slope = one.unit in (*_BIAS_BY_SLOPE, _SCALE_BY_SLOPE)
+    return not one.own and (one.width is not None or one.second_thermometer or of_slope)
 
 
 def on_path(calibration: Calibration, channel: CalibratedChannel, own: Floats, log: Log, unit: int) -> OnPath | None:
@@ -372,7 +377,10 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
     )
     alone = tuple(label for label in columns if label not in known)
     open_at = np.any([~path.known for path in paths or () if path is not None], axis=0) & usable
-    return Corrected(done, int(np.count_nonzero(beyond[usable])), outside_rate, alone, int(np.count_nonzero(open_at)))
+    names = {channel.name for channel in common}
+    left_in = tuple(f"{p.channel}.{p.name}" for p in calibration.path if p.channel in names and not _follows(p))
+    counts = int(np.count_nonzero(beyond[usable])), outside_rate, alone, int(np.count_nonzero(open_at))
+    return Corrected(done, *counts, left_in)
 
 
 def _input(label: str) -> str:

@@ -23,10 +23,11 @@ from gradcal_jax.display import summary
 from gradcal_jax.files.calibration import c_header
 from gradcal_jax.files.calibration.correction import linear_part, term_values, value_at
 from gradcal_jax.files.calibration.file import TEMPERATURE_RATE, CalibratedChannel, CalibratedTerm, Calibration, Noise
+from gradcal_jax.files.calibration.path_losses import path_losses
 from gradcal_jax.files.calibration.polynomials import bias_polynomial
 from gradcal_jax.files.calibration.text_template import rendered
 from gradcal_jax.files.log import Floats
-from gradcal_jax.units import DEG_PER_H, PPM, G
+from gradcal_jax.units import DEG_PER_H, G
 
 _GRID: Final = 201
 _TRIAD: Final = ("x", "y", "z")
@@ -84,33 +85,12 @@ def export(
         notes += [f"the lag of the {name.replace('_', ' ')}, {lag:.3g} s, is not carried" for name, lag in sorted(late)]
         if calibration.unobservable:
             notes.append(f"not observed by the data: {', '.join(calibration.unobservable)}")
-    notes += _of_branches(calibration)
+    notes += path_losses(calibration)
     if left_out:
         notes.append(f"set to zero: {', '.join(left_out)}")
     if calibration.simulated:
         notes.append("this calibration was made from SIMULATED data")
     return done._replace(notes=tuple(notes))
-
-
-def _of_branches(calibration: Calibration) -> Iterator[str]:
-    """What maps that are the mean of heating and cooling, of equal temperatures everywhere, lose."""
-    sizes: dict[tuple[str, str, str], float] = {}
-    for one in calibration.path:
-        of_scale, what, size = one.unit in ("1/K", "s/K"), "", 0.0
-        if one.width is not None:
-            what = "the mean of heating and cooling; hysteresis, up to {:.3g} {} on either branch, is lost"
-            size = float(one.width)
-        elif one.second_thermometer:
-            what, size = "what follows the second thermometer, {:.3g} {} for each K of its difference, is lost", 1.0
-        elif one.unit in ("rad/K", "m/s/K", "s/K"):
-            what, size = "what follows dT/dt, {:.3g} {} at 1 K/min, is lost", 1.0 / 60.0
-        if what:
-            of = one.channel, "scale factor" if of_scale else "bias", what
-            sizes[of] = sizes.get(of, 0.0) + one.value * size
-    for (channel, what, words), size in sizes.items():
-        of_bias = ("deg/h", DEG_PER_H) if channel.startswith("gyro") else ("ug", _MICRO_G)
-        unit, factor = ("ppm", PPM) if what == "scale factor" else of_bias
-        yield f"{what} of {channel.replace('_', ' ')}: " + words.format(abs(size) * factor, unit)
 
 
 def export_sensors(calibrations: Sequence[Calibration], firmware: str) -> Export:

@@ -108,6 +108,8 @@ class PathCoefficient(Section):
     """Of a sensitivity to dT/dt that a first-order lag follows; absent: none."""
     second_thermometer: Flag = False
     """Whether it is for each K of the second thermometer's difference from the first."""
+    own: Flag = False
+    """Whether it is of an error class of your own, which neither `apply` nor exports take off."""
 
 
 class Residuals(Section):

@@ -260,26 +260,33 @@ def _covariances(steps: Steps, start: Float[Array, "n n"]) -> tuple[Float[Array,
     n = start.shape[0]
 
     def from_known(carry, now: Steps):
-        covariance, response = carry
+        covariance, response, noisy = carry
         cross, reciprocal = _innovation(covariance, now.observation, now.variance, now.used)
         seen = applied(transposed(response), now.observation)
         response = response - (cross * reciprocal[None])[:, None] * seen[None]
         after = _congruence(now.transition, _updated(covariance, cross, reciprocal)) + now.noise
-        return (after, times(now.transition, response)), _root(reciprocal)[None] * seen
+        hit = jnp.any((now.observation != 0.0) & noisy, axis=0)
+        exact = jnp.where(now.used & (now.variance == 0.0) & ~hit, 1.0, 0.0)
+        noisy = _noisy(now, noisy)
+        return (after, times(now.transition, response), noisy), (_root(reciprocal)[None] * seen, exact[None] * seen)
 
     # The state is known *after* the block's first reading: if it were known before, a reading without noise would have
-    # no variance, and its information about the block's start would be lost.
+    # no variance, and its information about the block's start would be lost. Readings without noise that follow at the
+    # same instant (of other channels) are exact in the known state, too: these rows are kept as constraints.
     first, others = jax.tree.map(lambda x: x[0], steps), jax.tree.map(lambda x: x[1:], steps)
-    (own, response), rows = jax.lax.scan(from_known, (first.noise, first.transition), others)
+    begun = (first.noise, first.transition, _noisy(first, jnp.zeros(first.observation.shape, bool)))
+    (own, response, _), (rows, exact) = jax.lax.scan(from_known, begun, others)
 
     def across(covariance, now):
-        triangle, response, own, h, variance, used = now
+        exact, triangle, response, own, h, variance, used = now
         after = _updated(covariance, *_innovation(covariance, h, variance, used))
-        for i in range(n):
-            after = _updated(after, *_innovation(after, triangle[i], 1.0))
+        for of, noise in ((exact, 0.0), (triangle, 1.0)):
+            for i in range(n):
+                after = _updated(after, *_innovation(after, of[i], noise))
         return response @ after @ response.T + own, covariance
 
-    by_block = (_triangle(rows), response, own, first.observation, first.variance, first.used)
+    triangles = (_triangle(exact), _triangle(rows))
+    by_block = (*triangles, response, own, first.observation, first.variance, first.used)
     end, starts = jax.lax.scan(across, start, [jnp.moveaxis(x, -1, 0) for x in by_block])
 
     def step(covariance, now: Steps):
@@ -288,6 +295,12 @@ def _covariances(steps: Steps, start: Float[Array, "n n"]) -> tuple[Float[Array,
 
     _, before = jax.lax.scan(step, jnp.moveaxis(starts, 0, -1), steps)
     return before, end
+
+
+def _noisy(now: Steps, noisy: Array) -> Array:
+    """Which states noise has reached after a step `(n, B)`."""
+    moved = jnp.any((now.transition != 0.0) & noisy[None], axis=1)
+    return moved | (jnp.diagonal(now.noise, axis1=0, axis2=1).T > 0.0)
 
 
 def _triangle(rows: Float[Array, "K n B"]) -> Float[Array, "n n B"]:

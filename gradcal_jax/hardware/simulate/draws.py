@@ -190,6 +190,25 @@ def _draw_path(spec: Spec, kind: Kind, truth: TriadTruth, random: np.random.Gene
     return replace(truth, loops=tuple(loops), transients=transients)
 
 
+def _draw_hidden(triad: Any, random: np.random.Generator) -> tuple[ErrorTerm | ScaleFactors, ...]:
+    """Structure beyond a triad's maps, of the size of its discrepancies: Legendre polynomials of higher degrees."""
+    found: list[ErrorTerm | ScaleFactors] = []
+    bias, scale = triad.bias, getattr(triad, "scale_factor", None)
+    if (of := getattr(bias, "discrepancy", None)) is not None:
+        values = float(of.standard_deviation) * random.standard_normal((3, 1, of.temperature_degree + 1))
+        values[..., : bias.temperature.size] = 0.0
+        basis = replace(basis_truth(bias.temperature), kind="legendre", degree=of.temperature_degree)
+        found.append(ErrorTerm(values, basis, "one", float(bias.lag or 0.0)))
+    if (of := getattr(scale, "discrepancy", None)) is not None:
+        sizes = of.temperature_degree + 1, of.rate_degree + 1
+        values = float(of.standard_deviation) * random.standard_normal((3, *sizes))
+        values[:, : scale.temperature.size, : scale.rate.size] = 0.0
+        of_t = replace(basis_truth(scale.temperature), kind="legendre", degree=of.temperature_degree)
+        of_w = replace(basis_truth(scale.rate, "deg/s"), kind="legendre", degree=of.rate_degree)
+        found.append(ScaleFactors(values, of_t, of_w, float(scale.lag or 0.0)))
+    return tuple(found)
+
+
 def _draw_differences(
     sensor: Sensor, kind: Kind, second_lag_s: float, random: np.random.Generator, names: dict[str, float]
 ) -> tuple[DifferenceTruth, ...]:
@@ -224,6 +243,9 @@ def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> Im
     triads: dict[Kind, TriadTruth] = {k: draws.triad(k, triad) for k, triad in both.items() if triad is not None}
     path = np.random.default_rng([seed, number, 20265])
     triads = {kind: _draw_path(spec, kind, truth, path, law) for kind, truth in triads.items()}
+    hidden = np.random.default_rng([seed, number, 20267])
+    for kind, truth in triads.items():
+        triads[kind] = replace(truth, errors=(*truth.errors, *_draw_hidden(both[kind], hidden)))
     random = np.random.default_rng([seed, number, 20266])
     second, second_lag_s = sensor.second_thermometer, 0.0
     if second is not None:

@@ -5,8 +5,8 @@ attitudes of base and axes, harmonics of the encoders, the mountings. The accele
 axes and sense it. With the frame "table axes" the mounting has no error, by definition of the frame. Where the spec's
 table is driven by hand, a person turns it, and types its angles where the plan does not read the axes at rest; else an
 encoder is read. Where gravity is the reference nothing is read, and axes stop some degrees off. The operator hangs the
-devices anew where there are several mountings; at the places of a fixture sits one each. The devices are STIM300. The
-structure is the spec's: a `discrepancy` is not drawn.
+devices anew where there are several mountings; at the places of a fixture sits one each. The devices are STIM300. What a
+`discrepancy` says that the maps lack is drawn, too.
 """
 
 from typing import Any, Final

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from ... import formulas
@@ -18,9 +19,9 @@ Vectors = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TruthBasis:
-    """Functions of a temperature (°C) or a rate (deg/s): "polynomial" (monomials), "b-spline" or "bins"."""
+    """Functions of a temperature (°C) or a rate (deg/s): "polynomial" (monomials), "legendre", "b-spline" or "bins"."""
 
-    kind: Literal["polynomial", "b-spline", "bins"] = "polynomial"
+    kind: Literal["polynomial", "legendre", "b-spline", "bins"] = "polynomial"
     degree: int = 0
     centre: float = 0.0
     scale: float = 1.0
@@ -29,6 +30,8 @@ class TruthBasis:
     def __call__(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         if self.kind == "polynomial":
             return formulas.monomials((x - self.centre) / self.scale, self.degree)
+        if self.kind == "legendre":
+            return legendre.legvander((x - self.centre) / self.scale, self.degree)
         return (
             formulas.b_spline(x, self.knots, self.degree) if self.kind == "b-spline" else formulas.bins(x, self.knots)
         )

@@ -115,7 +115,7 @@ def plan_warnings(built: BuiltImu, known: Posterior) -> list[str]:
     sentences += _limited_by_priors(built, known) + _as_before(built, known)
     fastest = _fastest(built, axes)
     sentences += _saturated(built, fastest) + _beyond(built) + _beyond_rates(built, fastest)
-    return sentences + _of_this_run(built)
+    return sentences + _of_this_run(built) + _both_ways(built)
 
 
 def one_way_sentences(built: BuiltImu, known: Posterior, line: Trajectory | None = None) -> list[str]:
@@ -294,6 +294,25 @@ def _of_this_run(built: BuiltImu) -> list[str]:
             sentences.append(
                 f"within one run the turn-on bias of the {kind}s cannot be told from a0: the bias map is this run's, "
                 f"and another run's differs by {float(triad.turn_on_bias) * factor:.4g} {unit} (standard deviation)"
+            )
+    return sentences
+
+
+def _both_ways(built: BuiltImu) -> list[str]:
+    """Sentences on sensitivities to dT/dt that only count, in a plan that heats and cools: there they are no constant,
+    which data contradict."""
+    slopes = built.motion.line.slope[~built.motion.line.gap]
+    if not (np.any(slopes > 0.0) and np.any(slopes < 0.0)):
+        return []
+    sentences: list[str] = []
+    for kind in ("gyro", "accelerometer"):
+        triad = getattr(built.spec.sensor, kind)
+        if triad is not None and triad.gradient_sensitivity is None and triad.gradient_std:
+            figure = triad.bias_temperature_gradient.text
+            sentences.append(
+                f"the plan heats and cools, where a bias of {figure} is no constant: an estimate will say that the "
+                f"data contradict the model; have it estimated: "
+                f'[sensor.{kind}] bias_temperature_gradient = {{ prior = "{figure}" }}'
             )
     return sentences
 

@@ -147,6 +147,14 @@ def test_a_one_way_ramp_says_what_remains_and_the_cure():
     assert said.endswith("; the figure is typical of the class")
 
 
+def test_a_figure_for_the_slope_that_only_counts_is_said_where_the_plan_heats_and_cools():
+    figure = {"bias_temperature_gradient": "5 deg/h/(K/min)"}
+    (said,) = [s for s in check(required(TWO_WAY, figure)) if "heats and cools" in s]
+    assert said.endswith('[sensor.gyro] bias_temperature_gradient = { prior = "5 deg/h/(K/min)" }')
+    quiet = (ONE_WAY, figure), (TWO_WAY, {"bias_temperature_gradient": {"prior": "5 deg/h/(K/min)"}})
+    assert not any("heats and cools" in s for spec in quiet for s in check(required(*spec)))
+
+
 def test_slopes_that_a_branch_does_not_have_are_refused():
     with pytest.raises(SpecError, match="there is no heating in this range"):
         required(TWO_WAY, {}, branch="heating", slope=["-2 K/min", "-1 K/min"])

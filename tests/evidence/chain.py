@@ -72,6 +72,8 @@ def predicted_of(recipe: Path, air_lag_s: float = 0.0) -> dict[str, Any]:
     its set point by so much."""
     if air_lag_s:
         spec = tomllib.loads(recipe.read_text(encoding="utf-8"))["spec"]
+        if spec["rig"]["chamber"].get("control") == "none":
+            return predicted_of(recipe)
         with tempfile.TemporaryDirectory() as folder:
             recipe = Path(folder) / "lagging.toml"
             recipe.write_text(tomlkit.dumps(_lagging(spec, air_lag_s)), encoding="utf-8")

@@ -9,6 +9,7 @@ devices anew where there are several mountings; at the places of a fixture sits 
 `discrepancy` says that the maps lack is drawn, too.
 """
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -119,7 +120,11 @@ class SimulatedLab:
             self.bench.chamber = SimulatedChamber(self.chamber_plant, clock, cold - 5.0, hot + 5.0)
         told = spec.rig.table.by_gravity
         plants = {axis.name: plant for axis, plant in zip(axes, self.axis_plants, strict=True)}
-        person = SimulatedPerson(clock, plants, SimulatedHand(seed, miss_deg=3.0 if told else 0.3), self._hang)
+        hand = SimulatedHand(seed, miss_deg=3.0 if told else 0.3)
+        if takes_s := float(spec.rig.table.answer_time):
+            # As long as the spec says, in the mean: half of it to hear and begin, half to say that it is done.
+            hand = replace(hand, reaction_s=0.5 * takes_s, reading_s=0.5 * takes_s)
+        person = SimulatedPerson(clock, plants, hand, self._hang)
         for axis in axes:
             limits = _limits_of(axis, told=told and not by_hand)
             driven = SimulatedAxis(plants[axis.name], clock, limits)

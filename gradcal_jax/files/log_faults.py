@@ -241,7 +241,8 @@ class _Examination:
         rows = self.raw.rate_rad_per_s.shape[1]
         self.drop_empty_rows()
         time, rows_kept = self.ordered(rows)
-        kept = self.raw.of_rows(rows_kept)
+        all_kept = np.array_equal(rows_kept, np.arange(len(self.raw.rate_rad_per_s[0]), dtype=np.int64))
+        kept = self.raw if all_kept else self.raw.of_rows(rows_kept)
         rate, force = kept.rate_rad_per_s, kept.specific_force_m_per_s2
         time, starts = self.stretches(time)
         self.status = np.zeros(rate.shape[:2], np.uint16)
@@ -395,7 +396,7 @@ class _Examination:
             return even, starts
         if len(gaps):
             seconds = float(np.sum(interval[gaps])) - usual * len(gaps)
-            self.note_gaps(gaps, round(seconds / usual), float(np.max(interval[gaps])))
+            self.note_gaps(gaps, round(min(seconds / usual, 2.0**62)), float(np.max(interval[gaps])))
         return time, np.concatenate([[0], gaps + 1]).astype(np.int64)
 
     def note_gaps(self, gaps: NDArray[np.int64], dropped: int, longest_s: float) -> None:

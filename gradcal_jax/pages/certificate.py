@@ -59,8 +59,7 @@ class Budget(NamedTuple):
 
 
 class ResultRow(NamedTuple):
-    """A requirement: standard and expanded uncertainty by its statistic, its maximum, target, verdict, decision rule and
-    risk."""
+    """A requirement: standard and expanded uncertainty, maximum, target, verdict, decision rule and risk."""
 
     name: str
     axis: str

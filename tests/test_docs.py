@@ -1,6 +1,8 @@
 """What README and docs say is so: commands and options exist, lines run, links lead somewhere, figures are right."""
 
 import contextlib
+import doctest
+import importlib
 import inspect
 import io
 import json
@@ -166,6 +168,16 @@ def test_the_class_of_one_s_own_in_the_how_to_predicts(capsys):
     (lines,) = re.findall(r"```python\n(.+?)```", TEXTS["docs/how-to/own-term.md"], flags=re.S)
     exec(compile(lines, "own-term.md", "exec"), {})
     assert capsys.readouterr().out.count("gyro_x.Magnetic") == 3
+
+
+@pytest.mark.parametrize("module", sorted({*gj._HOME_OF_NAME.values(), "units.quantities", "files.changes"}))
+def test_the_examples_of_docstrings_are_right(module):
+    # (A package's own names are those of its modules.)
+    names = [name for name, home in gj._HOME_OF_NAME.items() if home == module]
+    held = [importlib.import_module(f"gradcal_jax.{module}"), *(inspect.getmodule(getattr(gj, name)) for name in names)]
+    for one in {id(part): part for part in held if part is not None}.values():
+        failed, _ = doctest.testmod(one, optionflags=doctest.NORMALIZE_WHITESPACE)
+        assert failed == 0, one
 
 
 def test_the_known_answers_are_those_of_the_table():

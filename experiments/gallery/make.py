@@ -196,7 +196,8 @@ def page(notebooks: list[Path]) -> str:
         lines.append(f"| ![{title}](gallery/{path.stem}.png) | [{title}](../notebooks/{path.name}) |")
     lines += ["", "## Functions of `gradcal_jax.plots`", ""]
     lines += [
-        "Each draws on `ax`, or on a new figure, and returns what it drew; `plots.save(figure, path)` writes it.",
+        "Each draws on `ax` (on `figure`, a figure or a part of one, where it needs several axes), or on a new figure,",
+        "and returns what it drew; `plots.save(figure, path)` writes it.",
         "",
     ]
     lines += ["| | |", "|---|---|"]

@@ -74,7 +74,7 @@ def lag_of_maps(built: BuiltImu, name: str, rows: ImuRows, temperature_of: Calla
         of = readings._replace(temperature_c=temperature_of(lag))
         return float(estimation.solve_imu(of, solution.parameters).estimate.chi_squared[0])
 
-    return fitted_lag(chi_squared)
+    return fitted_lag(chi_squared, int(solution.estimate.degrees[0]))
 
 
 def fitted_twice(

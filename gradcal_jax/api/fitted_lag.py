@@ -37,8 +37,9 @@ class Lag(NamedTuple):
         return [f"the maps follow the temperature {self.seconds:.4g} s late (1σ {self.std:.2g} s)"]
 
 
-def fitted_lag(chi_squared: Callable[[float], float]) -> Lag:
-    """The lag (s) of least χ², and its standard deviation from the curvature of χ²."""
+def fitted_lag(chi_squared: Callable[[float], float], degrees: int | None = None) -> Lag:
+    """The lag (s) of least χ², and its standard deviation from the curvature of χ². With `degrees` of freedom that is
+    widened where the fit with that lag does not hold, by the root of χ² for each of them."""
     known: dict[float, float] = {}
 
     def value(lag: float) -> float:
@@ -50,10 +51,11 @@ def fitted_lag(chi_squared: Callable[[float], float]) -> Lag:
     values = [value(lag) for lag in grid]
     best = int(np.argmin(values))
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    minimum: Any = optimize.minimize_scalar(value, bounds=(low, high), method="bounded", options={"xatol": 0.05})
+    minimum: Any = optimize.minimize_scalar(value, bounds=(low, high), method="bounded", options={"xatol": 0.01})
     lag = float(minimum.x) if minimum.fun < values[best] else grid[best]
     # Three different lags, also where the minimum is at zero.
     width = max(0.05 * lag, 1.0)
     around = max(lag - width, 0.0) + width * np.arange(3.0)
     bend = np.polyfit(around, [value(x) for x in around], 2)[0]
-    return Lag(lag, float(1.0 / np.sqrt(bend)) if bend > 0.0 else float("inf"))
+    misfit = max(value(lag) / degrees, 1.0) if degrees else 1.0
+    return Lag(lag, float(np.sqrt(misfit / bend)) if bend > 0.0 else float("inf"))

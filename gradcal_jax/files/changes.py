@@ -46,6 +46,11 @@ def changed(spec: Spec, changes: Mapping[str, object], source: str = "") -> Spec
     Values are as in the file: text with units. Of one gyro on a table of one axis the keys of [sensor.gyro] and
     [[rig.table.axis]] may be told as those of [sensor] and [rig.table], as in files of earlier versions. Errors:
     `SpecError` for unknown keys and bad values.
+
+    >>> from gradcal_jax import parse_spec, presets
+    >>> spec = parse_spec(presets.text("paper-static-gradient"))
+    >>> changed(spec, {"rig.chamber.max_heating": "3 K/min"}).rig.chamber.max_heating
+    Quantity(0.05, '3 K/min')
     """
     return spec_of(patched(spec, changes, source), source)
 

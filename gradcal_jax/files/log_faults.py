@@ -68,6 +68,8 @@ _NOISIEST: Final = np.radians(300.0) / 60.0
 """rad/√s, 300 deg/√h: a hundred times the angle random walk of the coarsest MEMS gyros on sale."""
 _DRIFT: Final = 50e-6
 """Clock errors smaller than this are those of any crystal."""
+_OTHER_RATE: Final = 0.2
+"""Share by which stamps differ from the stated rate beyond which that is no clock's error."""
 _BLOCKS: Final = 50
 _TURNS, _IN_TURNS = 8, 3.0
 """Most sensors whose rows are in turns, and how many times farther from one another neighbours are then."""
@@ -241,7 +243,8 @@ class _Examination:
         rows = self.raw.rate_rad_per_s.shape[1]
         self.drop_empty_rows()
         time, rows_kept = self.ordered(rows)
-        kept = self.raw.of_rows(rows_kept)
+        all_kept = np.array_equal(rows_kept, np.arange(len(self.raw.rate_rad_per_s[0]), dtype=np.int64))
+        kept = self.raw if all_kept else self.raw.of_rows(rows_kept)
         rate, force = kept.rate_rad_per_s, kept.specific_force_m_per_s2
         time, starts = self.stretches(time)
         self.status = np.zeros(rate.shape[:2], np.uint16)
@@ -256,7 +259,7 @@ class _Examination:
             self.mask(kept.marked, Reason.MARKED, self.policy.marked, "marked bad by the device")
         if kept.temperature_c is not None:
             self.temperatures(time, kept.temperature_c, starts)
-        self.sizes(time, kept)
+        self.sizes(time, kept, starts)
         self.clock(time, starts, kept.host_time_s)
         self.in_turns(rate)
         of_log = {field_.name for field_ in fields(Log)}
@@ -395,7 +398,7 @@ class _Examination:
             return even, starts
         if len(gaps):
             seconds = float(np.sum(interval[gaps])) - usual * len(gaps)
-            self.note_gaps(gaps, round(seconds / usual), float(np.max(interval[gaps])))
+            self.note_gaps(gaps, round(min(seconds / usual, 2.0**62)), float(np.max(interval[gaps])))
         return time, np.concatenate([[0], gaps + 1]).astype(np.int64)
 
     def note_gaps(self, gaps: NDArray[np.int64], dropped: int, longest_s: float) -> None:
@@ -436,7 +439,7 @@ class _Examination:
         words = "with a temperature that stands still while others of the record move"
         self.mask(frozen, Reason.FROZEN_TEMPERATURE, policy.frozen_temperatures, words)
 
-    def sizes(self, time: Floats, kept: Columns) -> None:
+    def sizes(self, time: Floats, kept: Columns, starts: Whole) -> None:
         rate, temperature, table_rate = kept.rate_rad_per_s, kept.temperature_c, kept.table_rate_rad_per_s
         usable = self.status == 0
         for unit, name in enumerate(self.raw.units):
@@ -458,9 +461,11 @@ class _Examination:
         if stated is not None:
             ratio = interval * stated
             decimal = round(float(np.clip(np.log10(ratio), -300, 300)))
+            apart = f"stamps are {ratio:.3g} times as far apart as at the stated rate"
             if decimal != 0 and abs(ratio / 10.0**decimal - 1) < 0.1:
-                apart = f"{ratio:.3g} times as far apart"
-                self.wrong_unit(f"stamps are {apart} as at the stated rate: are they in another unit?")
+                self.wrong_unit(f"{apart}: are they in another unit?")
+            elif abs(mean_interval(time, intervals_within(time, starts)) * stated - 1) >= _OTHER_RATE:
+                self.wrong_unit(f"{apart}: are they ticks of a clock, or is every n-th sample recorded?")
         elif not (_INTERVALS[0] < interval < _INTERVALS[1] and time[-1] - time[0] < _LONGEST_S):
             longest, whole = float(np.max(np.diff(time))), f"{time[-1] - time[0]:.3g} s in all"
             if interval < _INTERVALS[1] and longest > 0.5 * (time[-1] - time[0]):
@@ -533,7 +538,7 @@ class _Examination:
         stated, mean = self.raw.sample_rate_hz, mean_interval(time, within)
         if stated is not None and self.raw.time_s is not None:
             error = mean * stated - 1
-            if _DRIFT < abs(error) < 0.2:
+            if _DRIFT < abs(error) < _OTHER_RATE:
                 text = f"the samples are {error * 1e6:+.0f} ppm longer than at the stated {stated:g} Hz"
                 self.note_fault("clock drift", action, 0, text)
         if host is not None and bool(np.all(np.abs(host) < _ABSURD)) and len(host) > 2:

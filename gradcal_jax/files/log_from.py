@@ -47,6 +47,12 @@ def log_from(
     with `attrs["units"]` need none. `sensor`: name or serial number.
 
     Errors: `LogError` for columns that are not there or do not fit, and for faults of the data that need an answer.
+
+    >>> import numpy as np
+    >>> noise = 0.01 * np.random.default_rng(0).standard_normal((6000, 3))
+    >>> log = log_from(np.arange(6000) / 100.0, noise, units={"rate": "deg/s"}, simulated=True)
+    >>> log.axes, round(1.0 / log.sample_interval_s), log.counts()
+    (('x', 'y', 'z'), 100, {'used': 6000})
     """
     given = dict(units or {})
     if unknown := [key for key in given if key not in _KINDS]:

@@ -131,14 +131,13 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
             f"{where}: its steps ({steps.step:.4g}, SI) are coarse for its noise, which no record of it can tell; log "
             "more digits, or take a smaller full scale"
         )
-    size, middle = np.abs(known), float(np.median(np.abs(known)))
-    one_sided = len(known) > 10 * _WINDOW and distinct[0] * distinct[-1] >= 0.0
-    if one_sided and np.mean(size < 0.25 * middle) > _AT_ZERO and np.median(np.abs(np.diff(known))) > 0.25 * middle:
+    if len(known) > 10 * _WINDOW and distinct[0] * distinct[-1] >= 0.0 and _reaches_zero(np.abs(known)):
         raise LogError(
             f"{where}: no row at rest is {'below' if distinct[-1] > 0.0 else 'above'} zero, and many are near it: is "
             "the sign lost, or a magnitude logged? Log the signed rates"
         )
-    far = np.abs(distinct - np.median(known)) > FAR * 1.4826 * float(np.median(np.abs(known - np.median(known))))
+    middle = float(np.median(known))
+    far = np.abs(distinct - middle) > FAR * 1.4826 * float(np.median(np.abs(known - middle)))
     if np.sum(counts[far]) > _RARE * len(known) and (some := int(np.max(counts[far]))) > 0.5 * np.sum(counts[far]):
         raise LogError(
             f"{where}: {some / len(known):.2g} of its rows at rest have the value "
@@ -152,12 +151,18 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
         )
     # (The resolution may change in the course of a record.)
     for part in (known, *np.array_split(known, _PARTS)):
-        quiet, values_of = quiet_windows(part), len(np.unique(part))
+        quiet = quiet_windows(part)
         spread = float(np.sqrt(np.median(quiet.var(axis=1)))) if len(quiet) else 0.0
         step = steps.step if part is known else coarse_steps(part).step
-        if step > _ADDS * spread > 0.0 and values_of < len(part) // 4:
+        if step > _ADDS * spread > 0.0 and len(np.unique(part)) < len(part) // 4:
             return f"{where}: its steps are {step / spread:.2g} of its noise, and add to it"
     return None
+
+
+def _reaches_zero(size: Floats) -> bool:
+    """Whether many of the sizes of a channel are near zero, though it changes by more from row to row."""
+    middle = 0.25 * float(np.median(size))
+    return bool(np.mean(size < middle) > _AT_ZERO and np.median(np.abs(np.diff(size))) > middle)
 
 
 def changing_noise(where: str, values: Floats) -> str | None:
@@ -180,18 +185,20 @@ def at_a_limit(values: Floats) -> Bools:
     """`(n,)`: rows at the largest or least value of a channel of fine steps, where it is held again and again."""
     result = np.zeros(len(values), bool)
     finite = values[np.isfinite(values)]
-    if not len(finite) or coarse_steps(values).off > 0.0:
-        return result
-    middle = float(np.median(finite))
-    usual = float(np.median(np.abs(finite - middle)))
-    for extreme in (float(finite.max()), float(finite.min())):
+    for extreme in () if not len(finite) else (float(finite.max()), float(finite.min())):
         there = values == extreme
-        held = [(start, stop) for start, stop in formulas.runs(there).tolist() if stop - start >= _STUCK]
-        far = abs(extreme - middle) > 20.0 * usual > 0.0
+        if np.count_nonzero(there) < _STUCK:
+            continue
+        held = np.count_nonzero(np.ptp(formulas.runs(there), axis=1) >= _STUCK)
         # (One long run alone is a channel that stands still.)
-        if held and (far or (len(held) > 1 and np.count_nonzero(there) >= _AT_A_LIMIT)):
+        if held and ((held > 1 and np.count_nonzero(there) >= _AT_A_LIMIT) or _is_far(extreme, finite)):
             result |= there
-    return result
+    return result if not result.any() or coarse_steps(values).off == 0.0 else np.zeros(len(values), bool)
+
+
+def _is_far(value: float, values: Floats) -> bool:
+    middle = float(np.median(values))
+    return abs(value - middle) > 20.0 * float(np.median(np.abs(values - middle))) > 0.0
 
 
 def far_from_neighbours(values: Floats) -> Bools:
@@ -205,8 +212,9 @@ def far_from_neighbours(values: Floats) -> Bools:
     ndimage: Any = importlib.import_module("scipy.ndimage")
     around: Floats = ndimage.median_filter(own, _AROUND, mode="reflect")
     apart = np.abs(own - around)
-    far = apart > FAR * 1.4826 * float(np.median(apart))
-    if np.median(apart) > 0.0 and np.mean(far) < _RARE:
+    usual = float(np.median(apart))
+    far = apart > FAR * 1.4826 * usual
+    if usual > 0.0 and np.mean(far) < _RARE:
         result[known[far]] = True
     return result
 

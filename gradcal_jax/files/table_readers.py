@@ -4,6 +4,7 @@ import array
 import csv
 import gzip
 import importlib
+import io
 import itertools
 import re
 import warnings
@@ -33,6 +34,9 @@ _MISSING: Final = re.compile(
     r"[+-]?(nan|inf(inity)?|1\.?#[a-z]+)?(\([a-z0-9]*\))?|n/?a|#[a-z/0]+[!?]?|null|none|missing|-+|\?+", re.IGNORECASE
 )
 """Words for a missing value."""
+_NANS: Final = ["", "nan", "NaN", "NAN", "-nan"]
+_TRUTHS: Final = ("rue", "alse", "RUE", "ALSE")
+"""Parts of words that pandas takes for numbers."""
 _MANY_UNREAD, _SHARE_UNREAD = 20, 0.02
 """Values in no notation of numbers beyond which a column is not one of numbers with a few torn ones."""
 _TEXT: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
@@ -187,7 +191,7 @@ def _prepared(lines: TextIO, layout: TextTable, some: Sequence[str]) -> Iterable
     rows: Iterable[str] = lines if layout.lines is None else _tables(lines, layout)
     tail = re.compile(layout.strip)
     if any(tail.search(line) for line in some):
-        rows = (tail.sub("", line) for line in rows)
+        rows = (tail.sub("", line) + "\n" for line in rows)
     # (A point among decimal commas is a mark of thousands, or the map is wrong: it must not become a decimal sign.)
     return rows if layout.decimal == "." else (line.translate(_COMMAS) for line in rows)
 
@@ -312,16 +316,17 @@ def _values(
     """The numbers `(rows, names and words)` in columns by their place; those of `words` are numbers of texts in the
     table behind.
 
-    Blocks whose rows are whole are read by NumPy's compiled reader. In others missing values and texts become NaN,
-    which are counted and named later. A column without any number, or in another notation of numbers, is an error, and
-    so are many rows of more fields than the header's `width` (0: there is none).
+    Blocks of numbers and empty cells are read by pandas' compiled reader. In others missing values and texts become
+    NaN; the latter are counted and named later. A column without any number, or in another notation of numbers, is an
+    error, and so are many rows of more fields than the header's `width` (0: there is none).
     """
     blocks, texts, wide = list[Floats](), dict[str, int](), list[str]()
     odd, unread, readable = dict[int, str](), dict.fromkeys(names, 0), set[int]()
     unbroken = iter(lines)
     while block := list(itertools.islice(unbroken, _BLOCK)):
         if width:
-            long = block if delimiter is None else (line for line in block if line.count(delimiter) >= width)
+            marks = itertools.repeat(width) if delimiter is None else map(str.count, block, itertools.repeat(delimiter))
+            long = (line for line, count in zip(block, marks, strict=False) if count >= width)
             wide += [line for line in long if _is_wide(line, delimiter, comment, width)]
         values = None if words else _quick(block, delimiter, comment, list(names))
         if values is None:
@@ -345,7 +350,7 @@ def _values(
                     numbers.append(texts.setdefault(text, len(texts)))
             values = np.frombuffer(numbers, np.float64).reshape(-1, len(names) + len(words))
         else:
-            readable.update(names)
+            readable.update(place for place, column in zip(names, values.T, strict=True) if not np.isnan(column).all())
         blocks.append(values)
     values = np.concatenate(blocks) if blocks else np.empty((0, 1))
     if not len(values):
@@ -376,14 +381,26 @@ def _is_wide(line: str, delimiter: str | None, comment: str, width: int) -> bool
     return len(plain) > 0 and any(field.strip() for field in _split(plain, delimiter)[width:])
 
 
-def _quick(lines: Iterable[str], delimiter: str | None, comment: str, used: list[int]) -> Floats | None:
-    """All rows at once, where every row is whole; otherwise None."""
+def _quick(lines: Sequence[str], delimiter: str | None, comment: str, used: list[int]) -> Floats | None:
+    """All rows at once, where every cell is a number, empty or absent; otherwise None."""
+    text = "".join(lines)
+    if any(word in text for word in _TRUTHS):
+        return None
+    pandas: Any = importlib.import_module("pandas")
+    # (From 3.1 on numbers are exact without that, and asking for it is deprecated.)
+    before = tuple(int(part) for part in pandas.__version__.split(".")[:2]) < (3, 1)
+    exact = {"float_precision": "round_trip"} if before else {}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            return np.loadtxt(lines, np.float64, comments=comment, delimiter=delimiter, usecols=used, ndmin=2)
-    except (ValueError, IndexError, OverflowError, UserWarning, DeprecationWarning):
+            table = pandas.read_csv(
+                io.StringIO(text), sep=r"\s+" if delimiter is None else delimiter, header=None, usecols=used,
+                dtype=np.float64, comment=comment, quoting=csv.QUOTE_NONE, keep_default_na=False, na_values=_NANS,
+                **exact,
+            )  # fmt: skip
+    except (ValueError, OverflowError, Warning):  # (Pandas' own errors are of these.)
         return None
+    return table[used].to_numpy()
 
 
 def _number(text: str) -> float:

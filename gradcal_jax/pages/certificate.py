@@ -59,10 +59,11 @@ class Budget(NamedTuple):
 
 
 class ResultRow(NamedTuple):
-    """A requirement: standard and expanded uncertainty, its maximum, the target, verdict, decision rule and risk."""
+    """A requirement: standard and expanded uncertainty, maximum, target, verdict, decision rule and risk."""
 
     name: str
     axis: str
+    statistic: str
     unit: str
     standard: float | None
     coverage: float
@@ -184,7 +185,7 @@ def _conditions(calibration: Calibration) -> tuple[tuple[str, str], ...]:
         ranges.setdefault((what, span), []).append(channel.label)
     rows += [(f"{what}, {', '.join(labels)}", span) for (what, span), labels in ranges.items()]
     if (digest := calibration.provenance.get(LOG_HASH)) is not None:
-        rows.append(("recording (SHA-256)", digest[:16]))
+        rows.append(("recording (SHA-256)", digest))
     return tuple(rows)
 
 
@@ -217,7 +218,18 @@ def _result(row: Result) -> ResultRow:
         risk = specific_risk(0.0, row.worst, row.target)
     verdict, rule = row.verdict or "no limit stated", row.rule or ""
     return ResultRow(
-        row.name, _elements(row.axis), row.unit, row.value, k, expanded, row.worst, row.target, verdict, rule, risk
+        row.name,
+        _elements(row.axis),
+        row.statistic.removesuffix(", 1 sigma"),
+        row.unit,
+        row.value,
+        k,
+        expanded,
+        row.worst,
+        row.target,
+        verdict,
+        rule,
+        risk,
     )
 
 
@@ -246,7 +258,7 @@ def _value_of(part: str, quantity: str, stated: Sequence[tuple[str, str]]) -> st
         pattern = re.compile(rf"(.*: )?{re.escape(name)}( error|, \d+ a turn| \d+)?")
         if own := dict.fromkeys(value for of, value in stated if pattern.fullmatch(of)):
             return "; ".join(own)
-    return "as in the spec"
+    return NOT_STATED
 
 
 def _elements(axis: str) -> str:

@@ -45,8 +45,14 @@ def _of_sensor(sensor: Sensor) -> list[tuple[str, str]]:
             for name, several in processes.items()
             for p in several
         ]
-        gradient = triad.bias_temperature_gradient
+        gradient, thermometer = triad.bias_temperature_gradient, triad.thermometer_noise
+        priors = {name: getattr(getattr(triad, name), "prior", None) for name in type(triad).model_fields}
         rows += [
+            (own + "temperature measurement", thermometer and str(thermometer.standard_deviation)),
+            (
+                own + "prior knowledge",
+                "; ".join(f"{k.replace('_', ' ')} {of}" for k, of in priors.items() if of) or None,
+            ),
             (own + "rate random walk", getattr(triad, "rate_random_walk", None)),
             (own + "turn-on bias", triad.turn_on_bias),
             # Of an estimated one what is known before.

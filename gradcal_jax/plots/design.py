@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import LogLocator, StrMethodFormatter
 
 from gradcal_jax.api.frontier import FrontierPoint
 from gradcal_jax.api.sensitivity import Sensitivities
-from gradcal_jax.plots.style import style_of
+from gradcal_jax.plots.style import new_figure, style_of
 
 
 def draw_frontier(points: Sequence[FrontierPoint], targets: Mapping[str, float], *, ax: Axes | None = None) -> Figure:
@@ -39,10 +39,10 @@ def draw_frontier(points: Sequence[FrontierPoint], targets: Mapping[str, float],
     return figure
 
 
-def draw_sensitivities(known: Sensitivities) -> Figure:
-    """A bar for each figure that matters, for every requirement."""
+def draw_sensitivities(known: Sensitivities, *, figure: Figure | SubFigure | None = None) -> Figure:
+    """A bar for each figure of the spec that matters, a panel for every requirement, on `figure` or a new one."""
     names = list(known.residuals)
-    figure = Figure(figsize=(7.2, 1.0 + 2.6 * len(names)), layout="constrained")
+    figure = new_figure(figure, (7.2, 1.0 + 2.6 * len(names)))
     for axes, name in zip(figure.subplots(len(names), squeeze=False)[:, 0], names, strict=True):
         rows = [row for row in known.rows if row.requirement == name and abs(row.percent) > 5e-3][::-1]
         at = np.arange(len(rows))
@@ -52,4 +52,4 @@ def draw_sensitivities(known: Sensitivities) -> Figure:
         value, unit = known.residuals[name]
         axes.set_title(f"{name}: {value:.4g} {unit}")
         axes.set_xlabel("change of the residual for one per cent more (%)")
-    return figure
+    return figure.get_figure(root=True)

@@ -1,16 +1,16 @@
 """Figures of lots: the maps of all IMUs with their mean, spread and shapes."""
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 
 from gradcal_jax.api.lot import Lot, LotMap
 from gradcal_jax.plots.style import PALETTE, new_axes, new_panels, style_of
 
 
-def draw_lot(found: Lot) -> Figure:
-    """A panel for each map: see `draw_lot_map`."""
+def draw_lot(found: Lot, *, figure: Figure | SubFigure | None = None) -> Figure:
+    """A panel for each map, on `figure` or a new one: see `draw_lot_map`."""
     wide = min(3, len(found.maps))
-    figure, panels = new_panels(-(-len(found.maps) // wide), wide, (4.6, 3.4))
+    figure, panels = new_panels(-(-len(found.maps) // wide), wide, (4.6, 3.4), figure)
     for one, ax in zip(found.maps, panels.ravel(), strict=False):
         draw_lot_map(one, ax=ax)
     for ax in panels.ravel()[len(found.maps) :]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
 from gradcal_jax.api.ieee_terms import Box
@@ -18,7 +18,7 @@ from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import Posterior
 from gradcal_jax.plots.poses import draw_poses
 from gradcal_jax.plots.residual import boxes_of, draw_curves, draw_map
-from gradcal_jax.plots.style import from_zero, new_axes, new_panels, style_of
+from gradcal_jax.plots.style import from_zero, new_axes, new_figure, new_panels, style_of
 
 _PANEL = (6.0, 4.0)
 _COLUMNS = 2
@@ -49,9 +49,9 @@ def draw_heading(
     return ax, drawn
 
 
-def draw_prediction(spec: Spec) -> Figure:
+def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> Figure:
     """The residual of each requirement: a map of a single scale factor, curves of the elements of all else; and where
-    attitudes count, the poses on the sphere.
+    attitudes count, the poses on the sphere. On `figure` or a new one.
 
     Errors: `ValueError` for a spec without requirements.
     """
@@ -62,14 +62,14 @@ def draw_prediction(spec: Spec) -> Figure:
     known = imu_posterior(built)
     count, across = len(spec.requirement) + (not spec.is_one_axis), 1 if spec.is_one_axis else _COLUMNS
     rows = -(-count // across)
-    figure = Figure(figsize=(_PANEL[0] * across, _PANEL[1] * rows), layout="constrained")
+    figure = new_figure(figure, (_PANEL[0] * across, _PANEL[1] * rows))
     for k, requirement in enumerate(spec.requirement):
         _draw_requirement(built, known, requirement, figure.add_subplot(rows, across, k + 1))
     if not spec.is_one_axis:
         draw_poses(spec, ax=figure.add_subplot(rows, across, count, projection="mollweide"))
     if spec.title:
         figure.suptitle(spec.title)
-    return figure
+    return figure.get_figure(root=True)
 
 
 def draw_requirement(spec: Spec, name: str = "", *, ax: Axes | None = None) -> Axes:
@@ -104,14 +104,14 @@ def _label(words: str, curves: Sequence[tuple[str, ErrorCurve]], axis: str, curv
     return words + (f", {axis}" if several_axes else "") + (f", {curve.file}" if several else "")
 
 
-def draw_comparison(specs: Sequence[tuple[str, Spec]]) -> Figure:
-    """Plans side by side: for each requirement's name, one curve a plan and element. Errors: `ValueError` without
-    requirements."""
+def draw_comparison(specs: Sequence[tuple[str, Spec]], *, figure: Figure | SubFigure | None = None) -> Figure:
+    """Plans side by side, on `figure` or a new one: for each requirement's name, one curve a plan and element. Errors:
+    `ValueError` without requirements."""
     plans = [(label, build_imu(expect_spec(spec))) for label, spec in specs]
     names = list(dict.fromkeys((r.name, r.quantity) for _, built in plans for r in built.spec.requirement))
     if not names:
         raise ValueError("none of the specs has a [[requirement]], so there is no residual to draw: add one")
-    figure, all_axes = new_panels(len(names), 1, (6.8, 4.0))
+    figure, all_axes = new_panels(len(names), 1, (6.8, 4.0), figure)
     known = [imu_posterior(built) for _, built in plans]
     for axes, of_name in zip(all_axes[:, 0], names, strict=True):
         drawn: list[tuple[str, Box]] = []

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
 from gradcal_jax.files.writing import whole
@@ -36,10 +36,18 @@ def draw_band(
     return line
 
 
-def new_panels(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, np.ndarray]:
-    """A figure of `(rows, columns)` axes without a window; `size` of each, in inches."""
-    figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False)
+def new_figure(figure: Figure | SubFigure | None, size: tuple[float, float]) -> Figure | SubFigure:
+    """`figure`, or a new one without a window; `size` in inches."""
+    return Figure(figsize=size, layout="constrained") if figure is None else figure
+
+
+def new_panels(
+    rows: int, columns: int, size: tuple[float, float], figure: Figure | SubFigure | None = None
+) -> tuple[Figure, np.ndarray]:
+    """`(rows, columns)` axes on `figure`, or on a new one without a window, and the whole figure that they are on;
+    `size` of each, in inches."""
+    figure = new_figure(figure, (size[0] * columns, size[1] * rows))
+    return figure.get_figure(root=True), figure.subplots(rows, columns, squeeze=False)
 
 
 def from_zero(ax: Axes) -> None:

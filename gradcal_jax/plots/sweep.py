@@ -3,9 +3,9 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 
-from gradcal_jax.plots.style import COLOUR_MAP, from_zero, style_of
+from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_figure, style_of
 
 if TYPE_CHECKING:
     import xarray
@@ -13,8 +13,10 @@ if TYPE_CHECKING:
 _MOST_CURVES, _MOST_PANELS = 8, 12
 
 
-def draw_sweep(results: "xarray.Dataset", variable: str | None = None) -> Figure:
-    """A sweep's residuals: one row of panels for each requirement, or for the one `variable`.
+def draw_sweep(
+    results: "xarray.Dataset", variable: str | None = None, *, figure: Figure | SubFigure | None = None
+) -> Figure:
+    """A sweep's residuals: one row of panels for each requirement, or for the one `variable`; on `figure` or a new one.
 
     For a grid, the axis with most values is the abscissa, the next has a curve for each value, a third a panel; further
     ones are at their middle value, which is in the title. Random points are plotted against each axis in turn.
@@ -30,7 +32,7 @@ def draw_sweep(results: "xarray.Dataset", variable: str | None = None) -> Figure
         results = results.isel(sensor_axis=0)
     rows = [_drawn(results, name) if "point" in results.dims else _grid(results, name) for name in names]
     width = max(len(row) for row in rows)
-    figure = Figure(figsize=(max(6.4, 3.4 * width), 3.9 * len(rows)), layout="constrained")
+    figure = new_figure(figure, (max(6.4, 3.4 * width), 3.9 * len(rows)))
     all_axes = figure.subplots(len(rows), width, squeeze=False)
     for axes, row in zip(all_axes, rows, strict=True):
         highest = 0.0
@@ -48,7 +50,7 @@ def draw_sweep(results: "xarray.Dataset", variable: str | None = None) -> Figure
             axes[0].legend(fontsize="small")
     if title := results.attrs.get("title"):
         figure.suptitle(title)
-    return figure
+    return figure.get_figure(root=True)
 
 
 def _grid(results: "xarray.Dataset", name: str) -> list[Any]:

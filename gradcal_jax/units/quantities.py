@@ -157,6 +157,9 @@ def parse(text: str, dimension: str) -> float:
 
     `dimension` is a name from `DIMENSIONS`. Absolute temperatures are returned in °C. Raises `UnitError`, whose message
     names the text, the reason, and an example of what was expected.
+
+    >>> round(parse("20 degC", "temperature"), 9), parse("2 min", "time")
+    (20.0, 120.0)
     """
     if dimension not in DIMENSIONS:
         close = difflib.get_close_matches(dimension, DIMENSIONS, n=1, cutoff=0.0)
@@ -241,7 +244,11 @@ def _representable(number: Decimal, value: float, unit: str) -> float:
 
 
 def convert(value: float, from_unit: str, to: str) -> float:
-    """`value` of `from_unit` as a number of `to`; both must measure the same dimension."""
+    """`value` of `from_unit` as a number of `to`; both must measure the same dimension.
+
+    >>> convert(1.0, "deg/s", "deg/h")
+    3600.0
+    """
     if not math.isfinite(value):
         raise UnitError(f"{value} cannot be converted: the number must be finite")
     source, target = _lookup(from_unit), _lookup(to)

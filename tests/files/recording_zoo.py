@@ -334,6 +334,8 @@ named("as counts", "gx (LSB)", "says counts")
 named("in turns a minute", "gx [rpm]", "says rpm")
 lines("stamps named as ticks", "t [ticks],gx", lambda k, v: f"{k * 328},{v:.6f}", "", "says counts",
       base=HEAD + 'time = { column = "t [ticks]", unit = "us" }\n' + RATE)  # fmt: skip
+lines("unnamed ticks beside a stated rate", "t,gx", lambda k, v: f"{k * 12800},{v:.6f}", "", "ticks of a clock",
+      base=HEAD + 'sample_rate = "100 Hz"\ntime = { column = "t", unit = "us" }\n' + RATE)  # fmt: skip
 lines("a row of other units", "t,gx\ns,rad/s", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.8f}", "", "says rad/s")
 lines("a row of units in brackets", "t,gx\n[s],[mdps]", lambda k, v: f"{k / HZ:.2f},{1e3 * v:.3f}", "", "says mdps")
 lines("whole numbers", "t,gx", lambda k, v: f"{k / HZ:.2f},{v / 0.2:.0f}", "", "are they counts")

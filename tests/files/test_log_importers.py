@@ -5,6 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
+from gradcal_jax.files import table_readers
 from gradcal_jax.files.column_guess import EXAMPLE, guess
 from gradcal_jax.files.importers import import_log, parse_column_map, read_column_map
 from gradcal_jax.files.log import LogError
@@ -138,6 +139,53 @@ def test_any_header_gives_a_map_or_none(tmp_path_factory, header):
     found = guess(path)
     if found is not None and "???" not in found:
         parse_column_map(found)
+
+
+CELLS = [
+    *(
+        "",
+        "nan",
+        "NaN",
+        "-nan",
+        "inf",
+        "True",
+        "false",
+        "FALSE",
+        "0x1F",
+        "1_0",
+        "1.5\0j",
+        "1d5",
+        "-",
+        "NA",
+        "null",
+        "1 2",
+    ),
+    *("\u22121", '"1"', "1e400", "1.7976931348623157e308", "4.9e-324", "0.1234567890123456789", "+1", " 2 ", "  "),
+    *("1\u00a0", "1.5,7,8,9", "1.5 # remark", "<NA>", "1.2.3", "x"),
+]
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("delimiter", [",", "whitespace"])
+@pytest.mark.parametrize("everywhere", [False, True])
+def test_the_quick_reading_of_a_table_is_the_plain_one(tmp_path, monkeypatch, cell, delimiter, everywhere):
+    # The plain one takes every cell by itself.
+    path = tmp_path / "a.csv"
+    rows = [f"{10 * k},{cell if everywhere else value!r},{k}" for k, value in enumerate(RATES[:, 0].tolist())]
+    rows[20:20] = [] if everywhere else [f"195,{cell},3", "197", "198,2.5"]
+    path.write_text(("t,gx,n\n" + "\n".join(rows)).replace(",", "," if delimiter == "," else " "))
+    columns = plain(f'temperature = {{ column = "n", unit = "degC" }}\n[csv]\ndelimiter = "{delimiter}"\n')
+
+    def read():
+        try:
+            log = import_log(path, columns)
+        except LogError as error:
+            return str(error)
+        return log.rate_rad_per_s.tolist(), log.temperature_c.tolist(), log.time_s.tolist(), log.findings
+
+    quick = read()
+    monkeypatch.setattr(table_readers, "_quick", lambda *_: None)
+    np.testing.assert_equal(quick, read())
 
 
 def test_torn_rows_are_counted_and_the_others_kept(tmp_path):

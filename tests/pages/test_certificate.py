@@ -67,6 +67,7 @@ def test_the_json_hangs_together(made, capsys):
     assert [row["device"] for row in told["traceability"]] == ["encoder", "chamber"]
     assert told["traceability"][1]["due"] == "not stated"
     for row in told["results"]:
+        assert row["statistic"] in ("mean of max", "max", "mean", "rms")
         assert row["expanded"] == pytest.approx(row["coverage"] * row["standard"])
     first = told["results"][0]
     # 2·Φ(−2000/800)
@@ -114,6 +115,8 @@ def test_the_page_has_every_item_and_claims_nothing(made, folder):
     ):
         assert f"<h2>{title}</h2>" in page
     assert "claims no accreditation" in page
+    assert ">mean of max<" in page
+    assert "as in the spec" not in page
     assert not re.search(r"accredited|ISO/IEC 17025|https?://", page)
     assert "nan" not in re.sub(r"<style>.*?</style>", "", page, flags=re.S)
 

@@ -1,5 +1,7 @@
 """Figures: drawn where they are told, labelled with units, honest about what a plan cannot observe."""
 
+import inspect
+
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -122,6 +124,18 @@ def test_a_prediction_and_a_comparison_have_a_panel_for_each_requirement(bias_sp
     assert full.max() > reduced.max() > 0.0
     assert [text.get_text() for text in panel.get_legend().get_texts()] == ["full", "reduced"]
     ink(two)
+
+
+def test_every_picture_can_be_drawn_on_axes_or_a_figure_of_ones_own(bias_spec):
+    for name in (name for name in plots.__all__ if name.startswith("draw_")):
+        parameters = inspect.signature(getattr(plots, name)).parameters
+        assert {"ax", "figure"} & {key for key, own in parameters.items() if own.default is None}, name
+    whole = Figure(layout="constrained")
+    left, right = whole.subfigures(1, 2)
+    assert plots.draw_prediction(bias_spec, figure=left) is whole
+    assert plots.draw_comparison([("full", bias_spec)], figure=right) is whole
+    assert [len(part.axes) for part in (left, right)] == [1, 1]
+    ink(whole)
 
 
 def test_nothing_to_draw_is_a_sentence(bias_spec):

@@ -31,8 +31,8 @@ from gradcal_jax.api.fitted_rows import FittedRows, Recorded, fit_of, together
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.imu_residual import internal_misalignments
 from gradcal_jax.api.log_rows import count_rows, with_options
+from gradcal_jax.api.path_candidates import HEATING_AGAINST_COOLING
 from gradcal_jax.api.path_dependence import (
-    HEATING_AGAINST_COOLING,
     BiasCurve,
     PathDependence,
     bias_curves,
@@ -118,7 +118,7 @@ class SensorEstimate(NamedTuple):
     lag: Lag = Lag(0.0)
     """Of the maps behind the temperature."""
     path: PathDependence | None = None
-    """Where heating and cooling disagree, what they differ by, and the play that explains it."""
+    """Where heating and cooling disagree, what they differ by, and the terms that explain it."""
     smoothness: Smoothness | None = None
     """That at which the data are most probable, if it was asked for."""
     neighbours: Mapping[str, tuple[Group, ...]] = MappingProxyType({})

@@ -368,7 +368,7 @@ def report_of(
     run = EstimatedRun(solution.parameters, covered[0], ramp, lag.std, one_way=bool(one_way))
     budget = budget_of_estimate(built, known, run, noise)
     structure = () if options.robust else tuple(structure_tests(built.spec, readings, solution))
-    beyond_maps = {f"{channel}: structure of the {t.quantity.replace('_', ' ')}": t.test for channel, t in structure}
+    beyond_maps = {f"{channel}: structure of the {t.quantity.replace('_', ' ')}": t.beyond for channel, t in structure}
     contradicted = (*shown.not_valid, *estimation.contradictions(tests_by_name(tests, channels) | beyond_maps))
     requirements, beyond = [], list[str]()
     for requirement in built.spec.requirement:

@@ -74,9 +74,10 @@ def test_the_report():
     text = "\n".join([
         "# A fixture of twelve IMUs in six orientations", "",
         "Made by `tests/evidence/fixture_batches.py` (shares in `fixtures/`) and `pytest -m evidence",
-        f"tests/evidence/test_fixtures.py`: {len(rows)} batches of a short plan on a two-axis table, run on simulated",
-        "devices and estimated together. Reached over predicted: root mean square of the errors of an IMU's own",
-        "coefficients over the joint standard deviations that `predict` gives; χ²: in the estimate's joint covariance,",
+        f"tests/evidence/test_fixtures.py`: {len(rows)} batches of a short plan on a two-axis table at a constant",
+        "temperature, run on simulated devices and estimated together. Reached over predicted: root mean square of the",
+        "errors of an IMU's own coefficients over the joint standard deviations that `predict` gives; χ²: in the",
+        "estimate's joint covariance,",
         "all batches, with its 99 % band. Places of the same orientation are six apart.", "",
         "| place | reached over predicted | χ² | of | band |", "|---|---|---|---|---|", *lines, "",
         f"Errors of the table, σ together over σ by one IMU, estimated (and predicted): {of_table}.", "",

@@ -149,7 +149,8 @@ def one_way_sentences(built: BuiltImu, known: Posterior, line: Trajectory | None
     course, spec = _course_in_words(line or built.motion.line), built.spec
     return [
         f"{course}: hysteresis is not observable, ±{size:.3g} {unit} of it remain in the {kind} of {of} "
-        f"{', '.join(axes)}: let the temperature return by {2.0 * wide:g} K or more{minutes_of_change(spec, 2.0 * wide)}"
+        f"{', '.join(axes)}: let the temperature "
+        f"return by {2.0 * wide:g} K or more{minutes_of_change(spec, 2.0 * wide)}"
         for (of, kind, unit), (size, wide, axes) in left.items()
     ]
 

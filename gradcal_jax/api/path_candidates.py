@@ -27,7 +27,9 @@ from gradcal_jax.model import (
     GradientOfBias,
     Hysteresis,
     ImuModel,
+    Map,
     OtherTemperature,
+    SignalMap,
     TemperatureDifference,
     Term,
     TurnOnTransient,
@@ -55,8 +57,7 @@ _ENTRY = '{{{{ time_constant = "{} s", prior = "{{}}" }}}}'
 class OfferedTerm(NamedTuple):
     """A term of every channel: in `words`, the `key` of the spec and its `entry`, with the prior to be filled in; χ²
     over degrees of freedom without it and with it, the chance of heating against cooling with it, and its coefficients
-    by channel, SI, with standard deviations (none for a lag of the maps),
-    and their `units` by kind of channel."""
+    by channel, SI, with standard deviations (none for a lag of the maps), and their `units` by kind of channel."""
 
     words: str
     key: str
@@ -87,7 +88,7 @@ _PER_SLOPE = _Amount({"gyro": "rad/K", "accelerometer": "m/s/K"}, 60.0)
 
 class _Candidate(NamedTuple):
     """`make`: a term with standard deviation and SI unit of its coefficient, an `amount`; None: the map of the bias
-    with a `lag` (s) in its place."""
+    with a `lag` (s), in the place of that without."""
 
     words: str
     key: str
@@ -101,8 +102,14 @@ class _Candidate(NamedTuple):
         if self.make is not None:
             std = np.asarray(_TYPICAL * size_of_class(spec, c.kind) * self.amount.prior)
             return self.make(std=std, name=self.words, si_unit=self.amount.units[c.kind])
-        of = c.model.bias
-        return None if of is None or of.late else replace(of, late=OtherTemperature.late(self.lag), name=self.words)
+        of = _prompt_bias(c)
+        return None if of is None else replace(of, late=OtherTemperature.late(self.lag), name=self.words)
+
+
+def _prompt_bias(c: Channel) -> Map | SignalMap | None:
+    """The map of a channel's bias, where it has one without a lag."""
+    of = c.model.term(BIAS)
+    return of if isinstance(of, Map | SignalMap) and of.late is None else None
 
 
 def with_terms(
@@ -119,10 +126,12 @@ def with_terms(
         begin += more.size
     extended = replace(model, channels=tuple(channels))
     former.append(begin + np.arange(model.size - model.calibrated))
-    about = np.zeros(extended.size)
-    about[np.concatenate(former)] = solution.parameters
-    steps, columns = readings._replace(model=extended, points=0).linear(about)
-    rows = np.asarray(whiten(steps, columns))[readings.by_steps(solution.used)]
+    # The new terms' own columns at the nominal table: the effect of its errors on them is of second order.
+    steps, columns = readings._replace(model=extended, points=0).linear(None)
+    known, rows = np.concatenate(former), np.zeros((int(np.count_nonzero(solution.used)), extended.size))
+    new = np.setdiff1d(np.arange(extended.size), known)
+    rows[:, new] = np.asarray(whiten(steps, columns[:, new]))[readings.by_steps(solution.used)]
+    rows[:, known] = solution.white.rows[0]
     return Whitened(rows[None], solution.white.data, extended.prior_rows()), extended
 
 
@@ -168,6 +177,14 @@ def _untried(values: Sequence[float], largest: float, known: Sequence[float]) ->
     return [v for v in values if v <= largest and not any(abs(v - other) < _ALIKE * other for other in known)]
 
 
+def _places(model: ImuModel, name: str, channels: Sequence[Channel]) -> np.ndarray:
+    """`(p,)`: whether a parameter is one of the term of that name, in these channels."""
+    mask = np.zeros(model.size, bool)
+    for c in channels:
+        mask[model.where(c.kind, c.axis, name)] = True
+    return mask
+
+
 def offered_terms(
     spec: Spec, readings: ImuReadings, solution: ImuEstimate, temperature: np.ndarray, heating: np.ndarray
 ) -> tuple[OfferedTerm, ...]:
@@ -179,20 +196,15 @@ def offered_terms(
         readings, solution, lambda c: [t for one in left if (t := one.term(spec, c)) is not None]
     )
 
-    def places(name: str) -> np.ndarray:
-        mask = np.zeros(extended.size, bool)
-        for c in extended.channels:
-            mask[extended.where(c.kind, c.axis, name)] = True
-        return mask
-
-    maps = places(BIAS)
-    kept = ~np.any([np.zeros(extended.size, bool), *(places(one.words) for one in left)], axis=0)
+    own = {one.words: _places(extended, one.words, extended.channels) for one in left}
+    maps = _places(extended, BIAS, [c for c in extended.channels if _prompt_bias(c) is not None])
+    kept = ~np.any([np.zeros(extended.size, bool), *own.values()], axis=0)
     short, offered = white.condensed(), list[OfferedTerm]()
     fit = solve(short.without(~kept))
     while left and len(offered) < _MOST_TERMS and not (offered and offered[-1].explains):
         tried: list[tuple[float, int, _Candidate, np.ndarray, Estimate]] = []
         for one in left:
-            chosen = (kept | places(one.words)) & ~(maps & bool(one.lag))
+            chosen = (kept | own[one.words]) & ~(maps & bool(one.lag))
             added = int(np.count_nonzero(chosen) - np.count_nonzero(kept))
             now = solve(short.without(~chosen))
             tried.append((float(now.chi_squared[0]) + 2.0 * added, added, one, chosen, now))

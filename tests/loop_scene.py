@@ -5,6 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from gradcal_jax.api.estimate import SensorEstimate
+from gradcal_jax.api.imu_residual import quantity_of
 from gradcal_jax.files import spec as specs
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec_sections import Spec
@@ -14,6 +16,10 @@ from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, Chambe
 
 COLD, WARM, LASTING_S = -20.0, 60.0, 4800.0
 SIZE, WIDTHS = 10.0, (3.0, 10.0, 30.0)
+HOUR = np.pi / 180.0 / 3600.0
+# The legs of the service, which are so long that a mass of 10 min is in its steady state (100 min at 2 K/min).
+COLDEST, WARMEST = -200.0, 245.0
+AT = np.linspace(0.0, 45.0, 10)
 
 
 class Course(ChamberPlant):
@@ -94,3 +100,34 @@ def recorded(truth: ImuTruth, spec: Spec, *, back: bool, seed: int) -> Log:
     second = None if kept.second_c is None else kept.second_c[None]
     fields = {"simulated": True, "second_temperature_c": second}
     return Log(kept.time_s, rate[None], ("u",), ("x", "y", "z"), at, *angles, None, number, **fields)
+
+
+def on_branches(truth: ImuTruth) -> np.ndarray:
+    """`(2, n, 3)`: the true bias at `AT` on a heating and on a cooling leg at 2 K/min, rad/s."""
+    triad = truth.triads["gyro"]
+    (bias,) = (error for error in triad.errors if getattr(error, "factors", "") == "one")
+    none = np.zeros((len(AT), 3))
+    both, course = [], np.arange(COLDEST, WARMEST, 2.0 / 60.0)
+    loops = [loop.begin(COLDEST) for loop in triad.loops]
+    for sign, leg in ((1.0, course), (-1.0, course[::-1]), (1.0, course)):
+        values = sum((loop.take(leg, 1.0) for loop in loops), np.zeros((len(leg), 3)))
+        order = np.argsort(leg)
+        path = np.stack([np.interp(AT, leg[order], values[order, k]) for k in range(3)], axis=1)
+        slope = sign * np.array(triad.gradient) * 2.0 / 60.0
+        both.append(bias(none, none, AT) + path + slope)  # pyright: ignore[reportCallIssue]
+    return np.stack([both[2], both[1]])
+
+
+def errors_on_branches(report: SensorEstimate, truth: ImuTruth) -> tuple[np.ndarray, np.ndarray]:
+    """Error of the estimate on both branches, and its predicted standard deviation, `(2, n, 3)`, deg/h."""
+    built, solution = report.built, report.solution
+    true, errors, stds = on_branches(truth), np.zeros((2, len(AT), 3)), np.zeros((2, len(AT), 3))
+    for branch, requirement in enumerate(built.spec.requirement):
+        for k, element in enumerate(quantity_of(built, requirement).elements):
+            assert element.path is not None
+            at_rest = element.contrasts()
+            # The discrepancy is estimated and is no part of a calibration.
+            rows = np.asarray(at_rest.rows) - np.asarray(at_rest.alone) + element.path[0]
+            errors[branch, :, k] = rows @ solution.parameters[element.where] - true[branch, :, k]
+            stds[branch, :, k] = element.deviations(solution.known)
+    return errors / HOUR, stds / HOUR

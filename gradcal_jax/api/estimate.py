@@ -31,8 +31,8 @@ from gradcal_jax.api.fitted_rows import FittedRows, Recorded, fit_of, together
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.imu_residual import internal_misalignments
 from gradcal_jax.api.log_rows import count_rows, with_options
+from gradcal_jax.api.path_candidates import HEATING_AGAINST_COOLING
 from gradcal_jax.api.path_dependence import (
-    HEATING_AGAINST_COOLING,
     BiasCurve,
     PathDependence,
     bias_curves,
@@ -118,7 +118,7 @@ class SensorEstimate(NamedTuple):
     lag: Lag = Lag(0.0)
     """Of the maps behind the temperature."""
     path: PathDependence | None = None
-    """Where heating and cooling disagree, what they differ by, and the play that explains it."""
+    """Where heating and cooling disagree, what they differ by, and the terms that explain it."""
     smoothness: Smoothness | None = None
     """That at which the data are most probable, if it was asked for."""
     neighbours: Mapping[str, tuple[Group, ...]] = MappingProxyType({})
@@ -368,7 +368,7 @@ def report_of(
     run = EstimatedRun(solution.parameters, covered[0], ramp, lag.std, one_way=bool(one_way))
     budget = budget_of_estimate(built, known, run, noise)
     structure = () if options.robust else tuple(structure_tests(built.spec, readings, solution))
-    beyond_maps = {f"{channel}: structure of the {t.quantity.replace('_', ' ')}": t.test for channel, t in structure}
+    beyond_maps = {f"{channel}: structure of the {t.quantity.replace('_', ' ')}": t.beyond for channel, t in structure}
     contradicted = (*shown.not_valid, *estimation.contradictions(tests_by_name(tests, channels) | beyond_maps))
     requirements, beyond = [], list[str]()
     for requirement in built.spec.requirement:

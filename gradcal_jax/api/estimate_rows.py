@@ -81,11 +81,11 @@ def _group_row(channel: str, group: Group) -> dict[str, Any]:
 
 
 def _path_rows(path: PathDependence) -> dict[str, Any]:
-    """Half-differences of heating and cooling, and the play that explains them, for `--json`, SI."""
+    """Half-differences of heating and cooling, and the terms that explain them, for `--json`, SI."""
     differences = [
         d._replace(**{k: getattr(d, k).tolist() for k in ("temperature_c", "value", "std")}) for d in path.differences
     ]
     return {
         "half_differences": [d._asdict() for d in differences],
-        "play": None if path.offer is None else path.offer._asdict(),
+        "offers": [offer._asdict() for offer in path.offers],
     }

@@ -39,7 +39,9 @@ _ABSURD = 100.0
 # Temperatures (°C) and rates (rad/s) of a calibration that is used at those of its own data alone.
 _EVERYWHERE = (-273.0, 1000.0), (-1e4, 1e4)
 # Change of an estimated angle (rad) below which it stands still, and the most linearisations until then.
-_STANDS, _LINEARISED = 2e-6, 12
+_STANDS, _LINEARISED = 2e-6, 24
+# The linearisation from which on half of the change is taken: with a large azimuth the whole of it may oscillate.
+_HALF_FROM = 6
 # Parts of a planned move's time at which its angle is tabulated.
 _PROFILE = 512
 
@@ -159,9 +161,10 @@ def _read(
                 f"linearisation to the next, after {number}): are the standstills at rest, and do the plan's turns and "
                 "the axes' directions agree with the log?"
             )
-        angles = rows.angles + np.where(np.isfinite(errors), errors, 0.0)
+        share = 0.5 if number >= _HALF_FROM else 1.0
+        angles = rows.angles + share * np.where(np.isfinite(errors), errors, 0.0)
         rows, seen = rows._replace(angles=angles), seen._replace(angles=angles)
-        about = solution.parameters
+        about = solution.parameters if about is None else about + share * (solution.parameters - about)
         number += 1
     if not checked:
         return Fit(done, readings, solution, seen.rates)

@@ -321,9 +321,9 @@ def _path_terms(
 
     for head in ("", "scale_factor_"):
         for late in getattr(triad, f"{head}late_temperature_gradient"):
-            lag = float(late.time_constant)
-            other, name = OtherTemperature.late(lag), f"{head}{LATE_GRADIENT.format(f'{lag:g}')}"
-            terms.append(differs(float(late.prior), name, other, -1.0 / lag, "slope"))
+            for lag in late.lags:
+                other, name = OtherTemperature.late(lag), f"{head}{LATE_GRADIENT.format(f'{lag:g}')}"
+                terms.append(differs(float(late.prior) / len(late.lags) ** 0.5, name, other, -1.0 / lag, "slope"))
         if (second := getattr(triad, f"{head}{DIFFERENCE}")) is not None:
             assert sensor.second_thermometer is not None
             other = OtherTemperature(SECOND, float(sensor.second_thermometer.lag))

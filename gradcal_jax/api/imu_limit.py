@@ -16,6 +16,7 @@ the time, in white noise and under what multiplies its rate. Where the gyro is a
 axis's own limit, with drift, readings and clock; the errors of an encoder that other channels see, too, are no noise.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -42,13 +43,15 @@ from gradcal_jax.files.requirement import GyroScaleFactorRequirement, Misalignme
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import square_root, statistic
 from gradcal_jax.model import AXIS_NAMES, Channel, Map, Polynomial, SignalMap
-from gradcal_jax.trajectory import EARTH_RATE
+from gradcal_jax.trajectory import EARTH_RATE, Programme
 
 # Longest time step of the integrals of signals, s, and nodes in a step.
 _LONGEST_S = 5.0
 _NODES = 4
 # An axis this near to a gyro's is the same, by 1 less the cosine.
 _ALONG = 1e-12
+# Lags that differ by a smaller share are equal.
+_APART = 1e-6
 _RELAXED = (
     "everything else is known exactly",
     "the unit is read at every instant, moving or not, with the best distribution of turns and poses",
@@ -64,7 +67,7 @@ def proofs_of_imu(spec: Spec) -> list[Proof]:
     if not proven:
         raise ValueError(
             "a limit of an IMU is proven for biases, scale factors that are polynomials, misalignments to the table or "
-            "the case, acceleration sensitivity and second order, without lags of single maps; the spec has no "
+            "the case, acceleration sensitivity and second order; the spec has no "
             "requirement on one of these"
         )
     return [Proof(r, *bound, relaxed, kept) for r, bound, relaxed in proven]
@@ -72,22 +75,38 @@ def proofs_of_imu(spec: Spec) -> list[Proof]:
 
 class _Window(NamedTuple):
     """The used data of a plan, `time` s in all: `spans`, and `windows`, divided where the chamber's slope changes (s);
-    the sensor's `course` of temperature."""
+    the `chamber`'s programme."""
 
     built: BuiltImu
     time: float
     spans: Windows
     windows: Windows
-    course: Course
+    chamber: Programme
+
+    def course(self, term: Map | SignalMap) -> Course:
+        """The course of the temperature that a map follows."""
+        lag, late = self.built.spec.sensor.lag, term.late
+        if not late:
+            return sensor_course(self.chamber, lag)
+        if not lag:
+            return sensor_course(self.chamber, late.lag)
+        # One lag after another, in partial fractions; of two equal ones the limit, to a millionth of the lag.
+        then = late.lag if abs(late.lag / lag - 1.0) > _APART else lag * (1.0 + _APART)
+        first, second = sensor_course(self.chamber, lag), sensor_course(self.chamber, then)
+
+        def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            level, slope = ((lag * a - then * b) / (lag - then) for a, b in zip(first(t), second(t), strict=True))
+            return level, slope
+
+        return at
 
 
 def _window(built: BuiltImu) -> _Window:
-    spec, schedule = built.spec, built.spec.gradient_schedule
+    schedule = built.spec.gradient_schedule
     chamber, _ = chamber_programme(schedule)
     spans = [(s.start, s.start + s.duration) for s in schedule.stretches]
     windows = windows_between_knots(spans, chamber.times())
-    course = sensor_course(chamber, spec.sensor.lag)
-    return _Window(built, sum(end - begin for begin, end in spans), spans, windows, course)
+    return _Window(built, sum(end - begin for begin, end in spans), spans, windows, chamber)
 
 
 # What a proof yields, in SI: certified, and the optimum of the relaxed problem; and what it leaves out.
@@ -95,9 +114,7 @@ _Proof = tuple[tuple[float, float], tuple[str, ...]]
 
 
 def _certified(window: _Window, requirement: Requirement) -> _Proof | None:
-    """A requirement's limit; None without a proof, as of maps that follow the temperature by lags of their own."""
-    if any(isinstance(t, Map | SignalMap) and t.late for c in window.built.model.channels for t in c.model.terms):
-        return None
+    """A requirement's limit; None without a proof."""
     cold, warm = (float(t) for t in requirement.temperature)
     temperatures = np.linspace(cold, warm, requirement.grid[0])
     if isinstance(requirement, GyroScaleFactorRequirement):
@@ -119,6 +136,7 @@ def _of_scale_factor(
     scale, processes = channel.model.scale, channel.model.processes
     if scale is None or not isinstance(scale.rate, Polynomial) or scale.beyond is not None:
         return None
+    course, scale = window.course(scale), replace(scale, late=None)
     rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), requirement.grid[1])
     white = float(channel.model.angle_random_walk)
     if alone := _has_the_table_alone(built, channel):
@@ -131,12 +149,12 @@ def _of_scale_factor(
     else:
         seen = model.gyro_model(None, scale, white, processes)
     density, relaxed = noise_density(seen, *_spacing(built), window.spans)
-    sure = np.repeat(scale_factor_floor(seen, window.windows, window.course, temperatures), len(rates))
+    sure = np.repeat(scale_factor_floor(seen, window.windows, course, temperatures), len(rates))
     result = limit(
         criterion(seen, "scale_factor", temperatures, rates, requirement.statistic),
         seen,
         motion_time=window.time,
-        temperatures=window.course(middles_of_parts(window.spans))[0],
+        temperatures=course(middles_of_parts(window.spans))[0],
         fixed_programme=True,
         max_rate=_fastest_along(built, channel) if alone else _fastest(built),
         noise_density=density,
@@ -165,17 +183,17 @@ def _of_bias(window: _Window, requirement: Requirement, temperatures: np.ndarray
     """Standard deviations of a bias under white noise and drift, seen continuously."""
     channel = _channel(window.built, requirement.quantity.removesuffix("_bias"), requirement.axis)
     term = channel.model.term("bias")
+    assert isinstance(term, Map | SignalMap)
     if isinstance(term, Map):
         if term.beyond is not None:
             return None
-        bias = term
+        bias = replace(term, late=None)
     else:
-        assert isinstance(term, SignalMap)
         bias = model.make_map(
             term.temperature, prior_std=float(term.std) if term.has_prior else np.inf, shapes=term.shapes
         )
     white, rows = float(channel.model.angle_random_walk), bias.values(temperatures, 0.0 * temperatures)
-    return bias_seen_continuously(bias, white, channel.model.processes, window.windows, window.course, rows)
+    return bias_seen_continuously(bias, white, channel.model.processes, window.windows, window.course(term), rows)
 
 
 def _of_signal(window: _Window, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
@@ -195,7 +213,7 @@ def _of_signal(window: _Window, requirement: Requirement, temperatures: np.ndarr
     term = next(t for t in channel.model.terms if t.name.startswith(name))
     assert isinstance(term, SignalMap)
     nodes, weights = trajectory.quadrature(_NODES)
-    look = look_at(window.windows, window.course, _LONGEST_S)
+    look = look_at(window.windows, window.course(term), _LONGEST_S)
     at = (look.begin[:, None] + (look.end - look.begin)[:, None] * nodes)[look.used]
     functions = term.temperature(at.ravel())
     root = np.sqrt((look.duration[look.used, None] * weights).ravel() * bound) / float(channel.model.angle_random_walk)

@@ -13,7 +13,7 @@ from gradcal_jax.api.imu_build import (
     rest_poses,
 )
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS, quantity_of
-from gradcal_jax.files.absent import absent_terms
+from gradcal_jax.files.absent import absent_terms, minutes_of_change
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement
 from gradcal_jax.files.schedule import StandardSchedule
@@ -146,10 +146,11 @@ def one_way_sentences(built: BuiltImu, known: Posterior, line: Trajectory | None
                 size, most, axes = left.get((c.kind, kind, unit), (0.0, 0.0, []))
                 axes = [*axes, AXIS_NAMES[c.axis]]
                 left[c.kind, kind, unit] = max(size, after * factor), max(most, wide), axes
-    course = _course_in_words(line or built.motion.line)
+    course, spec = _course_in_words(line or built.motion.line), built.spec
     return [
         f"{course}: hysteresis is not observable, ±{size:.3g} {unit} of it remain in the {kind} of {of} "
-        f"{', '.join(axes)}: let the temperature return by {2.0 * wide:g} K or more{_minutes(built, 2.0 * wide)}"
+        f"{', '.join(axes)}: let the temperature "
+        f"return by {2.0 * wide:g} K or more{minutes_of_change(spec, 2.0 * wide)}"
         for (of, kind, unit), (size, wide, axes) in left.items()
     ]
 
@@ -159,13 +160,6 @@ def _course_in_words(line: Trajectory) -> str:
     begin, end = (of[~line.gap] for of in line.ends())
     ways = {1.0 if b > a else -1.0 for a, b in zip(begin, end, strict=True) if abs(b - a) > _SAME_K}
     return {0: "constant temperature", 1: "one-way ramp"}.get(len(ways), "legs too short")
-
-
-def _minutes(built: BuiltImu, change_k: float) -> str:
-    """The time that the chamber needs for a change of temperature at the slower of its rates, in brackets."""
-    chamber = built.spec.rig.chamber
-    rate = min(float(chamber.max_heating), float(chamber.max_cooling))
-    return f" ({change_k / rate / 60.0:.3g} min at {rate * 60.0:.3g} K/min)" if np.isfinite(rate) and rate else ""
 
 
 def _one_way_of_class(built: BuiltImu) -> list[str]:

@@ -132,14 +132,13 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
         angles[read.rows, 0] = read.angle
     else:
         angles, at_a_stop = _table_angles(built, log, options.table_axis)
-    second = None
-    if any(of.name == SECOND for of in built.model.others):
-        if (values := log.bridged_temperature(number, second=True)) is None:
-            raise LogError(
-                "the log has no second temperature, on whose difference from the first the spec has a "
-                "thermometer_difference; a column map gives it as second_temperature"
-            )
-        second = estimation.smoothed_temperature(time, values, **over)
+    if (second := log.bridged_temperature(number, second=True)) is not None:
+        second = estimation.smoothed_temperature(time, second, **over)
+    elif any(of.name == SECOND for of in built.model.others):
+        raise LogError(
+            "the log has no second temperature, on whose difference from the first the spec has a "
+            "thermometer_difference; a column map gives it as second_temperature"
+        )
     return ImuRows(
         time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop, worth, rate, at_end, second
     ), messages

@@ -53,6 +53,8 @@ from gradcal_jax.trajectory import Geometry, rotation
 _ROUNDS = 12
 # The iteration ends at a step that changes no parameter by more than this share of its standard deviation.
 _SETTLED = 1e-3
+# A step after which χ² is higher by more than this is halved, at most so many times.
+_HIGHER, _HALVINGS = 1.0, 10
 # Readings of one standstill differ by less, rad.
 _TURNS = np.radians(1.0)
 # Step of finite differences, rad.
@@ -461,18 +463,26 @@ def _solved(
     counted = np.isfinite(deviation) & (deviation > 0.0)
     beta, moved, rounds = np.zeros(model.size) if about is None else about.copy(), np.inf, 0
 
-    def left_over() -> np.ndarray:
+    def left_over(beta: np.ndarray) -> tuple[np.ndarray, float]:
         apart = readings.by_steps(np.where(used, readings.observed - readings.expected(beta), 0.0))
-        return np.asarray(whiten(steps, apart[:, None]))[kept, 0]
+        rest = np.asarray(whiten(steps, apart[:, None]))[kept, 0]
+        return rest, float(rest @ rest + np.sum((prior @ beta) ** 2))
 
-    rest = left_over()
+    rest, squares = left_over(beta)
     while moved > _SETTLED and rounds < _ROUNDS:
         rotated = left.T @ (orthogonal.T @ np.concatenate([rest, -prior @ beta, np.zeros(missing)]))
         step = (right[seen].T @ (rotated[seen] / spread[seen])) / scale
-        beta = beta + step
+        now, after = left_over(beta + step)
+        # A large error that is hardly observable, such as of the azimuth, would go past the minimum and away from it.
+        for _ in range(_HALVINGS):
+            if after <= squares + _HIGHER:
+                break
+            step = 0.5 * step
+            now, after = left_over(beta + step)
+        beta, rest, squares = beta + step, now, after
         moved = float(np.max(np.abs(step[counted]) / deviation[counted], initial=0.0))
-        rest, rounds = left_over(), rounds + 1
-    chi_squared = np.array([rest @ rest + np.sum((prior @ beta) ** 2)])
+        rounds += 1
+    chi_squared = np.array([squares])
     degrees = np.array([len(design) - missing - np.count_nonzero(seen)])
     taken = orthogonal[: len(jacobian)] @ left[:, seen]
     if readings.free:

@@ -44,12 +44,14 @@ class Size(NamedTuple):
 
 
 class StructureTest(NamedTuple):
-    """Test of one map and unit. `asked`: the degrees (in temperature, in rate) that the data require; None where the
-    model suffices. `components`: input of `size_of`, which combines several units.
+    """Test of one map and unit. `beyond`: the same against a map that has the discrepancy of its model. `asked`: the
+    degrees (in temperature, in rate) that the data require; None where the model suffices. `components`: input of
+    `size_of`, which combines several units.
     """
 
     quantity: str
     test: Test
+    beyond: Test
     false_alarm: float
     asked: tuple[int, int] | None
     size: Size
@@ -129,15 +131,19 @@ def size_of(every: list[Components]) -> Size | None:
     return Size(root(estimate), root(0.0 if low is None else low), None if high is None else root(high))
 
 
-def structure_test(white: Whitened, extra: np.ndarray, hidden: Discrepancy, false_alarm: float) -> StructureTest | None:
-    """Test of one unit on the whitened columns `extra` `(n, k)` of the hidden functions; None without components."""
+def structure_test(
+    white: Whitened, extra: np.ndarray, hidden: Discrepancy, false_alarm: float, stated: float = 0.0
+) -> StructureTest | None:
+    """Test of one unit on the whitened columns `extra` `(n, k)` of the hidden functions, and of more of them than the
+    standard deviation `stated` of each says; None without components."""
     of = components(white, extra)
     size = size_of([of])
     if size is None:
         return None
     test = chi_squared(of)
+    beyond = chi_squared_test(float(np.sum(of.y[:, 0] ** 2 / (1.0 + stated**2 * of.gains))), len(of.gains))
     asked = _asked(white, extra, hidden, false_alarm) if test.probability < false_alarm else None
-    return StructureTest(hidden.name.removesuffix("_discrepancy"), test, false_alarm, asked, size, of)
+    return StructureTest(hidden.name.removesuffix("_discrepancy"), test, beyond, false_alarm, asked, size, of)
 
 
 def _asked(white: Whitened, extra: np.ndarray, hidden: Discrepancy, false_alarm: float) -> tuple[int, int]:

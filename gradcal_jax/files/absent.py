@@ -153,7 +153,7 @@ def path_terms_of(sensor: Sensor, kind: str) -> list[AbsentTerm]:
 
 def branch_sentences(spec: Spec) -> list[str]:
     """What requirements leave out that name no branch of the temperature, with the figures of the class."""
-    sentences: list[str] = []
+    sentences, widest = list[str](), 0.0
     for quantity, (kind, key) in _OF_BRANCHES.items():
         names = [r.name for r in spec.requirement if r.quantity == quantity and getattr(r, "branch", None) is None]
         triad = getattr(spec.sensor, kind)
@@ -168,7 +168,25 @@ def branch_sentences(spec: Spec) -> list[str]:
             f"{words}: heating and cooling are not told apart; hysteresis, ±{left} in this class, is not counted: give "
             'the requirement branch = "both" (or "heating", "cooling")'
         )
+        widest = max(widest, width)
+    if sentences and _goes_one_way(spec):
+        returns = f"let the temperature return by {2.0 * widest:g} K or more{minutes_of_change(spec, 2.0 * widest)}"
+        sentences.append(f"one-way ramp: the plan observes no hysteresis: {returns}")
     return sentences
+
+
+def _goes_one_way(spec: Spec) -> bool:
+    """Whether the plan's temperature changes in one direction alone."""
+    if isinstance(spec.plan, StandardPlan):
+        return False
+    ramps = [s.temperature_end - s.temperature_start for s in spec.gradient_schedule.segments if s.kind == "ramp"]
+    return len({change > 0.0 for change in ramps}) == 1
+
+
+def minutes_of_change(spec: Spec, change_k: float) -> str:
+    """The time that the chamber needs for a change of temperature at the slower of its rates, in brackets."""
+    rate = min(float(spec.rig.chamber.max_heating), float(spec.rig.chamber.max_cooling))
+    return f" ({change_k / rate / 60.0:.3g} min at {rate * 60.0:.3g} K/min)" if math.isfinite(rate) and rate else ""
 
 
 def _unnamed(section: Section, prefix: str, terms: list[AbsentTerm]) -> Iterator[AbsentTerm]:

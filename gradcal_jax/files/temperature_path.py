@@ -71,9 +71,25 @@ class LateGradientOfBias(Section):
     in equilibrium, as after a soak."""
 
     time_constant: Time
-    """Its known time constant."""
+    """Its time constant."""
     prior: SizeOfGradientSensitivity
     """Standard deviation of the coefficient before the calibration."""
+    time_constant_uncertainty: Time | None = None
+    """Standard uncertainty of the time constant; absent: it is known. The error is then two terms, with time constants
+    that are longer and shorter by it."""
+
+    @property
+    def lags(self) -> tuple[float, ...]:
+        """The time constants of its terms, s. With independent coefficients of 1/√2 of the prior each, the sum of both
+        has its variance, and their difference that of the coefficient times the time constant's error."""
+        time, apart = float(self.time_constant), float(self.time_constant_uncertainty or 0.0)
+        return (time - apart, time + apart) if apart else (time,)
+
+    @model_validator(mode="after")
+    def _shorter(self) -> "LateGradientOfBias":
+        if min(self.lags) <= 0.0:
+            refuse(Problem(("time_constant_uncertainty",), "it must be less than the time constant"))
+        return self
 
 
 class LateGradientOfForce(LateGradientOfBias):

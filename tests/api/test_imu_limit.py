@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
+from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.limit import limits
 from gradcal_jax.files import presets
 from gradcal_jax.files.spec import read_spec, spec_of
-from gradcal_jax.units import PPM, G
+from gradcal_jax.formulas import followed
+from gradcal_jax.units import DEG_PER_H, PPM, G
 
 SPECS = ["hand2", *(pytest.param(name, marks=pytest.mark.evidence) for name in ("hand", "optimised"))]
 
@@ -93,6 +95,36 @@ def test_a_prior_counts_as_information():
     with_prior = {row.name: row.certified for row in limits(spec_of(document))}
     for name, value in free.items():
         assert with_prior[name] == pytest.approx(value / np.sqrt(2.0), rel=1e-6)
+
+
+@pytest.mark.parametrize("thermal_lag", ["0 s", "200 s", "90 s"])
+def test_maps_that_lag_have_their_own_limits(pytestconfig, thermal_lag):
+    """Against sums over masses that are stepped, in white noise; no plan of the file lies below."""
+    spec = gj.changed(read_spec(pytestconfig.rootpath / "experiments/imu/hand2.toml"), {
+        "sensor.thermal_lag": thermal_lag, "sensor.gyro.drift": [], "sensor.gyro.rate_random_walk": "0 deg/h/√h",
+        "sensor.gyro.bias.lag": "200 s", "sensor.gyro.scale_factor.lag": "100 s", "sensor.gyro.turn_on_bias": "0 deg/h",
+        "sensor.gyro.temperature_error": {"standard_deviation": "0 K"},
+    })  # fmt: skip
+    found = {row.name: row for row in limits(spec)}
+    for row in found.values():
+        assert 0.0 < row.certified < row.value, row.name
+    built, schedule = build_imu(spec), spec.gradient_schedule
+    time = np.linspace(0.0, schedule.duration, 200_001)
+    ends = [s.start for s in schedule.segments] + [schedule.duration]
+    levels = [s.temperature_start for s in schedule.segments] + [schedule.segments[-1].temperature_end]
+    course = np.interp(time, ends, levels)
+    for lag in (float(thermal_lag.split()[0]), 200.0):
+        course = followed(course, time, np.array([0]), lag) if lag else course
+    used = np.any([(time >= s.start) & (time < s.start + s.duration) for s in schedule.stretches], axis=0)
+    gyro = built.model.channels[0].model
+    assert gyro.bias is not None
+    columns = gyro.bias.values(course[used], 0.0 * course[used]) * np.sqrt(time[1]) / float(gyro.angle_random_walk)
+    requirement = next(r for r in spec.requirement if r.name == "gyro bias")
+    at = np.linspace(*map(float, requirement.temperature), requirement.grid[0])
+    triangle = np.linalg.qr(np.concatenate([columns, gyro.bias.prior_rows()]), mode="r")
+    std = np.linalg.norm(np.linalg.solve(triangle.T, gyro.bias.values(at, 0.0 * at).T), axis=0)
+    expected = {"max": np.max, "mean": np.mean, "rms": lambda x: np.sqrt(np.mean(x**2))}[requirement.statistic](std)
+    assert found["gyro bias"].certified == pytest.approx(expected * DEG_PER_H, rel=1e-3)
 
 
 def test_what_has_no_proof_is_refused_with_what_has_one(pytestconfig):

@@ -1,84 +1,83 @@
-"""Units without an encoder: a box that a hand turns, simulated by physics (`unguided`), against what the plan predicts.
+"""IMUs without an encoder: a box that a hand turns, simulated by physics, against what the plan predicts.
 
-`NEES` is the squared error of all of a unit's coefficients in units of their covariance: χ² with as many degrees of
+The IMUs are those of `gravity_units.py`, estimated share by share; what is missing of them is no part of the report.
+`NEES` is the squared error of all of an IMU's coefficients in units of their covariance: χ² with as many degrees of
 freedom where the covariance is true.
 """
 
-import os
+import json
+import time
 from functools import cache
-from typing import NamedTuple
+from pathlib import Path
 
 import numpy as np
 import pytest
+from gravity_units import SPOILT, outcome, scene
 from scipy.stats import chi2
-from unguided import recorded
 
-import gradcal_jax as gj
-from gradcal_jax.api.estimate import with_options
-from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.fit_of_log import fitted_twice
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.api.recorded_rows import imu_rows
-from gradcal_jax.files import presets
-from gradcal_jax.files.spec_sections import Spec
-
-# How far off the plan's angle each turn ends, deg (standard deviation), and the units of each.
-SPOILT = (1.0, 5.0, 45.0)
-UNITS = int(os.environ.get("GRADCAL_UNITS", "100"))
-
-
-class Outcome(NamedTuple):
-    """One unit's estimate against its truth: NEES of its own coefficients; errors of the scale factors in σ; σ over the
-    predicted; χ² of the fit over its degrees of freedom."""
-
-    nees: float
-    scale: np.ndarray
-    sigma: np.ndarray
-    residual: float
+FOLDER = Path(__file__).parents[2] / "experiments" / "evidence" / "gravity"
+# Enough IMUs for a band of the mean NEES of 7 %.
+FEWEST = 30
 
 
 @cache
-def scene() -> Spec:
-    # The slope of the temperature where it turns is a matter of its own.
-    without = {"sensor.thermal_lag": None, "sensor.gyro.bias_temperature_gradient": None}
-    return gj.changed(gj.parse_spec(presets.text("no-encoder")), without)
+def found(spoilt: float) -> list[dict]:
+    files = sorted(FOLDER.glob(f"{spoilt:g}deg_*.jsonl"))
+    return [json.loads(line) for file in files for line in file.read_text(encoding="utf-8").splitlines()]
 
 
-def outcome(spec: Spec, seed: int, spoilt: float) -> Outcome:
-    built = build_imu(spec)
-    log, truth = recorded(spec, seed, spoilt)
-    _, options, _ = with_options(spec, [log], Options())
-    rows, _ = imu_rows(built, [log], log.units[0], options)
-    solution = fitted_twice(built, log.units[0], rows, rows.temperature_c).solution
-    model = built.model
-    reported, own = model.to_reported, slice(model.calibrated)
-    error = reported @ solution.parameters - np.array([truth[name] for name in model.names()])
-    spread = (reported @ solution.known.spread)[own]
-    sigma = np.sqrt(np.sum(spread**2, axis=1))
-    white = np.linalg.solve(np.linalg.cholesky(spread @ spread.T / np.outer(sigma, sigma)), error[own] / sigma)
-    predicted = imu_posterior(built).deviations(reported)[own]
-    scales = [k for k, name in enumerate(model.names()) if name.startswith("gyro") and ".b0" in name]
-    of = solution.estimate
-    share = float(of.chi_squared[0] / of.degrees[0])
-    return Outcome(float(white @ white), (error[own] / sigma)[scales], (sigma / predicted)[scales], share)
+def band(degrees: int, count: int) -> tuple[float, float]:
+    """95 % of the mean of so many NEES."""
+    low, high = chi2.ppf([0.025, 0.975], degrees * count) / count
+    return float(low), float(high)
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("spoilt", SPOILT)
-def test_units_turned_by_hand_are_as_well_known_as_predicted(spoilt):
+def test_imus_turned_by_hand_are_as_well_known_as_predicted(spoilt):
     """Mean NEES, and that of the scale factors, within their 95 % bands; σ within 10 % of the prediction; no residual
     larger than the noise."""
-    spec = scene()
-    found = [outcome(spec, 1000 * SPOILT.index(spoilt) + seed, spoilt) for seed in range(UNITS)]
-    size = build_imu(spec).model.calibrated
-    for values, degrees in (([o.nees for o in found], size), ([o.scale @ o.scale for o in found], None)):
-        degrees = len(found[0].scale) if degrees is None else degrees
-        low, high = chi2.ppf([0.025, 0.975], degrees * UNITS) / UNITS
-        print(f"{spoilt} deg, {UNITS} units: mean {np.mean(values):.2f} of {degrees}, band {low:.2f} … {high:.2f}")
-        if degrees == size:
-            assert low < np.mean(values) < high
-    ratio = np.mean([o.sigma for o in found], axis=0)
-    residual = float(np.mean([o.residual for o in found]))
-    print(f"sigma over predicted {ratio.min():.3f} … {ratio.max():.3f}; chi-squared over its degrees {residual:.4f}")
-    assert np.all(np.abs(ratio - 1.0) < 0.1)
-    assert abs(residual - 1.0) < 0.05
+    rows = found(spoilt)
+    assert len({row["seed"] for row in rows}) == len(rows) >= FEWEST
+    for key, degrees in (("nees", rows[0]["coefficients"]), ("nees_scale", len(rows[0]["scale"]))):
+        low, high = band(degrees, len(rows))
+        assert low < np.mean([row[key] for row in rows]) < high, key
+    assert np.all(np.abs(np.mean([row["sigma"] for row in rows], axis=0) - 1.0) < 0.1)
+    # With turns off by 45 deg it is 1.6 ± 0.7 % high in 37 IMUs, unexplained.
+    assert abs(np.mean([row["residual"] for row in rows]) - 1.0) < 0.025
+
+
+@pytest.mark.evidence
+def test_the_shares_are_of_this_program():
+    """One IMU of each, estimated again."""
+    for spoilt in SPOILT:
+        row = found(spoilt)[0]
+        again = outcome(scene(), row["seed"], spoilt)
+        assert again["nees"] == pytest.approx(row["nees"], rel=1e-4)
+
+
+@pytest.mark.evidence
+def test_the_report():
+    """Of the same IMUs."""
+    lines: list[str] = []
+    for spoilt in SPOILT:
+        rows = found(spoilt)
+        cells = [f"{spoilt:g}", f"{len(rows)}"]
+        for key, degrees in (("nees", rows[0]["coefficients"]), ("nees_scale", len(rows[0]["scale"]))):
+            low, high = band(degrees, len(rows))
+            cells.append(f"{np.mean([row[key] for row in rows]):.2f} ({low:.2f} … {high:.2f})")
+        ratio = np.mean([row["sigma"] for row in rows], axis=0)
+        cells.append(f"{ratio.min():.3f} … {ratio.max():.3f}")
+        cells.append(f"{np.mean([row['residual'] for row in rows]):.4f}")
+        lines.append(f"| {' | '.join(cells)} |")
+    text = "\n".join([
+        "# IMUs without an encoder", "",
+        "Made by `tests/evidence/gravity_units.py` (shares in `gravity/`) and `pytest -m evidence",
+        "tests/evidence/test_gravity_as_encoder.py`: simulated IMUs of the preset `no-encoder`, turned by hand; every",
+        "turn ends off the plan's angle by a draw of the stated standard deviation. NEES: mean, with the 95 % band of",
+        "it, of all of an IMU's coefficients and of the scale factors of its gyros (two each). IMUs that were not",
+        "estimated in the machine's time are not counted.", "",
+        "| spoilt by, deg | IMUs | NEES | NEES, scale factors | σ over the predicted | χ² over degrees of freedom |",
+        "|---|---|---|---|---|---|", *lines, "", time.strftime("%Y-%m-%d"), "",
+    ])  # fmt: skip
+    (FOLDER.parent / "gravity.md").write_text(text, encoding="utf-8")

@@ -6,6 +6,10 @@ relays the estimator has plays of 3, 10 and 30 K; for masses dT/dt late by 1 and
 the type, and those of each unit differ from them by up to 10 %. Both have dT/dt and a discrepancy of 1.5 deg/h, chosen
 by 300 other units (with 1 deg/h these had 1.002 and 1.317 times the predicted error, and NEES 1.26 and 1.58).
 
+What plays leave of relays wanders along each leg, and a discrepancy of the map is the same on both: tests of the fit
+see it in more than half of the units. `WANDERING`, a drift beside the sensor's own, chosen by 40 other units, stands
+for it.
+
 What counts is the error on both branches, against the law itself on legs of the same slope. `LOOP_UNITS` of the
 environment: how many units of each law.
 """
@@ -17,68 +21,41 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loop_scene import SIZE, recorded, spec_of
+from loop_scene import SIZE, errors_on_branches, recorded, spec_of
 
 from gradcal_jax.api import predict
-from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.api.imu_residual import quantity_of
+from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.files.changes import changed
 from gradcal_jax.hardware.simulate.draws import draw_truth
-from gradcal_jax.hardware.simulate.imu import ImuTruth
 from gradcal_jax.hardware.simulate.loops import LAWS, Law
 
 pytestmark = pytest.mark.evidence
 
-HOUR = np.pi / 180.0 / 3600.0
 UNITS = int(os.environ.get("LOOP_UNITS", "150"))
 TEN, DISCREPANCY = 10, 1.5
 REPORT = Path(__file__).parents[2] / "experiments" / "evidence" / "loops.md"
-# The legs of the service, which are so long that a mass of 10 min is in its steady state (100 min at 2 K/min).
-COLDEST, WARMEST = -200.0, 245.0
-AT = np.linspace(0.0, 45.0, 10)
 
-
-def on_branches(truth: ImuTruth) -> np.ndarray:
-    """`(2, n, 3)`: the true bias at `AT` on a heating and on a cooling leg at 2 K/min, rad/s."""
-    triad = truth.triads["gyro"]
-    (bias,) = (error for error in triad.errors if getattr(error, "factors", "") == "one")
-    none = np.zeros((len(AT), 3))
-    both, course = [], np.arange(COLDEST, WARMEST, 2.0 / 60.0)
-    loops = [loop.begin(COLDEST) for loop in triad.loops]
-    for sign, leg in ((1.0, course), (-1.0, course[::-1]), (1.0, course)):
-        values = sum((loop.take(leg, 1.0) for loop in loops), np.zeros((len(leg), 3)))
-        order = np.argsort(leg)
-        path = np.stack([np.interp(AT, leg[order], values[order, k]) for k in range(3)], axis=1)
-        slope = sign * np.array(triad.gradient) * 2.0 / 60.0
-        both.append(bias(none, none, AT) + path + slope)  # pyright: ignore[reportCallIssue]
-    return np.stack([both[2], both[1]])
-
-
-def apart(report: SensorEstimate, truth: ImuTruth) -> tuple[np.ndarray, np.ndarray]:
-    """Error of the estimate on both branches, and its predicted standard deviation, `(2, n, 3)`, deg/h."""
-    built, solution = report.built, report.solution
-    true, errors, stds = on_branches(truth), np.zeros((2, len(AT), 3)), np.zeros((2, len(AT), 3))
-    for branch, requirement in enumerate(built.spec.requirement):
-        for k, element in enumerate(quantity_of(built, requirement).elements):
-            assert element.path is not None
-            at_rest = element.contrasts()
-            # The discrepancy is estimated and is no part of a calibration.
-            rows = np.asarray(at_rest.rows) - np.asarray(at_rest.alone) + element.path[0]
-            errors[branch, :, k] = rows @ solution.parameters[element.where] - true[branch, :, k]
-            stds[branch, :, k] = element.deviations(solution.known)
-    return errors / HOUR, stds / HOUR
+# What plays of three widths leave of relays of `SIZE`.
+WANDERING = [
+    {"standard_deviation": "0.5 deg/h", "correlation_time": "300 s"},
+    {"standard_deviation": "0.7 deg/h", "correlation_time": "400 s"},
+]
 
 
 @lru_cache
-def runs(law: Law, *, back: bool, units: int = UNITS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def runs(
+    law: Law, *, back: bool, units: int = UNITS, wandering: bool = False
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors and predicted deviations of many units, `(units, 2, n, 3)`, and whether a test of the fit contradicts."""
     spec, drawn = spec_of(back=back, late=law == "thermal masses"), spec_of(back=back)
     spec = changed(spec, {"sensor.gyro.bias.discrepancy.standard_deviation": f"{DISCREPANCY} deg/h"})
-    results = []
-    for number in range(units):
+    if wandering:
+        spec = changed(spec, {"sensor.gyro.drift": WANDERING})
+    results, first = [], 1000 * wandering
+    for number in range(first, first + units):
         truth = draw_truth(drawn, 37, number, law)
         (report,) = estimate_sensors(spec, [recorded(truth, spec, back=back, seed=5000 + number)])
-        results.append((*apart(report, truth), np.array(bool(report.calibration.contradicted))))
+        results.append((*errors_on_branches(report, truth), np.array(bool(report.calibration.contradicted))))
     errors, stds, contradicted = (np.stack(of) for of in zip(*results, strict=True))
     return errors, stds, contradicted
 
@@ -124,6 +101,13 @@ def test_two_ways_beat_one_way_on_every_sensor_with_a_loop(law):
     assert np.all(gains(law) > 1.0)
 
 
+def test_a_drift_for_what_plays_leave_makes_the_tests_of_the_fit_right():
+    """On the safe side: less is achieved than predicted, and few fits are contradicted."""
+    errors, stds, contradicted = runs("relays", back=True, wandering=True)
+    assert 0.7 < rms(errors) / rms(stds) < 1.0
+    assert np.mean(contradicted) < 0.25
+
+
 def test_two_ways_lose_little_on_sensors_without_a_loop():
     assert without_a_loop() < 1.1
 
@@ -131,12 +115,13 @@ def test_two_ways_lose_little_on_sensors_without_a_loop():
 def test_the_report():
     """Of the same runs."""
     rows = []
-    for law in LAWS:
-        errors, stds, contradicted = runs(law, back=True)
+    for law, wandering in [*((law, False) for law in LAWS), ("relays", True)]:
+        errors, stds, contradicted = runs(law, back=True, wandering=wandering)
         of_unit, gain = np.mean((errors / stds) ** 2, axis=(1, 2, 3)), gains(law)
         band = 3.0 * np.std(of_unit) / np.sqrt(len(of_unit))
+        name = f"{law}, and a drift for what plays leave" if wandering else law
         rows.append(
-            f"| {law} | {len(errors)} | {rms(stds):.2f} | {rms(errors) / rms(stds):.3f} | {np.mean(of_unit):.2f} "
+            f"| {name} | {len(errors)} | {rms(stds):.2f} | {rms(errors) / rms(stds):.3f} | {np.mean(of_unit):.2f} "
             f"(1 ± {band:.2f}) | {np.mean(np.abs(errors) < 2.0 * stds):.1%} | {np.mean(contradicted):.0%} | "
             f"{np.min(gain):.1f} … {np.max(gain):.1f} |"
         )
@@ -153,4 +138,4 @@ def test_the_report():
         time.strftime("%Y-%m-%d"), "",
     ])  # fmt: skip
     REPORT.write_text(text, encoding="utf-8")
-    assert len(rows) == len(LAWS)
+    assert len(rows) == len(LAWS) + 1

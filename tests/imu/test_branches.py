@@ -9,6 +9,8 @@ import gradcal_jax as gj
 from gradcal_jax.api.flow import check
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.cli.predict import omitted_lines
+from gradcal_jax.files import presets
+from gradcal_jax.files.absent import branch_sentences
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.requirement import GyroBiasRequirement
 from gradcal_jax.files.spec import spec_of
@@ -128,7 +130,7 @@ def test_a_branch_counts_the_hysteresis_of_the_class_where_the_spec_names_none()
     zero = required(ONE_WAY, KNOWN_GRADIENT | {"hysteresis": []}, branch="both")
     (row,) = gj.predict(zero).requirements
     assert row.with_typical is None
-    (note,) = omitted_lines(silent)
+    note, *_ = omitted_lines(silent)
     assert "±3 deg/h in this class, is not counted" in note
     assert not omitted_lines(zero)
 
@@ -160,3 +162,13 @@ def test_slopes_that_a_branch_does_not_have_are_refused():
         required(TWO_WAY, {}, branch="heating", slope=["-2 K/min", "-1 K/min"])
     with pytest.raises(SpecError, match="expected the lowest first"):
         required(TWO_WAY, {}, slope=["2 K/min", "-1 K/min"])
+
+
+def test_a_one_way_plan_says_the_cure_with_its_minutes():
+    """Also where neither spec nor requirement knows of hysteresis: at the slower of the chamber's rates."""
+    cure = (
+        "one-way ramp: the plan observes no hysteresis: let the temperature return by 20 K or more (13.3 min at 1.5 K/m"
+    )
+    assert branch_sentences(gj.parse_spec(presets.text("tactical-mems")))[-1] == f"{cure}in)"
+    assert not any("one-way" in s for s in branch_sentences(gj.parse_spec(presets.text("heat-and-cool"))))
+    assert not any("one-way" in s for s in branch_sentences(gj.parse_spec(presets.text("paper-static-standard"))))

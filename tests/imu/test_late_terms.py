@@ -9,7 +9,7 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from loop_scene import recorded
+from loop_scene import errors_on_branches, recorded
 from loop_scene import spec_of as spec_of_loop
 
 import gradcal_jax as gj
@@ -295,3 +295,28 @@ def test_a_column_map_reads_the_second_thermometer(tmp_path):
     again = read_log(tmp_path / "log.nc").second_temperature_c
     assert again is not None
     np.testing.assert_array_equal(again, log.second_temperature_c)
+
+
+def test_an_uncertain_time_constant_is_counted():
+    """Of masses of 1 and 10 min under a spec with 45 s and 7.5 min: with a stated uncertainty the errors on both legs
+    are as large as predicted, and less than without."""
+    times = (("45 s", "15 s", "1.1"), ("7.5 min", "2.5 min", "11"))
+    uncertain = [
+        {"time_constant": t, "time_constant_uncertainty": u, "prior": f"{p} deg/h/(K/min)"} for t, u, p in times
+    ]
+    known = [{key: one[key] for key in ("time_constant", "prior")} for one in uncertain]
+    left = {}
+    for name, late in (("uncertain", uncertain), ("known", known)):
+        spec = gj.changed(spec_of_loop(back=True, plays=False), {"sensor.gyro.late_temperature_gradient": late})
+        apart = []
+        for number in range(8):
+            truth = draw_truth(spec_of_loop(back=True), 41, number, "thermal masses")
+            (report,) = estimate_sensors(spec, [recorded(truth, spec, back=True, seed=300 + number)])
+            apart.append(errors_on_branches(report, truth))
+        errors, stds = np.stack(apart).transpose(1, 0, 2, 3, 4)
+        left[name] = np.sqrt(np.mean(errors**2)), np.sqrt(np.mean(errors**2) / np.mean(stds**2))
+    assert 0.6 < left["uncertain"][1] < 1.3
+    assert left["known"][1] > 1.5
+    assert left["uncertain"][0] < 0.7 * left["known"][0]
+    with pytest.raises(SpecError, match="less than the time constant"):
+        gj.changed(spec, {"sensor.gyro.late_temperature_gradient": [known[0] | {"time_constant_uncertainty": "1 min"}]})

@@ -1,6 +1,7 @@
 """Estimates of units with a loop over temperature: what is said, offered, written and drawn."""
 
 import json
+import tomllib
 from dataclasses import replace
 from functools import lru_cache
 
@@ -21,6 +22,7 @@ from gradcal_jax.files.calibration.exports import export
 from gradcal_jax.files.calibration.file import CalibratedChannel, PathCoefficient, build_term
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.log_file import read_log, write_log
+from gradcal_jax.formulas import followed
 from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth
 from gradcal_jax.plots.calibration import draw_estimate, draw_loop, legs_of
@@ -46,23 +48,22 @@ def test_a_loop_that_the_spec_lacks_is_named_and_a_play_is_offered():
     for size, difference in zip(sizes, report.path.differences, strict=True):
         # In the middle of the temperatures, on legs of 80 K; the law is another, and dT/dt takes a part.
         assert difference.value[2] / HOUR == pytest.approx(size, abs=0.6 * abs(size) + 3.0)
-    offer = report.path.offer
-    assert offer is not None
+    offer = report.path.offers[0]
+    assert offer.words.startswith("a play of ")
     assert offer.after < 0.9 * offer.before
     said = " ".join(report.messages)
     assert "the errors depend on the path of temperature; half of heating less cooling: gyro" in said
-    assert f"a play of {offer.width_k:g} K" in said
+    assert f"{offer.words} explains" in said
     assert "[sensor.gyro] hysteresis = [{ width = " in said
     rows = estimate_rows(EstimateReport((report,)))["units"][0]["path"]
     assert len(rows["half_differences"]) == 3
-    assert rows["play"]["width_k"] == offer.width_k
+    assert rows["offers"][0]["words"] == offer.words
 
 
 def test_with_plays_the_fit_is_far_better_and_the_calibration_states_them(tmp_path):
     """Not perfect: relays of tens of deg/h are no plays, and the drift is half a deg/h."""
     report, without = estimated()[0], estimated(plays=False)[0]
     assert report.consistency.noise_scale < 0.5 * without.consistency.noise_scale
-    assert report.path is None or report.path.offer is None
     path = report.calibration.path
     assert [(one.channel, one.width) for one in path if one.width is not None] == [
         (f"gyro_{axis}", width) for axis in "xyz" for width in WIDTHS
@@ -246,3 +247,34 @@ def test_noise_is_stated_by_branch_and_by_bins(tmp_path, capsys):
     for one in found["channels"]:
         walk = one["coefficients"]["angle_random_walk_deg_per_sqrt_h"]
         assert walk["value"] == pytest.approx(0.1, abs=0.01 + 3.0 * walk["standard_error"])
+
+
+@pytest.mark.parametrize("law", ["dT/dt late by", "a lag of the bias of", "a transient from power-on of"])
+def test_what_explains_a_difference_is_offered(law):
+    """Of a unit without a loop, with one law put into its readings: its term comes first, and its key is of a spec
+    that explains the record."""
+    spec, lags = spec_of(back=True, plays=False), law == "a lag of the bias of"
+    drawn = gj.changed(spec_of(back=True, size=1e-6), {"sensor.gyro.bias.lag": "300 s"} if lags else {})
+    log = recorded(draw_truth(drawn, 36, 9, "relays"), spec, back=True, seed=11)
+    assert log.temperature_c is not None
+    at, time = log.temperature_c[0], log.time_s
+    late = followed(at, time, np.array([0]), 300.0)
+    of_law = {"dT/dt late by": (at - late) / 5.0 * 20.0, "a transient from power-on of": 60.0 * np.exp(-time / 300.0)}
+    added = of_law.get(law, 0.0 * time)[None, :, None] * np.array([1.0, -0.5, 0.2]) * HOUR
+    shifted = replace(log, rate_rad_per_s=log.rate_rad_per_s + added)
+    (report,) = estimate_sensors(spec, [shifted])
+    assert report.path is not None
+    first = report.path.offers[0]
+    assert first.words.startswith(law)
+    assert float(first.words.split()[-2]) in (240.0, 320.0)
+    assert first.after < 0.7 * first.before
+    key = report.path.sentences[-1].split("[sensor.gyro] ")[1].split(" estimates it")[0]
+    gyro = tomllib.loads(key)
+    assert gyro
+    with_it = gj.changed(spec, {f"sensor.gyro.{k}": v for k, v in _flat(gyro)})
+    (again,) = estimate_sensors(with_it, [shifted])
+    assert again.consistency.noise_scale < 1.15
+
+
+def _flat(table: dict) -> list:
+    return [(f"{k}.{j}", w) for k, v in table.items() for j, w in v.items()] if "bias" in table else list(table.items())

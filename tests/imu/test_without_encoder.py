@@ -6,6 +6,7 @@ from dataclasses import replace
 import imu_twin
 import numpy as np
 import pytest
+import unguided
 from estimate_scenes import draw_truth, record, scene
 
 import gradcal_jax as gj
@@ -206,3 +207,13 @@ def test_angles_that_nobody_knows_are_estimated(plan, spoilt, monkeypatch):
     assert np.sum(white**2) < model.calibrated + 4.5 * np.sqrt(2.0 * model.calibrated)
     assert 1e-3 < report.consistency.fit.probability < 1.0 - 1e-3
     assert not report.calibration.contradicted
+
+
+def test_an_azimuth_that_is_hardly_seen_does_not_run_away():
+    """Of a unit whose first linearisations go past the least χ² in the azimuth, then away from it: to 4.8 rad."""
+    spec = gj.changed(PRESET, {"sensor.thermal_lag": None, "sensor.gyro.bias_temperature_gradient": None})
+    log, truth = unguided.recorded(spec, 57, 1.0)
+    (report,) = estimate_sensors(spec, [log])
+    assert report.consistency.noise_scale < 1.1
+    for error in report.calibration.table:
+        assert abs(error.value - truth[error.name]) < 4.0 * error.standard_deviation, error.name

@@ -217,7 +217,7 @@ def _draw_differences(
     result: list[DifferenceTruth] = []
     for head in ("", "scale_factor_"):
         late = [
-            (f"{head}{_LATE}_{float(of.time_constant):g}s", of, float(of.time_constant))
+            (f"{head}{_LATE}_{float(of.time_constant):g}s", of, _uncertain_lag(of, random))
             for of in getattr(triad, f"{head}{_LATE}")
         ]
         second = getattr(triad, f"{head}{_DIFFERENCE}")
@@ -228,6 +228,12 @@ def _draw_differences(
             gain = 1.0 if of is second else -1.0 / lag_s
             result.append(DifferenceTruth(_three(gain * values), lag_s, bool(head)))
     return tuple(result)
+
+
+def _uncertain_lag(of: Any, random: np.random.Generator) -> float:
+    """The time constant, s: by a triangular distribution of its uncertainty, which ends before zero."""
+    apart = min(6.0**0.5 * float(of.time_constant_uncertainty or 0.0), 0.9 * float(of.time_constant))
+    return float(of.time_constant) + (apart * float(random.triangular(-1.0, 0.0, 1.0)) if apart else 0.0)
 
 
 def _three(values: Vectors) -> tuple[float, float, float]:

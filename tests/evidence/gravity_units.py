@@ -1,0 +1,84 @@
+"""Simulated IMUs that a hand turns without an encoder (`unguided`), each estimated: one share of many.
+
+`PYTHONPATH=.:tests python tests/evidence/gravity_units.py --spoilt 1 --first 0 --count 25 FOLDER` writes one file;
+`pytest -m evidence tests/evidence/test_gravity_as_encoder.py` judges those of `experiments/evidence/gravity` and writes
+the report.
+"""
+
+import argparse
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from unguided import recorded
+
+import gradcal_jax as gj
+from gradcal_jax.api.estimate import with_options
+from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.fit_of_log import fitted_twice
+from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.api.recorded_rows import imu_rows
+from gradcal_jax.files import presets
+from gradcal_jax.files.spec_sections import Spec
+
+# How far off the plan's angle each turn ends, deg (standard deviation).
+SPOILT = (1.0, 5.0, 45.0)
+
+
+@cache
+def scene() -> Spec:
+    # The slope of the temperature where it turns is a matter of its own.
+    without = {"sensor.thermal_lag": None, "sensor.gyro.bias_temperature_gradient": None}
+    return gj.changed(gj.parse_spec(presets.text("no-encoder")), without)
+
+
+def outcome(spec: Spec, seed: int, spoilt: float) -> dict[str, Any]:
+    """One IMU's estimate against its truth: NEES of its own coefficients and of the scale factors of its gyros, errors
+    of these in σ, σ over the predicted, χ² of the fit over its degrees of freedom."""
+    built = build_imu(spec)
+    log, truth = recorded(spec, seed, spoilt)
+    _, options, _ = with_options(spec, [log], Options())
+    rows, _ = imu_rows(built, [log], log.units[0], options)
+    solution = fitted_twice(built, log.units[0], rows, rows.temperature_c).solution
+    model = built.model
+    reported, names = model.to_reported, model.names()
+    error = reported @ solution.parameters - np.array([truth[name] for name in names])
+    spread = reported @ solution.known.spread
+    sigma = np.sqrt(np.sum(spread**2, axis=1))
+
+    def nees(of: list[int]) -> float:
+        scaled = spread[of] / sigma[of][:, None]
+        white = np.linalg.solve(np.linalg.cholesky(scaled @ scaled.T), error[of] / sigma[of])
+        return float(white @ white)
+
+    scales = [k for k, name in enumerate(names) if name.startswith("gyro") and ".b0" in name]
+    predicted = imu_posterior(built).deviations(reported)
+    of = solution.estimate
+    return {
+        "seed": seed, "nees": nees(list(range(model.calibrated))), "nees_scale": nees(scales),
+        "scale": (error[scales] / sigma[scales]).tolist(), "sigma": (sigma[scales] / predicted[scales]).tolist(),
+        "residual": float(of.chi_squared[0] / of.degrees[0]), "coefficients": model.calibrated,
+    }  # fmt: skip
+
+
+def main() -> None:
+    """One share."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--spoilt", type=float, choices=SPOILT, required=True)
+    parser.add_argument("--first", type=int, required=True)
+    parser.add_argument("--count", type=int, required=True)
+    chosen = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    seeds = [1000 * SPOILT.index(chosen.spoilt) + k for k in range(chosen.first, chosen.first + chosen.count)]
+    chosen.folder.mkdir(parents=True, exist_ok=True)
+    rows = [outcome(scene(), seed, chosen.spoilt) for seed in seeds]
+    name = f"{chosen.spoilt:g}deg_{chosen.first:03d}.jsonl"
+    (chosen.folder / name).write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

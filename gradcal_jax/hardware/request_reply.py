@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from .clock import Clock, holding
 from .errors import ChecksumError, FramingError, HardwareError, NotVerified, Rejected, ReplyTimeout, printable
-from .framing import Framer
+from .framing import Framer, NotThisReply
 from .transport import Transport
 
 Reply = TypeVar("Reply")
@@ -29,10 +29,6 @@ _TRIES = 3
 _LATER = 1.0
 _FORGOTTEN_S = 30.0
 _BETWEEN_LOOKS_S = 0.2
-
-
-class NotThisReply(Exception):
-    """Raised by a reply parser for a sound frame that answers another request: the exchange continues to wait."""
 
 
 @dataclass

@@ -31,13 +31,13 @@ from .chamber_control import ChamberControl
 from .clock import Clock, beside
 from .dry_run import beyond_limits
 from .errors import HardwareError, LimitExceeded, sentence_of
+from .guard import make_safe, put_back
 from .interlocks import Interlocks, Situation
 from .journal import Journal, event_fields
 from .losses import ExecutedStep, SampleLosses, StepNotDone
 from .roles import ImuSettings, MotionAxis
-from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, require_identity
-from .states import WAYS, RunProgress, RunResult, RunState
+from .supervision import WAYS, RunProgress, RunResult, RunState, SafeOutcome
 from .track import Course, Stable, Track, TrackStep
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]

@@ -32,13 +32,12 @@ from .roles import (
     Identity,
     ImuSettings,
     ImuStream,
+    KeptSettings,
     MotionAxis,
     OperatorAsked,
     TemperatureChamber,
 )
-from .settings import KeptSettings
-from .terminal import Terminal, TextLine
-from .transport import Transport, same_port
+from .transport import Terminal, TextLine, Transport, same_port
 
 LEFT: Final = "left streaming"
 """What happens to a unit at the end of a run: it has no unsafe state."""
@@ -257,7 +256,7 @@ def _entries(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], str, Devic
 
 @dataclass
 class Bench(AbstractContextManager["Bench"]):
-    """The open devices of a rig. Closing it closes every port; it does not make anything safe (see `safety`)."""
+    """The open devices of a rig. Closing it closes every port; it does not make anything safe (see `guard`)."""
 
     rig: RigFile
     chamber: TemperatureChamber | None = None

@@ -24,9 +24,9 @@ from typing import TextIO
 from ..files.rig import RigFile
 from .clock import Clock
 from .errors import HardwareError
+from .guard import put_back
 from .journal import Direction, Recorder
 from .roles import AxisSafe, ChamberSafe
-from .safety import put_back
 from .setup import Bench, open_rig
 
 HEADER = "# gradcal-transcript/1"

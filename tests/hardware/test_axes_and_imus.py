@@ -29,8 +29,7 @@ from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers import odrive
 from gradcal_jax.hardware.drivers.lines import LinesConfig
 from gradcal_jax.hardware.drivers.odrive import ODriveConfig
-from gradcal_jax.hardware.drivers.stim300 import Stim300Config, Stim300Stream
-from gradcal_jax.hardware.drivers.stim300_datagrams import START_UP
+from gradcal_jax.hardware.drivers.stim300 import START_UP, Stim300Config, Stim300Stream
 from gradcal_jax.hardware.drivers.vectornav import VectorNavConfig
 from gradcal_jax.hardware.drivers.zaber import ZaberConfig
 from gradcal_jax.hardware.errors import (

@@ -12,11 +12,20 @@ from hypothesis import strategies as st
 from gradcal_jax.files.line_protocol import formatted, reply_pattern
 from gradcal_jax.hardware import checksums
 from gradcal_jax.hardware.drivers import lines, odrive, stim300, vectornav, weiss, zaber
-from gradcal_jax.hardware.drivers.stim300_datagrams import LAYOUTS, Stim300Decoder
+from gradcal_jax.hardware.drivers.stim300 import LAYOUTS, Stim300Decoder
 from gradcal_jax.hardware.errors import ChecksumError, FramingError, HardwareError, LimitExceeded, Rejected
-from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer, ModbusTcpFramer
-from gradcal_jax.hardware.modbus import Rtu, Tcp, parse_words, parse_written, read_body, write_body
-from gradcal_jax.hardware.request_reply import NotThisReply
+from gradcal_jax.hardware.framing import (
+    LineFramer,
+    ModbusReplyFramer,
+    ModbusTcpFramer,
+    NotThisReply,
+    Rtu,
+    Tcp,
+    parse_words,
+    parse_written,
+    read_body,
+    write_body,
+)
 from gradcal_jax.hardware.roles import ImuBatch
 
 # --- check sums -------------------------------------------------------------------------------------------------------
@@ -570,10 +579,10 @@ def test_modbus_tcp_messages_come_out_whole_however_they_are_cut(noise: bytes, d
     for begin, end in itertools.pairwise([0, *cuts, len(stream)]):
         found += framer.push(stream[begin:end])
     assert found == messages
-    assert framer.pending == b""
+    assert framer._buffer == b""
     # Of anything at all nothing is raised but what says so, and what is kept is bounded.
     framer.push(noise)
-    assert len(framer.pending) < 300
+    assert len(framer._buffer) < 300
     sent = Tcp(1).message(read_body(2820, 2))
     for frame in ModbusTcpFramer().push(sent[:2] + bytes(2) + noise):
         with suppress(FramingError, NotThisReply, Rejected):
@@ -586,7 +595,7 @@ def test_rehearsed_units_send_what_the_data_sheet_says(rate_hz: float) -> None:
     from simulated_devices.datagrams import datagrams
 
     from gradcal_jax.hardware.simulate import datagrams as rehearsed
-    from gradcal_jax.hardware.simulate.sensor import SensorSamples
+    from gradcal_jax.hardware.simulate.imu import SensorSamples
 
     random, count = np.random.default_rng(5), 300
     rates, forces = 600.0 * random.standard_normal((count, 3)), 9.0 * random.standard_normal((count, 3))

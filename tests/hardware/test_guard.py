@@ -30,13 +30,13 @@ from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware import guard, runner, session
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused
+from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.runner import RunProgress, RunResult
-from gradcal_jax.hardware.safety import SafeOutcome
-from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import only_of, open_rig
+from gradcal_jax.hardware.supervision import SafeOutcome
 
 SPEED = 20.0
 

@@ -24,15 +24,13 @@ from gradcal_jax.files.rig import RigFile, parse_rig
 from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
-from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.errors import HardwareError
-from gradcal_jax.hardware.roles import AxisLimits, AxisReading
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
-from gradcal_jax.hardware.settings import KeptSettings
 from gradcal_jax.hardware.simulate.devices import SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant
-from gradcal_jax.hardware.track import AxisCommand
+from gradcal_jax.hardware.track import AxisCommand, track_of
 
 
 @pytest.fixture(scope="module")

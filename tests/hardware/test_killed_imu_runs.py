@@ -24,10 +24,9 @@ from gradcal_jax.files import changed
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.writing import write_toml
-from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.journal import Event
 from gradcal_jax.hardware.run_folder import RunFolder, exit_status
-from gradcal_jax.hardware.track import Track
+from gradcal_jax.hardware.track import Track, track_of
 
 SPEED = 10.0
 RATE_HZ = 125.0

@@ -7,14 +7,13 @@ import pytest
 from simulated_devices.line_clock import LineClock
 from test_operator import gimbal
 
-from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.clock import RealClock, VirtualClock
 from gradcal_jax.hardware.drivers.operator import OperatorAxis, OperatorConfig
 from gradcal_jax.hardware.drivers.switch import SwitchAxis, SwitchConfig, SwitchLine
 from gradcal_jax.hardware.errors import LimitExceeded, NotVerified, Rejected
 from gradcal_jax.hardware.roles import AxisLimits, AxisSafe
 from gradcal_jax.hardware.simulate.devices import SimulatedAxis, SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 TOLD = AxisLimits(300.0, 400.0, None, None, 0.01, hardware_watchdog=False, told=True)
 

@@ -25,13 +25,11 @@ from ...files.line_protocol import LineProtocol, LineQuestion, formatted, protoc
 from ..checksums import xor8
 from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, ReplyTimeout, printable
-from ..framing import LineFramer
-from ..request_reply import Exchange, NotThisReply
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
-from ..settings import KeptSettings
+from ..framing import LineFramer, NotThisReply
+from ..request_reply import Exchange
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver, MeanRate, Unwatched
-from .described import DescribedChamber, DescribedDevice, Texts
+from .base import AxisDriver, DescribedChamber, DescribedDevice, MeanRate, Texts, Unwatched
 
 _STOPS_AGAIN_S = 1.0
 _pattern = cache(reply_pattern)

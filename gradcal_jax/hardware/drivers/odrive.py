@@ -40,8 +40,7 @@ from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, printable
 from ..framing import LineFramer
 from ..request_reply import Exchange
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
-from ..settings import KeptSettings
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
 from .base import AxisDriver
 

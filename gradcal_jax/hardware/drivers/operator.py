@@ -25,10 +25,9 @@ from typing import Literal
 from ... import units
 from ..clock import Clock
 from ..errors import Disconnected, HardwareError, LimitExceeded, Rejected
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, OperatorAsked, SafeReport
-from ..settings import KeptSettings
-from ..terminal import TextLine
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, MotionAxis, OperatorAsked, SafeReport
 from ..track import AxisCommand
+from ..transport import TextLine
 from .base import Unwatched
 
 _BELL = "\a"

@@ -20,11 +20,11 @@ from ... import units
 from ...files.register_protocol import Register, RegisterProtocol, register_protocol_of
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded
-from ..modbus import Modbus, Rtu, Tcp, parse_words, parse_written, read_body, write_body
+from ..framing import Modbus, Rtu, Tcp, parse_words, parse_written, read_body, write_body
 from ..request_reply import Exchange
 from ..roles import ChamberSafe
 from ..transport import Transport
-from .described import DescribedChamber, Texts
+from .base import DescribedChamber, Texts
 
 _FINEST_DECIMALS = 3
 _FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}

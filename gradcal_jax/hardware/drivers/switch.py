@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 from ..clock import Clock
 from ..errors import LimitExceeded, NotVerified, Rejected
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
-from ..settings import KeptSettings
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
 from .base import Unwatched
 

@@ -22,11 +22,10 @@ from ..clock import Clock
 from ..errors import FramingError, ReplyTimeout, printable
 from ..framing import LineFramer
 from ..request_reply import Exchange
-from ..roles import Identity, ImuBatch, ImuSettings, imu_batch, join
-from ..settings import KeptSettings
+from ..roles import Identity, ImuBatch, ImuSettings, KeptSettings, imu_batch, join
 from ..transport import Transport
 from .base import ImuDriver
-from .stim300_datagrams import GapCounter
+from .stim300 import GapCounter
 
 _ENOUGH = 3
 _LOOKS_S = 0.1

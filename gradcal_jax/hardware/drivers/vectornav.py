@@ -27,10 +27,9 @@ import numpy as np
 from ..checksums import crc16_vectornav, xor8
 from ..clock import Clock
 from ..errors import ChecksumError, NotVerified, Rejected, printable
-from ..framing import LengthFramer
-from ..request_reply import Exchange, NotThisReply
-from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, imu_batch, join
-from ..settings import KeptSettings
+from ..framing import LengthFramer, NotThisReply
+from ..request_reply import Exchange
+from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, KeptSettings, imu_batch, join
 from ..transport import Transport
 from .base import ImuDriver
 

@@ -28,8 +28,8 @@ from pydantic import Field
 
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
-from ..framing import LineFramer
-from ..request_reply import Exchange, NotThisReply
+from ..framing import LineFramer, NotThisReply
+from ..request_reply import Exchange
 from ..roles import ChamberLimits, ChamberReading, Identity
 from ..transport import Transport
 from .base import ChamberDriver

@@ -26,10 +26,9 @@ from pydantic import Field
 from ..checksums import lrc_zaber
 from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, Rejected, printable
-from ..framing import LineFramer
-from ..request_reply import Exchange, NotThisReply
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
-from ..settings import KeptSettings
+from ..framing import LineFramer, NotThisReply
+from ..request_reply import Exchange
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
 from .base import AxisDriver, MeanRate, Unwatched
 

@@ -17,10 +17,23 @@ from ...files.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureEr
 from ...files.spec_sections import Spec
 from ...units import to_unit
 from ..pose import turn_by
-from .imu import DifferenceTruth, ErrorTerm, ImuTruth, Kind, Matrix, ScaleFactors, TableTruth, TriadTruth
-from .loops import LAWS, Law, LoopTruth
+from .imu import (
+    LAWS,
+    DifferenceTruth,
+    ErrorTerm,
+    ImuTruth,
+    Kind,
+    Law,
+    LoopTruth,
+    Matrix,
+    Process,
+    ScaleFactors,
+    TableTruth,
+    TriadTruth,
+    TruthBasis,
+    Vectors,
+)
 from .plants import AxisTruth
-from .sensor import Process, TruthBasis, Vectors
 
 # A plan may use all of its allowed travel: the cable's hard end is this far beyond.
 _BEYOND_DEG: Final = 2.0

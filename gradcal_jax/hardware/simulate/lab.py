@@ -23,8 +23,7 @@ from ..drivers.operator import OperatorAxis, OperatorConfig
 from ..drivers.stim300 import Stim300Config
 from ..roles import AxisLimits
 from ..setup import Bench
-from .datagrams import RATES_HZ
-from .devices import SimulatedAxis, SimulatedChamber, SimulatedHand, SimulatedPerson, SimulatedStream
+from .devices import RATES_HZ, SimulatedAxis, SimulatedChamber, SimulatedHand, SimulatedPerson, SimulatedStream
 from .draws import draw_places, draw_table, draw_truth
 from .imu import SimulatedImu
 from .plants import AxisPlant, ChamberPlant, ChamberTruth, UncontrolledRoom

@@ -12,7 +12,7 @@ import numpy as np
 
 from gradcal_jax.hardware.checksums import crc16_vectornav, xor8
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate.sensor import SampledSensor
+from gradcal_jax.hardware.simulate.imu import SampledSensor
 
 _STANDARD_GRAVITY = 9.80665
 

@@ -4,8 +4,8 @@ Every device is made safe in its own thread, with its own deadline, retried, ver
 delays no other.
 
 The guard reads all that it needs before anything moves: the rig file, the drivers, the folder of the journal. Then it
-sends "ready". A pipe in each direction connects the two. The run sends "begun" before its first command, "before" with every
-setting of a device before the first change, "alive" every second, and "done" when it has ended by itself with
+sends "ready". A pipe in each direction connects the two. The run sends "begun" before its first command, "before" with
+every setting of a device before the first change, "alive" every second, and "done" when it has ended by itself with
 everything verified safe, or before it commanded anything. The guard replies "alive".
 
 When the pipe closes after "begun" or "before" and without "done", the run was killed, broken off, or could not reach a

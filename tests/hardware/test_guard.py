@@ -27,7 +27,7 @@ from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.files.rig import TEMPLATE
 from gradcal_jax.files.writing import write_toml
-from gradcal_jax.hardware import guard, runner, session
+from gradcal_jax.hardware import execute, guard, runner
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused
 from gradcal_jax.hardware.execute import run_session
@@ -211,7 +211,7 @@ def test_a_device_that_does_not_answer_is_tried_until_it_does(
 def test_a_guard_that_died_is_announced_and_replaced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(session, "BEAT_S", 0.1)
+    monkeypatch.setattr(execute, "BEAT_S", 0.1)
     killed: list[int] = []
     clock, made = FastClock(SPEED), short_recipe(1.0)
 

@@ -14,11 +14,12 @@ from typing import Generic, Protocol, TypeVar
 from ... import units
 from ...files.line_protocol import LineProtocol
 from ...files.register_protocol import RegisterProtocol
-from ..errors import DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected
-from ..request_reply import Exchange, Reply, command_and_verify
+from ..errors import DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout
+from ..request_reply import TRIES, Exchange, Reply
 from ..roles import AxisReading, AxisSafe, ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
 
 Config = TypeVar("Config")
+_BETWEEN_LOOKS_S = 0.2
 _OVER_S = 0.4
 _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 
@@ -38,8 +39,29 @@ class ExchangeDriver(Generic[Config]):
         shows: Callable[[Reply], bool],
         looks: int = 3,
     ) -> Reply:
-        """Command until the read-back shows it (`command_and_verify`)."""
-        return command_and_verify(send, read, shows, what=what, clock=self._clock, looks=looks)
+        """Command, then read back until the read-back shows it; nothing else repeats a command.
+
+        `send` is repeated only after `looks` read-backs, some time apart, have shown that it did not take effect: a
+        lost acknowledgement alone repeats nothing. A refusal by the device is raised at once; `NotVerified` after three
+        commands, whose message `what` begins.
+        """
+        seen: Reply | None = None
+        unanswered = ""
+        for _ in range(TRIES):
+            try:
+                send()
+            except (ReplyTimeout, FramingError) as problem:
+                unanswered = f" ({problem})"
+            for look in range(looks):
+                if look:
+                    self._clock.sleep(_BETWEEN_LOOKS_S)
+                seen = read()
+                if shows(seen):
+                    return seen
+        raise NotVerified(
+            f"{what} was sent {TRIES} times and the read-back still says {seen!r}{unanswered}. "
+            "Look at the device's own display: it may be in local mode, locked, or limited."
+        )
 
 
 class ImuDriver(ExchangeDriver[Config]):
@@ -267,10 +289,6 @@ class DescribedChamber(DescribedDevice[Options], ChamberDriver[Options]):
     """Role `Chamber`."""
 
     _BOUNDS = "{low:g} to {high:g} degC, the limits in the protocol of {device}. Change the plan."
-
-    @abstractmethod
-    def _tell_shown(self, name: str, values: Mapping[str, float], shown_by: tuple[str, ...]) -> Texts:
-        """Send a value until the device shows it in these fields; returns them."""
 
     @abstractmethod
     def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:

@@ -105,7 +105,6 @@ class ChamberControl:
         self.newest: ChamberReading | None = None
 
     def heard(self, reading: ChamberReading) -> None:
-        """Remember a reading."""
         with self._lock:
             self.newest = reading
             if not reading.conditioning:

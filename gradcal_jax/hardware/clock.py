@@ -38,7 +38,6 @@ class Clock(Protocol):
 
     def sleep_until(self, time_s: float) -> None:
         """Return at `time_s` of this clock, at once if that is in the past."""
-        ...
 
     def sleep(self, duration_s: float) -> None: ...
 

@@ -250,7 +250,6 @@ def run_session(
 
 
 def limits_of(rig: RigFile) -> InterlockLimits:
-    """The limits that a rig file sets for a run."""
     longest_s, chamber = float(rig.longest_pause), rig.chamber
     if chamber is None:
         return InterlockLimits(longest_pause_s=longest_s)

@@ -150,7 +150,6 @@ class Guard:
         self._start()
 
     def begun(self) -> None:
-        """From now on the rig may be unsafe."""
         self._begun = True
         self._say("begun")
 

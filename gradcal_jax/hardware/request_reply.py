@@ -130,7 +130,6 @@ class Exchange:
             raise AssertionError("unreachable: the last try returns or raises")
 
     def write(self, request: bytes, *, pause_after_s: float | None = None) -> None:
-        """Send a message that has no reply."""
         with self.alone():
             self._send(request, pause_after_s)
 

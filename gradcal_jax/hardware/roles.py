@@ -144,7 +144,6 @@ class TemperatureChamber(Protocol):
     def read(self) -> ChamberReading: ...
     def hold(self, temperature_c: float) -> None:
         """Condition at `temperature_c`, as fast as the chamber can."""
-        ...
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         """Go to `temperature_c` at `rate_k_per_min` (above zero), by the controller's own ramp.
@@ -203,23 +202,18 @@ class MotionAxis(Protocol):
     def read(self) -> AxisReading: ...
     def home(self) -> None:
         """Find the reference; returns at the end, raises `DeviceFault` on failure."""
-        ...
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Start a trapezoidal move to an absolute position and return at once; `read().moving` shows its end."""
-        ...
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
         """Start turning at a signed constant rate and return at once."""
-        ...
 
     def stop(self) -> None:
         """Controlled stop; returns when the axis stands."""
-        ...
 
     def arm_watchdog(self) -> None:
         """Switch the device's watchdog on, where it has one; from now on `heartbeat` must come in time."""
-        ...
 
     def heartbeat(self) -> None: ...
 
@@ -232,7 +226,6 @@ class DrawnAxis(Protocol):
 
     def draw(self, drawing: str) -> None:
         """Show this with the next turn."""
-        ...
 
 
 class OperatorAsked(Protocol):
@@ -241,15 +234,12 @@ class OperatorAsked(Protocol):
     def ask(self, question: str) -> None: ...
     def ring(self) -> None:
         """Remind of the question."""
-        ...
 
     def answer(self) -> tuple[str, float] | None:
         """The typed line and the time of its end; None until there is one."""
-        ...
 
     def withdraw(self, why: str) -> None:
         """Take back a question, if there is one."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,6 @@ class RunFolderError(ValueError):
 
 @dataclass(frozen=True)
 class RunFolder:
-    """One run's folder."""
-
     path: Path
 
     @property
@@ -51,7 +49,6 @@ class RunFolder:
         return [Path(str(name)).name for name in self.notes().get("recipes", ["recipe.toml"])]
 
     def recipe(self) -> Recipe:
-        """The newest."""
         return read_recipe(self.path / self.recipes()[-1])
 
     def rig(self) -> RigFile:
@@ -127,7 +124,6 @@ def new_folder(
 
 
 def rig_tables(rig: RigFile) -> dict[str, Any]:
-    """A rig as the tables of its file."""
     return rig.model_dump(mode="json", exclude_unset=True)
 
 
@@ -151,7 +147,6 @@ def begin_session(
 
 
 def sessions(contents: JournalContents) -> int:
-    """The number of sessions in the journal."""
     return sum(event.name == SESSION for event in contents.events)
 
 
@@ -305,7 +300,6 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
 
 
 def stretches_of(folder: RunFolder) -> list[StretchDone]:
-    """The completed stretches of a run's newest recipe."""
     return stretches_done(folder.events(), folder.track(), len(folder.recipes()) - 1)
 
 

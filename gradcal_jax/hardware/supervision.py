@@ -135,11 +135,9 @@ class StatusFile:
         self._writer.join(timeout=5.0)
 
     def show(self, progress: RunProgress) -> None:
-        """The progress of the run."""
         self._status = {"at_s": time.time(), **asdict(progress), "state": progress.state.value}
 
     def end(self, result: RunResult) -> None:
-        """How the run ended."""
         state = "safe" if result.verified_safe else "failed"
         ended = {"exit_status": result.exit_status, "reason": result.reason, "verified_safe": result.verified_safe}
         self._status = {**self._status, "at_s": time.time(), "state": state, "steps_done": result.steps_done, **ended}

@@ -171,7 +171,6 @@ class Track:
 
     @property
     def moved(self) -> list[str]:
-        """The names of the axes that move."""
         moved = {move.axis for step in self.steps for move in step.moves}
         return sorted(moved | {name for step in self.steps if step.goes_there for name in step.start_deg})
 

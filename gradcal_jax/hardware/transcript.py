@@ -56,7 +56,6 @@ class Transcript:
         self._file.flush()
 
     def recorder(self, line: str) -> Recorder:
-        """A recorder for a `Transport`."""
         return partial(self._write, line)
 
     def note(self, time_s: float, device: str, text: str) -> None:

@@ -6,10 +6,13 @@ A description has `fields` (readings as the device's own text, by name), `state`
 """
 
 import math
+import tomllib
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Generic, Protocol, TypeVar
+from functools import cache
+from importlib import resources
+from typing import Any, Generic, Protocol, TypeVar
 
 from ... import units
 from ...files.line_protocol import LineProtocol
@@ -22,6 +25,13 @@ Config = TypeVar("Config")
 _BETWEEN_LOOKS_S = 0.2
 _OVER_S = 0.4
 _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
+
+
+@cache
+def codes_of(driver: str) -> Mapping[str, Any]:
+    """The texts of a driver's codes, by code as it is written in `files/device_codes.toml`."""
+    text = resources.files("gradcal_jax.files").joinpath("device_codes.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)[driver]
 
 
 class ExchangeDriver(Generic[Config]):
@@ -65,8 +75,6 @@ class ExchangeDriver(Generic[Config]):
 
 
 class ImuDriver(ExchangeDriver[Config]):
-    """A unit that streams."""
-
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
         return self._exchange.transport.read_stamped(timeout_s)
 

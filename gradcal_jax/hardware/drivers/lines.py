@@ -62,7 +62,6 @@ class LinesConfig:
 
     @cached_property
     def described(self) -> LineProtocol:
-        """The description of the protocol."""
         return protocol_of(self.protocol, self.changes)
 
     @property

@@ -42,38 +42,12 @@ from ..framing import LineFramer
 from ..request_reply import Exchange
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver
+from .base import AxisDriver, codes_of
 
 IDLE, CLOSED_LOOP = 1, 8
 VELOCITY_RAMP, TRAPEZOID = 2, 5
 VELOCITY_CONTROL, POSITION_CONTROL = 2, 3
 
-ERRORS_05 = {
-    0x1: "invalid state",
-    0x40: "motor failed",
-    0x80: "sensorless estimator failed",
-    0x100: "encoder failed",
-    0x200: "controller failed",
-    0x800: "watchdog expired",
-    0x1000: "lower end stop pressed",
-    0x2000: "upper end stop pressed",
-    0x4000: "emergency stop",
-}
-ERRORS_06 = {
-    0x1: "initialising",
-    0x20: "driver fault",
-    0x100: "over-voltage",
-    0x200: "under-voltage",
-    0x1000: "current limit",
-    0x2000: "motor temperature",
-    0x4000: "inverter temperature",
-    0x8000: "velocity limit",
-    0x10000: "position limit",
-    0x01000000: "watchdog expired",
-    0x02000000: "emergency stop",
-    0x04000000: "spin-out detected",
-    0x40000000: "calibration error",
-}
 _REFUSALS = ("invalid command format", "invalid motor", "invalid property", "not implemented", "unknown command")
 _NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 _FEEDBACK = re.compile(rf"({_NUMBER}) ({_NUMBER})")
@@ -313,9 +287,9 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
     def _faults(self) -> tuple[str, ...]:
         code = self._error_code()
-        names = ERRORS_05 if self._config.generation == "0.5" else ERRORS_06
-        known = [f"0x{bit:x} ({text})" for bit, text in names.items() if code & bit]
-        rest = code & ~sum(names)
+        names = codes_of("odrive")[self._config.generation]
+        known = [f"{bit} ({text})" for bit, text in names.items() if code & int(bit, 16)]
+        rest = code & ~sum(int(bit, 16) for bit in names)
         return tuple(known + ([f"0x{rest:x}"] if rest else []))
 
     def _clear_errors(self) -> None:

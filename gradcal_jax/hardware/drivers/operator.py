@@ -99,7 +99,6 @@ class Console:
         return self._answers.popleft()
 
     def withdraw(self, why: str) -> None:
-        """Take back a question, if there is one."""
         if self._open:
             self._open = False
             self._line.write(f"\r\n{why}\r\n".encode())
@@ -118,7 +117,6 @@ class Console:
 
 
 def open_exchange(line: TextLine, clock: Clock, config: OperatorConfig) -> Console:
-    del config
     return Console(line, clock)
 
 

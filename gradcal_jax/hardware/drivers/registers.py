@@ -49,12 +49,10 @@ class RegistersConfig:
 
     @cached_property
     def described(self) -> RegisterProtocol:
-        """The description of the protocol."""
         return register_protocol_of(self.protocol, self.changes)
 
     @cached_property
     def modbus(self) -> Modbus:
-        """The codec of the line."""
         return (Tcp if self.described.line.transport == "tcp" else Rtu)(self.address)
 
     def lacks_for(self, safe: str) -> str:

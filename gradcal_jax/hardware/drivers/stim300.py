@@ -18,7 +18,6 @@ output units (`rate_unit_code`, `increment_unit_code`); non-standard baud rates 
 import itertools
 import re
 import time
-import zlib
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,14 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ..checksums import BIT_REVERSED, crc8_stim300, crc32_mpeg2_of_rows
+from ..checksums import crc8_stim300, crc32_mpeg2, crc32_mpeg2_of_rows
 from ..clock import Clock
 from ..errors import ChecksumError, FramingError, NotVerified, Rejected, ReplyTimeout, printable
 from ..framing import LineFramer, NotThisReply
 from ..request_reply import Exchange
 from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, KeptSettings, imu_batch, join
 from ..transport import Transport
-from .base import ImuDriver
+from .base import ImuDriver, codes_of
 
 INTERNAL_RATE_HZ = 2000
 _MODULUS = 256  # of the counter of internal samples
@@ -83,11 +82,9 @@ for _contents, _plain, _pulse, _older in CONTENTS:
     LAYOUTS[_pulse] = LAYOUTS[_older] = _layout(*_contents, auxiliary=True)
 
 
-def _sound(reversed_frame: bytes, layout: DatagramLayout) -> bool:
-    """Whether the CRC fits, given the frame with the bits of every byte reversed (see `checksums.crc32_mpeg2`)."""
+def _sound(frame: bytes, layout: DatagramLayout) -> bool:
     end = layout.length - 4
-    crc = zlib.crc32(bytes(layout.unsent_zeros), zlib.crc32(reversed_frame[:end]))
-    return crc ^ 0xFFFFFFFF == int.from_bytes(reversed_frame[end : layout.length], "little")
+    return crc32_mpeg2(frame[:end] + bytes(layout.unsent_zeros)) == int.from_bytes(frame[end : layout.length], "big")
 
 
 def _temperatures(block: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -214,7 +211,6 @@ class Stim300Decoder:
 
     def _lock(self) -> bool:
         """Find the next sound datagram. False when more bytes are needed to decide."""
-        reversed_buffer = self._buffer.translate(BIT_REVERSED)
         for start, identifier in enumerate(self._buffer):
             layout = LAYOUTS.get(identifier)
             if layout is None:
@@ -222,7 +218,7 @@ class Stim300Decoder:
             if start + layout.length > len(self._buffer):
                 self._drop(start)
                 return False
-            if _sound(reversed_buffer[start : start + layout.length], layout):
+            if _sound(self._buffer[start : start + layout.length], layout):
                 self._drop(start)
                 self._locked = identifier
                 return True
@@ -249,11 +245,8 @@ class Stim300Decoder:
         length = SPECIAL_LENGTHS.get(self._buffer[0])
         if length is None or self._locked is None:
             return False
-        layout = LAYOUTS[self._locked]
         follower = self._buffer[length : length + stride]
-        if len(follower) < stride or follower[0] != self._locked:
-            return False
-        if not _sound(follower.translate(BIT_REVERSED), layout):
+        if len(follower) < stride or follower[0] != self._locked or not _sound(follower, LAYOUTS[self._locked]):
             return False
         self._buffer = self._buffer[length:]
         self.special_datagrams += 1
@@ -321,16 +314,6 @@ class Stim300Decoder:
 
 
 SAMPLE_RATE_CODES = {125.0: 0, 250.0: 1, 500.0: 2, 1000.0: 3, 2000.0: 4}
-STATUS_TEXTS = {
-    1: "invalid",
-    2: "check failed",
-    3: "unknown command",
-    4: "wrong number of parameters",
-    5: "invalid parameter",
-    6: "too many saves",
-    7: "save failed",
-    8: "reduced to limits",
-}
 
 
 @dataclass(frozen=True)
@@ -375,7 +358,7 @@ def parse_utility(frame: bytes) -> tuple[str, list[str]]:
         raise FramingError(f"{printable(frame)!r} is no reply of Utility Mode.")
     status = int(fields[0])
     if status not in (0, 8):
-        text = STATUS_TEXTS.get(status, "unknown status")
+        text = codes_of("stim300").get(str(status), "unknown status")
         raise Rejected(
             f"The unit refuses {name or 'the command'}: status {status} ({text}).", code=fields[0], text=text
         )

@@ -46,7 +46,6 @@ class TextUnitConfig:
 
     @cached_property
     def described(self) -> TextUnit:
-        """The description of the unit."""
         return text_unit_of(self.protocol)
 
 
@@ -142,8 +141,6 @@ def _line_of(unit: str, wanted: str, factor: float = 1.0) -> tuple[float, float]
 
 
 def decoder_of(config: TextUnitConfig, registers: Mapping[str, str]) -> TextUnitDecoder:
-    """The decoder of a described unit."""
-    del registers
     return TextUnitDecoder(config.described)
 
 

@@ -29,23 +29,8 @@ from ..framing import LengthFramer, NotThisReply
 from ..request_reply import Exchange
 from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, KeptSettings, imu_batch, join
 from ..transport import Transport
-from .base import ImuDriver
+from .base import ImuDriver, codes_of
 
-ERRORS = {
-    1: "hard fault",
-    2: "serial buffer overflow",
-    3: "invalid check sum",
-    4: "invalid command",
-    5: "not enough parameters",
-    6: "too many parameters",
-    7: "invalid parameter",
-    8: "invalid register",
-    9: "unauthorised access",
-    10: "watchdog reset",
-    11: "output buffer overflow",
-    12: "baud rate too low for the output",
-    255: "error buffer overflow",
-}
 _SYNC, _DOLLAR = 0xFA, 0x24
 _LONGEST_PACKET = 600
 _LONGEST_LINE = 256
@@ -92,9 +77,9 @@ def parse_line(frame: bytes) -> list[str]:
         raise ChecksumError(f"The message {printable(frame)!r} fails its check sum. Check cable and baud rate.")
     fields = body.decode("ascii", "replace").split(",")
     if fields[0] == "VNERR":
-        code = int(fields[1]) if len(fields) > 1 and fields[1].isdigit() else -1
-        text = ERRORS.get(code, "unknown error")
-        raise Rejected(f"The unit reports error {code}: {text}.", code=str(code), text=text)
+        code = str(int(fields[1])) if len(fields) > 1 and fields[1].isdigit() else "?"
+        text = codes_of("vectornav").get(code, "unknown error")
+        raise Rejected(f"The unit reports error {code}: {text}.", code=code, text=text)
     return fields
 
 
@@ -189,7 +174,6 @@ class VectorNavDecoder:
 
 def decoder_of(config: VectorNavConfig, registers: Mapping[str, str]) -> VectorNavDecoder:
     """The decoder for a configured unit; binary packets describe all but the rate."""
-    del registers
     return VectorNavDecoder(sample_rate_hz=config.sample_rate_hz)
 
 

@@ -30,36 +30,8 @@ from ..framing import LineFramer, NotThisReply
 from ..request_reply import Exchange
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver, MeanRate, Unwatched
+from .base import AxisDriver, MeanRate, Unwatched, codes_of
 
-WARNINGS = {
-    "FF": "critical system error",
-    "FN": "peripheral not supported",
-    "FZ": "peripheral inactive",
-    "FH": "hardware emergency stop",
-    "FV": "supply voltage out of range",
-    "FO": "driver disabled by the user",
-    "FC": "inrush current error",
-    "FM": "motor temperature error",
-    "FD": "driver disabled",
-    "FQ": "encoder error",
-    "FI": "index error",
-    "FA": "analogue encoder synchronisation error",
-    "FR": "overdrive limit exceeded",
-    "FS": "stalled and stopped",
-    "FB": "stream bounds exceeded",
-    "FP": "path deviation",
-    "FE": "limit error",
-    "FT": "excessive twist",
-    "WL": "unexpected limit trigger",
-    "WV": "supply voltage out of range",
-    "WT": "driver temperature high",
-    "WS": "stalled and recovered",
-    "WM": "displaced when stationary",
-    "WP": "calibration needed",
-    "WR": "no reference position",
-    "WH": "not homed",
-}
 _UNREFERENCED = {"WR", "WH"}
 _REPLY = re.compile(r"@(\d{1,2}) (\d) (?:(\d{1,2}) )?(OK|RJ) (BUSY|IDLE) (--|[A-Z]{2}) (\S.*)")
 
@@ -181,8 +153,7 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
         position = self._degrees(_number(reply))
         rate = self._rates.of(asked_s, time_s, position, moving=reply.busy)
         flag = reply.warning
-        text = f"{flag} ({WARNINGS.get(flag, 'see the manual')})"
-        faults, warnings = ((text,) if flag.startswith(kind) else () for kind in "FW")
+        faults, warnings = ((_meaning(flag),) if flag.startswith(kind) else () for kind in "FW")
         return AxisReading(time_s, position, rate, reply.busy, flag not in _UNREFERENCED, faults, warnings)
 
     def home(self) -> None:
@@ -238,7 +209,7 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
     def _start(self, words: str) -> None:
         reply = self._ask(words)
         if reply.warning.startswith("F"):
-            raise DeviceFault(f"The stage reports {reply.warning} ({WARNINGS.get(reply.warning, 'see the manual')}).")
+            raise DeviceFault(f"The stage reports {_meaning(reply.warning)}.")
 
     def _setting(self, name: str) -> str:
         return self._ask(f"get {name}", axis=_axis_of(name)).data
@@ -278,6 +249,10 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
 def _axis_of(setting: str) -> int | None:
     """A setting: of the whole device with axis 0, of the rig file's axis with None."""
     return 0 if setting.startswith(("comm.", "knob.", "device", "system.", "version")) else None
+
+
+def _meaning(flag: str) -> str:
+    return f"{flag} ({codes_of('zaber').get(flag, 'see the manual')})"
 
 
 def _number(reply: Reply) -> float:

@@ -140,7 +140,6 @@ class _Draws:
         return ErrorTerm(values, TruthBasis(), "one")
 
     def _gradient(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> tuple[float, float, float]:
-        """The bias for each K/s."""
         if triad.bias_temperature_gradient is None:
             return (0.0, 0.0, 0.0)
         typical = _TYPICAL_GRADIENT[kind] if triad.gradient_sensitivity is not None else 0.0

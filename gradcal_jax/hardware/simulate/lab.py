@@ -147,7 +147,6 @@ class SimulatedLab:
 
 
 def _limits_of(says: TableAxis, *, told: bool) -> AxisLimits:
-    """The limits of a table's axis in the spec."""
     rate, acceleration = to_unit(float(says.max_rate), "deg/s"), to_unit(float(says.max_acceleration), "deg/s^2")
     travel = float(np.degrees(float(says.travel)))
     lowest, highest = (None, None) if np.isinf(travel) else (-travel, travel)

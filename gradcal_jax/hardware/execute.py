@@ -12,7 +12,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -23,7 +24,7 @@ from ..files.rig import OPERATOR, TERMINAL, RigFile
 from ..files.writing import write_whole
 from .clock import Clock, RealClock, VirtualClock
 from .errors import HardwareError
-from .guard import BEAT_S, Guard, guarded
+from .guard import BEAT_S, Guard
 from .interlocks import InterlockLimits, Interlocks
 from .journal import Journal, JournalContents, Recorder
 from .pose import drawn
@@ -96,8 +97,7 @@ def run(
         known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
         raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; it does at {known} Hz")
     if not 1 <= units <= _MOST_UNITS:
-        message = f"1 to {_MOST_UNITS} units hang on the simulated table; expected another number than {units}"
-        raise ValueError(message)
+        raise ValueError(f"1 to {_MOST_UNITS} units hang on the simulated table; expected another number than {units}")
     simulation = {"seed": seed, "speed": speed, "sample_rate_hz": sample_rate_hz, "units": units}
     lab, clock = _laboratory(recipe, simulation)
     made = new_folder(path, recipe, lab.rig, simulated=simulation, about=about)
@@ -187,8 +187,7 @@ def run_session(
     resumed = folder.events() if folder.journal_path.exists() else None
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(folder.journal_path))
-        # Before the ports are opened: they are closed again when the guard takes over.
-        watched = stack.enter_context(guarded(folder.path)) if guard else None
+        watched = stack.enter_context(closing(Guard(folder.path))) if guard else None
         units = {device.port for device in rig.imu}
 
         def recorder_of(url: str) -> Recorder | None:
@@ -206,8 +205,15 @@ def run_session(
         new_session(first_step)
         if journal.problem:
             raise HardwareError(journal.problem)
+
+        def changes(device: str, name: str, value: str) -> None:
+            """Before a device's setting is changed its value goes to the guard and the journal."""
+            if watched is not None:
+                watched.remember(device, name, value)
+            journal.event(clock.now(), "setting changed", at_once=False, device=device, setting=name, before=value)
+
         for name, settings in bench.settings.items():
-            settings.on_first_change = partial(_changes, journal, clock, watched, name)
+            settings.on_first_change = partial(changes, name)
         if resumed is not None and number:
             with clock.party():
                 require_same_devices(bench, resumed)
@@ -250,25 +256,12 @@ def run_session(
 
 
 def limits_of(rig: RigFile) -> InterlockLimits:
-    longest_s, chamber = float(rig.longest_pause), rig.chamber
+    pause, chamber = InterlockLimits(longest_pause_s=float(rig.longest_pause)), rig.chamber
     if chamber is None:
-        return InterlockLimits(longest_pause_s=longest_s)
-    above, below = chamber.never_above, chamber.never_below
-    return InterlockLimits(
-        float(chamber.band),
-        float(chamber.lag),
-        float(chamber.ambient),
-        math.inf if above is None else float(above),
-        -math.inf if below is None else float(below),
-        longest_s,
-    )
-
-
-def _changes(journal: Journal, clock: Clock, watched: Guard | None, device: str, name: str, value: str) -> None:
-    """Called before a device's setting is changed: its value goes to the guard and the journal."""
-    if watched is not None:
-        watched.remember(device, name, value)
-    journal.event(clock.now(), "setting changed", at_once=False, device=device, setting=name, before=value)
+        return pause
+    air = {"temperature_band_k": chamber.band, "temperature_lag_s": chamber.lag, "room_c": chamber.ambient}
+    ends = {"never_above_c": chamber.never_above, "never_below_c": chamber.never_below}
+    return replace(pause, **{name: float(limit) for name, limit in (air | ends).items() if limit is not None})
 
 
 @contextmanager

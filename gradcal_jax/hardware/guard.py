@@ -24,7 +24,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
@@ -64,16 +64,33 @@ def make_safe(
     """
     attempts: list[tuple[SafeOutcome, float, threading.Thread]] = []
 
+    def attempt(outcome: SafeOutcome, act: Callable[[], SafeReport], began_s: float) -> None:
+        line = bench.lines.get(outcome.name)
+        with clock.party():
+            while True:
+                outcome.tries += 1
+                try:
+                    goes_on, report = busy(outcome.name), act()
+                    outcome.evidence = f"{report.evidence}; {_GOES_ON}" if goes_on else report.evidence
+                    outcome.verified = report.verified and not goes_on
+                except BaseException as problem:
+                    # No error of a driver, of whatever kind, prevents the next try.
+                    outcome.evidence = sentence_of(problem)
+                    if isinstance(problem, Disconnected) and line is not None:
+                        # Its cable may be in again.
+                        with suppress(Exception):
+                            line.reopen()
+                if outcome.verified or time.monotonic() >= began_s + deadline_s:
+                    outcome.took_s = time.monotonic() - began_s
+                    return
+                with clock.aside():
+                    time.sleep(_RETRY_PAUSE_S)
+
     def begin(name: str, action: str, act: Callable[[], SafeReport]) -> None:
-        attempt, began_s = SafeOutcome(name, action), time.monotonic()
-
-        def alone() -> SafeReport:
-            goes_on, report = busy(name), act()
-            return replace(report, verified=False, evidence=f"{report.evidence}; {_GOES_ON}") if goes_on else report
-
-        arguments = (attempt, alone, bench.lines.get(name), clock, began_s, deadline_s)
-        thread = threading.Thread(target=_try, args=arguments, daemon=True, name=f"making {name} safe")
-        attempts.append((attempt, began_s, thread))
+        outcome, began_s = SafeOutcome(name, action), time.monotonic()
+        arguments = (outcome, act, began_s)
+        thread = threading.Thread(target=attempt, args=arguments, daemon=True, name=f"making {name} safe")
+        attempts.append((outcome, began_s, thread))
         thread.start()
 
     for entry in bench.rig.axis:
@@ -87,7 +104,7 @@ def make_safe(
         for _, began_s, thread in attempts:
             thread.join(max(0.0, began_s + deadline_s - time.monotonic()))
     now_s = time.monotonic()
-    outcomes = [replace(attempt, took_s=attempt.took_s or now_s - began_s) for attempt, began_s, _ in attempts]
+    outcomes = [replace(outcome, took_s=outcome.took_s or now_s - began_s) for outcome, began_s, _ in attempts]
     streams = [SafeOutcome(entry.name, LEFT, True, "it cannot be unsafe") for entry in bench.rig.imu]
     return outcomes + streams
 
@@ -105,40 +122,14 @@ def put_back(bench: Bench) -> dict[str, str]:
     return problems
 
 
-def _try(
-    attempt: SafeOutcome,
-    act: Callable[[], SafeReport],
-    line: transport.Transport | None,
-    clock: Clock,
-    began_s: float,
-    deadline_s: float,
-) -> None:
-    with clock.party():
-        while True:
-            attempt.tries += 1
-            try:
-                report = act()
-                attempt.evidence = report.evidence
-                attempt.verified = report.verified
-            except BaseException as problem:
-                # No error of a driver, of whatever kind, prevents the next try.
-                attempt.evidence = sentence_of(problem)
-                if isinstance(problem, Disconnected) and line is not None:
-                    # Its cable may be in again.
-                    with suppress(Exception):
-                        line.reopen()
-            if attempt.verified or time.monotonic() >= began_s + deadline_s:
-                attempt.took_s = time.monotonic() - began_s
-                return
-            with clock.aside():
-                time.sleep(_RETRY_PAUSE_S)
-
-
 # -------------------------------------------------------------------------------------------------- the run's own side
 
 
 class Guard:
-    """The run's end of the pipes."""
+    """The run's end of the pipes. The guard ignores Ctrl-C, which the run handles.
+
+    The ports must be opened after it and closed before `close`: then the guard can take over.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -239,14 +230,6 @@ class Guard:
     def _say(self, line: str) -> None:
         with self._lock, suppress(OSError, ValueError):
             self._input.write(line.encode() + b"\n")
-
-
-def guarded(folder: Path) -> closing[Guard]:
-    """Context in which a guard watches this process. The guard ignores Ctrl-C, which the run handles.
-
-    The ports must be opened inside and closed before the end: then the guard can take over.
-    """
-    return closing(Guard(folder))
 
 
 # ------------------------------------------------------------------------------------------------- the guard's process

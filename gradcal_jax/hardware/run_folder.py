@@ -293,7 +293,8 @@ def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> 
             open_step = (number, float(event.data["begins_s"])) if 0 <= number < len(track.steps) else None
         elif event.name == "not done":
             bad_s = starts[min(max(int(event.data["number"]), 0), len(track.steps))]
-            parts = [part if part.end_s <= bad_s else _until(part, bad_s) for part in stretches[first:]]
+            cuts = [(part, max(0.0, part.end_s - bad_s)) for part in stretches[first:]]
+            parts = [replace(part, end_s=part.end_s - cut, ended_s=part.ended_s - cut) for part, cut in cuts]
             stretches[first:] = [part for part in parts if part.end_s > part.start_s]
     close(latest_s)
     return stretches
@@ -310,10 +311,6 @@ def goes_on_at(folder: RunFolder) -> float:
     if done and exit_status(contents) == "lost":
         return done[-1].end_s
     return sum(step.duration_s for step in folder.track().steps[: steps_done(contents, recipe)])
-
-
-def _until(part: StretchDone, end_s: float) -> StretchDone:
-    return replace(part, end_s=end_s, ended_s=part.ended_s - (part.end_s - end_s))
 
 
 def adopt(folder: RunFolder, recipe: Recipe) -> None:

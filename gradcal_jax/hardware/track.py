@@ -6,6 +6,7 @@ repetitions of its cycle (or into pieces of ten minutes where the table only sta
 follow one another without a break; each has the angles, from the axes' zeros, and the temperature at its beginning.
 """
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -287,11 +288,8 @@ def _stretch(
     waits = segments[0].begins == "when stable"
     total = math.fsum(float(segment.duration) for segment in segments)
     pieces = _pieces(block, total, names, ends=ends)
-    knees: list[Course] = []
-    clock = 0.0
-    for segment in segments:
-        knees.append(_course(segment, clock))
-        clock += float(segment.duration)
+    ends_s = itertools.accumulate((float(segment.duration) for segment in segments), initial=0.0)
+    knees = [_course(segment, begins_s) for segment, begins_s in zip(segments, ends_s, strict=False)]
     at = dict.fromkeys(names.values(), 0.0)
     at |= {names[name]: to_unit(float(angle), "deg") for name, angle in block.start.items()}
     steps: list[TrackStep] = []
@@ -408,7 +406,7 @@ def _add(piece: _Piece, move: TrackMove, names: dict[str, str], *, ends: bool) -
     for repetition in range(move.repeat):
         start = float(move.start) + repetition * duration
         if move.do not in ("rest", "wait"):
-            piece.moves += _commands(move, start, names[move.axis])
+            piece.moves.append(_command(move, start, names[move.axis]))
         if move.read_every is not None:
             piece.read_at_s += [start + time for time in reading_times(duration, float(move.read_every))]
             if ends and move.do == "rest" and piece.read_at_s[-1:] != [start + duration]:
@@ -417,18 +415,13 @@ def _add(piece: _Piece, move: TrackMove, names: dict[str, str], *, ends: bool) -
             piece.read_at_s.append(start + duration)
 
 
-def _commands(move: TrackMove, start: float, axis: str) -> list[AxisCommand]:
+def _command(move: TrackMove, start: float, axis: str) -> AxisCommand:
     assert move.angle is not None
     assert move.rate is not None
     assert move.acceleration is not None
-    angle, rate = to_unit(float(move.angle), "deg"), to_unit(float(move.rate), "deg/s")
-    acceleration = to_unit(float(move.acceleration), "deg/s^2")
-    turn = _turn(start, axis, angle, rate, acceleration)
-    by_hand = move.do == "turn by hand"
+    rates = {"rate_dps": abs(to_unit(float(move.rate), "deg/s"))}
+    rates["acceleration_dps2"] = to_unit(float(move.acceleration), "deg/s^2")
+    turn = AxisCommand(start, axis, "turn", angle_deg=to_unit(float(move.angle), "deg"), **rates)
     # Beyond the rounding of the recipe's numbers.
     more_s = round(float(move.duration) - turn.duration_s, 3)
-    return [replace(turn, answer_s=max(0.0, more_s)) if by_hand else turn]
-
-
-def _turn(start: float, axis: str, angle: float, rate: float, acceleration: float) -> AxisCommand:
-    return AxisCommand(start, axis, "turn", rate_dps=abs(rate), acceleration_dps2=acceleration, angle_deg=angle)
+    return replace(turn, answer_s=max(0.0, more_s)) if move.do == "turn by hand" else turn

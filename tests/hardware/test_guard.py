@@ -13,7 +13,7 @@ import sys
 import termios
 import threading
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -143,7 +143,7 @@ def test_it_acts_on_a_run_that_had_begun_and_was_not_done(said: bytes, acts: boo
 
 def test_a_guard_that_could_not_work_keeps_the_run_from_beginning(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text("format = 1")
-    with pytest.raises(HardwareError, match="cannot work with"), guard.guarded(tmp_path):
+    with pytest.raises(HardwareError, match="cannot work with"), closing(guard.Guard(tmp_path)):
         pass
 
 

@@ -123,9 +123,9 @@ def test_weiss_golden_vectors() -> None:
     assert record.numbers[PAIRS_14.actual("CV01")] == 20.5
     assert record.numbers[PAIRS_14.actual("MV03")] == 20.3
     # The manual's write differs from the manual's read in temperature only: everything else is written back.
-    body = weiss.write_body(PAIRS_14, record, temperature_c=-40.0, start=True, start_channel=1)
+    body = weiss.write_body(record, temperature_c=-40.0, start=True, start_channel=1)
     assert weiss.request(0, "E", body) == golden.WEISS_WRITE
-    stopped = weiss.write_body(PAIRS_14, record, temperature_c=-40.0, start=False, start_channel=1)
+    stopped = weiss.write_body(record, temperature_c=-40.0, start=False, start_channel=1)
     assert stopped.split()[:-1] == body.split()[:-1]
     assert stopped.split()[-1] == "0" + "0" + body.split()[-1][2:]
 

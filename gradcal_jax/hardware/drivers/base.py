@@ -19,7 +19,17 @@ from ...files.line_protocol import LineProtocol
 from ...files.register_protocol import RegisterProtocol
 from ..errors import DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout
 from ..request_reply import TRIES, Exchange, Reply
-from ..roles import AxisReading, AxisSafe, ChamberLimits, ChamberReading, ChamberSafe, Identity, SafeReport
+from ..roles import (
+    AxisReading,
+    AxisSafe,
+    ChamberLimits,
+    ChamberReading,
+    ChamberSafe,
+    Identity,
+    MotionAxis,
+    SafeReport,
+    TemperatureChamber,
+)
 
 Config = TypeVar("Config")
 _BETWEEN_LOOKS_S = 0.2
@@ -79,23 +89,11 @@ class ImuDriver(ExchangeDriver[Config]):
         return self._exchange.transport.read_stamped(timeout_s)
 
 
-class ChamberDriver(ExchangeDriver[Config], ABC):
+class ChamberDriver(ExchangeDriver[Config], TemperatureChamber, ABC):
     """A chamber, whose safe state is verified by its read-back."""
 
     _BOUNDS: str
     """What the limits `low` and `high` of a set point are, and what to do about them."""
-
-    @abstractmethod
-    def limits(self) -> ChamberLimits: ...
-
-    @abstractmethod
-    def read(self) -> ChamberReading: ...
-
-    @abstractmethod
-    def hold(self, temperature_c: float) -> None: ...
-
-    @abstractmethod
-    def standby(self) -> None: ...
 
     @abstractmethod
     def _air_c(self) -> float: ...
@@ -127,6 +125,14 @@ class ChamberDriver(ExchangeDriver[Config], ABC):
         return SafeReport(policy.value, verified, self._evidence(reading))
 
 
+class Unwatched:
+    """An axis without a watchdog."""
+
+    def arm_watchdog(self) -> None: ...
+
+    def heartbeat(self) -> None: ...
+
+
 class Placed(Protocol):
     """The options of every axis: the rig's angle at the device's 0, and +1 or -1."""
 
@@ -139,13 +145,10 @@ class Placed(Protocol):
 Place = TypeVar("Place", bound=Placed)
 
 
-class AxisDriver(ExchangeDriver[Place], ABC):
+class AxisDriver(ExchangeDriver[Place], Unwatched, MotionAxis, ABC):
     """An axis with a scale of its own: its angles, what it may be commanded, and the wait until it stands."""
 
     _POLL_S = 0.05
-
-    @abstractmethod
-    def read(self) -> AxisReading: ...
 
     @abstractmethod
     def _per_turn(self) -> float:
@@ -200,14 +203,6 @@ class AxisDriver(ExchangeDriver[Place], ABC):
         if raise_faults and reading.faults:
             raise DeviceFault(f"The axis reports {', '.join(reading.faults)} after {doing}.")
         return reading
-
-
-class Unwatched:
-    """An axis without a watchdog."""
-
-    def arm_watchdog(self) -> None: ...
-
-    def heartbeat(self) -> None: ...
 
 
 class MeanRate:

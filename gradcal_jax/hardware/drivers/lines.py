@@ -29,7 +29,7 @@ from ..framing import LineFramer, NotThisReply
 from ..request_reply import Exchange
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver, DescribedChamber, DescribedDevice, MeanRate, Texts, Unwatched
+from .base import AxisDriver, DescribedChamber, DescribedDevice, MeanRate, Texts
 
 _STOPS_AGAIN_S = 1.0
 _pattern = cache(reply_pattern)
@@ -254,7 +254,7 @@ class LinesChamber(_Spoken, DescribedChamber[LinesConfig]):
         return units.convert(10.0**-decimals, self._protocol.units.ramp, "K/min")
 
 
-class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
+class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
     """Role `MotionAxis`. An axis is referenced after this driver has homed it, until it shows a fault."""
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:

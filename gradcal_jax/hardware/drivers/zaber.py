@@ -30,7 +30,7 @@ from ..framing import LineFramer, NotThisReply
 from ..request_reply import Exchange
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver, MeanRate, Unwatched, codes_of
+from .base import AxisDriver, MeanRate, codes_of
 
 _UNREFERENCED = {"WR", "WH"}
 _REPLY = re.compile(r"@(\d{1,2}) (\d) (?:(\d{1,2}) )?(OK|RJ) (BUSY|IDLE) (--|[A-Z]{2}) (\S.*)")
@@ -105,7 +105,7 @@ def open_exchange(transport: Transport, clock: Clock, config: ZaberConfig) -> Ex
     return Exchange(transport, LineFramer(), clock, "The Zaber stage", config.reply_timeout_s)
 
 
-class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
+class ZaberAxis(AxisDriver[ZaberConfig]):
     """Role `MotionAxis`. Several axes of one chain share an exchange."""
 
     def __init__(self, exchange: Exchange, config: ZaberConfig) -> None:

@@ -75,13 +75,8 @@ class Loop(ABC):
     of theirs, so that it depends on the slope.
     """
 
-    def __init__(self, truth: LoopTruth, temperature_c: float) -> None:
+    def __init__(self, truth: LoopTruth) -> None:
         self._size = np.array(truth.size)
-        self._start(truth, temperature_c)
-
-    @abstractmethod
-    def _start(self, truth: LoopTruth, temperature_c: float) -> None:
-        """The state after a long time at a temperature."""
 
     @abstractmethod
     def shape(self, temperature_c: Vectors, period_s: float) -> Vectors:
@@ -96,7 +91,8 @@ class _Relays(Loop):
     """Weights add up to one for the relays that are open at a temperature, on average; the linear part of the mean of
     heating and cooling, which is no hysteresis, is taken off."""
 
-    def _start(self, truth: LoopTruth, temperature_c: float) -> None:
+    def __init__(self, truth: LoopTruth, temperature_c: float) -> None:
+        super().__init__(truth)
         random = np.random.default_rng([truth.seed, 20264])
         middle = random.uniform(_COLDEST_C, _WARMEST_C, _RELAYS)
         half = truth.width_k * random.uniform(_NARROWEST, _WIDEST, _RELAYS)
@@ -127,7 +123,8 @@ class _Relays(Loop):
 
 
 class _ThermalMasses(Loop):
-    def _start(self, truth: LoopTruth, temperature_c: float) -> None:
+    def __init__(self, truth: LoopTruth, temperature_c: float) -> None:
+        super().__init__(truth)
         spread = _SPREAD * np.random.default_rng([truth.seed, 20267]).uniform(-1.0, 1.0, 2)
         fast_s, slow_s = np.array(truth.times_s) * (1.0 + spread)
         self._masses = Mass(temperature_c, float(fast_s)), Mass(temperature_c, float(slow_s))

@@ -10,9 +10,10 @@ import tomllib
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from ... import units
 from ...files.line_protocol import LineProtocol
@@ -133,19 +134,21 @@ class Unwatched:
     def heartbeat(self) -> None: ...
 
 
-class Placed(Protocol):
-    """The options of every axis: the rig's angle at the device's 0, and +1 or -1."""
+@dataclass(frozen=True)
+class AxisOptions:
+    """Options of every axis: the rig's angle at the device's 0, the sign of its direction, and how long it may take to
+    find its reference and to stop."""
 
-    @property
-    def zero_deg(self) -> float: ...
-    @property
-    def direction(self) -> int: ...
+    direction: Literal[-1, 1] = 1
+    zero_deg: float = 0.0
+    home_timeout_s: float = 120.0
+    stop_timeout_s: float = 30.0
 
 
-Place = TypeVar("Place", bound=Placed)
+Options = TypeVar("Options", bound=AxisOptions)
 
 
-class AxisDriver(ExchangeDriver[Place], Unwatched, MotionAxis, ABC):
+class AxisDriver(ExchangeDriver[Options], Unwatched, MotionAxis, ABC):
     """An axis with a scale of its own: its angles, what it may be commanded, and the wait until it stands."""
 
     _POLL_S = 0.05
@@ -234,15 +237,14 @@ _SETTLED_K = 2.0
 
 
 Description = LineProtocol | RegisterProtocol
-Options = TypeVar("Options")
 
 
-class DescribedDevice(ExchangeDriver[Options], ABC):
+class DescribedDevice(ExchangeDriver[Config], ABC):
     """Common to all roles: fields, commands, states."""
 
     _DRIVER: str
 
-    def __init__(self, exchange: Exchange, config: Options, description: Description, *, require: bool) -> None:
+    def __init__(self, exchange: Exchange, config: Config, description: Description, *, require: bool) -> None:
         super().__init__(exchange, config)
         self._description, self._requires = description, require
 
@@ -288,7 +290,7 @@ class DescribedDevice(ExchangeDriver[Options], ABC):
         return [self._description.state[name].field for name in states if name in self._description.state]
 
 
-class DescribedChamber(DescribedDevice[Options], ChamberDriver[Options]):
+class DescribedChamber(DescribedDevice[Config], ChamberDriver[Config]):
     """Role `Chamber`."""
 
     _BOUNDS = "{low:g} to {high:g} degC, the limits in the protocol of {device}. Change the plan."

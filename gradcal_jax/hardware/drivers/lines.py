@@ -29,32 +29,27 @@ from ..framing import LineFramer, NotThisReply
 from ..request_reply import Exchange
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver, DescribedChamber, DescribedDevice, MeanRate, Texts
+from .base import AxisDriver, AxisOptions, DescribedChamber, DescribedDevice, MeanRate, Texts
 
 _STOPS_AGAIN_S = 1.0
 _pattern = cache(reply_pattern)
 
 
 @dataclass(frozen=True)
-class LinesConfig:
+class LinesConfig(AxisOptions):
     """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables; `changes`:
-    tables that differ from it, `false` for one that is left out. 0 or absent: the protocol's value. `zero_deg` is the
-    rig's angle at the device's 0, `direction` +1 or -1. Without `require` the settings that the protocol requires are
-    not asked for."""
+    tables that differ from it, `false` for one that is left out. 0 or absent: the protocol's value. Without
+    `require` the settings that the protocol requires are not asked for."""
 
     protocol: Any = ""
     changes: Any = None
     baudrate: int = 0
     reply_timeout_s: float = 0.0
-    direction: Literal[-1, 1] = 1
-    zero_deg: float = 0.0
     max_rate_dps: float | None = None
     max_acceleration_dps2: float | None = None
     lowest_deg: float | None = None
     highest_deg: float | None = None
     require: bool = True
-    home_timeout_s: float = 120.0
-    stop_timeout_s: float = 30.0
 
     def __post_init__(self) -> None:
         if not self.baudrate:

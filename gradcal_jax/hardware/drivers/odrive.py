@@ -42,7 +42,7 @@ from ..framing import LineFramer
 from ..request_reply import Exchange
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver, codes_of
+from .base import AxisDriver, AxisOptions, codes_of
 
 IDLE, CLOSED_LOOP = 1, 8
 VELOCITY_RAMP, TRAPEZOID = 2, 5
@@ -57,7 +57,7 @@ _CONTROL_MODE, _INPUT_MODE = "controller.config.control_mode", "controller.confi
 
 
 @dataclass(frozen=True)
-class ODriveConfig:
+class ODriveConfig(AxisOptions):
     """Options of the rig file. `generation` is the firmware's, "0.5" or "0.6"; zero `watchdog_s`: no watchdog."""
 
     motor: Literal[0, 1] = 0
@@ -66,8 +66,6 @@ class ODriveConfig:
     reply_timeout_s: float = 0.3
     watchdog_s: float = 1.0
     turns_per_table_turn: Annotated[float, Field(gt=0.0)] = 1.0
-    direction: Literal[-1, 1] = 1
-    zero_deg: float = 0.0
     max_rate_dps: float = 300.0
     max_acceleration_dps2: float = 300.0
     lowest_deg: float | None = None
@@ -75,7 +73,6 @@ class ODriveConfig:
     in_position_deg: float = 0.05
     home_state: int = 0
     home_timeout_s: float = 60.0
-    stop_timeout_s: float = 30.0
     ready_property: str = ""
     error_property: str = ""
     input_velocity_property: str = "controller.input_vel"

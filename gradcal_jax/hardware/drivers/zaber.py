@@ -19,7 +19,7 @@ they differ (whether a stage writes them to its flash memory at each `set` is op
 import re
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
@@ -30,15 +30,15 @@ from ..framing import LineFramer, NotThisReply
 from ..request_reply import Exchange
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver, MeanRate, codes_of
+from .base import AxisDriver, AxisOptions, MeanRate, codes_of
 
 _UNREFERENCED = {"WR", "WH"}
 _REPLY = re.compile(r"@(\d{1,2}) (\d) (?:(\d{1,2}) )?(OK|RJ) (BUSY|IDLE) (--|[A-Z]{2}) (\S.*)")
 
 
 @dataclass(frozen=True)
-class ZaberConfig:
-    """Options of the rig file. `zero_deg` is the rig's angle at the device's position 0, `direction` +1 or -1."""
+class ZaberConfig(AxisOptions):
+    """Options of the rig file."""
 
     device: Annotated[int, Field(ge=1, le=99)] = 1
     axis: Annotated[int, Field(ge=1, le=9)] = 1
@@ -49,10 +49,6 @@ class ZaberConfig:
     acceleration_factor: float = 1.6384e-4
     max_rate_dps: float = 360.0
     max_acceleration_dps2: float = 300.0
-    direction: Literal[-1, 1] = 1
-    zero_deg: float = 0.0
-    home_timeout_s: float = 120.0
-    stop_timeout_s: float = 30.0
     unpower_command: str = ""
 
     def lacks_for(self, safe: str) -> str:

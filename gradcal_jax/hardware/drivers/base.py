@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib import resources
 from typing import Any, Generic, Literal, TypeVar
 
@@ -239,14 +239,34 @@ _SETTLED_K = 2.0
 Description = LineProtocol | RegisterProtocol
 
 
-class DescribedDevice(ExchangeDriver[Config], ABC):
+@dataclass(frozen=True)
+class DescribedOptions(ABC):
+    """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables; `changes`:
+    tables that differ from it, `false` for one that is left out. 0 or absent: the protocol's value. Without `require`
+    the settings that the protocol requires are not asked for."""
+
+    protocol: Any = ""
+    changes: Any = None
+    baudrate: int = 0
+    reply_timeout_s: float = 0.0
+    require: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.baudrate:
+            object.__setattr__(self, "baudrate", self.described.line.baudrate)
+
+    @cached_property
+    @abstractmethod
+    def described(self) -> Description: ...
+
+
+Described = TypeVar("Described", bound=DescribedOptions)
+
+
+class DescribedDevice(ExchangeDriver[Described], ABC):
     """Common to all roles: fields, commands, states."""
 
     _DRIVER: str
-
-    def __init__(self, exchange: Exchange, config: Config, description: Description, *, require: bool) -> None:
-        super().__init__(exchange, config)
-        self._description, self._requires = description, require
 
     @abstractmethod
     def _read(self, *names: str) -> Texts:
@@ -258,7 +278,7 @@ class DescribedDevice(ExchangeDriver[Config], ABC):
 
     def identify(self) -> Identity:
         known = self._read("model", "serial", "firmware")
-        required = self._description.require if self._requires else ()
+        required = self._config.described.require if self._config.require else ()
         needed = self._read(*(need.field for need in required))
         for need in required:
             if not any(needed[need.field] == text or _same_number(needed[need.field], text) for text in need.equals):
@@ -278,7 +298,7 @@ class DescribedDevice(ExchangeDriver[Config], ABC):
             )
 
     def _is(self, name: str, texts: Texts) -> bool:
-        condition = self._description.state.get(name)
+        condition = self._config.described.state.get(name)
         if condition is None:
             return False
         try:
@@ -287,10 +307,10 @@ class DescribedDevice(ExchangeDriver[Config], ABC):
             raise FramingError(f"{self._title} says {condition.field} = {texts[condition.field]!r}.") from None
 
     def _asks_of(self, *states: str) -> list[str]:
-        return [self._description.state[name].field for name in states if name in self._description.state]
+        return [self._config.described.state[name].field for name in states if name in self._config.described.state]
 
 
-class DescribedChamber(DescribedDevice[Config], ChamberDriver[Config]):
+class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
     """Role `Chamber`."""
 
     _BOUNDS = "{low:g} to {high:g} degC, the limits in the protocol of {device}. Change the plan."
@@ -315,21 +335,21 @@ class DescribedChamber(DescribedDevice[Config], ChamberDriver[Config]):
         """Remove the ramp, which otherwise stays in force, also for the next user of the panel."""
 
     def limits(self) -> ChamberLimits:
-        known, ends = self._description.limits, self._read("lowest", "highest")
+        known, ends = self._config.described.limits, self._read("lowest", "highest")
         lowest, highest = (
             self._celsius(ends[name]) if name in ends else float(limit) if limit is not None else math.nan
             for name, limit in (("lowest", known.lowest), ("highest", known.highest))
         )
         slowest = 0.0 if known.slowest is None else float(known.slowest) * 60.0
         fastest = math.inf if known.fastest is None else float(known.fastest) * 60.0
-        ramps = "ramp" in self._description.tell
+        ramps = "ramp" in self._config.described.tell
         return ChamberLimits(lowest, highest, self._resolution_k(), ramps, slowest, fastest, self._ramp_step())
 
     def read(self) -> ChamberReading:
         states = self._asks_of("conditioning", "alarm", "program")
         texts = self._read("air", "setpoint", "product", "mode", *states, *self._alarm_fields())
         time_s = self._clock.now()
-        conditions = "conditioning" not in self._description.state or self._is("conditioning", texts)
+        conditions = "conditioning" not in self._config.described.state or self._is("conditioning", texts)
         product = self._celsius(texts["product"]) if "product" in texts else None
         air_c, setpoint_c = self._celsius(texts["air"]), self._celsius(texts["setpoint"])
         mode = self._mode(texts)
@@ -343,7 +363,7 @@ class DescribedChamber(DescribedDevice[Config], ChamberDriver[Config]):
         self._condition(True)
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
-        if "ramp" not in self._description.tell:
+        if "ramp" not in self._config.described.tell:
             raise Rejected(f"The protocol of {self._title} has no ramps: it is ramped by steps of its set point.")
         limits = self.limits()
         if not max(limits.slowest_ramp_k_per_min, 1e-9) <= rate_k_per_min <= limits.fastest_ramp_k_per_min:
@@ -354,14 +374,14 @@ class DescribedChamber(DescribedDevice[Config], ChamberDriver[Config]):
         if not now.conditioning or abs(now.setpoint_c - now.air_c) >= _SETTLED_K:
             # A ramp begins at the set point: set it to the temperature of the air.
             self.hold(min(max(now.air_c, limits.lowest_c), limits.highest_c))
-        unit = self._description.units.ramp
+        unit = self._config.described.units.ramp
         shown = self._tell_ramp(units.convert(rate_k_per_min, "K/min", unit))
         self._go_to(temperature_c, ramps=True)
         self._condition(True)
         return units.convert(shown, unit, "K/min")
 
     def standby(self) -> None:
-        if "off" not in self._description.tell:
+        if "off" not in self._config.described.tell:
             raise Rejected(f"{self._title} cannot be put into standby: its description has no [tell] off.")
         self._condition(False)
         self._free_ramp()
@@ -370,12 +390,12 @@ class DescribedChamber(DescribedDevice[Config], ChamberDriver[Config]):
         return self._celsius(self._read("air")["air"])
 
     def _condition(self, on: bool) -> None:
-        if "on" in self._description.tell:
+        if "on" in self._config.described.tell:
             self._switch("on" if on else "off", "conditioning", on)
 
     def _make_ready(self) -> None:
         """What some devices need before a set point: no program runs, and they condition."""
-        if "end_program" in self._description.tell:
+        if "end_program" in self._config.described.tell:
             self._switch("end_program", "program", False)
 
     def _alarm_fields(self) -> list[str]:
@@ -385,13 +405,13 @@ class DescribedChamber(DescribedDevice[Config], ChamberDriver[Config]):
         if not self._is("alarm", texts):
             return ()
         named = [texts[name] for name in ("code", "message") if texts.get(name)]
-        return (" ".join(named) or texts[self._description.state["alarm"].field],)
+        return (" ".join(named) or texts[self._config.described.state["alarm"].field],)
 
     def _mode(self, texts: Texts) -> str:
-        return texts[self._description.state["conditioning"].field]
+        return texts[self._config.described.state["conditioning"].field]
 
     def _celsius(self, text: str) -> float:
-        return self._plausible(units.convert(float(text), self._description.units.temperature, "degC"))
+        return self._plausible(units.convert(float(text), self._config.described.units.temperature, "degC"))
 
 
 def _same_number(left: str, right: str) -> bool:

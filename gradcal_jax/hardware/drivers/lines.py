@@ -29,31 +29,20 @@ from ..framing import LineFramer, NotThisReply
 from ..request_reply import Exchange
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver, AxisOptions, DescribedChamber, DescribedDevice, MeanRate, Texts
+from .base import AxisDriver, AxisOptions, DescribedChamber, DescribedDevice, DescribedOptions, MeanRate, Texts
 
 _STOPS_AGAIN_S = 1.0
 _pattern = cache(reply_pattern)
 
 
 @dataclass(frozen=True)
-class LinesConfig(AxisOptions):
-    """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables; `changes`:
-    tables that differ from it, `false` for one that is left out. 0 or absent: the protocol's value. Without
-    `require` the settings that the protocol requires are not asked for."""
+class LinesConfig(DescribedOptions, AxisOptions):
+    """Options of the rig file; absent: the protocol's value."""
 
-    protocol: Any = ""
-    changes: Any = None
-    baudrate: int = 0
-    reply_timeout_s: float = 0.0
     max_rate_dps: float | None = None
     max_acceleration_dps2: float | None = None
     lowest_deg: float | None = None
     highest_deg: float | None = None
-    require: bool = True
-
-    def __post_init__(self) -> None:
-        if not self.baudrate:
-            object.__setattr__(self, "baudrate", self.described.line.baudrate)
 
     @cached_property
     def described(self) -> LineProtocol:
@@ -136,7 +125,7 @@ class _Spoken(DescribedDevice[LinesConfig]):
     _DRIVER = "lines"
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
-        super().__init__(exchange, config, config.described, require=config.require)
+        super().__init__(exchange, config)
         self._protocol, self._codec = config.described, Codec(config.described)
         replies = (reply for command in self._protocol.tell.values() for reply in command.reply)
         self._acknowledgements = [_pattern(reply) for reply in replies]

@@ -24,28 +24,17 @@ from ..framing import Modbus, Rtu, Tcp, parse_words, parse_written, read_body, w
 from ..request_reply import Exchange
 from ..roles import ChamberSafe
 from ..transport import Transport
-from .base import DescribedChamber, Texts
+from .base import DescribedChamber, DescribedOptions, Texts
 
 _FINEST_DECIMALS = 3
 _FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}
 
 
 @dataclass(frozen=True)
-class RegistersConfig:
-    """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables; `changes`:
-    tables that differ from it, `false` for one that is left out. 0 or absent: the protocol's value. Without `require`
-    the settings that the protocol requires are not asked for."""
+class RegistersConfig(DescribedOptions):
+    """Options of the rig file."""
 
-    protocol: Any = ""
-    changes: Any = None
     address: Annotated[int, Field(ge=0, le=255)] = 1
-    baudrate: int = 0
-    reply_timeout_s: float = 0.0
-    require: bool = True
-
-    def __post_init__(self) -> None:
-        if not self.baudrate:
-            object.__setattr__(self, "baudrate", self.described.line.baudrate)
 
     @cached_property
     def described(self) -> RegisterProtocol:
@@ -78,7 +67,7 @@ class RegistersChamber(DescribedChamber[RegistersConfig]):
     _DRIVER = "registers"
 
     def __init__(self, exchange: Exchange, config: RegistersConfig) -> None:
-        super().__init__(exchange, config, config.described, require=config.require)
+        super().__init__(exchange, config)
         self._protocol, self._modbus = config.described, config.modbus
         self._powers: dict[str, int] = {}
 

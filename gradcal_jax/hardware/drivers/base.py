@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from importlib import resources
 from typing import Any, Generic, Literal, TypeVar
 
@@ -38,9 +38,9 @@ _OVER_S = 0.4
 _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 
 
-@cache
 def codes_of(driver: str) -> Mapping[str, Any]:
-    """The texts of a driver's codes, by code as it is written in `files/device_codes.toml`."""
+    """The texts of a driver's codes, by code as it is written in `files/device_codes.toml`. To be read when a driver is
+    loaded, before anything moves."""
     text = resources.files("gradcal_jax.files").joinpath("device_codes.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)[driver]
 

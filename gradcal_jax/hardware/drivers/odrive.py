@@ -48,6 +48,7 @@ IDLE, CLOSED_LOOP = 1, 8
 VELOCITY_RAMP, TRAPEZOID = 2, 5
 VELOCITY_CONTROL, POSITION_CONTROL = 2, 3
 
+_ERRORS = codes_of("odrive")
 _REFUSALS = ("invalid command format", "invalid motor", "invalid property", "not implemented", "unknown command")
 _NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 _FEEDBACK = re.compile(rf"({_NUMBER}) ({_NUMBER})")
@@ -284,7 +285,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
     def _faults(self) -> tuple[str, ...]:
         code = self._error_code()
-        names = codes_of("odrive")[self._config.generation]
+        names = _ERRORS[self._config.generation]
         known = [f"{bit} ({text})" for bit, text in names.items() if code & int(bit, 16)]
         rest = code & ~sum(int(bit, 16) for bit in names)
         return tuple(known + ([f"0x{rest:x}"] if rest else []))

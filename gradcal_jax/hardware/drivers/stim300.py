@@ -313,6 +313,7 @@ class Stim300Decoder:
         return imu_batch(host_time_s, times, rates, acceleration, temperature, **more)
 
 
+_STATUS_TEXTS = codes_of("stim300")
 SAMPLE_RATE_CODES = {125.0: 0, 250.0: 1, 500.0: 2, 1000.0: 3, 2000.0: 4}
 
 
@@ -358,7 +359,7 @@ def parse_utility(frame: bytes) -> tuple[str, list[str]]:
         raise FramingError(f"{printable(frame)!r} is no reply of Utility Mode.")
     status = int(fields[0])
     if status not in (0, 8):
-        text = codes_of("stim300").get(str(status), "unknown status")
+        text = _STATUS_TEXTS.get(str(status), "unknown status")
         raise Rejected(
             f"The unit refuses {name or 'the command'}: status {status} ({text}).", code=fields[0], text=text
         )

@@ -31,6 +31,7 @@ from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, KeptSetti
 from ..transport import Transport
 from .base import ImuDriver, codes_of
 
+_ERRORS = codes_of("vectornav")
 _SYNC, _DOLLAR = 0xFA, 0x24
 _LONGEST_PACKET = 600
 _LONGEST_LINE = 256
@@ -78,7 +79,7 @@ def parse_line(frame: bytes) -> list[str]:
     fields = body.decode("ascii", "replace").split(",")
     if fields[0] == "VNERR":
         code = str(int(fields[1])) if len(fields) > 1 and fields[1].isdigit() else "?"
-        text = codes_of("vectornav").get(code, "unknown error")
+        text = _ERRORS.get(code, "unknown error")
         raise Rejected(f"The unit reports error {code}: {text}.", code=code, text=text)
     return fields
 

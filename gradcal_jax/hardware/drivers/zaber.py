@@ -32,6 +32,7 @@ from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, S
 from ..transport import Transport
 from .base import AxisDriver, AxisOptions, MeanRate, codes_of
 
+_WARNINGS = codes_of("zaber")
 _UNREFERENCED = {"WR", "WH"}
 _REPLY = re.compile(r"@(\d{1,2}) (\d) (?:(\d{1,2}) )?(OK|RJ) (BUSY|IDLE) (--|[A-Z]{2}) (\S.*)")
 
@@ -248,7 +249,7 @@ def _axis_of(setting: str) -> int | None:
 
 
 def _meaning(flag: str) -> str:
-    return f"{flag} ({codes_of('zaber').get(flag, 'see the manual')})"
+    return f"{flag} ({_WARNINGS.get(flag, 'see the manual')})"
 
 
 def _number(reply: Reply) -> float:

@@ -33,9 +33,9 @@ def made(folder: Path, hours: float) -> Path:
     from hardware_bench import short_recipe
 
     from gradcal_jax.files.rig import TEMPLATE, parse_rig
-    from gradcal_jax.hardware.binding import track_of
     from gradcal_jax.hardware.journal import Journal
     from gradcal_jax.hardware.run_folder import begin_session, new_folder
+    from gradcal_jax.hardware.track import track_of
 
     ramp_k = min(100.0, 60.0 * hours)
     changes = {

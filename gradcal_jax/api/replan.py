@@ -136,7 +136,7 @@ def replan(
 ) -> Optimised:
     """The best plan for the rest of a run, after its executed part. For a whole unit use `rest_of` and `optimise`.
 
-    `spec`: of the executed recipe; `done`: the executed spans on its plan's clock (s), as `hardware.stretches` reads
+    `spec`: of the executed recipe; `done`: the executed spans on its plan's clock (s), as `hardware.run_folder` reads
     them from the journal. `left_s`: how long the rest may take; None: the plan's remaining time. `pause_s`: duration of
     the interruption. `quick`, `watch` and the result: as `optimise`; the returned spec has `done`, and its values (ppm
     or deg/h) are those of the whole run.

@@ -12,8 +12,7 @@ def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quic
     the journal counts in every prediction. `time`, `pause`: options of the command."""
     from gradcal_jax.cli import optimise as searches
     from gradcal_jax.files import write_toml
-    from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
-    from gradcal_jax.hardware.stretches import stretches_of
+    from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume, stretches_of
     from gradcal_jax.units import parse, time_text
 
     folder = RunFolder(run)

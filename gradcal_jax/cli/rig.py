@@ -148,11 +148,11 @@ def record(rig: Path, /, *, output: Output, move: Flag = False, force: Force = F
 
 def _tried(rig: "RigFile", recipe: Path, move: bool) -> "list[Tried]":
     from gradcal_jax.files.recipe import read_recipe
-    from gradcal_jax.hardware.binding import track_of
     from gradcal_jax.hardware.clock import RealClock
     from gradcal_jax.hardware.dry_run import try_for
-    from gradcal_jax.hardware.safety import put_back
+    from gradcal_jax.hardware.guard import put_back
     from gradcal_jax.hardware.setup import open_rig
+    from gradcal_jax.hardware.track import track_of
 
     track = track_of(read_recipe(recipe), [axis.name for axis in rig.axis])
     clock = RealClock()

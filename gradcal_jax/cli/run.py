@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from gradcal_jax.files.rig import RigFile
     from gradcal_jax.hardware.execute import Attended
     from gradcal_jax.hardware.runner import Runner
-    from gradcal_jax.hardware.states import RunProgress, RunResult
+    from gradcal_jax.hardware.supervision import RunProgress, RunResult
 
 _REHEARSAL = "simulated devices: a rehearsal, not a measurement"
 
@@ -117,11 +117,11 @@ def run(
 def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
     from gradcal_jax.files.recipe import read_recipe
     from gradcal_jax.files.rig import read_rig
-    from gradcal_jax.hardware.binding import track_of
     from gradcal_jax.hardware.clock import RealClock
     from gradcal_jax.hardware.dry_run import dry_run_of
     from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits
     from gradcal_jax.hardware.setup import check_each
+    from gradcal_jax.hardware.track import track_of
 
     bench = read_rig(rig)
     track = track_of(read_recipe(recipe), [axis.name for axis in bench.axis])
@@ -148,7 +148,7 @@ def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
 
 def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
     """Print the checklist before a run and, on a terminal, ask the operator to confirm it."""
-    from gradcal_jax.hardware.binding import track_of
+    from gradcal_jax.hardware.track import track_of
 
     track = track_of(recipe, [axis.name for axis in rig.axis])
     temperatures = [course.temperature_c for step in track.steps for course in step.courses]
@@ -180,8 +180,7 @@ def _resume(path: Path, recipe: Path | None, rig: Path | None, json: bool) -> in
     from gradcal_jax.files.recipe import read_recipe
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.execute import resume
-    from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
-    from gradcal_jax.hardware.stretches import adopt
+    from gradcal_jax.hardware.run_folder import RunFolder, adopt, prepare_resume
 
     folder = RunFolder(path)
     bench = None if rig is None else read_rig(rig)
@@ -230,7 +229,7 @@ class _Watcher:
     """
 
     def __init__(self, simulated: bool, *, quiet: bool, virtual: bool = False) -> None:
-        from gradcal_jax.hardware.terminal import Terminal
+        from gradcal_jax.hardware.transport import Terminal
 
         self._simulated = simulated
         self._virtual = virtual

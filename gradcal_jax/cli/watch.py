@@ -59,8 +59,7 @@ def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Jso
 
 
 def _known(run: Path) -> list[dict[str, Any]]:
-    from gradcal_jax.hardware.run_folder import RunFolder
-    from gradcal_jax.hardware.stretches import goes_on_at, stretches_of
+    from gradcal_jax.hardware.run_folder import RunFolder, goes_on_at, stretches_of
 
     folder = RunFolder(run)
     spec, spans = folder.recipe().spec, [(part.start_s, part.end_s) for part in stretches_of(folder)]

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from ..files.rig import ImuDevice
 from ..hardware.journal import Chunk, Event
 from ..hardware.roles import ImuBatch, ImuDecoder, join
-from ..hardware.run_folder import SESSION
+from ..hardware.run_folder import SESSION, breaks_off
 from ..hardware.setup import config_of, driver_of
-from ..hardware.stretches import breaks_off
 from .spool import SampleSpool
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..files.log import AngleReadings, ReadingKind
 from ..hardware.journal import Event
-from ..hardware.stretches import breaks_off
+from ..hardware.run_folder import breaks_off
 from ..hardware.track import AxisCommand
 from .row_times import RowTimes
 

@@ -314,14 +314,20 @@ def _own_angles(log: ImuRows, spans: list[tuple[int, int]], legs: list[_Leg]) ->
         own = [leg for leg in legs if leg.axis in (axis, -1)]
         begins = [spans[0][0], *(leg.end for leg in own)]
         ends = [*(leg.begin for leg in own), spans[-1][1]]
+        # It is read as soon as it stands, which may be a row of its move.
+        stops = [begins[0], *(leg.end if leg.axis < 0 else leg.begin + 1 for leg in own)]
         values = []
-        for a, b in zip(begins, ends, strict=True):
+        for a, b, since in zip(begins, ends, stops, strict=True):
             rows, quarter = np.arange(a, max(b, a) + 1), max(b - a, 0) // 4
             rest = rows[standing[rows]]
             rows = np.arange(rest[0], rest[-1] + 1) if len(rest) else rows[quarter : len(rows) - quarter]
             read = log.angles[rows, axis]
-            known = np.isfinite(read)
-            values.append(float(np.mean(read[known] if known.any() else _nearest(log.angles[:, axis], int(rows[0])))))
+            read = read[np.isfinite(read)]
+            if not len(read):
+                # A reading behind its next move, of another session even, may be nearer than its own last one.
+                read = log.angles[since : b + 1, axis]
+                read = read[np.isfinite(read)][-1:]
+            values.append(float(np.mean(read if len(read) else _nearest(log.angles[:, axis], int(rows[0])))))
         result.append(np.array(values))
     return result
 

@@ -111,12 +111,10 @@ class AxisControl:
 
     @property
     def turned_by_hand(self) -> bool:
-        """Whether an axis is being turned by hand now."""
         return bool(self._planned_end_s)
 
     @property
     def by_hand(self) -> bool:
-        """Whether an axis of the run is turned by hand."""
         return bool(self._by_hand)
 
     @property
@@ -236,7 +234,6 @@ class AxisControl:
             self._command(step, AxisCommand(at_s, name, "stop"))
 
     def stop(self) -> None:
-        """Stop every axis now."""
         for name, axis in self._axes.items():
             axis.stop()
             self._asks(name, 0.0)

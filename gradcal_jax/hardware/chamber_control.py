@@ -105,7 +105,6 @@ class ChamberControl:
         self.newest: ChamberReading | None = None
 
     def heard(self, reading: ChamberReading) -> None:
-        """Remember a reading."""
         with self._lock:
             self.newest = reading
             if not reading.conditioning:
@@ -208,23 +207,22 @@ class ChamberControl:
     def watch(self, every_s: float, watching: threading.Event, failed: Callable[[str], None]) -> None:
         """Read the chamber while `watching`, in a separate thread."""
         failures = 0
-        with self._clock.party():
-            while watching.is_set():
-                self._clock.sleep(every_s)
-                if not watching.is_set():
+        while watching.is_set():
+            self._clock.sleep(every_s)
+            if not watching.is_set():
+                return
+            try:
+                self.step_soft_ramp()
+                reading = self.chamber.read()
+                self.heard(reading)
+                failures = 0
+                self._event("chamber", at_once=False, **event_fields(reading))
+            except Exception as problem:
+                failures += 1
+                self._event("chamber not read", problem=str(problem))
+                if failures == 3 or isinstance(problem, Disconnected):
+                    failed(f"The chamber cannot be read: {problem}")
                     return
-                try:
-                    self.step_soft_ramp()
-                    reading = self.chamber.read()
-                    self.heard(reading)
-                    failures = 0
-                    self._event("chamber", at_once=False, **event_fields(reading))
-                except Exception as problem:
-                    failures += 1
-                    self._event("chamber not read", problem=str(problem))
-                    if failures == 3 or isinstance(problem, Disconnected):
-                        failed(f"The chamber cannot be read: {problem}")
-                        return
 
     def tell(self, course: Course, due_s: float, failed: Callable[[str], None]) -> None:
         """Runs in a separate thread: a chamber that takes seconds to acknowledge delays no move and no reading."""

@@ -10,7 +10,7 @@ from functools import cache, reduce
 import numpy as np
 from numpy.typing import NDArray
 
-BIT_REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
+_BIT_REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 
 
 def _modbus_of(byte: int) -> int:
@@ -36,8 +36,8 @@ def crc32_mpeg2(data: bytes) -> int:
     It is the ordinary CRC-32 of the bit-reversed bytes, un-inverted and bit-reversed: the C loop of `zlib` is about
     fourteen times as fast as a table in Python.
     """
-    ordinary = zlib.crc32(data.translate(BIT_REVERSED)) ^ 0xFFFFFFFF
-    return int.from_bytes(ordinary.to_bytes(4, "little").translate(BIT_REVERSED), "big")
+    ordinary = zlib.crc32(data.translate(_BIT_REVERSED)) ^ 0xFFFFFFFF
+    return int.from_bytes(ordinary.to_bytes(4, "little").translate(_BIT_REVERSED), "big")
 
 
 def crc32_mpeg2_of_rows(rows: NDArray[np.uint8]) -> NDArray[np.uint32]:

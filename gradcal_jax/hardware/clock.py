@@ -1,9 +1,11 @@
 """Clocks of a run.
 
-All waiting for chambers and tables is on a `Clock`, never by `time.sleep`. `RealClock` waits really;
-`simulate.virtual_clock`, for simulated devices only, skips the waiting.
+All waiting for chambers and tables is on a `Clock`, never by `time.sleep`. `RealClock` waits really; `VirtualClock`,
+for simulated devices only, skips the waiting.
 """
 
+import heapq
+import itertools
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -36,7 +38,6 @@ class Clock(Protocol):
 
     def sleep_until(self, time_s: float) -> None:
         """Return at `time_s` of this clock, at once if that is in the past."""
-        ...
 
     def sleep(self, duration_s: float) -> None: ...
 
@@ -94,3 +95,98 @@ def beside(work: Callable[[], object], clock: Clock, duties: Callable[[], None])
         clock.sleep(_BESIDE_S)
     if problems:
         raise problems[0]
+
+
+class VirtualClock:
+    """Time that stands still while any party works and jumps to the next wake-up when all wait: a run of hours takes as
+    long as its computation, with the same code and order of events.
+
+    `speed` limits the rate to that many virtual seconds per real second; without it time runs as fast as possible.
+    """
+
+    def __init__(self, start_s: float = 0.0, *, speed: float | None = None) -> None:
+        if speed is not None and not speed > 0.0:
+            raise ValueError(f"The speed of the virtual clock is {speed}; give a number above zero.")
+        self.lock = threading.Lock()
+        self._now = start_s
+        self._speed = speed
+        self._origin = (start_s, time.monotonic())
+        self._order = itertools.count()
+        self._sleepers: list[tuple[float, int, threading.Lock]] = []
+        self._working = 0
+        self._members: dict[int, int] = {}
+
+    def now(self) -> float:
+        return self._now
+
+    def sleep(self, duration_s: float) -> None:
+        self.sleep_until(self._now + duration_s)
+
+    def sleep_until(self, time_s: float) -> None:
+        gate = threading.Lock()
+        gate.acquire()
+        with self.lock:
+            if time_s <= self._now:
+                return
+            member = threading.get_ident() in self._members
+            heapq.heappush(self._sleepers, (time_s, next(self._order), gate))
+            self._working -= member
+            self.advance_if_all_wait()
+        self._await(gate)
+        # A woken thread counts as working from the time of waking, before it has run.
+        if not member:
+            with self.lock:
+                self._working -= 1
+                self.advance_if_all_wait()
+        if self._speed is not None:
+            virtual_origin, real_origin = self._origin
+            due = real_origin + (self._now - virtual_origin) / self._speed
+            time.sleep(max(due - time.monotonic(), 0.0))
+
+    @contextmanager
+    def party(self) -> Generator[None, None, None]:
+        thread = threading.get_ident()
+        with self.lock:
+            self._members[thread] = self._members.get(thread, 0) + 1
+            self._working += self._members[thread] == 1
+        try:
+            yield
+        finally:
+            with self.lock:
+                self._members[thread] -= 1
+                if not self._members[thread]:
+                    del self._members[thread]
+                    self._working -= 1
+                self.advance_if_all_wait()
+
+    @contextmanager
+    def aside(self) -> Generator[None, None, None]:
+        thread = threading.get_ident()
+        with self.lock:
+            depth = self._members.pop(thread, 0)
+            self._working -= depth > 0
+            self.advance_if_all_wait()
+        try:
+            yield
+        finally:
+            with self.lock:
+                if depth:
+                    self._members[thread] = depth
+                    self._working += 1
+
+    def advance_if_all_wait(self) -> None:
+        """Wake the next sleepers when no party works. The caller holds `lock`."""
+        if self._working or not self._sleepers or self._is_held():
+            return
+        self._now = max(self._now, self._sleepers[0][0])
+        while self._sleepers and self._sleepers[0][0] <= self._now:
+            _, _, gate = heapq.heappop(self._sleepers)
+            self._working += 1
+            gate.release()
+
+    def _await(self, gate: threading.Lock) -> None:
+        gate.acquire()
+
+    def _is_held(self) -> bool:
+        """Whether something beside the parties holds the time."""
+        return False

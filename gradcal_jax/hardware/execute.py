@@ -1,25 +1,49 @@
-"""Execution of a recipe, on a rig or on simulated devices (`gradcal run`)."""
+"""Execution of a recipe, on a rig or on simulated devices (`gradcal run`): sessions of a run, from opening the ports to
+closing them.
 
+Ctrl-C pauses after the step; a second Ctrl-C makes safe and ends. SIGTERM and SIGHUP make safe and end.
+"""
+
+import itertools
 import json
-from collections.abc import Callable, Mapping
+import math
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Generator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import FrameType
 from typing import Any, Final, TypedDict, Unpack
 
 from ..files.recipe import Recipe
 from ..files.rig import OPERATOR, TERMINAL, RigFile
 from ..files.writing import write_whole
-from .clock import RealClock
-from .journal import JournalContents
-from .run_folder import RunFolder, mounting_of, new_folder, prepare_resume
+from .clock import Clock, RealClock, VirtualClock
+from .errors import HardwareError
+from .guard import BEAT_S, Guard
+from .interlocks import InterlockLimits, Interlocks
+from .journal import Journal, JournalContents, Recorder
+from .pose import drawn
+from .run_folder import (
+    RunFolder,
+    begin_session,
+    mounting_of,
+    new_folder,
+    prepare_resume,
+    require_same_devices,
+    sessions,
+)
 from .runner import Runner
-from .session import run_session
-from .setup import configs_of
-from .simulate.datagrams import RATES_HZ
+from .setup import Bench, configs_of, open_rig
+from .simulate.devices import RATES_HZ
 from .simulate.lab import SimulatedLab
-from .simulate.virtual_clock import VirtualClock
-from .states import RunProgress, RunResult
-from .supervision import Knows
-from .terminal import Terminal
+from .supervision import Knows, RunProgress, RunResult, RunState, StatusFile, sound_alarm
+from .track import track_of
+from .transport import Terminal
 
 # A resumed simulated run continues this long after its last record.
 _LATER_S: Final = 60.0
@@ -27,7 +51,7 @@ _MOST_UNITS: Final = 8
 
 
 class Attended(TypedDict, total=False):
-    """The arguments of `session.run_session` for the operator's interface."""
+    """The arguments of `run_session` for the operator's interface."""
 
     on_progress: Callable[[RunProgress], None]
     with_runner: Callable[[Runner], None]
@@ -73,8 +97,7 @@ def run(
         known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
         raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; it does at {known} Hz")
     if not 1 <= units <= _MOST_UNITS:
-        message = f"1 to {_MOST_UNITS} units hang on the simulated table; expected another number than {units}"
-        raise ValueError(message)
+        raise ValueError(f"1 to {_MOST_UNITS} units hang on the simulated table; expected another number than {units}")
     simulation = {"seed": seed, "speed": speed, "sample_rate_hz": sample_rate_hz, "units": units}
     lab, clock = _laboratory(recipe, simulation)
     made = new_folder(path, recipe, lab.rig, simulated=simulation, about=about)
@@ -126,3 +149,173 @@ def _laboratory(
     settings: Any = {"seed": int(simulation["seed"]), "sample_rate_hz": float(simulation["sample_rate_hz"])}
     mounting = 0 if before is None else max(mounting_of(before) - 1, 0)
     return SimulatedLab(recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting), clock
+
+
+# Longer than the run's own thread ever waits for one device: homing takes minutes.
+_HANGS_S = 300.0
+
+
+def run_session(
+    folder: RunFolder,
+    rig: RigFile,
+    clock: Clock,
+    *,
+    first_step: int = 0,
+    simulated: bool = False,
+    bench: Bench | None = None,
+    guard: bool = False,
+    interlocks: Interlocks | None = None,
+    on_progress: Callable[[RunProgress], None] | None = None,
+    with_runner: Callable[[Runner], None] | None = None,
+    handle_signals: bool = False,
+    safe_deadline_s: float = 60.0,
+    wait_when_paused: bool = False,
+    terminal: Terminal | None = None,
+    knows: Knows | None = None,
+) -> RunResult:
+    """Execute a run's recipe from `first_step` on, and leave everything safe.
+
+    `bench`: the open devices, where they are not at the ports of the rig file. `guard`: a process beside this one makes
+    the rig safe if this one is killed or broken off, and tries again where this one ends with a device that is not
+    verified safe. `with_runner` is called with the runner before it starts. Without `wait_when_paused`, which needs an
+    operator, a reason to pause ends the run, safe. `terminal` is where the operator is asked to turn axes; `knows`
+    gives the knowledge so far, for the status. Raises `HardwareError` where the run cannot start; later problems are in
+    the result.
+    """
+    recipe = folder.recipe()
+    track = track_of(recipe, [axis.name for axis in rig.axis])
+    resumed = folder.events() if folder.journal_path.exists() else None
+    with ExitStack() as stack:
+        journal = stack.enter_context(Journal(folder.journal_path))
+        watched = stack.enter_context(closing(Guard(folder.path))) if guard else None
+        units = {device.port for device in rig.imu}
+
+        def recorder_of(url: str) -> Recorder | None:
+            # A unit's stream goes into the journal separately, under the unit's name.
+            return None if url in units else journal.recorder(f"port {url}")
+
+        bench = stack.enter_context(bench or open_rig(rig, clock, recorder_of, terminal=terminal))
+        number = 0 if resumed is None else sessions(resumed)
+        numbers, recipes = itertools.count(number), len(folder.recipes())
+
+        def new_session(first_step: int) -> None:
+            part = {"first_step": first_step, "recipe": recipes - 1}
+            begin_session(journal, clock.now(), next(numbers), rig, simulated=simulated, **part)
+
+        new_session(first_step)
+        if journal.problem:
+            raise HardwareError(journal.problem)
+
+        def changes(device: str, name: str, value: str) -> None:
+            """Before a device's setting is changed its value goes to the guard and the journal."""
+            if watched is not None:
+                watched.remember(device, name, value)
+            journal.event(clock.now(), "setting changed", at_once=False, device=device, setting=name, before=value)
+
+        for name, settings in bench.settings.items():
+            settings.on_first_change = partial(changes, name)
+        if resumed is not None and number:
+            with clock.party():
+                require_same_devices(bench, resumed)
+        status = stack.enter_context(StatusFile(folder.path, simulated=simulated, knows=knows))
+
+        def show(progress: RunProgress) -> None:
+            status.show(progress)
+            if on_progress is not None:
+                on_progress(progress)
+
+        runner = Runner(
+            track,
+            bench,
+            journal,
+            clock,
+            interlocks or Interlocks(limits_of(rig)),
+            show,
+            None if rig.alarm is None else partial(sound_alarm, rig),
+            safe_deadline_s=safe_deadline_s,
+            wait_when_paused=wait_when_paused,
+            first_step=first_step,
+            mounting=0 if resumed is None else mounting_of(resumed),
+            # Of a gyro along the only axis no direction across it matters, nor is it known.
+            draw=None if recipe.spec.is_one_axis else partial(drawn, recipe.spec),
+        )
+        runner.on_new_session = new_session
+        if with_runner is not None:
+            with_runner(runner)
+        if handle_signals:
+            stack.enter_context(signals_to(runner))
+        if watched is not None:
+            runner.on_begin = watched.begun
+            stack.enter_context(_beating(watched, runner, journal, clock))
+        result = runner.run()
+        status.end(result)
+        # A start that commanded nothing leaves nothing to the guard, which would keep the ports from the next one.
+        if watched is not None and (result.verified_safe or not result.begun):
+            watched.done()
+        return result
+
+
+def limits_of(rig: RigFile) -> InterlockLimits:
+    pause, chamber = InterlockLimits(longest_pause_s=float(rig.longest_pause)), rig.chamber
+    if chamber is None:
+        return pause
+    air = {"temperature_band_k": chamber.band, "temperature_lag_s": chamber.lag, "room_c": chamber.ambient}
+    ends = {"never_above_c": chamber.never_above, "never_below_c": chamber.never_below}
+    return replace(pause, **{name: float(limit) for name, limit in (air | ends).items() if limit is not None})
+
+
+@contextmanager
+def _beating(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> Generator[None, None, None]:
+    """Context in which the guard is told that the run is alive, as long as the run's own thread is."""
+    over = threading.Event()
+
+    def beat() -> None:
+        while not over.wait(BEAT_S):
+            if time.monotonic() - runner.ticked_s > _HANGS_S:
+                continue
+            try:
+                sentence = watched.beat()
+            except Exception as problem:
+                sentence = str(problem)
+            if sentence:
+                print(sentence, file=sys.stderr, flush=True)
+                journal.event(clock.now(), "guard", what=sentence)
+
+    thread = threading.Thread(target=beat, daemon=True, name="telling the guard")
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+@contextmanager
+def signals_to(runner: Runner) -> Generator[None, None, None]:
+    """Ctrl-C once: pause after this step; again, or while it is paused: make safe and end, as SIGTERM and SIGHUP do.
+    Before the first step it ends the run.
+
+    Only in the main thread (Python's rule for signals).
+    """
+    paused_s = [-math.inf]
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        # Two signals at once count as two, even before the first has been handled.
+        again = (
+            runner.state in (RunState.IDLE, RunState.PAUSING, RunState.PAUSED) or time.monotonic() - paused_s[0] < 2.0
+        )
+        paused_s[0] = time.monotonic()
+        runner.request("abort" if again else "soft pause", "Ctrl-C")
+
+    def terminate(number: int, frame: FrameType | None) -> None:
+        runner.request("abort", signal.Signals(number).name)
+
+    handlers = {signal.SIGINT: interrupt, signal.SIGTERM: terminate}
+    if hasattr(signal, "SIGHUP"):
+        handlers[signal.SIGHUP] = terminate
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,8 +1,11 @@
-"""The guard: a process beside the run that makes the rig safe when the run no longer can.
+"""Making a rig safe, and the guard: a process beside the run that does so when the run no longer can.
 
-It reads all that it needs before anything moves: the rig file, the drivers, the folder of the journal. Then it sends
-"ready". A pipe in each direction connects the two. The run sends "begun" before its first command, "before" with every
-setting of a device before the first change, "alive" every second, and "done" when it has ended by itself with
+Every device is made safe in its own thread, with its own deadline, retried, verified by read-back: one that hangs
+delays no other.
+
+The guard reads all that it needs before anything moves: the rig file, the drivers, the folder of the journal. Then it
+sends "ready". A pipe in each direction connects the two. The run sends "begun" before its first command, "before" with
+every setting of a device before the first change, "alive" every second, and "done" when it has ended by itself with
 everything verified safe, or before it commanded anything. The guard replies "alive".
 
 When the pipe closes after "begun" or "before" and without "done", the run was killed, broken off, or could not reach a
@@ -20,19 +23,20 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
-from contextlib import closing, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
 from ..files.rig import RigFile, read_rig
 from . import transport
 from .clock import Clock, RealClock
-from .errors import HardwareError, PortRefused, PortTaken, sentence_of
+from .errors import Disconnected, HardwareError, PortRefused, PortTaken, sentence_of
 from .journal import Journal
-from .safety import SafeOutcome, make_safe, put_back
-from .setup import Bench, configs_of, lines_of, only_of, open_rig
-from .supervision import end_status, sound_alarm
+from .roles import AxisSafe, ChamberSafe, SafeReport
+from .setup import LEFT, Bench, configs_of, lines_of, only_of, open_rig
+from .supervision import SafeOutcome, end_status, sound_alarm
 
 Settings = dict[str, dict[str, str]]
 """Settings of devices before the run changed them, by device and name."""
@@ -43,13 +47,89 @@ _TO_START_S = 30.0
 _TO_OPEN_S = 3.0
 _KEEP_TRYING_S = 3600.0
 _LONGEST_PAUSE_S = 30.0
+_RETRY_PAUSE_S = 0.2
+_GOES_ON = "an earlier command to it goes on"
+
+
+def make_safe(
+    bench: Bench, clock: Clock, *, deadline_s: float = 60.0, busy: Callable[[str], bool] = lambda name: False
+) -> list[SafeOutcome]:
+    """Bring every device of the bench to the safe state of the rig file.
+
+    `busy` is called in a device's thread, with its name: whether an earlier command to it goes on, for whose end it may
+    wait. Such a device is made safe at once, and again: the command could undo it.
+
+    Returns after all devices are verified, or after `deadline_s` real seconds: the others then have a reason. Raises no
+    error of a device.
+    """
+    attempts: list[tuple[SafeOutcome, float, threading.Thread]] = []
+
+    def attempt(outcome: SafeOutcome, act: Callable[[], SafeReport], began_s: float) -> None:
+        line = bench.lines.get(outcome.name)
+        with clock.party():
+            while True:
+                outcome.tries += 1
+                try:
+                    goes_on, report = busy(outcome.name), act()
+                    outcome.evidence = f"{report.evidence}; {_GOES_ON}" if goes_on else report.evidence
+                    outcome.verified = report.verified and not goes_on
+                except BaseException as problem:
+                    # No error of a driver, of whatever kind, prevents the next try.
+                    outcome.evidence = sentence_of(problem)
+                    if isinstance(problem, Disconnected) and line is not None:
+                        # Its cable may be in again.
+                        with suppress(Exception):
+                            line.reopen()
+                if outcome.verified or time.monotonic() >= began_s + deadline_s:
+                    outcome.took_s = time.monotonic() - began_s
+                    return
+                with clock.aside():
+                    time.sleep(_RETRY_PAUSE_S)
+
+    def begin(name: str, action: str, act: Callable[[], SafeReport]) -> None:
+        outcome, began_s = SafeOutcome(name, action), time.monotonic()
+        arguments = (outcome, act, began_s)
+        thread = threading.Thread(target=attempt, args=arguments, daemon=True, name=f"making {name} safe")
+        attempts.append((outcome, began_s, thread))
+        thread.start()
+
+    for entry in bench.rig.axis:
+        axis, wanted = bench.axes[entry.name], AxisSafe(entry.safe)
+        begin(entry.name, entry.safe, lambda axis=axis, wanted=wanted: axis.safe(wanted))
+    if bench.chamber is not None and bench.rig.chamber is not None:
+        chamber, how = bench.chamber, bench.rig.chamber
+
+        begin("chamber", how.safe, lambda: chamber.safe(ChamberSafe(how.safe), float(how.ambient)))
+    with clock.aside():
+        for _, began_s, thread in attempts:
+            thread.join(max(0.0, began_s + deadline_s - time.monotonic()))
+    now_s = time.monotonic()
+    outcomes = [replace(outcome, took_s=outcome.took_s or now_s - began_s) for outcome, began_s, _ in attempts]
+    streams = [SafeOutcome(entry.name, LEFT, True, "it cannot be unsafe") for entry in bench.rig.imu]
+    return outcomes + streams
+
+
+def put_back(bench: Bench) -> dict[str, str]:
+    """Restore the settings that drivers have changed; by device with changed settings the problem, or an empty text."""
+    problems: dict[str, str] = {}
+    for name, settings in bench.settings.items():
+        if settings.before:
+            try:
+                settings.put_back()
+                problems[name] = ""
+            except Exception as problem:
+                problems[name] = sentence_of(problem)
+    return problems
 
 
 # -------------------------------------------------------------------------------------------------- the run's own side
 
 
 class Guard:
-    """The run's end of the pipes."""
+    """The run's end of the pipes. The guard ignores Ctrl-C, which the run handles.
+
+    The ports must be opened after it and closed before `close`: then the guard can take over.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -61,7 +141,6 @@ class Guard:
         self._start()
 
     def begun(self) -> None:
-        """From now on the rig may be unsafe."""
         self._begun = True
         self._say("begun")
 
@@ -151,14 +230,6 @@ class Guard:
     def _say(self, line: str) -> None:
         with self._lock, suppress(OSError, ValueError):
             self._input.write(line.encode() + b"\n")
-
-
-def guarded(folder: Path) -> closing[Guard]:
-    """Context in which a guard watches this process. The guard ignores Ctrl-C, which the run handles.
-
-    The ports must be opened inside and closed before the end: then the guard can take over.
-    """
-    return closing(Guard(folder))
 
 
 # ------------------------------------------------------------------------------------------------- the guard's process

@@ -160,7 +160,6 @@ class Journal(AbstractContextManager["Journal"]):
         return lambda time_s, direction, data: self.bytes_of(line, time_s, data, received=direction == "<")
 
     def close(self) -> None:
-        """Write the waiting records and close the file; idempotent."""
         with self._change:
             self._closing = True
             self._change.notify_all()

@@ -28,8 +28,6 @@ class StepNotDone(Exception):
 
 @dataclass(frozen=True)
 class ExecutedStep:
-    """A step by its number, on the run's clock."""
-
     number: int
     began_s: float
     ended_s: float

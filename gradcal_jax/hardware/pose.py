@@ -49,7 +49,6 @@ def turn_by(vector: Sequence[float] | Numbers) -> Numbers:
 
 
 def _seen(direction: Numbers) -> str:
-    """A direction in the body, in words."""
     order = [int(i) for i in np.argsort(-np.abs(direction)) if abs(direction[i]) > _NAMED]
     names = [f"{'+' if direction[i] > 0.0 else '-'}{'xyz'[i]}" for i in order]
     return names[0] if len(names) == 1 else f"between {' and '.join(names)}"

@@ -1,8 +1,8 @@
 """Request and reply over one line, for all drivers whose device answers requests.
 
-The rules of retrying: the input is drained before every request, so that a late reply to an earlier query does not
-count as the reply to this one; after a time-out or a damaged reply the line is given time to become silent; queries are
-repeated, commands are not (their driver reads back instead).
+The input is drained before every request, so that a late reply to an earlier query does not count as the reply to this
+one; after a time-out or a damaged reply the line is given time to become silent; queries are repeated, commands are not
+(their driver reads back instead).
 
 A reply that comes after its time-out is recognised by its request's own parser, and said (`Transport.late`).
 """
@@ -16,23 +16,18 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from .clock import Clock, holding
-from .errors import ChecksumError, FramingError, HardwareError, NotVerified, Rejected, ReplyTimeout, printable
-from .framing import Framer
+from .errors import ChecksumError, FramingError, HardwareError, Rejected, ReplyTimeout, printable
+from .framing import Framer, NotThisReply
 from .transport import Transport
 
 Reply = TypeVar("Reply")
 
 # The silence (real time) that ends a disturbed conversation.
 _SETTLE_S = 0.05
-_TRIES = 3
+TRIES = 3
 # How long a reply is awaited that did not come in all tries, in their time-outs: only to say that it is late.
 _LATER = 1.0
 _FORGOTTEN_S = 30.0
-_BETWEEN_LOOKS_S = 0.2
-
-
-class NotThisReply(Exception):
-    """Raised by a reply parser for a sound frame that answers another request: the exchange continues to wait."""
 
 
 @dataclass
@@ -110,7 +105,7 @@ class Exchange:
         """
         timeout_s = reply_timeout_s or self._reply_timeout_s
         with self.alone():
-            tries = _TRIES if repeat else 1
+            tries = TRIES if repeat else 1
             for attempt in range(1, tries + 1):
                 try:
                     reply = self._once(request, parse, timeout_s, pause_after_s)
@@ -135,7 +130,6 @@ class Exchange:
             raise AssertionError("unreachable: the last try returns or raises")
 
     def write(self, request: bytes, *, pause_after_s: float | None = None) -> None:
-        """Send a message that has no reply."""
         with self.alone():
             self._send(request, pause_after_s)
 
@@ -219,39 +213,3 @@ class Exchange:
             f"{self.device} at {self.transport.url} was sent {printable(request)!r} and did not answer in "
             f"{reply_timeout_s:g} s. Check that it is on, the cable, the baud rate and its address."
         )
-
-
-def command_and_verify(
-    send: Callable[[], object],
-    read: Callable[[], Reply],
-    shows: Callable[[Reply], bool],
-    *,
-    what: str,
-    clock: Clock,
-    looks: int = 3,
-) -> Reply:
-    """Command, then read back until the read-back shows it; no other function repeats a command.
-
-    `send` is repeated only after `looks` read-backs, some time of the run's clock apart, have shown that it did not
-    take effect: a lost acknowledgement alone repeats nothing. A refusal by the device is raised at once.
-
-    Raises:
-        NotVerified: after three commands the read-back still differs; `what` names the command for the message.
-    """
-    seen: Reply | None = None
-    unanswered = ""
-    for _ in range(_TRIES):
-        try:
-            send()
-        except (ReplyTimeout, FramingError) as problem:
-            unanswered = f" ({problem})"
-        for look in range(looks):
-            if look:
-                clock.sleep(_BETWEEN_LOOKS_S)
-            seen = read()
-            if shows(seen):
-                return seen
-    raise NotVerified(
-        f"{what} was sent {_TRIES} times and the read-back still says {seen!r}{unanswered}. "
-        "Look at the device's own display: it may be in local mode, locked, or limited."
-    )

@@ -1,4 +1,4 @@
-"""The roles of devices: a chamber, axes of motion (driven, or turned by hand), a stream of an IMU.
+"""The roles of devices: a chamber, axes of motion (driven, or turned by hand), a stream of an IMU; changed settings.
 
 The roles are `typing` protocols: a driver has the methods and inherits nothing. Set point and read-back are different
 fields everywhere. Units are in the names: temperatures in °C (`_c`), angles in degrees (`_deg`), rates in deg/s
@@ -6,7 +6,7 @@ fields everywhere. Units are in the names: temperatures in °C (`_c`), angles in
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Protocol, runtime_checkable
@@ -14,10 +14,63 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from .settings import KeptSettings
+from .errors import HardwareError
 
 Floats = NDArray[np.float64]
 STANDARD_GRAVITY = 9.80665  # m/s² in one g of every data sheet here
+
+
+class KeptSettings:
+    """The settings of one device that its driver changes, by the driver's names, in the device's own spelling of the
+    values: those before are kept, and restored at the end, by another process (`on_first_change`) where this one ends.
+
+    `read` asks the device, `write` returns only when the device shows the new value, and `same` compares two values.
+    A device without changed settings has a `KeptSettings()`.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[str], str] | None = None,
+        write: Callable[[str, str], None] | None = None,
+        same: Callable[[str, str], bool] = str.__eq__,
+    ) -> None:
+        self._read, self._write, self._same = read, write, same
+        self.before: dict[str, str] = {}
+        self.on_first_change: Callable[[str, str], None] = lambda name, value: None
+
+    def change(self, name: str, value: str) -> None:
+        """Change a setting, unless it has that value already."""
+        assert self._write is not None
+        if not self._same(self.note(name, value), value):
+            self._write(name, value)
+
+    def note(self, name: str, value: str) -> str:
+        """Keep the value of a setting before another command changes it to `value`. Returns the value."""
+        assert self._read is not None
+        shown = self._read(name)
+        if name not in self.before and not self._same(shown, value):
+            self.before[name] = shown
+            self.on_first_change(name, shown)
+        return shown
+
+    def keep(self, before: Mapping[str, str]) -> None:
+        """Take over the values kept by another process."""
+        self.before = {**before, **self.before}
+
+    def put_back(self) -> None:
+        """Restore every setting, the last change first. All are tried; raises the first problem."""
+        problem: HardwareError | None = None
+        for name, value in reversed(list(self.before.items())):
+            assert self._read is not None
+            assert self._write is not None
+            try:
+                if not self._same(self._read(name), value):
+                    self._write(name, value)
+                del self.before[name]
+            except HardwareError as error:
+                problem = problem or error
+        if problem is not None:
+            raise problem
 
 
 @dataclass(frozen=True)
@@ -91,7 +144,6 @@ class TemperatureChamber(Protocol):
     def read(self) -> ChamberReading: ...
     def hold(self, temperature_c: float) -> None:
         """Condition at `temperature_c`, as fast as the chamber can."""
-        ...
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         """Go to `temperature_c` at `rate_k_per_min` (above zero), by the controller's own ramp.
@@ -150,23 +202,18 @@ class MotionAxis(Protocol):
     def read(self) -> AxisReading: ...
     def home(self) -> None:
         """Find the reference; returns at the end, raises `DeviceFault` on failure."""
-        ...
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Start a trapezoidal move to an absolute position and return at once; `read().moving` shows its end."""
-        ...
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
         """Start turning at a signed constant rate and return at once."""
-        ...
 
     def stop(self) -> None:
         """Controlled stop; returns when the axis stands."""
-        ...
 
     def arm_watchdog(self) -> None:
         """Switch the device's watchdog on, where it has one; from now on `heartbeat` must come in time."""
-        ...
 
     def heartbeat(self) -> None: ...
 
@@ -179,7 +226,6 @@ class DrawnAxis(Protocol):
 
     def draw(self, drawing: str) -> None:
         """Show this with the next turn."""
-        ...
 
 
 class OperatorAsked(Protocol):
@@ -188,15 +234,12 @@ class OperatorAsked(Protocol):
     def ask(self, question: str) -> None: ...
     def ring(self) -> None:
         """Remind of the question."""
-        ...
 
     def answer(self) -> tuple[str, float] | None:
         """The typed line and the time of its end; None until there is one."""
-        ...
 
     def withdraw(self, why: str) -> None:
         """Take back a question, if there is one."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
@@ -31,13 +31,13 @@ from .chamber_control import ChamberControl
 from .clock import Clock, beside
 from .dry_run import beyond_limits
 from .errors import HardwareError, LimitExceeded, sentence_of
+from .guard import make_safe, put_back
 from .interlocks import Interlocks, Situation
 from .journal import Journal, event_fields
 from .losses import ExecutedStep, SampleLosses, StepNotDone
 from .roles import ImuSettings, MotionAxis
-from .safety import SafeOutcome, make_safe, put_back
 from .setup import Bench, require_identity
-from .states import WAYS, RunProgress, RunResult, RunState
+from .supervision import WAYS, RunProgress, RunResult, RunState, SafeOutcome
 from .track import Course, Stable, Track, TrackStep
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
@@ -180,8 +180,17 @@ class Runner:
         if problems := self.dry_run():
             raise LimitExceeded("The run was not started. " + " ".join(problems))
 
-        def start(work: Callable[..., None], *arguments: Any) -> None:
-            thread = threading.Thread(target=work, args=arguments, daemon=True, name=work.__name__.strip("_"))
+        def start(failed: str, work: Callable[..., None], *arguments: Any, waits_on_clock: bool = True) -> None:
+            """Work in a thread of its own; a sentence that begins with `failed` ends the run where it cannot go on."""
+
+            def attempt() -> None:
+                try:
+                    with self.clock.party() if waits_on_clock else nullcontext():
+                        work(*arguments)
+                except Exception as problem:
+                    self._fail(f"{failed}: {problem}")
+
+            thread = threading.Thread(target=attempt, daemon=True, name=work.__name__.strip("_"))
             helpers.append(thread)
             thread.start()
 
@@ -189,7 +198,7 @@ class Runner:
             reading, limits = self._chamber.chamber.read(), self._chamber.chamber.limits()
             self._range_c = min(limits.lowest_c, reading.air_c), max(limits.highest_c, reading.air_c)
             self._chamber.heard(reading)
-            start(self._chamber.watch, self.chamber_every_s, self._watching, self._fail)
+            start("The chamber is not watched", self._chamber.watch, self.chamber_every_s, self._watching, self._fail)
         self.begun = True
         self.on_begin()
         # The search for references lets go of a watchdog, and the units' data begin after it.
@@ -198,56 +207,43 @@ class Runner:
         for axis in guarded:
             axis.arm_watchdog()
         if guarded:
-            start(self._feed_watchdogs, guarded)
+            start("A watchdog could not be fed", self._feed_watchdogs, guarded)
         for name in self.bench.imus:
             self.bench.imus[name].start()
             self._imu_heard_s[name] = self.clock.now()
-            start(self._carry_bytes if not self.bench.simulated else self._carry_simulated, name)
+            # A simulated unit waits on the clock, not on a line.
+            start(name, self._carry_bytes, name, waits_on_clock=self.bench.simulated)
 
     def _feed_watchdogs(self, axes: list[MotionAxis]) -> None:
-        with self.clock.party():
-            while self._working.is_set():
-                try:
-                    for axis in axes:
-                        axis.heartbeat()
-                except Exception as problem:
-                    self._problem = f"A watchdog could not be fed: {problem}"
-                    return
-                self.clock.sleep(_SLICE_S)
+        while self._working.is_set():
+            for axis in axes:
+                axis.heartbeat()
+            self.clock.sleep(_SLICE_S)
 
     def _fail(self, problem: str) -> None:
         """Called by a helper thread: its sentence ends the run."""
         self._problem = problem
 
-    def _carry_simulated(self, name: str) -> None:
-        """A simulated unit waits on the clock, not on a line."""
-        with self.clock.party():
-            self._carry_bytes(name)
-
     def _carry_bytes(self, name: str) -> None:
         """Write raw bytes to the journal first, then count the missing samples."""
         unit, losses = self.bench.imus[name], self._losses[name]
         while self._working.is_set():
-            try:
-                if name in self._unfit:
-                    with self.clock.party():
-                        self._settings[name] = unit.configure()
-                        # Its samples count anew from here, as in a run that is resumed.
-                        self.on_new_session(self._steps_done)
-                        for device, settings in self._settings.items():
-                            self._event("configuration", device=device, **event_fields(settings))
-                        losses.begin_again(unit.decoder())
-                        unit.start()
-                    self._imu_heard_s[name] = self.clock.now()
-                    self._unfit.discard(name)
-                data, time_s = unit.read_bytes(0.2)
-                if data:
-                    self.journal.bytes_of(name, time_s, data, received=True)
-                    losses.push(data, time_s)
-                    self._imu_heard_s[name] = time_s
-            except Exception as problem:
-                self._problem = f"{name}: {problem}"
-                return
+            if name in self._unfit:
+                with self.clock.party():
+                    self._settings[name] = unit.configure()
+                    # Its samples count anew from here, as in a run that is resumed.
+                    self.on_new_session(self._steps_done)
+                    for device, settings in self._settings.items():
+                        self._event("configuration", device=device, **event_fields(settings))
+                    losses.begin_again(unit.decoder())
+                    unit.start()
+                self._imu_heard_s[name] = self.clock.now()
+                self._unfit.discard(name)
+            data, time_s = unit.read_bytes(0.2)
+            if data:
+                self.journal.bytes_of(name, time_s, data, received=True)
+                losses.push(data, time_s)
+                self._imu_heard_s[name] = time_s
 
     def _execute(self) -> None:
         # A run that was killed after its last step only has to end.

@@ -32,13 +32,12 @@ from .roles import (
     Identity,
     ImuSettings,
     ImuStream,
+    KeptSettings,
     MotionAxis,
     OperatorAsked,
     TemperatureChamber,
 )
-from .settings import KeptSettings
-from .terminal import Terminal, TextLine
-from .transport import Transport, same_port
+from .transport import Terminal, TextLine, Transport, same_port
 
 LEFT: Final = "left streaming"
 """What happens to a unit at the end of a run: it has no unsafe state."""
@@ -123,7 +122,6 @@ def driver_of(name: str) -> Driver | None:
 
 
 def _known(name: str) -> Driver:
-    """The driver of a device whose options have been read before."""
     driver = driver_of(name)
     assert driver is not None
     return driver
@@ -219,7 +217,9 @@ def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     for role, place, _, device in _entries(rig):
         try:
             configs[place] = config_of(device, role, place)
-            if not isinstance(device, ImuDevice) and (lack := _lacks_for(configs[place], device.safe)):
+            # Drivers that declare nothing can take every safe state.
+            lacks_for: Callable[[str], str] = getattr(configs[place], "lacks_for", lambda safe: "")
+            if not isinstance(device, ImuDevice) and (lack := lacks_for(device.safe)):
                 problems.append(Problem((*place, "safe"), f"this device cannot be left so: {lack}", device.safe))
             if isinstance(device, AxisDevice) and device.encoder is not None:
                 configs[*place, "encoder"] = config_of(device.encoder, role, (*place, "encoder"))
@@ -228,12 +228,6 @@ def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     if problems:
         raise SpecError(problems)
     return configs
-
-
-def _lacks_for(config: Any, safe: str) -> str:
-    """What a device lacks for a safe state. Drivers that declare nothing can take them all."""
-    declared: Callable[[str], str] = getattr(config, "lacks_for", lambda safe: "")
-    return declared(safe)
 
 
 def _spelt(name: str) -> tuple[str, str, str]:
@@ -247,17 +241,17 @@ def _spelt(name: str) -> tuple[str, str, str]:
 def _entries(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], str, Device]]:
     """All devices of a rig: role, place in the file, name and table; the chamber's name is "chamber". Axes are first,
     because what turns is made safe first."""
-    entries: list[tuple[Role, tuple[str | int, ...], str, Device]] = []
-    entries.extend(("axis", ("axis", index), axis.name, axis) for index, axis in enumerate(rig.axis))
-    if rig.chamber is not None:
-        entries.append(("chamber", ("chamber",), "chamber", rig.chamber))
-    entries.extend(("imu", ("imu", index), imu.name, imu) for index, imu in enumerate(rig.imu))
-    return entries
+    chamber = () if rig.chamber is None else (rig.chamber,)
+    return [
+        *(("axis", ("axis", index), axis.name, axis) for index, axis in enumerate(rig.axis)),
+        *(("chamber", ("chamber",), "chamber", entry) for entry in chamber),
+        *(("imu", ("imu", index), imu.name, imu) for index, imu in enumerate(rig.imu)),
+    ]
 
 
 @dataclass
 class Bench(AbstractContextManager["Bench"]):
-    """The open devices of a rig. Closing it closes every port; it does not make anything safe (see `safety`)."""
+    """The open devices of a rig. Closing it closes every port; it does not make anything safe (see `guard`)."""
 
     rig: RigFile
     chamber: TemperatureChamber | None = None
@@ -284,12 +278,8 @@ class Bench(AbstractContextManager["Bench"]):
 
     def devices(self) -> list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]]:
         """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
-        opened: dict[str, Any] = {
-            **self.axes,
-            **self.imus,
-            **({} if self.chamber is None else {"chamber": self.chamber}),
-        }
-        return [(name, entry, opened[name]) for _, _, name, entry in _entries(self.rig) if name in opened]
+        opened: dict[str, Any] = {**self.axes, **self.imus, "chamber": self.chamber}
+        return [(name, entry, opened[name]) for _, _, name, entry in _entries(self.rig) if opened.get(name)]
 
     def close(self) -> None:
         self._ports.close()
@@ -361,11 +351,10 @@ def open_rig(
             if same_port(port) in lines:
                 bench.lines[name] = lines[same_port(port)]
         consoles = [exchange for exchange in exchanges.values() if isinstance(exchange, Console)]
-        place = rig.operator or OperatorPlace()
         if consoles:
             bench.console = consoles[0]
         elif rig.operator is not None or terminal is not None:
-            bench.console = Console(opened(place, OperatorConfig()), clock)
+            bench.console = Console(opened(rig.operator or OperatorPlace(), OperatorConfig()), clock)
     except BaseException:
         bench.close()
         raise
@@ -402,11 +391,9 @@ def only_of(rig: RigFile, names: Collection[str]) -> RigFile:
 
 def within_rig(limits: ChamberLimits, chamber: ChamberDevice) -> ChamberLimits:
     """The limits of a chamber that the rig file allows."""
-    lowest, highest = limits.lowest_c, limits.highest_c
-    if chamber.never_below is not None:
-        lowest = max(lowest, float(chamber.never_below))
-    if chamber.never_above is not None:
-        highest = min(highest, float(chamber.never_above))
+    below, above = chamber.never_below, chamber.never_above
+    lowest = limits.lowest_c if below is None else max(limits.lowest_c, float(below))
+    highest = limits.highest_c if above is None else min(limits.highest_c, float(above))
     return dataclasses.replace(limits, lowest_c=lowest, highest_c=highest)
 
 
@@ -464,17 +451,12 @@ def require_identity(name: str, entry: Device, identity: Identity) -> None:
 def with_options(schema: dict[str, Any]) -> dict[str, Any]:
     """The JSON Schema of a rig file, with the options of every installed driver, of other packages too."""
     definitions = dict(schema["$defs"])
-    roles: Mapping[str, Role] = {
-        "ChamberDevice": "chamber",
-        "AxisDevice": "axis",
-        "EncoderDevice": "axis",
-        "ImuDevice": "imu",
-    }
-    for device, role in roles.items():
+    roles: Mapping[str, Role] = {"Chamber": "chamber", "Axis": "axis", "Encoder": "axis", "Imu": "imu"}
+    for kind, role in roles.items():
         cases: list[dict[str, Any]] = []
         for name in driver_names(role):
             definitions[f"options of {name}"] = _options_of(_known(name)).model_json_schema()
             when = {"properties": {"driver": {"const": name}}, "required": ["driver"]}
             cases.append({"if": when, "then": {"properties": {"options": {"$ref": f"#/$defs/options of {name}"}}}})
-        definitions[device] = {**definitions[device], "allOf": cases}
+        definitions[f"{kind}Device"] = {**definitions[f"{kind}Device"], "allOf": cases}
     return {**schema, "$defs": definitions}

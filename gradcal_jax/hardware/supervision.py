@@ -1,23 +1,105 @@
-"""The status file of a run, replaced as a whole every few seconds, and the alarm command of the rig file.
+"""The states of a run and how it ended; its status file, replaced every few seconds, and the rig file's alarm command.
 
-Both have their own threads: neither the disk nor the alarm command delays the run.
+File and alarm have their own threads: neither the disk nor the command delays the run.
 """
 
 import json
 import subprocess
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
+from enum import Enum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
+
+from gradcal_jax.display import summary
 
 from ..files.rig import RigFile
 from ..files.writing import write_whole
 from .journal import json_of
-from .safety import SafeOutcome
-from .states import RunProgress, RunResult
+from .roles import AxisReading, ChamberReading
+
+
+@dataclass
+class SafeOutcome:
+    """The outcome of one device. `evidence` is the read-back, or the last problem; `took_s` real seconds.
+
+    Its thread fills it; the waiting thread takes a copy, with the state so far of a thread that hangs.
+    """
+
+    name: str
+    action: str
+    verified: bool = False
+    evidence: str = "has not answered yet"
+    tries: int = 0
+    took_s: float = 0.0
+
+
+class RunState(Enum):
+    IDLE = "idle"
+    RUNNING = "running"
+    PAUSING = "pausing"
+    PAUSED = "paused"
+    STOPPING = "stopping"
+    ABORTING = "aborting"
+    SAFE = "safe"
+    FAILED = "failed"
+
+
+WAYS: Mapping[RunState, frozenset[RunState]] = {
+    RunState.IDLE: frozenset({RunState.RUNNING, RunState.ABORTING}),
+    RunState.RUNNING: frozenset({RunState.PAUSING, RunState.STOPPING, RunState.ABORTING}),
+    RunState.PAUSING: frozenset({RunState.RUNNING, RunState.PAUSED, RunState.STOPPING, RunState.ABORTING}),
+    RunState.PAUSED: frozenset({RunState.RUNNING, RunState.STOPPING, RunState.ABORTING}),
+    RunState.STOPPING: frozenset({RunState.SAFE, RunState.FAILED}),
+    RunState.ABORTING: frozenset({RunState.SAFE, RunState.FAILED}),
+    RunState.SAFE: frozenset(),
+    RunState.FAILED: frozenset(),
+}
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """How a run ended: "success", "stopped" (on request) or "aborted", why, and the final state of every device."""
+
+    exit_status: Literal["success", "stopped", "aborted"]
+    reason: str
+    outcomes: tuple[SafeOutcome, ...]
+    steps_done: int
+    begun: bool = True
+    """Whether anything was commanded to a device."""
+
+    __repr__ = summary
+
+    @property
+    def verified_safe(self) -> bool:
+        return all(outcome.verified for outcome in self.outcomes)
+
+
+@dataclass(frozen=True)
+class RunProgress:
+    """The argument of `on_progress`, called once for each chamber reading in the run's own thread: the run waits until
+    it returns."""
+
+    state: RunState
+    step: str
+    steps_done: int
+    steps: int
+    step_left_s: float | None
+    track_left_s: float
+    chamber: ChamberReading | None
+    axes: Mapping[str, AxisReading]
+    course_c: tuple[float, float] | None = None
+    """The lowest and the highest temperature of the air by the recipe now, without the band."""
+    samples: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
+    """Samples of each unit: received, and missing between them."""
+    why: str = ""
+    """Why the run is paused, or will be."""
+    remarks: tuple[str, ...] = ()
+    """What the operator is to mend after the run: devices that answer late."""
+
 
 STATUS: Final = "status.json"
 FORMAT: Final = "gradcal-status/1"
@@ -53,11 +135,9 @@ class StatusFile:
         self._writer.join(timeout=5.0)
 
     def show(self, progress: RunProgress) -> None:
-        """The progress of the run."""
         self._status = {"at_s": time.time(), **asdict(progress), "state": progress.state.value}
 
     def end(self, result: RunResult) -> None:
-        """How the run ended."""
         state = "safe" if result.verified_safe else "failed"
         ended = {"exit_status": result.exit_status, "reason": result.reason, "verified_safe": result.verified_safe}
         self._status = {**self._status, "at_s": time.time(), "state": state, "steps_done": result.steps_done, **ended}

@@ -1,13 +1,23 @@
-"""The track that the runner executes: steps of temperature, each with its moves. Plain data.
+"""The track that the runner executes: steps of temperature, each with its moves; and that of a recipe.
 
 A run resumes at a step. A step sets the chamber's course and waits until its condition holds (or its time-out ends the
-run); then its own time begins, on which its moves start and it ends.
+run); then its own time begins, on which its moves start and it ends. A recipe's ramp of hours is cut into the
+repetitions of its cycle (or into pieces of ten minutes where the table only stands). Steps of one stretch of data
+follow one another without a break; each has the angles, from the axes' zeros, and the temperature at its beginning.
 """
 
+import itertools
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+from ..files.recipe import Recipe
+from ..files.sensor import Sensor
+from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove, read_at_rest
+from ..formulas import reading_times
+from ..units import to_unit
+from .errors import HardwareError
 
 
 @dataclass(frozen=True)
@@ -162,6 +172,256 @@ class Track:
 
     @property
     def moved(self) -> list[str]:
-        """The names of the axes that move."""
         moved = {move.axis for step in self.steps for move in step.moves}
         return sorted(moved | {name for step in self.steps if step.goes_there for name in step.start_deg})
+
+
+_LONGEST_STAND_S = 600.0
+_BETWEEN_READINGS_S = 10.0
+_SPIN_ACCELERATION_DPS2 = 100.0
+
+
+def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
+    """The track of a recipe for a rig whose axes have these names.
+
+    Axes of recipe and rig match by name; where both have one axis only, these match whatever their names. Raises
+    `HardwareError` where an axis is missing.
+    """
+    names = _names(recipe, axes)
+    blocks = {block.begins_with: block for block in recipe.motion}
+    stretches: list[tuple[MotionBlock | None, list[ChamberSegment]]] = []
+    for segment in recipe.chamber.programme:
+        block = blocks.get(segment.name)
+        if block is None and segment.used and stretches and stretches[-1][0] is not None:
+            stretches[-1][1].append(segment)
+        else:
+            stretches.append((block, [segment]))
+    # A table that is read while it stands is read at the end of its rests, too, as in the plan.
+    ends = recipe.spec.rig.table.standing == "read"
+    steps: list[TrackStep] = []
+    for block, segments in stretches:
+        if block is None:
+            steps.append(_unused(segments[0], recipe.stability, first=not steps))
+        else:
+            steps += _stretch(block, segments, recipe.stability, names, first=not steps, ends=ends)
+    if recipe.spec.rig.chamber.control == "none":
+        alone: dict[str, Any] = {"temperature_c": None, "ramp_k_per_min": None, "ready": None, "start_c": None}
+        steps = [replace(step, **alone, courses=(), again=None) for step in steps]
+    return Track(tuple(steps), _gyro_errors(recipe.spec.sensor), read_at_rest(recipe.motion))
+
+
+def _gyro_errors(sensor: Sensor) -> GyroErrors | None:
+    """Three standard deviations of what the spec says before the calibration, where that is more than usual."""
+    if (gyro := sensor.gyro) is None:
+        return None
+    usual, bias, scale = GyroErrors(), 0.0, 0.0
+    if gyro.bias is not None and gyro.bias.prior is not None:
+        # Of three gyros.
+        bias = 3.0 * 3.0**0.5 * to_unit(float(gyro.bias.prior), "deg/s")
+    if (section := gyro.scale_factor) is not None and section.prior is not None:
+        scale = 3.0 * float(section.prior) * (section.temperature.size * section.rate.size) ** 0.5
+    return GyroErrors(max(usual.share, scale), max(usual.bias_dps, bias))
+
+
+def _names(recipe: Recipe, axes: Sequence[str]) -> dict[str, str]:
+    placed = {name for block in recipe.motion for name in block.start}
+    moves = [move for block in recipe.motion for move in block.moves if move.do not in ("rest", "wait")]
+    turned = sorted(placed | {move.axis for move in moves})
+    if len(turned) == 1 and len(axes) == 1:
+        return {turned[0]: axes[0]}
+    if missing := [name for name in turned if name not in axes]:
+        raise HardwareError(
+            f"The recipe turns axis {', '.join(missing)}, and the rig's axes are {', '.join(axes) or 'none'}: "
+            "name the rig's axes as the recipe does."
+        )
+    return {name: name for name in turned}
+
+
+def _stable(stability: Stability, *, first: bool) -> Stable:
+    timeout = stability.first_timeout if first else stability.timeout
+    return Stable(float(stability.within), float(stability.for_at_least), float(timeout))
+
+
+def _course(segment: ChamberSegment, start_s: float) -> Course:
+    ramp = None if segment.slope is None else abs(float(segment.slope)) * 60.0
+    return Course(start_s, float(segment.temperature_end), ramp)
+
+
+def _unused(segment: ChamberSegment, stability: Stability, *, first: bool) -> TrackStep:
+    course = _course(segment, 0.0)
+    waits = segment.begins == "when stable"
+    return TrackStep(
+        segment.name,
+        float(segment.duration),
+        course.temperature_c,
+        course.ramp_k_per_min,
+        ready=_stable(stability, first=first) if waits else None,
+        start_c=float(segment.temperature_start),
+        courses=(course,),
+        follows=not waits and not first,
+        again=_stable(stability, first=True),  # after a break the chamber may come from anywhere
+        read_every_s=_BETWEEN_READINGS_S,
+    )
+
+
+@dataclass
+class _Piece:
+    """A step under construction, on the stretch's own clock."""
+
+    name: str
+    start_s: float
+    duration_s: float
+    moves: list[AxisCommand] = field(default_factory=list[AxisCommand])
+    read_at_s: list[float] = field(default_factory=list[float])
+    slack_s: float = 0.0
+
+
+def _stretch(
+    block: MotionBlock,
+    segments: Sequence[ChamberSegment],
+    stability: Stability,
+    names: dict[str, str],
+    *,
+    first: bool,
+    ends: bool,
+) -> list[TrackStep]:
+    waits = segments[0].begins == "when stable"
+    total = math.fsum(float(segment.duration) for segment in segments)
+    pieces = _pieces(block, total, names, ends=ends)
+    ends_s = itertools.accumulate((float(segment.duration) for segment in segments), initial=0.0)
+    knees = [_course(segment, begins_s) for segment, begins_s in zip(segments, ends_s, strict=False)]
+    at = dict.fromkeys(names.values(), 0.0)
+    at |= {names[name]: to_unit(float(angle), "deg") for name, angle in block.start.items()}
+    steps: list[TrackStep] = []
+    for number, piece in enumerate(pieces):
+        end = piece.start_s + piece.duration_s
+        target = [course for course in knees if course.start_s <= piece.start_s + 1e-6][-1]
+        inside = [course for course in knees if piece.start_s - 1e-6 <= course.start_s < end - 1e-6]
+        later = tuple(replace(course, start_s=course.start_s - piece.start_s) for course in inside)
+        steps.append(
+            TrackStep(
+                piece.name,
+                piece.duration_s,
+                target.temperature_c,
+                target.ramp_k_per_min,
+                ready=_stable(stability, first=first) if waits and number == 0 else None,
+                moves=tuple(piece.moves),
+                start_c=_temperature(segments, piece.start_s),
+                courses=later,
+                follows=number > 0 or (not waits and not first),
+                again=_stable(stability, first=True),
+                start_deg=dict(at),
+                read_at_s=tuple(piece.read_at_s),
+                slack_s=piece.slack_s,
+                goes_there=bool(block.start) and number == 0,
+                hang=block.hang or "",
+                mounting=block.mounting or 0,
+                used=True,
+            )
+        )
+        for move in piece.moves:
+            at[move.axis] += move.angle_deg
+    return steps
+
+
+def _temperature(segments: Sequence[ChamberSegment], at_s: float) -> float:
+    clock = 0.0
+    for segment in segments:
+        duration = float(segment.duration)
+        if at_s <= clock + duration + 1e-6:
+            share = min(max((at_s - clock) / duration, 0.0), 1.0)
+            start, end = float(segment.temperature_start), float(segment.temperature_end)
+            return start + (end - start) * share if segment.kind != "step" else end
+        clock += duration
+    return float(segments[-1].temperature_end)
+
+
+def _pieces(block: MotionBlock, total: float, names: dict[str, str], *, ends: bool) -> list[_Piece]:
+    if block.repeat == 1 and len(block.moves) == 1 and block.moves[0].do in ("rest", "wait"):
+        return _standing(block, total)
+    if any(move.do == "spin" for move in block.moves):
+        return _points(block, names)
+    pieces: list[_Piece] = []
+    period = float(block.period)
+    own = [move for move in block.moves if move.do != "wait"]
+    busy = math.fsum(move.repeat * float(move.duration) for move in own)
+    for number in range(block.repeat):
+        last = number == block.repeat - 1
+        start = number * period
+        piece = _Piece(
+            f"{block.name}, {number + 1} of {block.repeat}" if block.repeat > 1 else block.name,
+            start,
+            total - start if last else period,
+            slack_s=float(block.standing_after) if last else max(0.0, period - busy),
+        )
+        if number == 0:
+            piece.read_at_s.append(0.0)
+        for move in own if last else block.moves:
+            _add(piece, move, names, ends=ends)
+        if last and block.standing_after > 0.0 and block.read_every_after is not None:
+            begin = piece.duration_s - float(block.standing_after)
+            times = reading_times(float(block.standing_after), float(block.read_every_after))
+            piece.read_at_s += [begin + time for time in times]
+        piece.read_at_s.sort()
+        pieces.append(piece)
+    return pieces
+
+
+def _standing(block: MotionBlock, total: float) -> list[_Piece]:
+    every = block.moves[0].read_every
+    times = [0.0, *reading_times(total, None if every is None else float(every))]
+    count = max(1, math.ceil(total / _LONGEST_STAND_S - 1e-9))
+    size = total / count
+    pieces: list[_Piece] = []
+    for number in range(count):
+        start = number * size
+        end = total if number == count - 1 else start + size
+        inside = [t - start for t in times if start - 1e-9 < t <= end + 1e-9 and (t > start + 1e-9 or number == 0)]
+        name = f"{block.name}, {number + 1} of {count}" if count > 1 else block.name
+        pieces.append(_Piece(name, start, end - start, read_at_s=inside))
+    return pieces
+
+
+def _points(block: MotionBlock, names: dict[str, str]) -> list[_Piece]:
+    """The standard method's rates: a step for each; a standstill begins with a stop."""
+    axis = next(iter(names.values()), "")
+    pieces: list[_Piece] = []
+    for number, move in enumerate(block.moves, 1):
+        rate = to_unit(float(move.rate or 0.0), "deg/s")
+        duration = float(move.duration)
+        moves: list[AxisCommand] = []
+        if rate and axis:
+            moves.append(AxisCommand(0.0, axis, "spin", rate_dps=rate, acceleration_dps2=_SPIN_ACCELERATION_DPS2))
+        elif axis and number > 1:
+            moves.append(AxisCommand(0.0, axis, "stop"))
+        reads = [0.0, *reading_times(duration, 1.0)] if number == 1 else reading_times(duration, 1.0)
+        name = f"{block.begins_with}, rate {number} of {len(block.moves)}"
+        pieces.append(_Piece(name, float(move.start), duration, moves, reads))
+    return pieces
+
+
+def _add(piece: _Piece, move: TrackMove, names: dict[str, str], *, ends: bool) -> None:
+    """The commands and the readings of one line of the recipe."""
+    duration = float(move.duration)
+    for repetition in range(move.repeat):
+        start = float(move.start) + repetition * duration
+        if move.do not in ("rest", "wait"):
+            piece.moves.append(_command(move, start, names[move.axis]))
+        if move.read_every is not None:
+            piece.read_at_s += [start + time for time in reading_times(duration, float(move.read_every))]
+            if ends and move.do == "rest" and piece.read_at_s[-1:] != [start + duration]:
+                piece.read_at_s.append(start + duration)
+        elif move.read == "end":
+            piece.read_at_s.append(start + duration)
+
+
+def _command(move: TrackMove, start: float, axis: str) -> AxisCommand:
+    assert move.angle is not None
+    assert move.rate is not None
+    assert move.acceleration is not None
+    rates = {"rate_dps": abs(to_unit(float(move.rate), "deg/s"))}
+    rates["acceleration_dps2"] = to_unit(float(move.acceleration), "deg/s^2")
+    turn = AxisCommand(start, axis, "turn", angle_deg=to_unit(float(move.angle), "deg"), **rates)
+    # Beyond the rounding of the recipe's numbers.
+    more_s = round(float(move.duration) - turn.duration_s, 3)
+    return replace(turn, answer_s=max(0.0, more_s)) if move.do == "turn by hand" else turn

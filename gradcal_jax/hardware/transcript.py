@@ -24,9 +24,9 @@ from typing import TextIO
 from ..files.rig import RigFile
 from .clock import Clock
 from .errors import HardwareError
+from .guard import put_back
 from .journal import Direction, Recorder
 from .roles import AxisSafe, ChamberSafe
-from .safety import put_back
 from .setup import Bench, open_rig
 
 HEADER = "# gradcal-transcript/1"
@@ -56,7 +56,6 @@ class Transcript:
         self._file.flush()
 
     def recorder(self, line: str) -> Recorder:
-        """A recorder for a `Transport`."""
         return partial(self._write, line)
 
     def note(self, time_s: float, device: str, text: str) -> None:

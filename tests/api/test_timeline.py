@@ -11,7 +11,7 @@ from gradcal_jax.api.recipe import recipe
 from gradcal_jax.api.timeline import timeline
 from gradcal_jax.files import presets, spec_of
 from gradcal_jax.files.motion_plan import row_count
-from gradcal_jax.hardware.binding import track_of
+from gradcal_jax.hardware.track import track_of
 
 TABLES = tomllib.loads(presets.text("paper-dynamic-gradient"))
 TABLES["requirement"][0]["grid"] = [5, 5]

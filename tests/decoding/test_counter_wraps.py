@@ -20,7 +20,7 @@ from gradcal_jax.decoding import spool as spool_module
 from gradcal_jax.decoding.counter_wraps import Doubt, resolve_wraps
 from gradcal_jax.decoding.spool import SampleSpool
 from gradcal_jax.hardware import checksums
-from gradcal_jax.hardware.drivers.stim300_datagrams import GapCounter, Stim300Decoder
+from gradcal_jax.hardware.drivers.stim300 import GapCounter, Stim300Decoder
 from gradcal_jax.hardware.roles import ImuBatch, join
 
 SAMPLE_S = 0.008

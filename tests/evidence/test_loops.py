@@ -1,7 +1,7 @@
 """Many simulated units with loops over the temperature by other laws than the plays that estimate them.
 
 Three gyros stand on a table while the chamber goes up and down, or up alone in the same time. Their loops are Preisach
-relays or the difference of two thermal masses (`hardware.simulate.loops`), drawn with the size that the spec names. For
+relays or the difference of two thermal masses (`hardware.simulate.imu`), drawn with the size that the spec names. For
 relays the estimator has plays of 3, 10 and 30 K; for masses dT/dt late by 1 and 10 min, which are the time constants of
 the type, and those of each unit differ from them by up to 10 %. Both have dT/dt and a discrepancy of 1.5 deg/h, chosen
 by 300 other units (with 1 deg/h these had 1.002 and 1.317 times the predicted error, and NEES 1.26 and 1.58).
@@ -27,7 +27,7 @@ from gradcal_jax.api import predict
 from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.files.changes import changed
 from gradcal_jax.hardware.simulate.draws import draw_truth
-from gradcal_jax.hardware.simulate.loops import LAWS, Law
+from gradcal_jax.hardware.simulate.imu import LAWS, Law
 
 pytestmark = pytest.mark.evidence
 

@@ -40,15 +40,15 @@ def machine() -> str:
     return f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
-def record(proof: str, figure: str, test: str) -> None:
-    """Write or replace the row of one proof."""
+def record(proof: str, figure: str, test: str, on: str = "") -> None:
+    """Write or replace the row of one proof; `on`: the computer that made it, if not this one."""
     rows: dict[str, str] = {}
     if REPORT.exists():
         for line in REPORT.read_text(encoding="utf-8").splitlines():
             cells = [cell.strip() for cell in line.strip("|").split("|")]
             if len(cells) == 5 and cells[0] not in ("proof", "---"):
                 rows[cells[0]] = line
-    cells = (proof, figure, time.strftime("%Y-%m-%d"), f"`pytest -m evidence {test}`", machine())
+    cells = (proof, figure, time.strftime("%Y-%m-%d"), f"`pytest -m evidence {test}`", on or machine())
     rows[proof] = f"| {' | '.join(cells)} |"
     REPORT.parent.mkdir(parents=True, exist_ok=True)
     REPORT.write_text(_HEAD + "\n".join(rows[name] for name in sorted(rows)) + "\n" + _FOOT, encoding="utf-8")

@@ -22,9 +22,9 @@ from gradcal_jax.files.rig import read_rig
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.writing import write_toml, write_whole
 from gradcal_jax.hardware import guard as watching
+from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder, prepare_resume
-from gradcal_jax.hardware.session import run_session
 
 
 def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: float) -> None:

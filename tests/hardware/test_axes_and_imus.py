@@ -29,8 +29,7 @@ from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers import odrive
 from gradcal_jax.hardware.drivers.lines import LinesConfig
 from gradcal_jax.hardware.drivers.odrive import ODriveConfig
-from gradcal_jax.hardware.drivers.stim300 import Stim300Config, Stim300Stream
-from gradcal_jax.hardware.drivers.stim300_datagrams import START_UP
+from gradcal_jax.hardware.drivers.stim300 import START_UP, Stim300Config, Stim300Stream
 from gradcal_jax.hardware.drivers.vectornav import VectorNavConfig
 from gradcal_jax.hardware.drivers.zaber import ZaberConfig
 from gradcal_jax.hardware.errors import (
@@ -549,16 +548,10 @@ def test_stim300_port_that_is_something_else() -> None:
         Stim300Stream(line, clock, config).identify()
 
 
-def test_vectornav_ascii_output_and_a_line_too_slow() -> None:
-    clock = LineClock()
-    config = VectorNavConfig(output="ascii", sample_rate_hz=50.0, reply_timeout_s=0.3)
-    with vectornav_bench(clock, config=config) as (unit, device, _):
+def test_vectornav_on_a_line_too_slow() -> None:
+    with vectornav_bench(LineClock()) as (unit, device, _):
         unit.configure()
-        samples = stream(unit, clock, 2.0)
-        assert len(samples) == pytest.approx(100, abs=5)
-        np.testing.assert_allclose(samples.acceleration_g[-1], [0.0, 0.0, 1.0], atol=1e-4)
         device.registers[5] = "9600"
-        unit.stop()
         with pytest.raises(Rejected, match="baud rate too low"):
             unit.start()
     with pytest.raises(ValueError, match="do not fit"):

@@ -48,8 +48,7 @@ from gradcal_jax.hardware.errors import (
     Rejected,
     ReplyTimeout,
 )
-from gradcal_jax.hardware.modbus import Tcp, parse_words, parse_written, read_body, write_body
-from gradcal_jax.hardware.request_reply import NotThisReply
+from gradcal_jax.hardware.framing import NotThisReply, Tcp, parse_words, parse_written, read_body, write_body
 from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
 from gradcal_jax.hardware.setup import DRIVERS, configs_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth

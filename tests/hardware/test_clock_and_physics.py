@@ -13,8 +13,8 @@ from simulated_devices.stim300 import Stim300Options
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.roles import join
+from gradcal_jax.hardware.simulate.imu import Process, TruthBasis
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.simulate.sensor import Process, TruthBasis
 
 # --- clock ------------------------------------------------------------------------------------------------------------
 

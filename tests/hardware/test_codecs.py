@@ -11,12 +11,21 @@ from hypothesis import strategies as st
 
 from gradcal_jax.files.line_protocol import formatted, reply_pattern
 from gradcal_jax.hardware import checksums
-from gradcal_jax.hardware.drivers import lines, odrive, stim300, vectornav, weiss, zaber
-from gradcal_jax.hardware.drivers.stim300_datagrams import LAYOUTS, Stim300Decoder
+from gradcal_jax.hardware.drivers import lines, odrive, stim300, text_unit, vectornav, weiss, zaber
+from gradcal_jax.hardware.drivers.stim300 import LAYOUTS, Stim300Decoder
 from gradcal_jax.hardware.errors import ChecksumError, FramingError, HardwareError, LimitExceeded, Rejected
-from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer, ModbusTcpFramer
-from gradcal_jax.hardware.modbus import Rtu, Tcp, parse_words, parse_written, read_body, write_body
-from gradcal_jax.hardware.request_reply import NotThisReply
+from gradcal_jax.hardware.framing import (
+    LineFramer,
+    ModbusReplyFramer,
+    ModbusTcpFramer,
+    NotThisReply,
+    Rtu,
+    Tcp,
+    parse_words,
+    parse_written,
+    read_body,
+    write_body,
+)
 from gradcal_jax.hardware.roles import ImuBatch
 
 # --- check sums -------------------------------------------------------------------------------------------------------
@@ -114,9 +123,9 @@ def test_weiss_golden_vectors() -> None:
     assert record.numbers[PAIRS_14.actual("CV01")] == 20.5
     assert record.numbers[PAIRS_14.actual("MV03")] == 20.3
     # The manual's write differs from the manual's read in temperature only: everything else is written back.
-    body = weiss.write_body(PAIRS_14, record, temperature_c=-40.0, start=True, start_channel=1)
+    body = weiss.write_body(record, temperature_c=-40.0, start=True, start_channel=1)
     assert weiss.request(0, "E", body) == golden.WEISS_WRITE
-    stopped = weiss.write_body(PAIRS_14, record, temperature_c=-40.0, start=False, start_channel=1)
+    stopped = weiss.write_body(record, temperature_c=-40.0, start=False, start_channel=1)
     assert stopped.split()[:-1] == body.split()[:-1]
     assert stopped.split()[-1] == "0" + "0" + body.split()[-1][2:]
 
@@ -294,8 +303,11 @@ def test_vectornav_golden_vectors() -> None:
     assert batch.temperature_c[0].tolist() == [25.5] * 3
 
 
-def test_vectornav_ascii_samples() -> None:
-    decoder = vectornav.VectorNavDecoder(sample_rate_hz=100.0)
+def test_vectornav_lines_are_a_unit_of_text() -> None:
+    fields = ["{}"] * 3 + [f"{{acceleration_{a}}}" for a in "xyz"] + [f"{{gyro_{a}}}" for a in "xyz"]
+    line = ",".join(["$VNIMU", *fields, "{temperature}", "{}"])
+    described = {"format": "gradcal-text/1", "line": line, "rate": "100 Hz", "gyro": "rad/s", "checksum": "xor8"}
+    decoder = text_unit.decoder_of(text_unit.TextUnitConfig(described), {})
     batch = decoder.push(golden.VECTORNAV_LINES[5].encode() + b"\r\n", 0.0)
     np.testing.assert_allclose(batch.gyro_dps[0], np.degrees([-0.000018, 0.001122, -0.000551]))
     np.testing.assert_allclose(batch.acceleration_g[0] * 9.80665, [-1.258, -0.1, -9.701])
@@ -570,10 +582,10 @@ def test_modbus_tcp_messages_come_out_whole_however_they_are_cut(noise: bytes, d
     for begin, end in itertools.pairwise([0, *cuts, len(stream)]):
         found += framer.push(stream[begin:end])
     assert found == messages
-    assert framer.pending == b""
+    assert framer._buffer == b""
     # Of anything at all nothing is raised but what says so, and what is kept is bounded.
     framer.push(noise)
-    assert len(framer.pending) < 300
+    assert len(framer._buffer) < 300
     sent = Tcp(1).message(read_body(2820, 2))
     for frame in ModbusTcpFramer().push(sent[:2] + bytes(2) + noise):
         with suppress(FramingError, NotThisReply, Rejected):
@@ -585,13 +597,13 @@ def test_rehearsed_units_send_what_the_data_sheet_says(rate_hz: float) -> None:
     """The simulator's one kind of datagram is that of the peer which has all kinds."""
     from simulated_devices.datagrams import datagrams
 
-    from gradcal_jax.hardware.simulate import datagrams as rehearsed
-    from gradcal_jax.hardware.simulate.sensor import SensorSamples
+    from gradcal_jax.hardware.simulate.devices import datagrams as rehearsed
+    from gradcal_jax.hardware.simulate.imu import SensorSamples
 
     random, count = np.random.default_rng(5), 300
     rates, forces = 600.0 * random.standard_normal((count, 3)), 9.0 * random.standard_normal((count, 3))
     forces[7] = np.nan
     samples = SensorSamples(np.arange(count) / rate_hz, rates, forces, 60.0 * random.standard_normal(count))
     expected = datagrams(samples, 41, np.zeros(count, np.bool_), rate_hz=rate_hz)
-    assert np.array_equal(rehearsed.datagrams(samples, 41, rate_hz), expected)
+    assert np.array_equal(rehearsed(samples, 41, rate_hz), expected)
     assert set(expected[:, 10]) > {0}  # some rates are beyond the range

@@ -24,8 +24,8 @@ from gradcal_jax.files.log import Log
 from gradcal_jax.files.log_file import write_log
 from gradcal_jax.files.recipe import Recipe, read_recipe
 from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
-from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.simulate import lab
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth, TableTruth

@@ -29,11 +29,9 @@ from test_codecs import espec_temperatures
 
 from gradcal_jax.hardware import checksums
 from gradcal_jax.hardware.drivers import odrive, stim300, vectornav, weiss, zaber
-from gradcal_jax.hardware.drivers.stim300_datagrams import Stim300Decoder
+from gradcal_jax.hardware.drivers.stim300 import Stim300Decoder
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, NotVerified
-from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer
-from gradcal_jax.hardware.modbus import Rtu, parse_words, read_body
-from gradcal_jax.hardware.request_reply import NotThisReply
+from gradcal_jax.hardware.framing import LineFramer, ModbusReplyFramer, NotThisReply, Rtu, parse_words, read_body
 from gradcal_jax.hardware.roles import join
 
 HERE = "tests/hardware/test_faults_in_figures.py"

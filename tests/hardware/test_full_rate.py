@@ -33,7 +33,6 @@ from gradcal_jax.decoding.run_log import log as log_of_run
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.rig import read_rig, rig_of
 from gradcal_jax.files.writing import write_toml
-from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.journal import Journal, read_journal
 from gradcal_jax.hardware.roles import join
@@ -41,7 +40,7 @@ from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import DRIVERS, config_of, open_rig
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep
+from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, track_of
 
 RATE_HZ, BAUDRATE = 2000.0, 1_843_200
 UNITS = ("unit1", "unit2", "unit3")

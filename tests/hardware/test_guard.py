@@ -13,7 +13,7 @@ import sys
 import termios
 import threading
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,16 +27,16 @@ from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.files.rig import TEMPLATE
 from gradcal_jax.files.writing import write_toml
-from gradcal_jax.hardware import guard, runner, session
+from gradcal_jax.hardware import execute, guard, runner
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused
+from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.runner import RunProgress, RunResult
-from gradcal_jax.hardware.safety import SafeOutcome
-from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import only_of, open_rig
+from gradcal_jax.hardware.supervision import SafeOutcome
 
 SPEED = 20.0
 
@@ -143,7 +143,7 @@ def test_it_acts_on_a_run_that_had_begun_and_was_not_done(said: bytes, acts: boo
 
 def test_a_guard_that_could_not_work_keeps_the_run_from_beginning(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text("format = 1")
-    with pytest.raises(HardwareError, match="cannot work with"), guard.guarded(tmp_path):
+    with pytest.raises(HardwareError, match="cannot work with"), closing(guard.Guard(tmp_path)):
         pass
 
 
@@ -211,7 +211,7 @@ def test_a_device_that_does_not_answer_is_tried_until_it_does(
 def test_a_guard_that_died_is_announced_and_replaced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(session, "BEAT_S", 0.1)
+    monkeypatch.setattr(execute, "BEAT_S", 0.1)
     killed: list[int] = []
     clock, made = FastClock(SPEED), short_recipe(1.0)
 

@@ -20,8 +20,7 @@ from gradcal_jax.files import SpecError, changed, presets, tables_of
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError
-from gradcal_jax.hardware.stretches import adopt, stretches_of
+from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError, adopt, stretches_of
 from gradcal_jax.information import imu_system, whiten
 from gradcal_jax.trajectory import TableMotion, TablePart, body_nodes
 

@@ -24,15 +24,13 @@ from gradcal_jax.files.rig import RigFile, parse_rig
 from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
-from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.errors import HardwareError
-from gradcal_jax.hardware.roles import AxisLimits, AxisReading
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
-from gradcal_jax.hardware.settings import KeptSettings
 from gradcal_jax.hardware.simulate.devices import SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant
-from gradcal_jax.hardware.track import AxisCommand
+from gradcal_jax.hardware.track import AxisCommand, track_of
 
 
 @pytest.fixture(scope="module")
@@ -187,6 +185,26 @@ def test_an_axis_that_is_not_read_in_a_rest_stands_as_it_was_last_read(ran: tupl
     found = executed_imu(rows._replace(angles=angles), built.motion.geometry)
     for one, other in zip(found.motion.angles(), whole.motion.angles(), strict=True):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=np.radians(0.02))
+
+
+def test_an_axis_that_is_not_read_before_a_break_stands_as_before_and_not_as_behind_it(ran: tuple[Path, Log]) -> None:
+    """A run that is killed in the first quarter of a second of a rest, and gone on with at other angles."""
+    folder, log = ran
+    built = build_imu(RunFolder(folder).recipe().spec)
+    rows, _ = imu_rows(built, [log], "unit2", Options())
+    whole = executed_imu(rows, built.motion.geometry).motion.angles()[0]
+    assert log.standstill is not None
+    numbers = np.unique(log.standstill[log.standstill >= 0])
+    rest, behind = (np.flatnonzero(log.standstill == numbers[k]) for k in (-3, -1))
+    kept = np.r_[: rest[30], behind[0] : len(rows.time_s)]
+    parts = {name: of[kept] for name, of in rows._asdict().items() if np.shape(of)[:1] == rows.time_s.shape}
+    broken = rows._replace(**parts)
+    angles, usable, standing = broken.angles.copy(), broken.usable.copy(), broken.standing.copy()
+    angles[rest[0] - 100 : rest[30], 0], usable[rest[30]], standing[rest[27] : rest[30]] = np.nan, False, False
+    broken = broken._replace(angles=angles, usable=usable, standing=standing)
+    found = executed_imu(broken, built.motion.geometry).motion.angles()[0]
+    stands = len(found) - 3
+    np.testing.assert_allclose(found[:stands], whole[:stands], rtol=0.0, atol=np.radians(0.02))
 
 
 def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path: Path) -> None:

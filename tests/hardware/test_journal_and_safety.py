@@ -21,6 +21,7 @@ from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError
+from gradcal_jax.hardware.guard import make_safe
 from gradcal_jax.hardware.journal import (
     Chunk,
     Event,
@@ -28,7 +29,6 @@ from gradcal_jax.hardware.journal import (
     read_journal,
 )
 from gradcal_jax.hardware.roles import AxisLimits
-from gradcal_jax.hardware.safety import make_safe
 from gradcal_jax.hardware.setup import Bench, open_rig
 from gradcal_jax.hardware.simulate.devices import SimulatedAxis, SimulatedChamber
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth

@@ -24,12 +24,11 @@ from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.writing import write_toml
-from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.drivers import stim300
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, exit_status
 from gradcal_jax.hardware.setup import config_of
-from gradcal_jax.hardware.track import Track, TrackStep
+from gradcal_jax.hardware.track import Track, TrackStep, track_of
 
 SPEED = 20.0
 RATE_HZ = 125.0

@@ -17,11 +17,11 @@ from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import TEMPLATE, parse_rig, rig_of
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.execute import limits_of
 from gradcal_jax.hardware.interlocks import RULES, InterlockLimits, InterlockRule, Interlocks, Situation
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.roles import ChamberReading
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
-from gradcal_jax.hardware.session import limits_of
 from gradcal_jax.hardware.setup import configs_of, only_of, open_rig
 from gradcal_jax.hardware.track import AxisCommand, Stable, Track, TrackStep
 

@@ -41,9 +41,9 @@ from gradcal_jax.hardware.errors import (
     Rejected,
     ReplyTimeout,
 )
+from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.roles import AxisSafe, ChamberSafe
 from gradcal_jax.hardware.run_folder import new_folder
-from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import configs_of
 
 # Question or command -> its bytes, and the bytes of a reply with the values in it.

@@ -18,8 +18,7 @@ from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.decoding.run_log import log, log_in_blocks
 from gradcal_jax.files.log_file import write_log
 from gradcal_jax.hardware.journal import Journal, read_journal
-from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
-from gradcal_jax.hardware.stretches import goes_on_at, stretches_of
+from gradcal_jax.hardware.run_folder import RunFolder, goes_on_at, prepare_resume, stretches_of
 
 
 @pytest.fixture(scope="module")

@@ -14,11 +14,11 @@ from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
 
-from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import open_rig
+from gradcal_jax.hardware.track import track_of
 
 
 @contextmanager

@@ -30,22 +30,19 @@ from gradcal_jax.files.rig import TEMPLATE, parse_rig
 from gradcal_jax.files.tracks import read_at_rest
 from gradcal_jax.files.writing import to_toml, write_toml
 from gradcal_jax.hardware.axis_control import AxisControl
-from gradcal_jax.hardware.binding import track_of
-from gradcal_jax.hardware.clock import Clock, RealClock
+from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
 from gradcal_jax.hardware.drivers import operator, zaber
 from gradcal_jax.hardware.dry_run import beyond_limits
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded
-from gradcal_jax.hardware.execute import run
+from gradcal_jax.hardware.execute import run, run_session
 from gradcal_jax.hardware.journal import Chunk, read_journal
 from gradcal_jax.hardware.roles import AxisLimits, AxisSafe, ChamberLimits
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
-from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.devices import SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
-from gradcal_jax.hardware.terminal import Terminal
-from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep
+from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, track_of
+from gradcal_jax.hardware.transport import Terminal
 from gradcal_jax.units import UnitError
 
 # ------------------------------------------------------------------------------------------------------------ words

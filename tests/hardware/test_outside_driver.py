@@ -20,9 +20,9 @@ from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import TEMPLATE, RigFile, parse_rig, rig_of
 from gradcal_jax.files.writing import write_toml
 from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.guard import make_folder_safe
 from gradcal_jax.hardware.run_folder import new_folder
-from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import configs_of, driver_names, driver_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 

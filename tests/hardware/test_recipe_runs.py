@@ -21,8 +21,8 @@ from gradcal_jax.files.motion_plan import PlanSchedule, row_count
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.tracks import tracks_of
 from gradcal_jax.files.writing import write_toml
-from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.errors import HardwareError
+from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
 from gradcal_jax.hardware.run_folder import (
     RunFolder,
@@ -33,8 +33,7 @@ from gradcal_jax.hardware.run_folder import (
     sessions,
 )
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
-from gradcal_jax.hardware.session import run_session
-from gradcal_jax.hardware.track import Track
+from gradcal_jax.hardware.track import Track, track_of
 from gradcal_jax.information import segments_of
 
 SPEED = 20.0

@@ -19,10 +19,10 @@ from gradcal_jax.decoding import run_log
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.log_file import read_log
 from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.run_folder import new_folder
-from gradcal_jax.hardware.session import run_session
+from gradcal_jax.hardware.simulate.imu import SensorSamples
 from gradcal_jax.hardware.simulate.plants import AxisPlant
-from gradcal_jax.hardware.simulate.sensor import SensorSamples
 
 MAP = """\
 format = "gradcal-columns/1"

@@ -17,9 +17,8 @@ from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.files.recipe import Recipe, read_recipe
 from gradcal_jax.hardware.execute import resume, run
 from gradcal_jax.hardware.journal import Event, JournalContents
-from gradcal_jax.hardware.run_folder import SESSION, RunFolder, RunFolderError
+from gradcal_jax.hardware.run_folder import SESSION, RunFolder, RunFolderError, adopt, stretches_done, stretches_of
 from gradcal_jax.hardware.runner import Runner, RunProgress
-from gradcal_jax.hardware.stretches import adopt, stretches_done, stretches_of
 from gradcal_jax.hardware.track import Track, TrackStep
 
 TRACK = Track(

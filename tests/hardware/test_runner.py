@@ -18,11 +18,11 @@ from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.hardware.dry_run import beyond_limits
+from gradcal_jax.hardware.execute import signals_to
 from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import ChamberLimits, join
 from gradcal_jax.hardware.runner import WAYS, Runner, RunProgress, RunState
-from gradcal_jax.hardware.session import signals_to
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
 

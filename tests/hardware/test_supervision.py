@@ -17,13 +17,13 @@ from gradcal_jax.cli import main
 from gradcal_jax.decoding.run_log import log
 from gradcal_jax.files.rig import RigFile, rig_of
 from gradcal_jax.files.writing import write_toml
-from gradcal_jax.hardware.binding import track_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.dry_run import dry_run_of, rate_as_made
+from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.roles import ChamberLimits
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
-from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.supervision import read_status
+from gradcal_jax.hardware.track import track_of
 
 SLOWER = {"rig.table.axis[0].max_acceleration": "300 deg/s^2"}
 # Writes its last word into the file that is named before it.

@@ -20,9 +20,9 @@ from gradcal_jax.files.rig import RigFile, rig_of
 from gradcal_jax.hardware.checksums import xor8
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, TextUnitDecoder, decoder_of
+from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.roles import ImuBatch, join
 from gradcal_jax.hardware.run_folder import new_folder
-from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import check_each, configs_of
 
 BOARD: dict[str, Any] = {

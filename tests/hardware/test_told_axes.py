@@ -7,14 +7,13 @@ import pytest
 from simulated_devices.line_clock import LineClock
 from test_operator import gimbal
 
-from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.clock import RealClock, VirtualClock
 from gradcal_jax.hardware.drivers.operator import OperatorAxis, OperatorConfig
-from gradcal_jax.hardware.drivers.switch import SwitchAxis, SwitchConfig, SwitchLine
+from gradcal_jax.hardware.drivers.switch import SwitchAxis, SwitchConfig, open_exchange
 from gradcal_jax.hardware.errors import LimitExceeded, NotVerified, Rejected
 from gradcal_jax.hardware.roles import AxisLimits, AxisSafe
 from gradcal_jax.hardware.simulate.devices import SimulatedAxis, SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
 
 TOLD = AxisLimits(300.0, 400.0, None, None, 0.01, hardware_watchdog=False, told=True)
 
@@ -24,7 +23,7 @@ class Motor:
 
     def __init__(self, says: bytes = b"") -> None:
         self.told: list[tuple[float, str]] = []
-        self.says = says
+        self.says, self.url, self.late = says, "a line", ""
 
     def write(self, data: bytes) -> None:
         self.told.append((time.monotonic(), data.decode().strip()))
@@ -32,14 +31,15 @@ class Motor:
     def read(self, timeout_s: float) -> bytes:
         return self.says
 
-    def drain(self) -> bytes:
+    def drain(self, quiet_s: float = 0.0) -> bytes:
         return b""
 
     def close(self) -> None: ...
 
 
 def switched(motor: Motor, **config) -> SwitchAxis:
-    return SwitchAxis(SwitchLine(motor, RealClock()), SwitchConfig(**{"rate_dps": 600.0, "coast_s": 0.05, **config}))
+    options = SwitchConfig(**{"rate_dps": 600.0, "coast_s": 0.05, **config})
+    return SwitchAxis(open_exchange(motor, RealClock(), options), options)
 
 
 def test_a_motor_is_told_to_turn_and_in_time_to_stop():

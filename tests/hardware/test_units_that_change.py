@@ -10,12 +10,12 @@ import pytest
 from hardware_bench import Rig, short_recipe
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.hardware.binding import track_of
-from gradcal_jax.hardware.drivers.vectornav import VectorNavConfig, decoder_of, request
+from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, decoder_of
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.losses import ExecutedStep, SampleLosses
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import open_rig
+from gradcal_jax.hardware.track import track_of
 
 
 @contextmanager
@@ -88,9 +88,9 @@ def test_a_unit_that_stops_measuring_ends_the_run(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.1])
 def test_lost_lines_of_a_unit_that_does_not_count_are_noticed_by_their_rate(share: float) -> None:
-    config = VectorNavConfig(output="ascii", sample_rate_hz=50.0)
-    losses, random = SampleLosses(decoder_of(config, {}), 50.0), np.random.default_rng(1)
-    line = request("VNIMU,+00.1,+00.2,+00.3,+00.01,+00.02,-09.81,+00.001,+00.002,+00.003,+24.5,+101.3")
+    described = {"format": "gradcal-text/1", "line": "{gyro_x} {gyro_y} {gyro_z}", "rate": "50 Hz"}
+    losses, random = SampleLosses(decoder_of(TextUnitConfig(described), {}), 50.0), np.random.default_rng(1)
+    line = b"0.001 0.002 0.003\r\n"
     for k in range(50 * 40):
         if random.random() >= share:
             losses.push(line, k / 50.0)

@@ -25,12 +25,11 @@ from gradcal_jax.hardware import guard
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.lines import LinesConfig
 from gradcal_jax.hardware.errors import Disconnected, PortTaken, Rejected, ReplyTimeout
-from gradcal_jax.hardware.guard import Guard
+from gradcal_jax.hardware.execute import run_session
+from gradcal_jax.hardware.guard import Guard, make_safe
 from gradcal_jax.hardware.journal import read_journal
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
-from gradcal_jax.hardware.safety import make_safe
-from gradcal_jax.hardware.session import run_session
 from gradcal_jax.hardware.setup import check_each, open_rig
 from gradcal_jax.hardware.supervision import read_status
 from gradcal_jax.hardware.transport import Transport

@@ -8,8 +8,7 @@ from gradcal_jax.files.changes import changed
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
-from gradcal_jax.hardware.simulate.imu import SimulatedImu
-from gradcal_jax.hardware.simulate.loops import LoopTruth
+from gradcal_jax.hardware.simulate.imu import LoopTruth, SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 
 HOUR = np.pi / 180.0 / 3600.0

@@ -1,18 +1,48 @@
-"""Base classes of drivers whose device answers requests: its exchange, verified commands, and the safe state of a
-chamber; the scale of an axis, and the wait until it stands."""
+"""Base classes of drivers: verified commands on an exchange, the safe state of a chamber, the scale of an axis and the
+wait until it stands; and devices that a rig file describes without code, in lines or in registers.
 
+A description has `fields` (readings as the device's own text, by name), `state` (conditions on fields), `tell`
+(commands), `limits`, `units` and `require`. The driver of a format speaks: it reads fields and sends commands.
+"""
+
+import math
+import tomllib
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from typing import Any, Generic, Literal, TypeVar
 
-from ..errors import DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected
-from ..request_reply import Exchange, Reply, command_and_verify
-from ..roles import AxisReading, AxisSafe, ChamberLimits, ChamberReading, ChamberSafe, SafeReport
+from ... import units
+from ...files.line_protocol import LineProtocol
+from ...files.register_protocol import RegisterProtocol
+from ..errors import DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout
+from ..request_reply import TRIES, Exchange, Reply
+from ..roles import (
+    AxisReading,
+    AxisSafe,
+    ChamberLimits,
+    ChamberReading,
+    ChamberSafe,
+    Identity,
+    MotionAxis,
+    SafeReport,
+    TemperatureChamber,
+)
 
 Config = TypeVar("Config")
+_BETWEEN_LOOKS_S = 0.2
 _OVER_S = 0.4
 _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
+
+
+def codes_of(driver: str) -> Mapping[str, Any]:
+    """The texts of a driver's codes, by code as it is written in `files/device_codes.toml`. To be read when a driver is
+    loaded, before anything moves."""
+    text = resources.files("gradcal_jax.files").joinpath("device_codes.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)[driver]
 
 
 class ExchangeDriver(Generic[Config]):
@@ -30,34 +60,41 @@ class ExchangeDriver(Generic[Config]):
         shows: Callable[[Reply], bool],
         looks: int = 3,
     ) -> Reply:
-        """Command until the read-back shows it (`command_and_verify`)."""
-        return command_and_verify(send, read, shows, what=what, clock=self._clock, looks=looks)
+        """Command, then read back until the read-back shows it; nothing else repeats a command.
+
+        `send` is repeated only after `looks` read-backs, some time apart, have shown that it did not take effect: a
+        lost acknowledgement alone repeats nothing. A refusal by the device is raised at once; `NotVerified` after three
+        commands, whose message `what` begins.
+        """
+        seen: Reply | None = None
+        unanswered = ""
+        for _ in range(TRIES):
+            try:
+                send()
+            except (ReplyTimeout, FramingError) as problem:
+                unanswered = f" ({problem})"
+            for look in range(looks):
+                if look:
+                    self._clock.sleep(_BETWEEN_LOOKS_S)
+                seen = read()
+                if shows(seen):
+                    return seen
+        raise NotVerified(
+            f"{what} was sent {TRIES} times and the read-back still says {seen!r}{unanswered}. "
+            "Look at the device's own display: it may be in local mode, locked, or limited."
+        )
 
 
 class ImuDriver(ExchangeDriver[Config]):
-    """A unit that streams."""
-
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
         return self._exchange.transport.read_stamped(timeout_s)
 
 
-class ChamberDriver(ExchangeDriver[Config], ABC):
+class ChamberDriver(ExchangeDriver[Config], TemperatureChamber, ABC):
     """A chamber, whose safe state is verified by its read-back."""
 
     _BOUNDS: str
     """What the limits `low` and `high` of a set point are, and what to do about them."""
-
-    @abstractmethod
-    def limits(self) -> ChamberLimits: ...
-
-    @abstractmethod
-    def read(self) -> ChamberReading: ...
-
-    @abstractmethod
-    def hold(self, temperature_c: float) -> None: ...
-
-    @abstractmethod
-    def standby(self) -> None: ...
 
     @abstractmethod
     def _air_c(self) -> float: ...
@@ -89,25 +126,32 @@ class ChamberDriver(ExchangeDriver[Config], ABC):
         return SafeReport(policy.value, verified, self._evidence(reading))
 
 
-class Placed(Protocol):
-    """The options of every axis: the rig's angle at the device's 0, and +1 or -1."""
+class Unwatched:
+    """An axis without a watchdog."""
 
-    @property
-    def zero_deg(self) -> float: ...
-    @property
-    def direction(self) -> int: ...
+    def arm_watchdog(self) -> None: ...
 
-
-Place = TypeVar("Place", bound=Placed)
+    def heartbeat(self) -> None: ...
 
 
-class AxisDriver(ExchangeDriver[Place], ABC):
+@dataclass(frozen=True)
+class AxisOptions:
+    """Options of every axis: the rig's angle at the device's 0, the sign of its direction, and how long it may take to
+    find its reference and to stop."""
+
+    direction: Literal[-1, 1] = 1
+    zero_deg: float = 0.0
+    home_timeout_s: float = 120.0
+    stop_timeout_s: float = 30.0
+
+
+Options = TypeVar("Options", bound=AxisOptions)
+
+
+class AxisDriver(ExchangeDriver[Options], Unwatched, MotionAxis, ABC):
     """An axis with a scale of its own: its angles, what it may be commanded, and the wait until it stands."""
 
     _POLL_S = 0.05
-
-    @abstractmethod
-    def read(self) -> AxisReading: ...
 
     @abstractmethod
     def _per_turn(self) -> float:
@@ -164,14 +208,6 @@ class AxisDriver(ExchangeDriver[Place], ABC):
         return reading
 
 
-class Unwatched:
-    """An axis without a watchdog."""
-
-    def arm_watchdog(self) -> None: ...
-
-    def heartbeat(self) -> None: ...
-
-
 class MeanRate:
     """An axis's rate from its positions, for controllers that do not report it: the mean since a reading at least 0.4 s
     before, because a noisy encoder that is read twice in a millisecond could show any rate. The time is from the
@@ -192,3 +228,194 @@ class MeanRate:
             rate = (position_deg - recent[0][1]) / (time_s - recent[0][0])
         recent.append((asked_s, position_deg))
         return rate
+
+
+Texts = dict[str, str]
+"""Fields in the device's own text."""
+
+_SETTLED_K = 2.0
+
+
+Description = LineProtocol | RegisterProtocol
+
+
+@dataclass(frozen=True)
+class DescribedOptions(ABC):
+    """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables; `changes`:
+    tables that differ from it, `false` for one that is left out. 0 or absent: the protocol's value. Without `require`
+    the settings that the protocol requires are not asked for."""
+
+    protocol: Any = ""
+    changes: Any = None
+    baudrate: int = 0
+    reply_timeout_s: float = 0.0
+    require: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.baudrate:
+            object.__setattr__(self, "baudrate", self.described.line.baudrate)
+
+    @cached_property
+    @abstractmethod
+    def described(self) -> Description: ...
+
+
+Described = TypeVar("Described", bound=DescribedOptions)
+
+
+class DescribedDevice(ExchangeDriver[Described], ABC):
+    """Common to all roles: fields, commands, states."""
+
+    _DRIVER: str
+
+    @abstractmethod
+    def _read(self, *names: str) -> Texts:
+        """The fields of these names, in this order; fields that the description lacks are absent."""
+
+    @abstractmethod
+    def _tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
+        """Send a command; returns its values as text."""
+
+    def identify(self) -> Identity:
+        known = self._read("model", "serial", "firmware")
+        required = self._config.described.require if self._config.require else ()
+        needed = self._read(*(need.field for need in required))
+        for need in required:
+            if not any(needed[need.field] == text or _same_number(needed[need.field], text) for text in need.equals):
+                raise Rejected(f"{self._title} says {need.field} = {needed[need.field]}: {need.why}.")
+        model = f"{self._title} {known.get('model', '')}".strip()
+        return Identity(self._DRIVER, model, known.get("serial", ""), known.get("firmware", ""))
+
+    def _switch(self, name: str, state: str, on: bool) -> None:
+        """Send "on" or "off" until the device shows that state, unless it does already."""
+        names = self._asks_of(state)
+        if self._is(state, self._read(*names)) is not on:
+            self._verify(
+                f"{self._title} {name}",
+                lambda: self._tell(name),
+                lambda: self._read(*names),
+                lambda texts: self._is(state, texts) is on,
+            )
+
+    def _is(self, name: str, texts: Texts) -> bool:
+        condition = self._config.described.state.get(name)
+        if condition is None:
+            return False
+        try:
+            return condition.holds(texts[condition.field])
+        except ValueError:
+            raise FramingError(f"{self._title} says {condition.field} = {texts[condition.field]!r}.") from None
+
+    def _asks_of(self, *states: str) -> list[str]:
+        return [self._config.described.state[name].field for name in states if name in self._config.described.state]
+
+
+class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
+    """Role `Chamber`."""
+
+    _BOUNDS = "{low:g} to {high:g} degC, the limits in the protocol of {device}. Change the plan."
+
+    @abstractmethod
+    def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:
+        """Send a set point until the device shows it."""
+
+    @abstractmethod
+    def _resolution_k(self) -> float: ...
+
+    @abstractmethod
+    def _tell_ramp(self, rate: float) -> float:
+        """Send a ramp's rate, in the device's unit, until the device shows it; returns the rate shown."""
+
+    @abstractmethod
+    def _ramp_step(self) -> float:
+        """The resolution of a ramp, K/min."""
+
+    @abstractmethod
+    def _free_ramp(self) -> None:
+        """Remove the ramp, which otherwise stays in force, also for the next user of the panel."""
+
+    def limits(self) -> ChamberLimits:
+        known, ends = self._config.described.limits, self._read("lowest", "highest")
+        lowest, highest = (
+            self._celsius(ends[name]) if name in ends else float(limit) if limit is not None else math.nan
+            for name, limit in (("lowest", known.lowest), ("highest", known.highest))
+        )
+        slowest = 0.0 if known.slowest is None else float(known.slowest) * 60.0
+        fastest = math.inf if known.fastest is None else float(known.fastest) * 60.0
+        ramps = "ramp" in self._config.described.tell
+        return ChamberLimits(lowest, highest, self._resolution_k(), ramps, slowest, fastest, self._ramp_step())
+
+    def read(self) -> ChamberReading:
+        states = self._asks_of("conditioning", "alarm", "program")
+        texts = self._read("air", "setpoint", "product", "mode", *states, *self._alarm_fields())
+        time_s = self._clock.now()
+        conditions = "conditioning" not in self._config.described.state or self._is("conditioning", texts)
+        product = self._celsius(texts["product"]) if "product" in texts else None
+        air_c, setpoint_c = self._celsius(texts["air"]), self._celsius(texts["setpoint"])
+        mode = self._mode(texts)
+        return ChamberReading(time_s, air_c, product, setpoint_c, mode, conditions, self._alarms(texts))
+
+    def hold(self, temperature_c: float) -> None:
+        self._check(temperature_c)
+        self._make_ready()
+        self._free_ramp()
+        self._go_to(temperature_c)
+        self._condition(True)
+
+    def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
+        if "ramp" not in self._config.described.tell:
+            raise Rejected(f"The protocol of {self._title} has no ramps: it is ramped by steps of its set point.")
+        limits = self.limits()
+        if not max(limits.slowest_ramp_k_per_min, 1e-9) <= rate_k_per_min <= limits.fastest_ramp_k_per_min:
+            raise LimitExceeded(f"{rate_k_per_min:g} K/min lies outside what {self._title} can do.")
+        self._check(temperature_c)
+        self._make_ready()
+        now = self.read()
+        if not now.conditioning or abs(now.setpoint_c - now.air_c) >= _SETTLED_K:
+            # A ramp begins at the set point: set it to the temperature of the air.
+            self.hold(min(max(now.air_c, limits.lowest_c), limits.highest_c))
+        unit = self._config.described.units.ramp
+        shown = self._tell_ramp(units.convert(rate_k_per_min, "K/min", unit))
+        self._go_to(temperature_c, ramps=True)
+        self._condition(True)
+        return units.convert(shown, unit, "K/min")
+
+    def standby(self) -> None:
+        if "off" not in self._config.described.tell:
+            raise Rejected(f"{self._title} cannot be put into standby: its description has no [tell] off.")
+        self._condition(False)
+        self._free_ramp()
+
+    def _air_c(self) -> float:
+        return self._celsius(self._read("air")["air"])
+
+    def _condition(self, on: bool) -> None:
+        if "on" in self._config.described.tell:
+            self._switch("on" if on else "off", "conditioning", on)
+
+    def _make_ready(self) -> None:
+        """What some devices need before a set point: no program runs, and they condition."""
+        if "end_program" in self._config.described.tell:
+            self._switch("end_program", "program", False)
+
+    def _alarm_fields(self) -> list[str]:
+        return []
+
+    def _alarms(self, texts: Texts) -> tuple[str, ...]:
+        if not self._is("alarm", texts):
+            return ()
+        named = [texts[name] for name in ("code", "message") if texts.get(name)]
+        return (" ".join(named) or texts[self._config.described.state["alarm"].field],)
+
+    def _mode(self, texts: Texts) -> str:
+        return texts[self._config.described.state["conditioning"].field]
+
+    def _celsius(self, text: str) -> float:
+        return self._plausible(units.convert(float(text), self._config.described.units.temperature, "degC"))
+
+
+def _same_number(left: str, right: str) -> bool:
+    try:
+        return float(left) == float(right)
+    except ValueError:
+        return False

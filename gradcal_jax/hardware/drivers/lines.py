@@ -25,46 +25,27 @@ from ...files.line_protocol import LineProtocol, LineQuestion, formatted, protoc
 from ..checksums import xor8
 from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, ReplyTimeout, printable
-from ..framing import LineFramer
-from ..request_reply import Exchange, NotThisReply
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
-from ..settings import KeptSettings
+from ..framing import LineFramer, NotThisReply
+from ..request_reply import Exchange
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver, MeanRate, Unwatched
-from .described import DescribedChamber, DescribedDevice, Texts
+from .base import AxisDriver, AxisOptions, DescribedChamber, DescribedDevice, DescribedOptions, MeanRate, Texts
 
 _STOPS_AGAIN_S = 1.0
 _pattern = cache(reply_pattern)
 
 
 @dataclass(frozen=True)
-class LinesConfig:
-    """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables; `changes`:
-    tables that differ from it, `false` for one that is left out. 0 or absent: the protocol's value. `zero_deg` is the
-    rig's angle at the device's 0, `direction` +1 or -1. Without `require` the settings that the protocol requires are
-    not asked for."""
+class LinesConfig(DescribedOptions, AxisOptions):
+    """Options of the rig file; absent: the protocol's value."""
 
-    protocol: Any = ""
-    changes: Any = None
-    baudrate: int = 0
-    reply_timeout_s: float = 0.0
-    direction: Literal[-1, 1] = 1
-    zero_deg: float = 0.0
     max_rate_dps: float | None = None
     max_acceleration_dps2: float | None = None
     lowest_deg: float | None = None
     highest_deg: float | None = None
-    require: bool = True
-    home_timeout_s: float = 120.0
-    stop_timeout_s: float = 30.0
-
-    def __post_init__(self) -> None:
-        if not self.baudrate:
-            object.__setattr__(self, "baudrate", self.described.line.baudrate)
 
     @cached_property
     def described(self) -> LineProtocol:
-        """The description of the protocol."""
         return protocol_of(self.protocol, self.changes)
 
     @property
@@ -144,7 +125,7 @@ class _Spoken(DescribedDevice[LinesConfig]):
     _DRIVER = "lines"
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
-        super().__init__(exchange, config, config.described, require=config.require)
+        super().__init__(exchange, config)
         self._protocol, self._codec = config.described, Codec(config.described)
         replies = (reply for command in self._protocol.tell.values() for reply in command.reply)
         self._acknowledgements = [_pattern(reply) for reply in replies]
@@ -257,7 +238,7 @@ class LinesChamber(_Spoken, DescribedChamber[LinesConfig]):
         return units.convert(10.0**-decimals, self._protocol.units.ramp, "K/min")
 
 
-class LinesAxis(_Spoken, AxisDriver[LinesConfig], Unwatched):
+class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
     """Role `MotionAxis`. An axis is referenced after this driver has homed it, until it shows a fault."""
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:

@@ -40,41 +40,15 @@ from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, printable
 from ..framing import LineFramer
 from ..request_reply import Exchange
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
-from ..settings import KeptSettings
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver
+from .base import AxisDriver, AxisOptions, codes_of
 
 IDLE, CLOSED_LOOP = 1, 8
 VELOCITY_RAMP, TRAPEZOID = 2, 5
 VELOCITY_CONTROL, POSITION_CONTROL = 2, 3
 
-ERRORS_05 = {
-    0x1: "invalid state",
-    0x40: "motor failed",
-    0x80: "sensorless estimator failed",
-    0x100: "encoder failed",
-    0x200: "controller failed",
-    0x800: "watchdog expired",
-    0x1000: "lower end stop pressed",
-    0x2000: "upper end stop pressed",
-    0x4000: "emergency stop",
-}
-ERRORS_06 = {
-    0x1: "initialising",
-    0x20: "driver fault",
-    0x100: "over-voltage",
-    0x200: "under-voltage",
-    0x1000: "current limit",
-    0x2000: "motor temperature",
-    0x4000: "inverter temperature",
-    0x8000: "velocity limit",
-    0x10000: "position limit",
-    0x01000000: "watchdog expired",
-    0x02000000: "emergency stop",
-    0x04000000: "spin-out detected",
-    0x40000000: "calibration error",
-}
+_ERRORS = codes_of("odrive")
 _REFUSALS = ("invalid command format", "invalid motor", "invalid property", "not implemented", "unknown command")
 _NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 _FEEDBACK = re.compile(rf"({_NUMBER}) ({_NUMBER})")
@@ -84,7 +58,7 @@ _CONTROL_MODE, _INPUT_MODE = "controller.config.control_mode", "controller.confi
 
 
 @dataclass(frozen=True)
-class ODriveConfig:
+class ODriveConfig(AxisOptions):
     """Options of the rig file. `generation` is the firmware's, "0.5" or "0.6"; zero `watchdog_s`: no watchdog."""
 
     motor: Literal[0, 1] = 0
@@ -93,8 +67,6 @@ class ODriveConfig:
     reply_timeout_s: float = 0.3
     watchdog_s: float = 1.0
     turns_per_table_turn: Annotated[float, Field(gt=0.0)] = 1.0
-    direction: Literal[-1, 1] = 1
-    zero_deg: float = 0.0
     max_rate_dps: float = 300.0
     max_acceleration_dps2: float = 300.0
     lowest_deg: float | None = None
@@ -102,7 +74,6 @@ class ODriveConfig:
     in_position_deg: float = 0.05
     home_state: int = 0
     home_timeout_s: float = 60.0
-    stop_timeout_s: float = 30.0
     ready_property: str = ""
     error_property: str = ""
     input_velocity_property: str = "controller.input_vel"
@@ -314,9 +285,9 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
     def _faults(self) -> tuple[str, ...]:
         code = self._error_code()
-        names = ERRORS_05 if self._config.generation == "0.5" else ERRORS_06
-        known = [f"0x{bit:x} ({text})" for bit, text in names.items() if code & bit]
-        rest = code & ~sum(names)
+        names = _ERRORS[self._config.generation]
+        known = [f"{bit} ({text})" for bit, text in names.items() if code & int(bit, 16)]
+        rest = code & ~sum(int(bit, 16) for bit in names)
         return tuple(known + ([f"0x{rest:x}"] if rest else []))
 
     def _clear_errors(self) -> None:

@@ -25,10 +25,9 @@ from typing import Literal
 from ... import units
 from ..clock import Clock
 from ..errors import Disconnected, HardwareError, LimitExceeded, Rejected
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, MotionAxis, OperatorAsked, SafeReport
-from ..settings import KeptSettings
-from ..terminal import TextLine
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, MotionAxis, OperatorAsked, SafeReport
 from ..track import AxisCommand
+from ..transport import TextLine
 from .base import Unwatched
 
 _BELL = "\a"
@@ -100,7 +99,6 @@ class Console:
         return self._answers.popleft()
 
     def withdraw(self, why: str) -> None:
-        """Take back a question, if there is one."""
         if self._open:
             self._open = False
             self._line.write(f"\r\n{why}\r\n".encode())
@@ -119,7 +117,6 @@ class Console:
 
 
 def open_exchange(line: TextLine, clock: Clock, config: OperatorConfig) -> Console:
-    del config
     return Console(line, clock)
 
 
@@ -152,16 +149,9 @@ class OperatorAxis(Unwatched):
         config = self._config
         ends = (None, None) if math.isinf(config.travel_deg) else (-config.travel_deg, config.travel_deg)
         grid = config.resolution_deg if self._encoder is None else self._encoder.limits().resolution_deg
-        return AxisLimits(
-            config.max_rate_dps,
-            config.max_acceleration_dps2,
-            *ends,
-            grid,
-            hardware_watchdog=False,
-            by_hand=True,
-            typed=self._encoder is None and not self._told,
-            told=self._encoder is None and self._told,
-        )
+        alone, most = self._encoder is None, (config.max_rate_dps, config.max_acceleration_dps2)
+        reads = {"typed": alone and not self._told, "told": alone and self._told}
+        return AxisLimits(*most, *ends, grid, hardware_watchdog=False, by_hand=True, **reads)
 
     def read(self) -> AxisReading:
         if self._question:
@@ -182,12 +172,11 @@ class OperatorAxis(Unwatched):
             raise LimitExceeded(
                 f"{position_deg:g} deg lies outside the travel of {self._config.travel_deg:g} deg each way."
             )
-        to = f"to {position_deg:.6g} deg"
-        how = to
+        how = f"to {position_deg:.6g} deg"
         if self._stands is not None:
             angle = position_deg - self._goal_deg
             turn = AxisCommand(0.0, "", "turn", rate_dps=rate_dps, acceleration_dps2=acceleration_dps2, angle_deg=angle)
-            how = f"by {angle:+.6g} deg in {turn.duration_s:.3g} s, {to}"
+            how = f"by {angle:+.6g} deg in {turn.duration_s:.3g} s, {how}"
         self._goal_deg = position_deg
         self._ask(f"{self._name}: turn {how}")
 
@@ -240,20 +229,18 @@ class OperatorAxis(Unwatched):
         self._question, self._stands = "", reading
 
     def _understood(self, text: str, time_s: float) -> AxisReading | None:
-        if self._told and self._encoder is None:
-            if not text.strip():
-                return AxisReading(time_s, self._goal_deg, 0.0, False, True, (), ())
-            self._console.ask(f"{self._name}: nothing is typed here; press Enter alone when it stands:")
+        if (self._told or self._encoder is not None) and text.strip():
+            why = "nothing is typed here" if self._encoder is None else "the encoder is read"
+            self._console.ask(f"{self._name}: {why}; press Enter alone when it stands:")
             return None
         if self._encoder is not None:
-            if text.strip():
-                self._console.ask(f"{self._name}: the encoder is read; press Enter alone when it stands:")
-                return None
             reading = self._encoder.read()
             turns = nearest_turn_deg(reading.position_deg, self._goal_deg) - reading.position_deg
             if self._stands is None:
                 self._whole_turns_deg = turns
             return self._encoded()
+        if self._told:
+            return AxisReading(time_s, self._goal_deg, 0.0, False, True, (), ())
         try:
             shown = angle_deg(text, self._config.unit)
         except units.UnitError as problem:

@@ -17,44 +17,31 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from ... import units
-from ...files.register_protocol import Register, RegisterProtocol, register_protocol_of
+from ...files.register_protocol import RegisterProtocol, register_protocol_of
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded
-from ..modbus import Modbus, Rtu, Tcp, parse_words, parse_written, read_body, write_body
+from ..framing import Modbus, Rtu, Tcp, parse_words, parse_written, read_body, write_body
 from ..request_reply import Exchange
 from ..roles import ChamberSafe
 from ..transport import Transport
-from .described import DescribedChamber, Texts
+from .base import DescribedChamber, DescribedOptions, Texts
 
 _FINEST_DECIMALS = 3
 _FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}
 
 
 @dataclass(frozen=True)
-class RegistersConfig:
-    """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables; `changes`:
-    tables that differ from it, `false` for one that is left out. 0 or absent: the protocol's value. Without `require`
-    the settings that the protocol requires are not asked for."""
+class RegistersConfig(DescribedOptions):
+    """Options of the rig file."""
 
-    protocol: Any = ""
-    changes: Any = None
     address: Annotated[int, Field(ge=0, le=255)] = 1
-    baudrate: int = 0
-    reply_timeout_s: float = 0.0
-    require: bool = True
-
-    def __post_init__(self) -> None:
-        if not self.baudrate:
-            object.__setattr__(self, "baudrate", self.described.line.baudrate)
 
     @cached_property
     def described(self) -> RegisterProtocol:
-        """The description of the protocol."""
         return register_protocol_of(self.protocol, self.changes)
 
     @cached_property
     def modbus(self) -> Modbus:
-        """The codec of the line."""
         return (Tcp if self.described.line.transport == "tcp" else Rtu)(self.address)
 
     def lacks_for(self, safe: str) -> str:
@@ -80,7 +67,7 @@ class RegistersChamber(DescribedChamber[RegistersConfig]):
     _DRIVER = "registers"
 
     def __init__(self, exchange: Exchange, config: RegistersConfig) -> None:
-        super().__init__(exchange, config, config.described, require=config.require)
+        super().__init__(exchange, config)
         self._protocol, self._modbus = config.described, config.modbus
         self._powers: dict[str, int] = {}
 
@@ -97,27 +84,19 @@ class RegistersChamber(DescribedChamber[RegistersConfig]):
             written[register] = self._write(name, register, number, register if by_itself else shown_in or register)
         return written
 
-    def _tell_shown(self, name: str, values: Mapping[str, float], shown_by: tuple[str, ...]) -> Texts:
-        return self._tell(name, values)
-
     def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:
         value = units.convert(temperature_c, "degC", self._protocol.units.temperature)
         # What is in force moves while a ramp runs.
         self._tell("setpoint", {"setpoint": value}, by_itself=ramps)
 
     def _resolution_k(self) -> float:
-        name, entry = self._register_of("setpoint", "{setpoint}")
-        resolution = float(self._protocol.limits.resolution)
-        return resolution if entry.type == "float32" else 10.0 ** -self._decimals(name)
+        return self._step_of("setpoint") or float(self._protocol.limits.resolution)
 
     def _tell_ramp(self, rate: float) -> float:
-        return float(self._tell("ramp", {"ramp": rate})[self._register_of("ramp", "{ramp}")[0]])
+        return float(self._tell("ramp", {"ramp": rate})[self._register_of("ramp")])
 
     def _ramp_step(self) -> float:
-        if "ramp" not in self._protocol.tell:
-            return 0.0
-        name, entry = self._register_of("ramp", "{ramp}")
-        step = 0.0 if entry.type == "float32" else 10.0 ** -self._decimals(name)
+        step = self._step_of("ramp") if "ramp" in self._protocol.tell else 0.0
         return units.convert(step, self._protocol.units.ramp, "K/min")
 
     def _free_ramp(self) -> None:
@@ -145,10 +124,14 @@ class RegistersChamber(DescribedChamber[RegistersConfig]):
         condition = self._protocol.state.get("conditioning")
         return texts.get("mode") or ("on" if condition is None else texts[condition.field])
 
-    def _register_of(self, command: str, value: str) -> tuple[str, Register]:
-        """The register that gets a command's value."""
-        (name, *_) = (name for name, written in self._protocol.tell[command].items() if written == value)
-        return name, self._protocol.registers[name]
+    def _register_of(self, command: str) -> str:
+        """The register that gets a command's value, which has the command's name."""
+        return next(name for name, written in self._protocol.tell[command].items() if written == f"{{{command}}}")
+
+    def _step_of(self, command: str) -> float:
+        """The resolution of a command's value; 0: that of a float."""
+        name = self._register_of(command)
+        return 0.0 if self._protocol.registers[name].type == "float32" else 10.0 ** -self._decimals(name)
 
     def _write(self, command: str, name: str, value: float, shown_in: str) -> str:
         """Write a number until it is shown; returns it as the device rounds it."""

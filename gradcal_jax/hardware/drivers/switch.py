@@ -10,11 +10,12 @@ import threading
 from dataclasses import dataclass
 
 from ..clock import Clock
-from ..errors import LimitExceeded, NotVerified, Rejected
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
-from ..settings import KeptSettings
+from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout
+from ..framing import LineFramer, NotThisReply
+from ..request_reply import Exchange
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import Unwatched
+from .base import ExchangeDriver, Unwatched
 
 _ANSWERS_S = 1.0
 
@@ -40,24 +41,15 @@ class SwitchConfig:
         return 'it is switched off and holds nothing; expected "unpower"' if safe != AxisSafe.UNPOWER.value else ""
 
 
-@dataclass
-class SwitchLine:
-    """One line, one motor."""
-
-    transport: Transport
-    clock: Clock
+def open_exchange(transport: Transport, clock: Clock, config: SwitchConfig) -> Exchange:
+    return Exchange(transport, LineFramer(), clock, "The motor", _ANSWERS_S)
 
 
-def open_exchange(line: Transport, clock: Clock, config: SwitchConfig) -> SwitchLine:
-    del config
-    return SwitchLine(line, clock)
-
-
-class SwitchAxis(Unwatched):
+class SwitchAxis(ExchangeDriver[SwitchConfig], Unwatched):
     """Role `MotionAxis`."""
 
-    def __init__(self, line: SwitchLine, config: SwitchConfig) -> None:
-        self._transport, self._clock, self._config = line.transport, line.clock, config
+    def __init__(self, exchange: Exchange, config: SwitchConfig) -> None:
+        super().__init__(exchange, config)
         self.settings = KeptSettings()
         self._at_deg, self._stands_s = 0.0, -1.0
         self._turn = 0
@@ -117,16 +109,17 @@ class SwitchAxis(Unwatched):
         said = "confirmed" if self._config.answer else "sent; nothing shows that it stands: look at it"
         return SafeReport(policy.value, bool(self._config.answer), f'"{self._config.stop}" {said}')
 
-    def close(self) -> None:
-        self._transport.close()
-
     def _say(self, word: str) -> None:
-        self._transport.drain()
-        self._transport.write(f"{word}\n".encode())
-        if not self._config.answer:
+        answer = self._config.answer
+
+        def confirms(frame: bytes) -> None:
+            if frame.decode("latin-1") != answer:
+                raise NotThisReply
+
+        if not answer:
+            self._exchange.write(f"{word}\n".encode())
             return
-        heard, end = b"", self._clock.now() + _ANSWERS_S
-        while self._config.answer.encode() not in heard.split(b"\n") and self._clock.now() < end:
-            heard = (heard + self._transport.read(0.1)).replace(b"\r", b"")
-        if self._config.answer.encode() not in heard.split(b"\n"):
-            raise NotVerified(f"the motor did not confirm {word!r} with {self._config.answer!r}, but said {heard!r}.")
+        try:
+            self._exchange.query(f"{word}\n".encode(), confirms, repeat=False)
+        except (ReplyTimeout, FramingError) as problem:
+            raise NotVerified(f"The motor did not confirm {word!r} with {answer!r}. {problem}") from None

@@ -22,11 +22,10 @@ from ..clock import Clock
 from ..errors import FramingError, ReplyTimeout, printable
 from ..framing import LineFramer
 from ..request_reply import Exchange
-from ..roles import Identity, ImuBatch, ImuSettings, imu_batch, join
-from ..settings import KeptSettings
+from ..roles import Identity, ImuBatch, ImuSettings, KeptSettings, imu_batch, join
 from ..transport import Transport
 from .base import ImuDriver
-from .stim300_datagrams import GapCounter
+from .stim300 import GapCounter
 
 _ENOUGH = 3
 _LOOKS_S = 0.1
@@ -47,7 +46,6 @@ class TextUnitConfig:
 
     @cached_property
     def described(self) -> TextUnit:
-        """The description of the unit."""
         return text_unit_of(self.protocol)
 
 
@@ -143,8 +141,6 @@ def _line_of(unit: str, wanted: str, factor: float = 1.0) -> tuple[float, float]
 
 
 def decoder_of(config: TextUnitConfig, registers: Mapping[str, str]) -> TextUnitDecoder:
-    """The decoder of a described unit."""
-    del registers
     return TextUnitDecoder(config.described)
 
 

@@ -1,4 +1,4 @@
-"""VectorNav VN-100 and VN-200: ASCII registers, and samples as binary packets or as `$VNIMU` lines.
+"""VectorNav VN-100 and VN-200: ASCII registers, and samples as binary packets.
 
 Sources: the vendor's C library and its example for binary output. 115200 8N1. An ASCII message is `$VN…*` and two
 hexadecimal digits of the exclusive or between `$` and `*`; a binary packet is FA, a byte of groups, a 16-bit mask per
@@ -6,49 +6,32 @@ group, the payload, and a CRC-16 that makes the CRC of all bytes after FA zero. 
 from them by their header. Nothing is saved to the unit's memory.
 
 The samples are the *uncompensated* ones: calibrated in the factory, without the user's filter and bias registers.
-Binary packets carry the unit's own time in nanoseconds, from which missing samples are counted. ASCII lines carry no
-time and no counter: **a lost line cannot be detected**, so that binary is the default and ASCII is for first tests.
+Binary packets carry the unit's own time in nanoseconds, from which missing samples are counted. (`$VNIMU` lines carry
+no time and no counter: a unit that was set to print them is a unit of text, see `files.text_unit`.)
 
 Unverified on real hardware: that the base rate is 800 Hz on every model (`base_rate_hz`); the meaning of
 "uncompensated" differs between versions of the firmware.
 """
 
 import math
-import re
 import struct
 from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from ..checksums import crc16_vectornav, xor8
 from ..clock import Clock
 from ..errors import ChecksumError, NotVerified, Rejected, printable
-from ..framing import LengthFramer
-from ..request_reply import Exchange, NotThisReply
-from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, imu_batch, join
-from ..settings import KeptSettings
+from ..framing import LengthFramer, NotThisReply
+from ..request_reply import Exchange
+from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, KeptSettings, imu_batch, join
 from ..transport import Transport
-from .base import ImuDriver
+from .base import ImuDriver, codes_of
 
-ERRORS = {
-    1: "hard fault",
-    2: "serial buffer overflow",
-    3: "invalid check sum",
-    4: "invalid command",
-    5: "not enough parameters",
-    6: "too many parameters",
-    7: "invalid parameter",
-    8: "invalid register",
-    9: "unauthorised access",
-    10: "watchdog reset",
-    11: "output buffer overflow",
-    12: "baud rate too low for the output",
-    255: "error buffer overflow",
-}
+_ERRORS = codes_of("vectornav")
 _SYNC, _DOLLAR = 0xFA, 0x24
 _LONGEST_PACKET = 600
 _LONGEST_LINE = 256
@@ -61,9 +44,6 @@ _FIELD_LENGTHS = (
 # Group 1 bit 0: time since start-up; group 3 bits 2, 3, 4: uncompensated acceleration and rate, temperature.
 _HEADER = bytes.fromhex("FA0501001C00")
 _PAYLOAD = struct.Struct("<Q3f3ff")
-_IMU_OUTPUT = 19
-_ASCII_RATES = (1, 2, 4, 5, 10, 20, 25, 40, 50, 100, 200)
-_NUMBER = re.compile(r"[+-]?\d+(\.\d+)?")
 
 
 @dataclass(frozen=True)
@@ -71,18 +51,15 @@ class VectorNavConfig:
     """Options of the rig file."""
 
     baudrate: int = 115200
-    output: Literal["binary", "ascii"] = "binary"
     sample_rate_hz: float = 200.0
     base_rate_hz: float = 800.0
     reply_timeout_s: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.output == "ascii" and self.sample_rate_hz not in _ASCII_RATES:
-            raise ValueError(f"sample_rate is {self.sample_rate_hz:g} /s; ASCII output has {_ASCII_RATES}.")
         divisor = self.base_rate_hz / self.sample_rate_hz
-        if self.output == "binary" and abs(divisor - round(divisor)) > 1e-9:
+        if abs(divisor - round(divisor)) > 1e-9:
             raise ValueError(f"sample_rate {self.sample_rate_hz:g} /s does not divide {self.base_rate_hz:g} /s.")
-        length = len(_HEADER) + _PAYLOAD.size + 2 if self.output == "binary" else 130
+        length = len(_HEADER) + _PAYLOAD.size + 2
         if 10 * length * self.sample_rate_hz > self.baudrate:
             raise ValueError(
                 f"{self.sample_rate_hz:g} samples/s of {length} bytes do not fit {self.baudrate} baud. Raise baudrate "
@@ -101,9 +78,9 @@ def parse_line(frame: bytes) -> list[str]:
         raise ChecksumError(f"The message {printable(frame)!r} fails its check sum. Check cable and baud rate.")
     fields = body.decode("ascii", "replace").split(",")
     if fields[0] == "VNERR":
-        code = int(fields[1]) if len(fields) > 1 and fields[1].isdigit() else -1
-        text = ERRORS.get(code, "unknown error")
-        raise Rejected(f"The unit reports error {code}: {text}.", code=str(code), text=text)
+        code = str(int(fields[1])) if len(fields) > 1 and fields[1].isdigit() else "?"
+        text = _ERRORS.get(code, "unknown error")
+        raise Rejected(f"The unit reports error {code}: {text}.", code=code, text=text)
     return fields
 
 
@@ -158,13 +135,11 @@ class VectorNavDecoder:
         self._framer = VectorNavFramer()
         self._last_time_s: float | None = None
         self._recent: deque[bytes] = deque(maxlen=_REMEMBERED)
-        self._lines = 0
-        self._bad_lines = 0
         self.repeated_datagrams = 0
 
     @property
     def bad_bytes(self) -> int:
-        return self._framer.bad_bytes + self._bad_lines
+        return self._framer.bad_bytes
 
     def push(self, data: bytes, host_time_s: float) -> ImuBatch:
         rows = [row for frame in self._framer.push(data) if (row := self._row(frame)) is not None]
@@ -188,30 +163,18 @@ class VectorNavDecoder:
 
     def _row(self, frame: bytes) -> tuple[list[float], int] | None:
         """Time, three accelerations (m/s²), three rates (rad/s), temperature (°C); status 1 where not finite."""
-        if frame[0] == _SYNC:
-            if frame[: len(_HEADER)] != _HEADER:
-                return None
-            if frame in self._recent:
-                self.repeated_datagrams += 1
-                return None
-            self._recent.append(frame)
-            time_ns, *values = _PAYLOAD.unpack_from(frame, len(_HEADER))
-            return [time_ns * 1e-9, *values], int(not all(map(math.isfinite, values)))
-        try:
-            header, *texts = parse_line(frame)
-        except (ChecksumError, Rejected):
-            self._bad_lines += len(frame)
+        if frame[: len(_HEADER)] != _HEADER:
             return None
-        if header != "VNIMU" or len(texts) != 11 or not all(map(_NUMBER.fullmatch, texts)):
+        if frame in self._recent:
+            self.repeated_datagrams += 1
             return None
-        values = [float(text) for text in texts]
-        self._lines += 1
-        return [self._lines / self._rate, *values[3:9], values[9]], 0
+        self._recent.append(frame)
+        time_ns, *values = _PAYLOAD.unpack_from(frame, len(_HEADER))
+        return [time_ns * 1e-9, *values], int(not all(map(math.isfinite, values)))
 
 
 def decoder_of(config: VectorNavConfig, registers: Mapping[str, str]) -> VectorNavDecoder:
     """The decoder for a configured unit; binary packets describe all but the rate."""
-    del registers
     return VectorNavDecoder(sample_rate_hz=config.sample_rate_hz)
 
 
@@ -232,17 +195,11 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
 
     def configure(self) -> ImuSettings:
         self.stop()
-        registers = {f"{register:02d}": self._read(register) for register in (1, 2, 3, 4, 5, 30)}
-        if self._config.output == "ascii":
-            self.settings.change("7", f"{self._config.sample_rate_hz:g}")
-        registers |= {f"{register:02d}": self._read(register) for register in (6, 7, 75)}
+        registers = {f"{register:02d}": self._read(register) for register in (1, 2, 3, 4, 5, 30, 6, 7, 75)}
         return ImuSettings(self._config.sample_rate_hz, 0, registers)
 
     def start(self) -> None:
-        if self._config.output == "ascii":
-            self.settings.change("6", str(_IMU_OUTPUT))
-        else:
-            self.settings.change("75", self._binary_output(1))
+        self.settings.change("75", self._binary_output(1))
 
     def stop(self) -> None:
         """Switch off all outputs, also others that an earlier use may have left on."""

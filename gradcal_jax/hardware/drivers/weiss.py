@@ -28,8 +28,8 @@ from pydantic import Field
 
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
-from ..framing import LineFramer
-from ..request_reply import Exchange, NotThisReply
+from ..framing import LineFramer, NotThisReply
+from ..request_reply import Exchange
 from ..roles import ChamberLimits, ChamberReading, Identity
 from ..transport import Transport
 from .base import ChamberDriver
@@ -104,6 +104,15 @@ class Record:
 
     numbers: tuple[float, ...]
     digital: str
+    layout: Layout
+
+    @property
+    def nominal_c(self) -> float:
+        return self.numbers[self.layout.nominal(self.layout.temperature)]
+
+    @property
+    def actual_c(self) -> float:
+        return self.numbers[self.layout.actual(self.layout.temperature)]
 
 
 def value_text(value: float) -> str:
@@ -118,8 +127,9 @@ def request(address: int, letter: str, body: str = "") -> bytes:
     return f"${address:02d}{letter}{' ' if body else ''}{body}\r".encode("ascii")
 
 
-def write_body(layout: Layout, record: Record, *, temperature_c: float, start: bool, start_channel: int) -> str:
+def write_body(record: Record, *, temperature_c: float, start: bool, start_channel: int) -> str:
     """The body of `$aaE`: the values of the record, except temperature and start."""
+    layout = record.layout
     values = [
         temperature_c if name == layout.temperature else record.numbers[layout.nominal(name)] for name in layout.write
     ]
@@ -140,7 +150,7 @@ def parse_record(frame: bytes, layout: Layout, digital_channels: int = 32) -> Re
             f"The chamber's record {printable(frame)!r} does not have {len(layout.read)} numbers and "
             f"{digital_channels} digital channels. Check the layout in the rig file."
         )
-    return Record(tuple(map(float, numbers)), digital)
+    return Record(tuple(map(float, numbers)), digital, layout)
 
 
 def parse_description(text: str, temperature_channel: str = "") -> Layout:
@@ -216,13 +226,11 @@ class WeissChamber(ChamberDriver[WeissConfig]):
 
     def read(self) -> ChamberReading:
         record = self._record()
-        time_s = self._clock.now()
-        product = self._config.product_channel
-        running = record.digital[self._config.start_channel] == "1"
-        air_c, setpoint_c = self._actual(record), self._nominal(record)
-        product_c = record.numbers[self._layout().actual(product)] if product else None
-        mode = "RUN" if running else "STOP"
-        return ChamberReading(time_s, air_c, product_c, setpoint_c, mode, running, self._faults())
+        time_s, product = self._clock.now(), self._config.product_channel
+        product_c = record.numbers[record.layout.actual(product)] if product else None
+        runs = self._runs(record)
+        state = "RUN" if runs else "STOP", runs, self._faults()
+        return ChamberReading(time_s, record.actual_c, product_c, record.nominal_c, *state)
 
     def hold(self, temperature_c: float) -> None:
         self._check(temperature_c)
@@ -239,7 +247,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         self._orders += 1
         order, amiss = self._orders, ""
         before = self._record()
-        start_c, runs = self._nominal(before), before.digital[self._config.start_channel] == "1"
+        start_c, runs = before.nominal_c, self._runs(before)
         for _ in range(_TRIES):
             with self._exchange.alone():
                 self._require_newest(order)
@@ -259,10 +267,13 @@ class WeissChamber(ChamberDriver[WeissConfig]):
 
     def standby(self) -> None:
         self._orders += 1
-        self._write(self._nominal(self._record()), start=False)
+        self._write(self._record().nominal_c, start=False)
 
     def _air_c(self) -> float:
-        return self._actual(self._record())
+        return self._record().actual_c
+
+    def _runs(self, record: Record) -> bool:
+        return record.digital[self._config.start_channel] == "1"
 
     def _layout(self) -> Layout:
         if self._known is None:
@@ -293,37 +304,27 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             if frame.strip() == b"0":
                 raise NotThisReply  # a late acknowledgement
             record = parse_record(frame, layout, self._config.digital_channels)
-            self._plausible(self._actual(record))
+            self._plausible(record.actual_c)
             return record
 
         return self._exchange.query(self._request("I"), parse)
 
-    def _nominal(self, record: Record) -> float:
-        layout = self._layout()
-        return record.numbers[layout.nominal(layout.temperature)]
-
-    def _actual(self, record: Record) -> float:
-        layout = self._layout()
-        return record.numbers[layout.actual(layout.temperature)]
-
     def _write(self, temperature_c: float, *, start: bool) -> None:
         """Set a temperature without a gradient: an old gradient stays active until it is overwritten."""
-        channel = self._config.start_channel
 
         def shows(now: Record) -> bool:
-            arrived = abs(self._nominal(now) - float(value_text(temperature_c))) < 0.05
-            return (now.digital[channel] == "1") == start and arrived
+            return self._runs(now) == start and abs(now.nominal_c - float(value_text(temperature_c))) < 0.05
 
         what = f"Set point {temperature_c:.1f} degC with start {'on' if start else 'off'}"
         self._verify(what, lambda: self._tell(temperature_c, 0.0, 0.0, start=start), self._record, shows, looks=1)
 
     def _tell(self, temperature_c: float, up: float, down: float, *, start: bool) -> None:
-        layout, channel = self._layout(), self._config.start_channel
-        self._acknowledged("U", " ".join(map(value_text, (up, down, 0.0, 0.0))))
+        gradients, channel = " ".join(map(value_text, (up, down, 0.0, 0.0))), self._config.start_channel
+        self._acknowledged("U", gradients)
         if not (up or down or self._acknowledges):
             # The removal of a gradient shows only at a large step of the set point.
-            self._acknowledged("U", " ".join(map(value_text, (up, down, 0.0, 0.0))))
-        body = write_body(layout, self._record(), temperature_c=temperature_c, start=start, start_channel=channel)
+            self._acknowledged("U", gradients)
+        body = write_body(self._record(), temperature_c=temperature_c, start=start, start_channel=channel)
         self._acknowledged("E", body)
 
     def _require_newest(self, order: int) -> None:
@@ -336,17 +337,16 @@ class WeissChamber(ChamberDriver[WeissConfig]):
 
         `begins`: the time of the command, and the value then, which is unknown before a chamber runs.
         """
-        sent_s, channel = self._clock.now(), self._config.start_channel
-        until_s = sent_s + 60.0 * (_MOVED_K + _HIDDEN_K) / rate_k_per_min + 3.0 * self._config.min_interval_s
+        until_s = self._clock.now() + 60.0 * (_MOVED_K + _HIDDEN_K) / rate_k_per_min + 3.0 * self._config.min_interval_s
         while True:
             self._require_newest(order)
             record = self._record()
-            now_s, nominal = self._clock.now(), self._nominal(record)
-            if record.digital[channel] != "1":
+            now_s, nominal = self._clock.now(), record.nominal_c
+            if not self._runs(record):
                 return "it is not started"
             arrived = abs(nominal - target_c) < 0.05
             if begins is None:
-                begins = (now_s, self._actual(record) if arrived else nominal)
+                begins = (now_s, record.actual_c if arrived else nominal)
             moved, took_s = abs(nominal - begins[1]), now_s - begins[0]
             if moved > 1.5 * rate_k_per_min * took_s / 60.0 + _HIDDEN_K:
                 return f"its nominal value moved {moved:.1f} K in {took_s:.0f} s"

@@ -19,55 +19,27 @@ they differ (whether a stage writes them to its flash memory at each `set` is op
 import re
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
 from ..checksums import lrc_zaber
 from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, Rejected, printable
-from ..framing import LineFramer
-from ..request_reply import Exchange, NotThisReply
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, SafeReport
-from ..settings import KeptSettings
+from ..framing import LineFramer, NotThisReply
+from ..request_reply import Exchange
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver, MeanRate, Unwatched
+from .base import AxisDriver, AxisOptions, MeanRate, codes_of
 
-WARNINGS = {
-    "FF": "critical system error",
-    "FN": "peripheral not supported",
-    "FZ": "peripheral inactive",
-    "FH": "hardware emergency stop",
-    "FV": "supply voltage out of range",
-    "FO": "driver disabled by the user",
-    "FC": "inrush current error",
-    "FM": "motor temperature error",
-    "FD": "driver disabled",
-    "FQ": "encoder error",
-    "FI": "index error",
-    "FA": "analogue encoder synchronisation error",
-    "FR": "overdrive limit exceeded",
-    "FS": "stalled and stopped",
-    "FB": "stream bounds exceeded",
-    "FP": "path deviation",
-    "FE": "limit error",
-    "FT": "excessive twist",
-    "WL": "unexpected limit trigger",
-    "WV": "supply voltage out of range",
-    "WT": "driver temperature high",
-    "WS": "stalled and recovered",
-    "WM": "displaced when stationary",
-    "WP": "calibration needed",
-    "WR": "no reference position",
-    "WH": "not homed",
-}
+_WARNINGS = codes_of("zaber")
 _UNREFERENCED = {"WR", "WH"}
 _REPLY = re.compile(r"@(\d{1,2}) (\d) (?:(\d{1,2}) )?(OK|RJ) (BUSY|IDLE) (--|[A-Z]{2}) (\S.*)")
 
 
 @dataclass(frozen=True)
-class ZaberConfig:
-    """Options of the rig file. `zero_deg` is the rig's angle at the device's position 0, `direction` +1 or -1."""
+class ZaberConfig(AxisOptions):
+    """Options of the rig file."""
 
     device: Annotated[int, Field(ge=1, le=99)] = 1
     axis: Annotated[int, Field(ge=1, le=9)] = 1
@@ -78,10 +50,6 @@ class ZaberConfig:
     acceleration_factor: float = 1.6384e-4
     max_rate_dps: float = 360.0
     max_acceleration_dps2: float = 300.0
-    direction: Literal[-1, 1] = 1
-    zero_deg: float = 0.0
-    home_timeout_s: float = 120.0
-    stop_timeout_s: float = 30.0
     unpower_command: str = ""
 
     def lacks_for(self, safe: str) -> str:
@@ -134,7 +102,7 @@ def open_exchange(transport: Transport, clock: Clock, config: ZaberConfig) -> Ex
     return Exchange(transport, LineFramer(), clock, "The Zaber stage", config.reply_timeout_s)
 
 
-class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
+class ZaberAxis(AxisDriver[ZaberConfig]):
     """Role `MotionAxis`. Several axes of one chain share an exchange."""
 
     def __init__(self, exchange: Exchange, config: ZaberConfig) -> None:
@@ -182,8 +150,7 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
         position = self._degrees(_number(reply))
         rate = self._rates.of(asked_s, time_s, position, moving=reply.busy)
         flag = reply.warning
-        text = f"{flag} ({WARNINGS.get(flag, 'see the manual')})"
-        faults, warnings = ((text,) if flag.startswith(kind) else () for kind in "FW")
+        faults, warnings = ((_meaning(flag),) if flag.startswith(kind) else () for kind in "FW")
         return AxisReading(time_s, position, rate, reply.busy, flag not in _UNREFERENCED, faults, warnings)
 
     def home(self) -> None:
@@ -239,7 +206,7 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
     def _start(self, words: str) -> None:
         reply = self._ask(words)
         if reply.warning.startswith("F"):
-            raise DeviceFault(f"The stage reports {reply.warning} ({WARNINGS.get(reply.warning, 'see the manual')}).")
+            raise DeviceFault(f"The stage reports {_meaning(reply.warning)}.")
 
     def _setting(self, name: str) -> str:
         return self._ask(f"get {name}", axis=_axis_of(name)).data
@@ -279,6 +246,10 @@ class ZaberAxis(AxisDriver[ZaberConfig], Unwatched):
 def _axis_of(setting: str) -> int | None:
     """A setting: of the whole device with axis 0, of the rig file's axis with None."""
     return 0 if setting.startswith(("comm.", "knob.", "device", "system.", "version")) else None
+
+
+def _meaning(flag: str) -> str:
+    return f"{flag} ({_WARNINGS.get(flag, 'see the manual')})"
 
 
 def _number(reply: Reply) -> float:

@@ -17,10 +17,23 @@ from ...files.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureEr
 from ...files.spec_sections import Spec
 from ...units import to_unit
 from ..pose import turn_by
-from .imu import DifferenceTruth, ErrorTerm, ImuTruth, Kind, Matrix, ScaleFactors, TableTruth, TriadTruth
-from .loops import LAWS, Law, LoopTruth
+from .imu import (
+    LAWS,
+    DifferenceTruth,
+    ErrorTerm,
+    ImuTruth,
+    Kind,
+    Law,
+    LoopTruth,
+    Matrix,
+    Process,
+    ScaleFactors,
+    TableTruth,
+    TriadTruth,
+    TruthBasis,
+    Vectors,
+)
 from .plants import AxisTruth
-from .sensor import Process, TruthBasis, Vectors
 
 # A plan may use all of its allowed travel: the cable's hard end is this far beyond.
 _BEYOND_DEG: Final = 2.0
@@ -127,7 +140,6 @@ class _Draws:
         return ErrorTerm(values, TruthBasis(), "one")
 
     def _gradient(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> tuple[float, float, float]:
-        """The bias for each K/s."""
         if triad.bias_temperature_gradient is None:
             return (0.0, 0.0, 0.0)
         typical = _TYPICAL_GRADIENT[kind] if triad.gradient_sensitivity is not None else 0.0

@@ -11,23 +11,262 @@ rotation. Each sample is the mean over its interval, with the sensors' own error
     gyro           ω_i + B(T) + M(T, ω_i)ω_i + Σ m_ij(T)ω_j + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + k dT/dt + drift + walks
     accelerometer  f_i + b(T) + s(T)f_i + Σ m_ij(T)f_j + k(T)f_i² + h(T)f_i³ + a(T)|f_i| + Σ c_jl(T)f_j f_l + drift
                    + walk
-    both           loops over the temperature (`loops`), exponentials since the unit was switched on, and differences of
+    both           loops over the temperature (`Loop`), exponentials since the unit was switched on, and differences of
                    temperature to other masses, one of which the second thermometer measures
 
 Units are SI here (rad/s, m/s², °C), unlike in the rest of this package.
 """
 
+import importlib
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from ... import formulas
+from ...formulas import lag_filter
 from ..pose import turn_about, turn_by
-from .loops import Loop, LoopTruth, Mass
 from .plants import AxisPlant, ChamberPlant, UncontrolledRoom
-from .sensor import Drifts, Process, SampledSensor, SensorSamples, TruthBasis, Vectors
+
+Vectors = NDArray[np.float64]
+Law = Literal["relays", "thermal masses"]
+LAWS: Final[tuple[Law, ...]] = ("relays", "thermal masses")
+
+_RELAYS = 1500
+# Temperatures of relays, °C; half-widths, in the widths of the spec.
+_COLDEST_C, _WARMEST_C = -90.0, 150.0
+_NARROWEST, _WIDEST = 0.3, 2.0
+# The largest change of temperature between two evaluations, K.
+_STEP_K = 0.02
+# The slope on which the difference of two thermal masses has its size, K/s.
+_SLOPE_K_PER_S = 1.0 / 60.0
+# The time constants of a sensor's masses are those of its type within this share.
+_SPREAD = 0.1
+
+
+@dataclass(frozen=True)
+class LoopTruth:
+    """The loop of three sensors: its `law`; half of what heating and cooling differ by, of each (SI); the half-width of
+    the play that the spec has in its place, K (relays); `of_input`: it multiplies the input, as a scale factor;
+    `times_s`: time constants of two masses."""
+
+    law: Law
+    size: tuple[float, float, float]
+    width_k: float
+    seed: int
+    of_input: bool = False
+    times_s: tuple[float, float] = (60.0, 600.0)
+
+    def begin(self, temperature_c: float) -> "Loop":
+        """The loop in a sensor that has been long at a temperature."""
+        made = _Relays if self.law == "relays" else _ThermalMasses
+        return made(self, temperature_c)
+
+
+class Loop(ABC):
+    """The state of a loop of error over temperature, by another law than the estimator's plays; scaled by half of what
+    heating and cooling differ by over a wide cycle (relays), or on a ramp (thermal masses).
+
+    "relays", Preisach: they switch up at `u + r` and down at `u - r`, u over temperatures, r over half-widths. "thermal
+    masses": two follow the temperature with different time constants, and the error is in proportion to the difference
+    of theirs, so that it depends on the slope.
+    """
+
+    def __init__(self, truth: LoopTruth) -> None:
+        self._size = np.array(truth.size)
+
+    @abstractmethod
+    def shape(self, temperature_c: Vectors, period_s: float) -> Vectors:
+        """`(n,)`: the loop at consecutive temperatures `(n,)`, ±1 on wide legs."""
+
+    def take(self, temperature_c: Vectors, period_s: float) -> Vectors:
+        """`(n, 3)`: the errors at consecutive temperatures."""
+        return self.shape(temperature_c, period_s)[:, None] * self._size
+
+
+class _Relays(Loop):
+    """Weights add up to one for the relays that are open at a temperature, on average; the linear part of the mean of
+    heating and cooling, which is no hysteresis, is taken off."""
+
+    def __init__(self, truth: LoopTruth, temperature_c: float) -> None:
+        super().__init__(truth)
+        random = np.random.default_rng([truth.seed, 20264])
+        middle = random.uniform(_COLDEST_C, _WARMEST_C, _RELAYS)
+        half = truth.width_k * random.uniform(_NARROWEST, _WIDEST, _RELAYS)
+        self._up, self._down = middle + half, middle - half
+        weight = random.exponential(1.0, _RELAYS)
+        open_at = np.mean([weight[(self._down < t) & (t < self._up)].sum() for t in np.linspace(-30.0, 80.0, 56)])
+        self._weight = weight / open_at
+        self._slope = 2.0 * self._weight.sum() / (_WARMEST_C - _COLDEST_C)
+        self._centre = 0.5 * (_COLDEST_C + _WARMEST_C)
+        self._on = middle < temperature_c
+        self._last, self._value = temperature_c, self._output(temperature_c)
+
+    def _output(self, temperature_c: float) -> float:
+        total = float(self._weight @ np.where(self._on, 1.0, -1.0))
+        # A heating leg is behind, so that it is lower: the sign is that of heating less cooling.
+        return self._slope * (temperature_c - self._centre) - total
+
+    def shape(self, temperature_c: Vectors, period_s: float) -> Vectors:
+        places, values = [-1], [self._value]
+        for k, t in enumerate(temperature_c.tolist()):
+            if abs(t - self._last) < _STEP_K and k < len(temperature_c) - 1:
+                continue
+            self._on = (self._on | (t > self._up)) & ~(t < self._down)
+            self._last, self._value = t, self._output(t)
+            places.append(k)
+            values.append(self._value)
+        return np.interp(np.arange(len(temperature_c)), places, values)
+
+
+class _ThermalMasses(Loop):
+    def __init__(self, truth: LoopTruth, temperature_c: float) -> None:
+        super().__init__(truth)
+        spread = _SPREAD * np.random.default_rng([truth.seed, 20267]).uniform(-1.0, 1.0, 2)
+        fast_s, slow_s = np.array(truth.times_s) * (1.0 + spread)
+        self._masses = Mass(temperature_c, float(fast_s)), Mass(temperature_c, float(slow_s))
+        self._scale = 1.0 / (_SLOPE_K_PER_S * (slow_s - fast_s))
+
+    def shape(self, temperature_c: Vectors, period_s: float) -> Vectors:
+        fast, slow = (mass.take(temperature_c, period_s) for mass in self._masses)
+        return (fast - slow) * self._scale
+
+
+class Mass:
+    """A thermal mass that follows a temperature with a time constant, and has been long at a first one."""
+
+    def __init__(self, temperature_c: float, time_s: float) -> None:
+        self._time_s, self._given, self._own = time_s, temperature_c, temperature_c
+
+    def take(self, temperature_c: Vectors, period_s: float) -> Vectors:
+        """Its temperatures `(n,)` at consecutive ones that it follows, linear in between."""
+        signal: Any = importlib.import_module("scipy.signal")
+        numerator, denominator = lag_filter(period_s, self._time_s)
+        state = [numerator[1] * self._given - denominator[1] * self._own]
+        result: Vectors = signal.lfilter(numerator, denominator, temperature_c, zi=state)[0]
+        if len(result):
+            self._given, self._own = float(temperature_c[-1]), float(result[-1])
+        return result
+
+
+_BLOCK = 64
+
+
+@dataclass(frozen=True)
+class TruthBasis:
+    """Functions of a temperature (°C) or a rate (deg/s): "polynomial" (monomials), "legendre", "b-spline" or "bins"."""
+
+    kind: Literal["polynomial", "legendre", "b-spline", "bins"] = "polynomial"
+    degree: int = 0
+    centre: float = 0.0
+    scale: float = 1.0
+    knots: tuple[float, ...] = ()
+
+    def __call__(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self.kind == "polynomial":
+            return formulas.monomials((x - self.centre) / self.scale, self.degree)
+        if self.kind == "legendre":
+            return legendre.legvander((x - self.centre) / self.scale, self.degree)
+        return (
+            formulas.b_spline(x, self.knots, self.degree) if self.kind == "b-spline" else formulas.bins(x, self.knots)
+        )
+
+
+@dataclass(frozen=True)
+class Process:
+    """A Gauss–Markov process of each axis; it adds `bias_gain` times itself to the rate (deg/s) and `rate_gain` times
+    itself to the scale factor. An infinite `tau_s` is one draw."""
+
+    sigma: float
+    tau_s: float
+    bias_gain: float = 0.0
+    rate_gain: float = 0.0
+
+
+class Drifts:
+    """Gauss–Markov processes of three axes, advanced from sample to sample."""
+
+    def __init__(self, processes: Sequence[Process], random: np.random.Generator) -> None:
+        self._sigmas = np.array([process.sigma for process in processes])
+        self._taus_s = np.array([process.tau_s for process in processes])
+        self._gains = np.array([(process.bias_gain, process.rate_gain) for process in processes]).reshape(-1, 2)
+        self._states = self._sigmas * random.standard_normal((3, len(processes)))
+        self._period_s, self._weights = 0.0, np.zeros((0, 0, 0))
+
+    def take(self, draws: Vectors, period_s: float) -> tuple[Vectors, Vectors]:
+        """`(n, 3, k)` standard normals -> what the `k` processes add to the output and to the scale factor at the next
+        samples, `(n, 3)` each."""
+        if not self._sigmas.size:
+            return np.zeros(draws.shape[:2]), np.zeros(draws.shape[:2])
+        if period_s != self._period_s:
+            self._period_s = period_s
+            # `(p, block, block + 1)`: x_k = φ^(k + 1) x_0 + Σ_j φ^(k−j) w_j.
+            decays, steps = np.exp(-period_s / self._taus_s), np.arange(_BLOCK, dtype=np.int64)
+            lag = steps[:, None] - np.append(steps, -1)
+            grown = decays[:, None, None] ** np.maximum(lag, 0)
+            size = np.append(np.ones(_BLOCK), 0.0) * (self._sigmas * np.sqrt(1.0 - decays**2))[:, None]
+            size[:, -1] = 1.0
+            self._weights = np.where(lag >= 0, grown, 0.0) * size[:, None, :]
+        # In blocks short enough for the little triangular matrices.
+        values = np.empty_like(draws)
+        for start in range(0, draws.shape[0], _BLOCK):
+            kicks = draws[start : start + _BLOCK]
+            count = len(kicks)
+            known = np.concatenate([kicks, self._states[None]]).transpose(2, 0, 1)
+            columns = [*range(count), -1]
+            weights = self._weights[:, :count] if count == _BLOCK else self._weights[:, :count, columns]
+            values[start : start + count] = (weights @ known).transpose(1, 2, 0)
+            self._states = values[start + count - 1]
+        return values @ self._gains[:, 0], values @ self._gains[:, 1]
+
+
+@dataclass(frozen=True)
+class SensorSamples:
+    """`n` samples: mean rate as measured (deg/s), specific force (g), temperature (°C), true time of their ends, and
+    the second thermometer's temperature (None: as the first's)."""
+
+    time_s: NDArray[np.float64]
+    rate_dps: NDArray[np.float64]
+    acceleration_g: NDArray[np.float64]
+    temperature_c: NDArray[np.float64]
+    second_c: NDArray[np.float64] | None = None
+
+
+class SampledSensor(ABC):
+    """Consecutive samples by the unit's own clock; the same seed gives the same samples in blocks of any size. A
+    subclass gives their values in `take`."""
+
+    clock_error: float
+    taken: int
+    """Samples since the last restart."""
+
+    def restart(self, now_s: float, sample_rate_hz: float) -> None:
+        """Sample at this rate of the unit's clock from now on, which runs fast by the clock error."""
+        self._start_s, self.taken = now_s, 0
+        self.true_period_s = 1.0 / sample_rate_hz / (1.0 + self.clock_error)
+
+    def next_time_s(self, ahead: int = 1) -> float:
+        """True time at which the sample `ahead` from now is complete."""
+        return self._start_s + (self.taken + ahead) * self.true_period_s
+
+    def due(self, now_s: float) -> int:
+        """The number of complete samples not yet taken."""
+        return max(0, int((now_s - self._start_s) / self.true_period_s + 1e-6) - self.taken)
+
+    def ends_of(self, count: int) -> NDArray[np.float64]:
+        """`(count + 1,)`: the true times at the ends of the next samples, which count as taken."""
+        ends = self._start_s + (self.taken + np.arange(count + 1.0)) * self.true_period_s
+        self.taken += count
+        return ends
+
+    @abstractmethod
+    def take(self, count: int) -> SensorSamples:
+        """The next samples."""
+
 
 EARTH_RATE = 7.292115e-5
 _STANDARD_GRAVITY = 9.80665  # m/s² in the g of SensorSamples

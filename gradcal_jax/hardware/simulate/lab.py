@@ -5,8 +5,8 @@ attitudes of base and axes, harmonics of the encoders, the mountings. The accele
 axes and sense it. With the frame "table axes" the mounting has no error, by definition of the frame. Where the spec's
 table is driven by hand, a person turns it, and types its angles where the plan does not read the axes at rest; else an
 encoder is read. Where gravity is the reference nothing is read, and axes stop some degrees off. The operator hangs the
-devices anew where there are several mountings; at the places of a fixture sits one each. The devices are STIM300. What a
-`discrepancy` says that the maps lack is drawn, too.
+devices anew where there are several mountings; at the places of a fixture sits one each. The devices are STIM300. What
+a `discrepancy` says that the maps lack is drawn, too.
 """
 
 from dataclasses import replace
@@ -24,8 +24,7 @@ from ..drivers.operator import OperatorAxis, OperatorConfig
 from ..drivers.stim300 import Stim300Config
 from ..roles import AxisLimits
 from ..setup import Bench
-from .datagrams import RATES_HZ
-from .devices import SimulatedAxis, SimulatedChamber, SimulatedHand, SimulatedPerson, SimulatedStream
+from .devices import RATES_HZ, SimulatedAxis, SimulatedChamber, SimulatedHand, SimulatedPerson, SimulatedStream
 from .draws import draw_places, draw_table, draw_truth
 from .imu import SimulatedImu
 from .plants import AxisPlant, ChamberPlant, ChamberTruth, UncontrolledRoom
@@ -153,7 +152,6 @@ class SimulatedLab:
 
 
 def _limits_of(says: TableAxis, *, told: bool) -> AxisLimits:
-    """The limits of a table's axis in the spec."""
     rate, acceleration = to_unit(float(says.max_rate), "deg/s"), to_unit(float(says.max_acceleration), "deg/s^2")
     travel = float(np.degrees(float(says.travel)))
     lowest, highest = (None, None) if np.isinf(travel) else (-travel, travel)

@@ -69,7 +69,6 @@ class ChamberPlant:
             return self._air_c
 
     def set_point_c(self, now_s: float) -> float:
-        """The controller's present set point."""
         with self._lock:
             self.advance(now_s)
             return self._set_point_c
@@ -260,7 +259,6 @@ class AxisPlant:
 
     @property
     def ends_s(self) -> float:
-        """The end of the last command."""
         return self._phases[-1].start_s
 
     def turn_by_hand(self, now_s: float, target_deg: float, duration_s: float, unevenness: float) -> None:
@@ -282,7 +280,6 @@ class AxisPlant:
             self._replace(now_s, [*phases, _Phase(now_s + duration_s, target_deg, 0.0, 0.0)])
 
     def _held(self, position_deg: float, rate_dps: float) -> float:
-        """The true rate for a commanded one."""
         error = self.truth.rate_accuracy * float(self._random.standard_normal()) if rate_dps else 0.0
         self._spun = (position_deg, self._too_far(position_deg), error / (1.0 + error))
         return rate_dps * (1.0 + error)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax.hardware.checksums import crc32_mpeg2_of_rows
-from gradcal_jax.hardware.simulate.sensor import SensorSamples
+from gradcal_jax.hardware.simulate.imu import SensorSamples
 
 # Identifier, and number of bytes that the CRC includes and the line does not, by the code of `$sd`, which also gives
 # the contents.

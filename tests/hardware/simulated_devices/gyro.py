@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax.hardware.pose import turn_about
+from gradcal_jax.hardware.simulate.imu import Drifts, Process, SampledSensor, SensorSamples, TruthBasis, Vectors
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant
-from gradcal_jax.hardware.simulate.sensor import Drifts, Process, SampledSensor, SensorSamples, TruthBasis, Vectors
 
 EARTH_RATE_DPS = 15.041067 / 3600.0
 Triple = tuple[float, float, float]

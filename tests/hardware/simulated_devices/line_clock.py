@@ -12,8 +12,7 @@ from contextlib import contextmanager, nullcontext
 from typing import Any
 
 from gradcal_jax.hardware import setup
-from gradcal_jax.hardware.clock import Clock, RealClock
-from gradcal_jax.hardware.simulate.virtual_clock import VirtualClock
+from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
 from gradcal_jax.hardware.transport import Transport
 
 _PACE_S = 0.005

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate.sensor import SampledSensor
+from gradcal_jax.hardware.simulate.imu import SampledSensor
 
 
 @dataclass

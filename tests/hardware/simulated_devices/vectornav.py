@@ -1,6 +1,6 @@
 """A simulated VectorNav VN-100: the peer of `drivers.vectornav`, written from the protocol.
 
-Registers over ASCII, samples as binary packets or `$VNIMU` lines, replies between them. Errors as the unit reports
+Registers over ASCII, samples as binary packets, replies between them. Errors as the unit reports
 them: wrong check sum 3, unknown command 4, missing and surplus parameters 5 and 6, invalid parameter 7, unknown
 register 8, an output that the baud rate cannot carry 12.
 """
@@ -12,7 +12,7 @@ import numpy as np
 
 from gradcal_jax.hardware.checksums import crc16_vectornav, xor8
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate.sensor import SampledSensor
+from gradcal_jax.hardware.simulate.imu import SampledSensor
 
 _STANDARD_GRAVITY = 9.80665
 
@@ -65,14 +65,14 @@ class SimulatedVectorNav:
         return replies
 
     def next_emission_s(self) -> float | None:
-        if self._output() is None and not self._attitude():
+        if not self._output() and not self._attitude():
             return None
         ahead = max(1, round(self.options.burst_s / self.sensor.true_period_s))
         return self.sensor.next_time_s(ahead)
 
     def emit(self, now_s: float) -> list[bytes]:
         output, attitude = self._output(), self._attitude()
-        count = self.sensor.due(now_s) if output is not None or attitude else 0
+        count = self.sensor.due(now_s) if output or attitude else 0
         if not count:
             return []
         samples = self.sensor.take(count)
@@ -85,29 +85,18 @@ class SimulatedVectorNav:
             if attitude:
                 body = bytes.fromhex("010800") + struct.pack("<3f", 0.0, 0.0, 0.0)
                 messages.append(b"\xfa" + body + crc16_vectornav(body).to_bytes(2, "big"))
-            if output == "binary":
+            if output:
                 nanoseconds = round(float(own[index]) * 1e9)
                 values = (*force[index], *rate[index], samples.temperature_c[index])
                 body = bytes.fromhex("050100 1c00") + struct.pack("<Q7f", nanoseconds, *values)
                 messages.append(b"\xfa" + body + crc16_vectornav(body).to_bytes(2, "big"))
-            elif output == "ascii":
-                numbers = ",".join(
-                    ["+00.0000,+00.2000,+00.4000"]
-                    + [f"{value:+07.3f}" for value in force[index]]
-                    + [f"{value:+010.6f}" for value in rate[index]]
-                    + [f"{samples.temperature_c[index]:+05.1f}", "+101.325"]
-                )
-                messages.append(_message(f"VNIMU,{numbers}"))
         return messages
 
     # -------------------------------------------------------------------------------------------------------- parts
 
-    def _output(self) -> str | None:
-        if self._paused:
-            return None
-        if not self.registers[75].startswith("0,"):
-            return "binary"
-        return "ascii" if self.registers[6] == "19" else None
+    def _output(self) -> bool:
+        """Whether it sends samples."""
+        return not self._paused and not self.registers[75].startswith("0,")
 
     def _attitude(self) -> bool:
         """Whether the second or third output, of attitude, was left on by somebody."""

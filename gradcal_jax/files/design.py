@@ -124,7 +124,7 @@ class Design(Section):
 
 
 # Keys that one of the two kinds of search alone reads.
-_OF_AXIS: Final = ("cycles", "starts", "notice", "whole_turns", "scenario")
+_OF_AXIS: Final = ("cycles", "starts", "notice", "whole_turns")
 _OF_POSES: Final = ("angle_step", "shortest_rest", "longest_rest")
 _MOVES_OF_AXIS: Final = 40
 _FREE_OF_POSES: Final = ("cycle", "programme")

@@ -36,7 +36,9 @@ def left_by(plan: CyclePlan, cycle: RepeatedCycle) -> tuple[np.ndarray, Repeated
     of = plan.structure(cycle)
     z = plan.coordinates.encode(cycle.turns, of)
     args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps, np.inf)
-    logs = jax.jit(plan.objective.logs, compiler_options=QUICKLY)(z, *args)
+    logs = jax.jit(
+        lambda z, of, *args: plan.objective.logs(plan.coordinates.decode(z, of), of, *args), compiler_options=QUICKLY
+    )(z, *args)
     rows = [r for r in plan.spec.requirement if plan.worst or plan.design.minimise in ("all requirements", r.name)]
     limits = [1.0 if r.target is None else float(r.target) * UNIT_OF[r.quantity][1] for r in rows]
     return np.exp(np.asarray(logs)) * limits, cycle._replace(turns=plan.coordinates.cycle(z, of))

@@ -2,8 +2,8 @@
 
     python experiments/benchmarks/many_designs.py [--designs N] [--programs one map 50 ...] [--write FILE]
 
-The plans are one of a whole IMU (`experiments/imu/descended.toml`) with other numbers of its cycle; of each
-the eight residuals, and their geometric mean with its gradient in all numbers. It runs on whatever device JAX finds: on a
+The plans are one of a whole IMU (`experiments/imu/descended.toml`) with other numbers of its cycle; of each the
+eight residuals, and their geometric mean with its gradient in all numbers. It runs on whatever device JAX finds: on a
 GPU it counts, too, how many steps a program makes one after the other.
 """
 

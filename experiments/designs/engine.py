@@ -4,9 +4,10 @@
     python experiments/designs/engine.py --case "skew, seed 0"    one case, to experiments/designs/engine
     python experiments/designs/engine.py --report                 the table of the cases there; it keeps all others
 
-Writes engine.json and engine.md beside this file, from one file for each case in a folder. Of one search `evaluations` are of the objective with its gradient,
-and processor time counts everything, compilation too. "better" is the geometric mean over the requirements of the plan
-by hand (`experiments/imu/hand2.toml`) over the plan in question, or of the case's own file where it is another.
+Writes engine.json and engine.md beside this file, from one file for each case in a folder. Of one search `evaluations`
+are of the objective with its gradient, and processor time counts everything, compilation too. "better" is the
+geometric mean over the requirements of the plan by hand (`experiments/imu/hand2.toml`) over the plan in question, or of
+the case's own file where it is another.
 """
 
 import argparse

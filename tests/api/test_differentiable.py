@@ -105,19 +105,22 @@ def test_what_the_spec_has_not_is_said(spec, residual):
 TURNS = [("spin", 720), ("spin", -700), ("tilt", 50), ("spin", 40), ("tilt", 450), ("tilt", -500), ("spin", 300)]
 
 
+def imu_moves(turns) -> list[dict[str, str]]:
+    """Steepest trapezoids, which each take 1.6 s at least, and rests."""
+    moves = []
+    for (axis, _), degrees in zip(TURNS, turns, strict=True):
+        duration = abs(degrees) / 100.0 + 100.0 / 400.0
+        ramped = {"peak_rate": "100 deg/s", "duration": f"{duration:.12g} s", "shape": "linear ramps"}
+        moves += [{"turn": f"{degrees:.12g} deg", "axis": axis} | ramped, {"rest": "25 s"}]
+    return moves
+
+
 @pytest.fixture(scope="module")
 def imu():
     """A gyro and an accelerometer triad on two axes."""
     line = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"}
     spec = gj.read_spec(Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml")
-    moves = [
-        m
-        for axis, t in TURNS
-        for m in (
-            {"turn": f"{t} deg", "axis": axis, "peak_rate": "150 deg/s", "shape": "linear ramps"},
-            {"rest": "25 s"},
-        )
-    ]
+    moves = imu_moves([t for _, t in TURNS])
     maps = {f"sensor.{t}.{m}.temperature": line for t in ("gyro", "accelerometer") for m in ("bias", "scale_factor")}
     kept = [r.model_dump(mode="json", exclude_unset=True) for r in spec.requirement if "scale" in r.name]
     return changed(spec, maps | {"sensor.gyro.axes": ["x"], "plan.cycle.moves": moves, "requirement": kept})
@@ -129,14 +132,7 @@ def test_an_imu_is_a_function_of_its_cycle(imu):
     residual = gj.differentiable(imu)
     rng, own = np.random.default_rng(0), residual.quantities
     turns = own["turns"] + np.array([0.3, -0.2, 0.1, 0.1, 0.2, -0.3, -0.2])  # of each axis the same in all
-    moves = [
-        m
-        for (axis, _), turn in zip(TURNS, np.degrees(turns), strict=True)
-        for m in (
-            {"turn": f"{turn:.12g} deg", "axis": axis, "peak_rate": "150 deg/s", "shape": "linear ramps"},
-            {"rest": "25 s"},
-        )
-    ]
+    moves = imu_moves(np.degrees(turns))
     assert own["turns"].shape == own["peak rates"].shape == own["rests"].shape == (len(TURNS),)
     call = jax.jit(lambda q: residual(q))
     for numbers, spec in ((own, imu), ({**own, "turns": turns}, changed(imu, {"plan.cycle.moves": moves}))):

@@ -109,8 +109,9 @@ class DifferentiableCycle(eqx.Module):
     """Every requirement's residual of an IMU as a pure function of its cycle's numbers, as a `Differentiable`.
 
     `quantities`, `(m,)` for the turns of the cycle in order: "turns" rad, "peak rates" rad/s, "rests" s after each turn
-    (0: none). Ramps are as steep as the axes allow; rests are scaled to fill the cycle's time, which is fixed, as are
-    the number of cycles and the chamber's course.
+    (0: none). Turns are trapezoids as steep as the axes allow; rests are scaled to fill the cycle's time, which is
+    fixed, as are the number of cycles and the chamber's course. Every cycle begins at the same pose: the turns of each
+    axis should sum to whole ones.
     """
 
     quantities: dict[str, np.ndarray]

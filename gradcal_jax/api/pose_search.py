@@ -23,7 +23,7 @@ from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rounding import rounded
 from gradcal_jax.files.spec_sections import Spec
 
-EVALUATIONS, QUICK_EVALUATIONS = 12000, 800
+EVALUATIONS, QUICK_EVALUATIONS = 14000, 800
 # Cycles that descend side by side.
 TOGETHER = 2
 # Evaluations of a descent between two looks; sharpness of the maxima and evaluations of the first descents, of those

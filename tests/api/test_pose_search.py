@@ -85,6 +85,8 @@ def turning() -> str:
                 "sensor.accelerometer.bias.temperature": line,
                 "sensor.accelerometer.scale_factor.temperature": line,
                 "plan.cycle.moves": moves,
+                # So that the plan of a cycle is hardly rounded.
+                "rig.resolution": {"time": "1 ms"},
                 "requirement": [
                     r.model_dump(mode="json", exclude_unset=True) | {"grid": [21] * len(r.grid)}
                     for r in spec.requirement
@@ -290,7 +292,7 @@ def test_the_targets_of_other_requirements_limit_a_search():
     of = jax.tree.map(jnp.asarray, limited.structure(limited.start))
     z, ramps = limited.coordinates.encode(limited.start.turns, of), limited.course(limited.start.cycles).ramps
     value = jax.jit(limited.objective.value, compiler_options=QUICKLY)
-    assert float(value(z, of, ramps, np.inf)) == pytest.approx(own + 10.0 * math.log(2.0), abs=0.15)
+    assert float(value(z, of, ramps, np.inf)) == pytest.approx(own + 10.0 * math.log(2.0), abs=0.4)
     assert float(value(z, of, ramps, 30.0)) > float(value(z, of, ramps, np.inf))
     *_, free = optimise(alone.spec, steps=200)
     target = 0.97 * min(free.rows[1].now, left)

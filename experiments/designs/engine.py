@@ -139,7 +139,7 @@ def report(folder: Path) -> None:
 
 def main() -> None:
     """All cases, or one."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--case", action="append", choices=cases(), help="only this one, without the table")
     parser.add_argument("--report", action="store_true", help="only the table, of the cases that are there")
     parser.add_argument("folder", type=Path, nargs="?", default=HERE / "engine", help="of the cases' files")

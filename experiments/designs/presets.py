@@ -86,7 +86,7 @@ def report(folder: Path) -> None:
 
 def main() -> None:
     """All presets, or one."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--case", choices=gj.presets.names(), help="only this one, without the table")
     parser.add_argument("--seed", type=int, help="only this one")
     parser.add_argument("--report", action="store_true", help="only the table, of the cases that are there")

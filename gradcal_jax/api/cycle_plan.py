@@ -174,10 +174,12 @@ class CyclePlan:
     def _value(self, z: Any, args: tuple[CycleStructure, Ramp | None, Any]) -> Any:
         of, ramps, sharpness = args
         count = 3 * self.slots
-        if ramps is None:
-            assert self._course is not None
-            ramps = self._course.ramps(z[count:], of.period)
+        ramps = self._free_ramps(z[count:], of) if ramps is None else ramps
         return self.objective.value(jnp.reshape(z[:count], (3, self.slots)), of, ramps, sharpness)
+
+    def _free_ramps(self, course: Any, of: CycleStructure) -> Ramp:
+        assert self._course is not None
+        return self._course.ramps(course, of.period)
 
     def _free_course(self) -> FreeCourse | None:
         """The chamber's courses of the search; None where that of the file is fixed."""
@@ -316,9 +318,9 @@ class CyclePlan:
     def left_by(self, angle: Any, rate: Any, rest: Any) -> dict[str, Any]:
         """What the spec's own cycle with other numbers (see `CycleCoordinates.plain`) leaves of every requirement, in
         the unit of `shown`, of the first scenario."""
-        of, course = self.structure(self.start), self.course(self.start.cycles)
-        decoded = self.coordinates.plain(angle, rate, rest, jax.tree.map(jnp.asarray, of))
-        logs = self.objective.logs(decoded, jax.tree.map(jnp.asarray, of), course.ramps, math.inf)[0]
+        of, ramps = jax.tree.map(jnp.asarray, self.structure(self.start)), self.course(self.start.cycles).ramps
+        ramps = self._free_ramps(jnp.asarray(self.start.course), of) if ramps is None else ramps
+        logs = self.objective.logs(self.coordinates.plain(angle, rate, rest, of), of, ramps, math.inf)[0]
         return {r.name: jnp.exp(x) * aim[1] for r, x, aim in zip(self.spec.requirement, logs, self._aims, strict=True)}
 
     def value_of(self, residuals: Sequence[Sequence[ImuResidual]]) -> float:

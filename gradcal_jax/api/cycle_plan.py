@@ -251,7 +251,9 @@ class CyclePlan:
             left = _LEFT if self._course is None else _LEFT_OF_COURSE
             period = min(stretches[0].duration / count, *(s.duration for s in stretches)) - left / count
             counts = tuple(max(1, int(s.duration / period)) for s in stretches)
-            ramps = self._ramps(counts, period) if self._course is None else None
+            # They are kept, and so must be no tracers of a program that happens to ask first.
+            with jax.ensure_compile_time_eval():
+                ramps = self._ramps(counts, period) if self._course is None else None
             self._courses[count] = CycleCourse(period, ramps)
         return self._courses[count]
 

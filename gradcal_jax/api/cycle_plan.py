@@ -52,7 +52,7 @@ from gradcal_jax.model import Hysteresis, ImuModel, TemperatureDifference
 # Points of a requirement's grid on each side that a search evaluates: of a mean over one side those of the file.
 _SEARCH_GRID = 31
 # Slots for turns that a search inserts, as a share, and multiples of slots, each of which is compiled once.
-_SPARE, _SLOTS = 0.2, 4
+_SPARE, _SLOTS = 0.35, 4
 _MOST_TURNS = 80
 # Turns up to this (rad) are tried, or up to the largest one of the file's plan.
 _LARGEST = 6.0 * math.pi

@@ -1,17 +1,21 @@
 """Optima of IMU plans, found by the product: what they leave, beside the plan by hand, and what finding them takes.
 
-    python experiments/designs/engine.py            all cases: an hour of processor time on two cores
-    python experiments/designs/engine.py "seed 0"   one case; the table keeps the others as they are
+    python experiments/designs/engine.py                          all cases: two hours of processor time
+    python experiments/designs/engine.py --case "skew, seed 0"    one case, to experiments/designs/engine
+    python experiments/designs/engine.py --report                 the table of the cases there; it keeps all others
 
-Writes engine.json and engine.md beside this file. Of one search `evaluations` are of the objective with its gradient,
-and processor time counts everything, compilation too. "better" is the geometric mean over the requirements of the plan
-by hand (`experiments/imu/hand2.toml`) over the plan in question, or of the case's own file where it is another.
+Writes engine.json and engine.md beside this file, from one file for each case in a folder. Of one search `evaluations`
+are of the objective with its gradient, and processor time counts everything, compilation too. "better" is the
+geometric mean over the requirements of the plan by hand (`experiments/imu/hand2.toml`) over the plan in question, or of
+the case's own file where it is another.
 """
 
+import argparse
 import json
 import math
 import platform
-import sys
+import re
+import shutil
 import time
 from pathlib import Path
 
@@ -30,7 +34,7 @@ from gradcal_jax.files import write_toml  # noqa: E402
 
 HERE = Path(__file__).parent
 IMU = HERE.parent / "imu"
-RANDOM_TURNS = 30
+RANDOM_TURNS, SEEDS = 30, 5
 
 
 def random_start(seed: int) -> gj.Spec:
@@ -43,13 +47,14 @@ def random_start(seed: int) -> gj.Spec:
 def cases() -> dict[str, tuple[gj.Spec, Path, int]]:
     """Start, file that the gain counts from, and seed of each case."""
     by_hand, rows = IMU / "hand2.toml", {}
-    for seed in range(3):
+    for seed in range(SEEDS):
         rows[f"by hand, seed {seed}"] = gj.read_spec(by_hand), by_hand, seed
     for seed in range(3):
         rows[f"random cycle {seed}"] = random_start(seed), by_hand, seed
     rows["six faces (hand.toml)"] = gj.read_spec(IMU / "hand.toml"), by_hand, 0
-    for name in ("skew", "poses48"):
-        rows[name] = gj.read_spec(IMU / f"{name}.toml"), IMU / f"{name}.toml", 0
+    for seed in range(SEEDS):
+        rows[f"skew, seed {seed}"] = gj.read_spec(IMU / "skew.toml"), IMU / "skew.toml", seed
+    rows["poses48"] = gj.read_spec(IMU / "poses48.toml"), IMU / "poses48.toml", 0
     return rows
 
 
@@ -106,23 +111,44 @@ def table(results: dict[str, dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(only: str | None) -> None:
-    """All cases, or those with `only` in their name."""
+def write_share(name: str, folder: Path) -> None:
+    """Search one case: its row and its plan as files of a folder."""
+    row, best = searched(*cases()[name])
+    print(f"{name}: {row['better']:.3f} times better, {row['processor_s']:.0f} s", flush=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / re.sub(r"\W+", "-", name)
+    file.with_suffix(".json").write_text(json.dumps({name: row}, indent=1) + "\n")
+    found = gj.changed(best.spec, {"title": "The plan by hand on two axes after its descent"})
+    write_toml(found, file.with_suffix(".toml"), header="Found by experiments/designs/engine.py.")
+
+
+def report(folder: Path) -> None:
+    """The rows of a folder into the table, and the best plan from the one by hand beside that."""
     known = HERE / "engine.json"
     results = json.loads(known.read_text()) if known.exists() else {}
-    for name, case in cases().items():
-        if only is not None and only not in name:
-            continue
-        results[name], best = searched(*case)
-        print(f"{name}: {results[name]['better']:.3f} times better, {results[name]['processor_s']:.0f} s", flush=True)
-        if name.startswith("by hand") and results[name]["better"] >= max(
-            r["better"] for key, r in results.items() if key.startswith("by hand")
-        ):
-            found = gj.changed(best.spec, {"title": "The plan by hand on two axes after its descent"})
-            write_toml(found, IMU / "descended.toml", header="Found by experiments/designs/engine.py.")
-        known.write_text(json.dumps(results, indent=1) + "\n")
-        (HERE / "engine.md").write_text(table(results))
+    for file in folder.glob("*.json"):
+        results |= json.loads(file.read_text())
+    results = {name: results[name] for name in cases() if name in results}
+    known.write_text(json.dumps(results, indent=1) + "\n")
+    (HERE / "engine.md").write_text(table(results))
+    by_hand = max((name for name in results if name.startswith("by hand")), key=lambda name: results[name]["better"])
+    plan = (folder / re.sub(r"\W+", "-", by_hand)).with_suffix(".toml")
+    if plan.exists():
+        shutil.copy(plan, IMU / "descended.toml")
+
+
+def main() -> None:
+    """All cases, or one."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--case", action="append", choices=cases(), help="only this one, without the table")
+    parser.add_argument("--report", action="store_true", help="only the table, of the cases that are there")
+    parser.add_argument("folder", type=Path, nargs="?", default=HERE / "engine", help="of the cases' files")
+    asked = parser.parse_args()
+    for name in () if asked.report else asked.case or cases():
+        write_share(name, asked.folder)
+    if not asked.case:
+        report(asked.folder)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] if len(sys.argv) > 1 else None)
+    main()

@@ -5,10 +5,11 @@ from collections.abc import Sequence
 from statistics import fmean
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.api.imu_build import build_imu, course_before, executed_motion, geometry, waves_of
+from gradcal_jax.api.imu_build import BuiltImu, build_imu, course_before, executed_motion, geometry, waves_of
 from gradcal_jax.api.imu_residual import ImuResidual, RequiredQuantity, quantity_of
 from gradcal_jax.api.plan_information import gram_of, prior_gram, residuals_of
 from gradcal_jax.api.plan_to_spec import programme_keys
@@ -20,6 +21,9 @@ from gradcal_jax.design.cycle_moves import Cycle
 from gradcal_jax.design.descent import Descent
 from gradcal_jax.design.free_course import FreeCourse, behind_on_leg, legs_of
 from gradcal_jax.design.pose_cycle import (
+    EXCESS,
+    SHAPE,
+    STEEPNESS,
     WINDOW,
     CycleCoordinates,
     CycleObjective,
@@ -35,17 +39,20 @@ from gradcal_jax.design.pose_cycle import (
 )
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.design import ALL, TIMES, WORST, Design
-from gradcal_jax.files.motion_plan import MotionPlan, PlanSchedule, quickest_turn
+from gradcal_jax.files.motion_plan import MotionPlan, PlanSchedule
 from gradcal_jax.files.places import specs_at_places
 from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.rounding import steps_of
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.tracks import makeable_acceleration
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import Hysteresis, ImuModel, TemperatureDifference
 
-_SEARCH_GRID = 21
+# Points of a requirement's grid on each side that a search evaluates: of a mean over one side those of the file.
+_SEARCH_GRID = 31
 # Slots for turns that a search inserts, as a share, and multiples of slots, each of which is compiled once.
-_SPARE, _SLOTS = 0.5, 4
+_SPARE, _SLOTS = 0.35, 4
 _MOST_TURNS = 80
 # Turns up to this (rad) are tried, or up to the largest one of the file's plan.
 _LARGEST = 6.0 * math.pi
@@ -62,7 +69,9 @@ _STANDING, _OF_MEMORY = 48, 0.5
 _LEFT, _LEFT_OF_COURSE = 1e-3, 0.2
 _SLACK = 1e-9
 # Resolution of turns (deg), rates (deg/s) and rests (s) in a plan.
-_ANGLE, _RATE, _REST = 0.01, 0.1, 0.1
+_ANGLE, _RATE, _FINE_RATE, _REST = 0.01, 0.1, 0.01, 0.1
+# Share of the largest rate beyond which a turn keeps its rate when it is rounded.
+_FASTEST = 0.98
 # Shortest soak that a programme may begin with, s.
 _BRIEF = 1.0
 NO_COURSE = (
@@ -85,31 +94,34 @@ class CyclePlan:
 
     def __init__(self, spec: Spec) -> None:
         self.spec, self.design = spec, spec.design or Design()
-        self._at = list(specs_at_places(spec).values())
-        self.built = build_imu(self._at[0])
-        self._fine = tuple(quantity_of(self.built, r) for r in spec.requirement)
+        cases = cases_of(spec)
+        self._cases = [build_imu(one) for one, _ in cases]
+        self.built, models = self._cases[0], [built.model for built in self._cases]
+        if len({model.size for model in models}) > 1:
+            raise ValueError("a design.scenario changes which parameters there are: all must have those of the spec")
+        self._grid = float(steps_of(spec).time)
+        self._fine = [tuple(quantity_of(built, r) for r in spec.requirement) for built in self._cases]
         self._aims = tuple(_aim_of(r, self.design) for r in spec.requirement)
-        scenarios = [[one for one, _ in scenario_specs(at)] for at in self._at]
-        self._models = [[build_imu(one).model for one in of] for of in scenarios]
-        models = [model for of in self._models for model in of]
+        weights = np.array([weight for _, weight in cases])
+        self._weights = weights / np.sum(weights)
         self._executed = executed_motion(self.built)
-        known = [
-            prior_gram(model) + self._past(model, at)
-            for at, of in zip(self._at, self._models, strict=True)
-            for model in of
-        ]
-        timed = self.design.minimise in TIMES
-        self.worst = timed or self.design.minimise == WORST
-        counts = [
-            (self.worst or self.design.minimise in (ALL, r.name)) and not (timed and r.target is None)
-            for r in spec.requirement
-        ]
-        minimised = [
-            _statistics_of(quantity_of(self.built, r, _SEARCH_GRID), aim)
-            for r, aim, own in zip(spec.requirement, self._aims, counts, strict=True)
-            if own
-        ]
-        self._counted = tuple(counts)
+        known = [prior_gram(built.model) + self._past(built) for built in self._cases]
+        timed, name = self.design.minimise in TIMES, self.design.minimise
+        self.worst = timed or name == WORST
+        self._counted = tuple(
+            (self.worst or name in (ALL, r.name)) and not (timed and r.target is None) for r in spec.requirement
+        )
+        # Where one requirement is minimised, the targets of the others are limits.
+        single = not self.worst and name != ALL
+        self._limiting = tuple(single and r.name != name and r.target is not None for r in spec.requirement)
+        minimised, limiting = (
+            [
+                _statistics_of(quantity_of(self.built, r, None if len(r.grid) == 1 else _SEARCH_GRID), aim)
+                for r, aim, own in zip(spec.requirement, self._aims, chosen, strict=True)
+                if own
+            ]
+            for chosen in (self._counted, self._limiting)
+        )
         self.turns_free = "cycle" in self.design.free or not self.design.free
         self._stands = isinstance(spec.plan, MotionPlan) and spec.plan.cycle is None
         self._schedule = spec.executable_schedule if self._stands else spec.plain_schedule
@@ -132,10 +144,12 @@ class CyclePlan:
         self._window = self._cycles_together(models)
         self.objective = CycleObjective(
             self.coordinates,
-            [geometry(one.rig) for of in scenarios for one in of],
+            [geometry(built.spec.rig) for built in self._cases],
             models,
             known,
             minimised,
+            limiting,
+            weights=self._weights,
             window=self._window,
             points=self.built.points,
             waves=waves_of(spec),
@@ -150,21 +164,22 @@ class CyclePlan:
             raise ValueError(f"nothing of the plan is free: the table stands, and {NO_COURSE}")
         self.descent = Descent(self._value)
 
-    def _past(self, model: ImuModel, at: Spec) -> np.ndarray:
+    def _past(self, built: BuiltImu) -> np.ndarray:
         """The information of what was executed before; a search takes its drifts as independent of the plan's."""
-        if self._executed is None:
-            return np.zeros((model.size, model.size))
-        executed = self._executed if at is self._at[0] else executed_motion(build_imu(at))
-        assert executed is not None
-        return gram_of(self.built._replace(model=model, motion=executed))
+        executed = executed_motion(built)
+        if executed is None:
+            return np.zeros((built.model.size, built.model.size))
+        return gram_of(built._replace(motion=executed))
 
     def _value(self, z: Any, args: tuple[CycleStructure, Ramp | None, Any]) -> Any:
         of, ramps, sharpness = args
         count = 3 * self.slots
-        if ramps is None:
-            assert self._course is not None
-            ramps = self._course.ramps(z[count:], of.period)
+        ramps = self._free_ramps(z[count:], of) if ramps is None else ramps
         return self.objective.value(jnp.reshape(z[:count], (3, self.slots)), of, ramps, sharpness)
+
+    def _free_ramps(self, course: Any, of: CycleStructure) -> Ramp:
+        assert self._course is not None
+        return self._course.ramps(course, of.period)
 
     def _free_course(self) -> FreeCourse | None:
         """The chamber's courses of the search; None where that of the file is fixed."""
@@ -236,7 +251,9 @@ class CyclePlan:
             left = _LEFT if self._course is None else _LEFT_OF_COURSE
             period = min(stretches[0].duration / count, *(s.duration for s in stretches)) - left / count
             counts = tuple(max(1, int(s.duration / period)) for s in stretches)
-            ramps = self._ramps(counts, period) if self._course is None else None
+            # They are kept, and so must be no tracers of a program that happens to ask first.
+            with jax.ensure_compile_time_eval():
+                ramps = self._ramps(counts, period) if self._course is None else None
             self._courses[count] = CycleCourse(period, ramps)
         return self._courses[count]
 
@@ -293,21 +310,42 @@ class CyclePlan:
         return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
 
     def residuals(self, spec: Spec) -> list[list[ImuResidual]]:
-        """What a spec's plan leaves at each place by each model of the noise, in the order of its requirements."""
+        """What a spec's plan leaves at each place in each scenario, in the order of its requirements."""
+        every = (build_imu(one) for one, _ in cases_of(spec))
         return [
-            residuals_of(prior_gram(model) + gram_of(built._replace(model=model)), self._fine)
-            for at, models in zip(specs_at_places(spec).values(), self._models, strict=True)
-            for built in (build_imu(at),)
-            for model in models
+            residuals_of(prior_gram(built.model) + gram_of(built), fine)
+            for built, fine in zip(every, self._fine, strict=True)
         ]
 
+    def left_by(self, angle: Any, rate: Any, rest: Any) -> dict[str, Any]:
+        """What the spec's own cycle with other numbers (see `CycleCoordinates.plain`) leaves of every requirement, in
+        the unit of `shown`, of the first scenario."""
+        of, ramps = jax.tree.map(jnp.asarray, self.structure(self.start)), self.course(self.start.cycles).ramps
+        ramps = self._free_ramps(jnp.asarray(self.start.course), of) if ramps is None else ramps
+        logs = self.objective.logs(self.coordinates.plain(angle, rate, rest, of), of, ramps, math.inf)[0]
+        return {r.name: jnp.exp(x) * aim[1] for r, x, aim in zip(self.spec.requirement, logs, self._aims, strict=True)}
+
     def value_of(self, residuals: Sequence[Sequence[ImuResidual]]) -> float:
-        """The objective of a plan that leaves these residuals."""
-        together, over_models = max if self.worst else fmean, max if self.design.robust == "worst" else fmean
+        """What a search minimises: the objective of a plan that leaves these residuals, and the cost of its excess."""
+        return self.without_limits(residuals) + EXCESS * sum(self.exceeded(residuals).values())
+
+    def without_limits(self, residuals: Sequence[Sequence[ImuResidual]]) -> float:
+        """The objective alone."""
+        together, over_cases = max if self.worst else fmean, self.design.robust == "worst"
         counted = [
             [_log(r, aim) for r, aim, own in zip(of, self._aims, self._counted, strict=True) if own] for of in residuals
         ]
-        return over_models([together(logs) for logs in counted])
+        each = [together(logs) for logs in counted]
+        return max(each) if over_cases else float(self._weights @ each)
+
+    def exceeded(self, residuals: Sequence[Sequence[ImuResidual]]) -> dict[str, float]:
+        """By how much (natural logarithm) targets that are limits are exceeded, summed over the cases, by name."""
+        logs = {
+            r.name: [_log(of[k], self._aims[k]) for of in residuals]
+            for k, r in enumerate(self.spec.requirement)
+            if self._limiting[k]
+        }
+        return {name: sum(max(x, 0.0) for x in of) for name, of in logs.items() if max(of) > 0.0}
 
     def shown(self) -> tuple[str, str, float]:
         """Name and unit of the objective for people, and how many of the unit are one of `value_of`, exponentiated."""
@@ -353,7 +391,7 @@ class CyclePlan:
     def _rounded(self, cycle: RepeatedCycle) -> Cycle:
         """Rounded turns, rates and rests that fit into the period and close as the cycle does."""
         period, whole = self.course(cycle.cycles).period, self.structure(cycle).whole
-        axes, step = self.spec.rig.table.axis, _ANGLE if self.design.angle_step is None else 0.0
+        step = _ANGLE if self.design.angle_step is None else 0.0
         items, net = [], {}
         for t in cycle.turns:
             degrees, rate = math.degrees(t.angle), math.degrees(t.rate)
@@ -369,28 +407,49 @@ class CyclePlan:
             items[last][1] = round(items[last][1] - total + math.degrees(float(whole[axis])), 6)
         items = [item for item in items if item[1] or item[3]]
 
-        def left() -> float:
-            turns = (quickest_turn(math.radians(a), axes[l], math.radians(w)) for l, a, w, _ in items if l >= 0 and a)
-            return period - math.fsum([*(t.duration for t in turns), *(item[3] for item in items)])
-
-        # The longest rests give way to rounding, or take what it leaves.
+        # The longest rests share what the controllers' steps of time cost, or leave.
+        turning = (self._made(l, a, w)[1] for l, a, w, _ in items if l >= 0 and a)
         rests = sorted((item for item in items if item[3]), key=lambda item: -item[3])
-        change = math.floor(left() / _REST)
+        change = math.floor((period - math.fsum([*turning, *(item[3] for item in items)])) / _REST + _SLACK)
         for k in range(abs(change)) if rests else ():
             item = rests[k % len(rests)]
             item[3] = max(round(item[3] + math.copysign(_REST, change), 6), self.limits.shortest)
         return tuple(PoseTurn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
+
+    def _made(self, axis: int, degrees: float, rate: float) -> tuple[float, float]:
+        """Peak rate (deg/s) and duration (s) of a turn in whole steps of the controllers' time: steepest, in the
+        nearest number of steps that its limits allow; one near its largest rate, which says most, keeps it."""
+        size, grid, slow = math.radians(abs(degrees)), self._grid, self.limits.slow
+        most = min(float(self.limits.rates[axis]), slow if math.radians(rate) <= slow else math.inf)
+        # θ = A·(duration − ramp), with ramp = steep·A and no flat part at the least.
+        steep = STEEPNESS / float(self.limits.accelerations[axis])
+        peaks = (min(w, math.sqrt(size / steep)) for w in (math.radians(rate), most))
+        planned, quickest = ((size / w + steep * w) / grid for w in peaks)
+        duration = max(round(planned), math.ceil(quickest - _SLACK)) * grid
+        if math.radians(rate) >= _FASTEST * most:
+            duration = math.ceil(planned - _SLACK) * grid
+            return min(rate, math.degrees(min(most, 2.0 * size / duration))), duration
+        peak = 2.0 * size / (duration + math.sqrt(max(duration**2 - 4.0 * steep * size, 0.0)))
+        peak = math.ceil(math.degrees(peak) / _FINE_RATE - _SLACK) * _FINE_RATE
+        return min(peak, math.degrees(most), math.degrees(2.0 * size / duration)), duration
 
     def _moves(self, cycle: Cycle) -> list[dict[str, str]]:
         """A cycle as a list of moves for a spec."""
         axes, moves = self.spec.rig.table.axis, []
         for t in cycle:
             if t.axis >= 0 and t.angle:
+                rate, duration = self._made(t.axis, math.degrees(t.angle), math.degrees(t.rate))
                 turn = {"turn": f"{math.degrees(t.angle):.10g} deg", "axis": axes[t.axis].name}
-                moves.append(turn | {"peak_rate": f"{math.degrees(t.rate):.6g} deg/s"})
+                turn |= {"peak_rate": f"{rate:.8g} deg/s", "duration": f"{duration:.8g} s", "shape": SHAPE}
+                moves.append(turn)
             if t.rest:
                 moves.append({"rest": f"{t.rest:.6g} s"})
         return moves
+
+
+def cases_of(spec: Spec) -> list[tuple[Spec, float]]:
+    """The spec at each place in each scenario, with its weight."""
+    return [case for at in specs_at_places(spec).values() for case in scenario_specs(at)]
 
 
 class CycleCourse(NamedTuple):
@@ -469,9 +528,10 @@ def _limits(spec: Spec, design: Design, start: Cycle) -> TableLimits:
     axes, gyro, forces = spec.rig.table.axis, spec.sensor.gyro, spec.sensor.accelerometer
     usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
     slow = 0.0 if forces is None else float(forces.read_on_moves_below or 0.0) * (1.0 + _SLACK)
+    step, steepest = steps_of(spec).acceleration, [float(a.max_acceleration) for a in axes]
     return TableLimits(
         np.array([min(float(a.max_rate), usable) for a in axes]),
-        np.array([float(a.max_acceleration) for a in axes]),
+        np.array([makeable_acceleration(a, None if step is None else float(step), a) for a in steepest]),
         np.array([a.reach for a in axes], dtype=float),
         np.array(spec.executable_schedule.start, dtype=float),
         largest_alike(max(_LARGEST, *(abs(t.angle) for t in start)), waves_of(spec)),

@@ -11,11 +11,13 @@ from jaxtyping import Float
 
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.criteria import criterion_of
+from gradcal_jax.api.cycle_plan import CyclePlan
 from gradcal_jax.api.systematic import counted_criterion
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.design import Criterion
 from gradcal_jax.display import summary
+from gradcal_jax.files.changes import changed
 from gradcal_jax.files.spec import expect_spec, goes_on
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import information
@@ -103,19 +105,51 @@ class Differentiable(eqx.Module):
         return model
 
 
-def differentiable(spec: Spec) -> Differentiable:
-    """A spec's requirements as a pure function of the sensor's, the rig's and the plan's figures, of one gyro
-    along the only axis of a table. At the spec's own `quantities` it equals `predict`, in ppm or deg/h.
+class DifferentiableCycle(eqx.Module):
+    """Every requirement's residual of an IMU as a pure function of its cycle's numbers, as a `Differentiable`.
 
-    Needs float64 (`jax_enable_x64`). The quadrature rule is that of the spec's own plan. Errors: `ValueError` for a
-    spec without requirements, and for one of several sensors or axes of the table.
+    `quantities`, `(m,)` for the turns of the cycle in order: "turns" rad, "peak rates" rad/s, "rests" s after each turn
+    (0: none). Turns are trapezoids as steep as the axes allow; rests are scaled to fill the cycle's time, which is
+    fixed, as are the number of cycles and the chamber's course. Every cycle begins at the same pose: the turns of each
+    axis should sum to whole ones.
+    """
+
+    quantities: dict[str, np.ndarray]
+    _plan: CyclePlan = eqx.field(static=True)
+
+    __repr__ = summary
+
+    def __call__(self, quantities: Mapping[str, Any]) -> dict[str, Float[AnyArray, ""]]:
+        """Residuals in the units of `predict`, by requirement: the statistic that its target limits, else its own.
+
+        Errors: `ValueError` for a name that there is not.
+        """
+        if unknown := set(quantities) - set(self.quantities):
+            raise ValueError(f"the spec has no {sorted(unknown)[0]!r}: it has {', '.join(self.quantities)}")
+        numbers = (jnp.asarray(quantities.get(name, own)) for name, own in self.quantities.items())
+        return self._plan.left_by(*numbers)
+
+
+def differentiable(spec: Spec) -> Differentiable | DifferentiableCycle:
+    """A spec's requirements as a pure function of figures. Of one gyro along the only axis of a table those of the
+    sensor, the rig and the plan: at the spec's own `quantities` it equals `predict`, in ppm or deg/h, by the quadrature
+    rule of the spec's plan. Of any other IMU those of its cycle, within about a per cent of `predict`.
+
+    Needs float64 (`jax_enable_x64`). Errors: `ValueError` for a spec without requirements, and for an IMU whose table
+    stands.
     """
     spec = expect_spec(spec)
     if spec.done:
         raise goes_on("a function of the plan's figures")
-    built = assemble(spec)
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is nothing to compute: add one")
+    if not spec.turns_one_gyro:
+        plan = CyclePlan(changed(spec, {"design": None}))
+        if not plan.turns_free:
+            raise ValueError("the table stands, so that there is no cycle whose numbers could change")
+        angle, rate, rest = (np.array(x, dtype=float) for x in list(zip(*plan.start.turns, strict=True))[1:])
+        return DifferentiableCycle({"turns": angle, "peak rates": rate, "rests": rest}, plan)
+    built = assemble(spec)
     schedule = built.schedule
     moves = np.setdiff1d(np.arange(len(schedule.duration)), schedule.fill_move)
     return Differentiable(

@@ -37,7 +37,7 @@ def optimise(
     """The best plan that gradient descent finds for a spec, rounded to the controllers' steps.
 
     Of one gyro along the only axis of a table the search changes what [design] frees; of any other IMU a cycle of turns
-    and poses. `steps`: iterations of each start (240) or, of poses, gradients in all (12000). `quick`: few of them,
+    and poses. `steps`: iterations of each start (240) or, of poses, gradients in all (14000). `quick`: few of them,
     within some per cent of the best in seconds. `until_met`: no further than to a plan that meets every target with a
     margin of 10 %. `watch` is called with progress (`api.search_results.SearchStep`: `best` in `unit`, `share` of the
     work). Returns `api.search_results.Optimised`: the rounded `spec`, `now` its residual and `before` the first plan's,

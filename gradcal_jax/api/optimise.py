@@ -37,7 +37,7 @@ def optimise(
 
     One gyro along the only axis of a table: the course of its turns, of the chamber, or the set points; any other IMU:
     a cycle of turns and poses. `steps`: iterations of each start (None: 240) or, of poses, gradients in all (None:
-    12000). `quick`: few of them. `until_met`: no further than to a plan that, rounded, meets every target with a margin
+    14000). `quick`: few of them. `until_met`: no further than to a plan that, rounded, meets every target with a margin
     of 10 %; no search where the spec's own plan does. `motion` s: time without soaks, in the place of [design]'s or the
     plan's. `checkpoint`: resume from that of a step. `stop`: called after every step; once true, the best plan so far
     is finished. Errors: `ValueError` when limits exclude each other, nothing can be observed, the table is turned by

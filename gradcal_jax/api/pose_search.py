@@ -15,23 +15,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.api.cycle_plan import CyclePlan, RepeatedCycle
-from gradcal_jax.api.search_results import MET, NO_TARGET, Optimised, RequirementChange, SearchStep
-from gradcal_jax.api.verdicts import UNIT_OF
+from gradcal_jax.api.search_results import MET, NO_TARGET, Optimised, SearchStep
+from gradcal_jax.api.turn_search import requirement_changes
 from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.design.pose_cycle import PoseTurn
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rounding import rounded
 from gradcal_jax.files.spec_sections import Spec
 
-EVALUATIONS, QUICK_EVALUATIONS = 12000, 800
+EVALUATIONS, QUICK_EVALUATIONS = 14000, 800
 # Cycles that descend side by side.
 TOGETHER = 2
 # Evaluations of a descent between two looks; sharpness of the maxima and evaluations of the first descents, of those
 # from a changed cycle, and of the last one.
-_LOOK, _FIRST, _HOP, _LAST = 20, ((8.0, 60), (30.0, 120)), (30.0, 120), (100.0, 300)
+_LOOK, _FIRST, _HOP, _LAST = 20, ((8.0, 60), (30.0, 120)), (30.0, 80), (100.0, 300)
 # A changed cycle that after n looks is worse than the present one by an n-th of this is left; so much worse (natural
 # logarithm) a cycle may be and be gone on from, at the begin of the search.
-_HOPELESS, _WARM = 0.04, 0.004
+_HOPELESS, _WARM = 0.04, 0.006
 # Probability of another number of cycles, and by how much (natural logarithm) it may differ.
 _RECOUNTED, _RECOUNT = 0.12, 0.3
 # Probability of another course of the chamber, and the size of its random steps.
@@ -56,9 +56,9 @@ def search_poses(
         raise ValueError(NO_TARGET)
     plan = CyclePlan(spec)
     name, unit, factor = plan.shown()
-    before = plan.residuals(spec)
-    first = least = plan.value_of(before)
-    best, after, words, used, cycle = spec, before, "as it was", 0, None
+    before = after = plan.residuals(spec)
+    least = plan.value_of(before)
+    best, words, used, cycle = spec, "as it was", 0, None
     search = _Search(plan, evaluations, plan.design.seed, stop)
     if checkpoint is not None:
         cycle = search.resume(checkpoint)
@@ -88,8 +88,9 @@ def search_poses(
             if search.best is not seen:
                 seen = search.best
                 improve(seen)
-            now = factor * math.exp(least)
-            yield SearchStep(name, unit, _finite(factor * math.exp(first)), now, share, words, "", search.state(cycle))
+            missed = plan.exceeded(after)
+            was, now = (factor * math.exp(value) for value in (plan.without_limits(before), plan.without_limits(after)))
+            yield SearchStep(name, unit, _finite(was), now, share, words, ", ".join(missed), search.state(cycle))
             met = until_met and plan.met(after)
             if met:
                 break
@@ -98,17 +99,18 @@ def search_poses(
         with suppress(SpecError):
             best = rounded(spec).spec
         after = plan.residuals(best)
-    rows = zip(spec.requirement, before[0], after[0], strict=True)
-    changes = tuple(RequirementChange(r.name, UNIT_OF[r.quantity][0], b.statistic(), a.statistic()) for r, b, a in rows)
-    start, optimum, now = (factor * math.exp(value) for value in (first, least, plan.value_of(after)))
+    changes, missed = requirement_changes(spec, best), plan.exceeded(after)
+    start, now = (factor * math.exp(plan.without_limits(left)) for left in (before, after))
     result = Optimised(
-        best, name, unit, _finite(start), optimum, now, True, "", changes, words, kept, evaluations=used
+        best, name, unit, _finite(start), now, now, not missed, "", changes, words, kept, evaluations=used
     )  # fmt: skip
     how = f"after {used} gradients" if used else "without a search"
     sentence = f"{result.gain:.2f} times better in the geometric mean of all requirements, {how}"
     if kept:
         sentence = f"the plan as it was, which is kept {how}"
         sentence = sentence if met else f"nothing better than {sentence}"
+    if missed:
+        sentence += f"; no plan was found that meets the target of {', '.join(missed)}"
     yield result._replace(sentence=f"{MET}: {sentence}" if met else sentence)
 
 

@@ -72,7 +72,7 @@ def optimise(
     plot
         Draw the residual before and after, or those of all durations, into this file (.png, .svg, .pdf).
     steps
-        Iterations of each start, by default 240; of poses, gradients that are computed in all, by default 12000: some
+        Iterations of each start, by default 240; of poses, gradients that are computed in all, by default 14000: some
         minutes. 0: the recipe of the spec's own plan, without a search.
     quick
         Few starts, or gradients: within some per cent of the best, in seconds.

@@ -26,7 +26,7 @@ _CHANGES = {
     "reverse": 0.05,
     "copy": 0.05,
 }
-_AGAIN = 0.4
+_AGAIN = 0.25
 
 
 @dataclass(frozen=True)

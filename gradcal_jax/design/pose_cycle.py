@@ -38,6 +38,8 @@ from gradcal_jax.trajectory.table_motion import largest_turn, nodes_of_turn
 
 # Cycles whose noise is filtered together: with two, standard deviations agree with those of all cycles to about 1e-3.
 WINDOW = 2
+# Turns are the controllers' trapezoids: their shape, and how much steeper than on average their ramps are at most.
+SHAPE, STEEPNESS = "linear ramps", 1.0
 # A turn below this (rad) has its rate's sign smoothed; a share of the fastest rate that a turn of its angle can reach.
 _TINY, _REACHED = 1e-3, 0.9999
 # Exponent of the smooth minimum of the two limits of a rate.
@@ -51,10 +53,13 @@ _NODES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 # Sizes of a coordinate's unit, so that the objective's curvature is alike in all: of a pose (rad), of the logits of a
 # rate's share of its limit, and of a rest's share of the time.
 _UNITS = np.array([[4.0], [20.0], [15.0]])
+# What a limit that is exceeded costs, in multiples of the logarithm of what it leaves over its target: more than any
+# limit's price, so that the optimum keeps all.
+EXCESS = 10.0
 # The objective of a cycle that has none.
 _NOWHERE = 1e3
 # Shares of a limit at which coordinates begin at most.
-_LOW, _HIGH = 0.02, 0.98
+_LOW, _HIGH, _NEAR_LIMIT = 0.02, 0.98, 0.999
 
 
 class PoseTurn(NamedTuple):
@@ -183,7 +188,7 @@ class CycleCoordinates(NamedTuple):
                 else:
                     z[0, k] = here[t.axis]
                 share = t.rate / float(self._fastest(np.hypot(t.angle, _TINY), np.array(t.axis), of.slow[k], np))
-                share = np.clip(share, _LOW, 1.0 - _LOW / 4.0)
+                share = np.clip(share, _LOW, _NEAR_LIMIT)
                 z[1, k] = np.log(share / (1.0 - share))
             if t.rest > 0.0:
                 z[2, k] = np.log(max(t.rest - limits.shortest, _SOFT / 10.0))
@@ -193,7 +198,7 @@ class CycleCoordinates(NamedTuple):
         """The largest peak rate of turns of a `size` (rad), rad/s."""
         of_axis = xp.asarray(self.limits.rates)[axis]
         of_axis = xp.where(slow, xp.minimum(of_axis, self.limits.slow), of_axis) if self.limits.slow else of_axis
-        by_ramps = xp.sqrt(2.0 * xp.asarray(self.limits.accelerations)[axis] * size / np.pi)
+        by_ramps = xp.sqrt(xp.asarray(self.limits.accelerations)[axis] * size / STEEPNESS)
         far = by_ramps / of_axis
         return _REACHED * by_ramps * (1.0 + far**_SMOOTH) ** (-1.0 / _SMOOTH)
 
@@ -211,13 +216,28 @@ class CycleCoordinates(NamedTuple):
         angle = jnp.where(turns, pose - jnp.where(of.before >= 0, pose[of.before], begin), 0.0)
         size = jnp.sqrt(angle**2 + _TINY**2)
         rate = jax.nn.sigmoid(z[1]) * self._fastest(size, axis, of.slow, jnp)
-        ramp = jnp.where(turns, np.pi * rate / (2.0 * jnp.asarray(limits.accelerations)[axis]), 0.0)
-        turning = jnp.where(turns, size / rate + ramp, 0.0)
+        ramp, turning = self._times(size, rate, of)
         left = of.period - jnp.sum(turning) - limits.shortest * jnp.sum(jnp.where(of.rests, 1.0, 0.0))
         shares = jax.nn.softmax(jnp.where(of.rests, z[2], -jnp.inf))
         shares = jnp.where(of.rests, shares, 0.0)
         rests = jnp.where(of.rests, limits.shortest, 0.0) + _SOFT * jax.nn.softplus(left / _SOFT) * shares
         return Decoded(angle, rate * angle / size, ramp, turning, rests, left)
+
+    def plain(self, angle: Float[AnyArray, " m"], rate, rest, of: CycleStructure) -> Decoded:
+        """The cycle of its own numbers (rad, rad/s, s): `m` turns by an angle with a peak rate, each with a rest after
+        it; all rests are in proportion to these, and fill the period."""
+        fill = (0, self.slots - angle.shape[0])
+        angle, rate, rest = (jnp.pad(x, fill, constant_values=c) for x, c in ((angle, 0.0), (rate, 1.0), (rest, 0.0)))
+        size = jnp.sqrt(angle**2 + _TINY**2)
+        ramp, turning = self._times(size, rate, of)
+        left, rest = of.period - jnp.sum(turning), jnp.where(of.rests, rest, 0.0)
+        return Decoded(angle, rate * angle / size, ramp, turning, rest * (left / jnp.sum(rest)), left)
+
+    def _times(self, size: AnyArray, rate: AnyArray, of: CycleStructure) -> tuple[AnyArray, AnyArray]:
+        """Seconds of the ramps and of the whole turns, as steep as the axes allow."""
+        steepest = jnp.asarray(self.limits.accelerations)[jnp.maximum(of.axis, 0)]
+        ramp = jnp.where(of.axis >= 0, STEEPNESS * rate / steepest, 0.0)
+        return ramp, jnp.where(of.axis >= 0, size / rate + ramp, 0.0)
 
     def penalty(self, of: Decoded, period: AnyArray) -> AnyArray:
         """What a cycle beyond its limits adds to the objective."""
@@ -282,7 +302,8 @@ class Statistics(NamedTuple):
 
 class CycleObjective:
     """The logarithm of a cycle's residuals over their targets: their mean or the worst, over `models` of the noise
-    likewise. `known`: for each model, the information before the plan begins; `geometries`: its table and mountings."""
+    likewise, in a mean with their `weights`; and `EXCESS` times what the `limiting` ones exceed. `known`: for each
+    model, the information before the plan begins; `geometries`: its table and mountings."""
 
     def __init__(
         self,
@@ -291,7 +312,9 @@ class CycleObjective:
         models: Sequence[ImuModel],
         known: Sequence[Float[np.ndarray, "p p"]],
         statistics: Sequence[Statistics],
+        limiting: Sequence[Statistics] = (),
         *,
+        weights: Float[np.ndarray, " s"],
         window: int,
         points: int,
         waves: int,
@@ -300,20 +323,25 @@ class CycleObjective:
     ) -> None:
         self.coordinates, self.models, self.known = coordinates, models, known
         self.geometries = [jax.tree.map(jnp.asarray, geometry) for geometry in geometries]
-        self.statistics, self.window, self.points = statistics, window, points
+        self.statistics, self.window, self.points = (*statistics, *limiting), window, points
+        self.minimised, self.weights = len(statistics), weights
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
 
     def value(self, z: Float[AnyArray, "3 K"], of: CycleStructure, ramps: Ramp, sharpness) -> Float[AnyArray, ""]:
         """The objective of a cycle on stacked `ramps`; where it has no value, a large one."""
-        logs = self.logs(z, of, ramps, sharpness)
+        decoded = self.coordinates.decode(z, of)
+        logs = self.logs(decoded, of, ramps, sharpness)
+        logs, beyond = logs[:, : self.minimised], logs[:, self.minimised :]
         each = largest_log(logs, sharpness, axis=1) if self.worst else jnp.mean(logs, axis=1)
-        total = largest_log(each, sharpness, axis=0) if self.worst_model else jnp.mean(each)
-        total = total + self.coordinates.penalty(self.coordinates.decode(z, of), of.period)
+        total = largest_log(each, sharpness, axis=0) if self.worst_model else jnp.dot(self.weights, each)
+        # From above, as all that is sharp: a limit is kept with a little room.
+        total = total + EXCESS * jnp.sum(largest_log(jnp.stack([beyond, jnp.zeros_like(beyond)]), sharpness, axis=0))
+        total = total + self.coordinates.penalty(decoded, of.period)
         return jnp.where(jnp.isfinite(total), total, _NOWHERE)
 
-    def logs(self, z: Float[AnyArray, "3 K"], of: CycleStructure, ramps: Ramp, sharpness) -> Float[AnyArray, "s m"]:
+    def logs(self, decoded: Decoded, of: CycleStructure, ramps: Ramp, sharpness) -> Float[AnyArray, "s m"]:
         """The logarithm of every statistic in every model of the noise."""
-        decoded, all_logs = self.coordinates.decode(z, of), []
+        all_logs = []
         for model, geometry, known in zip(self.models, self.geometries, self.known, strict=True):
             on_ramp = partial(self.information, model, geometry, decoded, of)
             covariance = inverse(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
@@ -341,7 +369,7 @@ class CycleObjective:
         limits = self.coordinates.limits
         moves = []
         for _ in range(k):
-            moves += [turn("cosine ramps", 1.0, 4.0, ramp=1.0), rest(1.0, read_at_end=True)]
+            moves += [turn(SHAPE, 1.0, 4.0, ramp=1.0), rest(1.0, read_at_end=True)]
         # Only what is discrete is taken from this schedule; all its numbers are replaced.
         line = gradient_plan(programme(0.0, [(5.0 * k * window, 0.0)]), tuple(moves), read_every=None)
         numbers = [
@@ -379,7 +407,7 @@ class CycleObjective:
     def _nodes(self, turns: np.ndarray, varying: np.ndarray) -> np.ndarray:
         """Quadrature nodes of the pieces of a cycle."""
         limits = self.coordinates.limits
-        in_ramp = float(np.max(np.pi * limits.rates**2 / (4.0 * limits.accelerations)))
+        in_ramp = float(np.max(STEEPNESS * limits.rates**2 / (2.0 * limits.accelerations)))
         ramps, flat = (nodes_for(turned, self.waves) for turned in (in_ramp, limits.largest))
         return np.where(~turns, 1, np.where(varying, ramps, flat))
 

@@ -78,7 +78,8 @@ class Design(Section):
 
     minimise: Text = ALL
     """A requirement's name, "motion time" or "total time". Of an axis also "A-optimality", "D-optimality" or
-    "E-optimality"; of other IMUs "all requirements" (geometric mean of residual over target) or "worst ratio"."""
+    "E-optimality"; of other IMUs "all requirements" (geometric mean of residual over target) or "worst ratio". Where it
+    is one requirement, the targets of the others are limits."""
     free: Annotated[tuple[Free, ...], Field(min_length=1)] = ()
     """Which parts of the plan may change. Of cycles of turns and poses "cycle" and "programme"; absent: the cycle and,
     with a `hysteresis` in the spec, the programme."""
@@ -124,7 +125,7 @@ class Design(Section):
 
 
 # Keys that one of the two kinds of search alone reads.
-_OF_AXIS: Final = ("cycles", "starts", "notice", "whole_turns", "scenario")
+_OF_AXIS: Final = ("cycles", "starts", "notice", "whole_turns")
 _OF_POSES: Final = ("angle_step", "shortest_rest", "longest_rest")
 _MOVES_OF_AXIS: Final = 40
 _FREE_OF_POSES: Final = ("cycle", "programme")

@@ -1,5 +1,7 @@
 """A spec as a pure function of its figures: the numbers of `predict`, and their derivatives, under JAX's transforms."""
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -98,3 +100,61 @@ def test_what_the_spec_has_not_is_said(spec, residual):
         residual({"angle random wlak": 1.0})
     with pytest.raises(ValueError, match="no \\[\\[requirement\\]\\]"):
         gj.differentiable(changed(spec, {"requirement": [], "design": None}))
+
+
+TURNS = [("spin", 720), ("spin", -700), ("tilt", 50), ("spin", 40), ("tilt", 450), ("tilt", -500), ("spin", 300)]
+
+
+def imu_moves(turns) -> list[dict[str, str]]:
+    """Steepest trapezoids, and rests."""
+    moves = []
+    for (axis, _), degrees, rate in zip(TURNS, turns, (100, 250, 60, 80, 200, 150, 40), strict=True):
+        duration = abs(degrees) / rate + rate / 400.0
+        ramped = {"peak_rate": f"{rate} deg/s", "duration": f"{duration:.12g} s", "shape": "linear ramps"}
+        moves += [{"turn": f"{degrees:.12g} deg", "axis": axis} | ramped, {"rest": "25 s"}]
+    return moves
+
+
+@pytest.fixture(scope="module")
+def imu():
+    """A gyro and an accelerometer triad on two axes."""
+    line = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"}
+    spec = gj.read_spec(Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml")
+    moves = imu_moves([t for _, t in TURNS])
+    maps = {f"sensor.{t}.{m}.temperature": line for t in ("gyro", "accelerometer") for m in ("bias", "scale_factor")}
+    maps["sensor.gyro.scale_factor.rate"] = {"basis": "polynomial", "degree": 1, "scale": "300 deg/s"}
+    kept = [
+        r.model_dump(mode="json", exclude_unset=True) | {"grid": [21] * len(r.grid)}
+        for r in spec.requirement
+        if "scale" in r.name
+    ]
+    return changed(spec, maps | {"sensor.gyro.axes": ["x"], "plan.cycle.moves": moves, "requirement": kept})
+
+
+def test_an_imu_is_a_function_of_its_cycle(imu):
+    """Its value is what `predict` says, also of other numbers, its gradient the difference, and `vmap` changes
+    nothing."""
+    residual = gj.differentiable(imu)
+    rng, own = np.random.default_rng(0), residual.quantities
+    turns = own["turns"] + np.array([0.3, -0.2, 0.1, 0.1, 0.2, -0.3, -0.2])  # of each axis the same in all
+    moves = imu_moves(np.degrees(turns))
+    assert own["turns"].shape == own["peak rates"].shape == own["rests"].shape == (len(TURNS),)
+    call = jax.jit(lambda q: residual(q))
+    for numbers, spec in ((own, imu), ({**own, "turns": turns}, changed(imu, {"plan.cycle.moves": moves}))):
+        found, expected = call(numbers), {r.name: r.decisive for r in predict(spec).requirements}
+        assert found.keys() == expected.keys()
+        for name, value in expected.items():
+            assert float(found[name]) == pytest.approx(value, rel=1e-2)
+    name = "gyro scale factor"
+    together = jax.jit(jax.vmap(jax.value_and_grad(lambda q: residual(q)[name])))
+    many = {key: value * (1.0 + 0.05 * rng.standard_normal((3, len(TURNS)))) for key, value in own.items()}
+    values, slopes = together(many)
+    for k in range(3):
+        one = {key: value[k] for key, value in many.items()}
+        assert float(values[k]) == pytest.approx(float(call(one)[name]), rel=1e-9)
+    for key, step in (("turns", 1e-3), ("peak rates", 1e-4), ("rests", 1e-2)):
+        moved = [{**one, key: one[key] + sign * step * np.eye(len(TURNS))[2]} for sign in (1.0, -1.0)]
+        difference = np.subtract(*(float(call(q)[name]) for q in moved)) / (2.0 * step)
+        assert float(slopes[key][2, 2]) == pytest.approx(difference, rel=1e-4, abs=1e-7)
+    with pytest.raises(ValueError, match="has no 'rest': it has turns"):
+        residual({"rest": 1.0})

@@ -156,7 +156,9 @@ def test_a_search_serves_all_places():
         structure = plan.structure(plan.start)
         z = plan.coordinates.encode(plan.start.turns, structure)
         arguments = z, structure, plan.course(plan.start.cycles).ramps
-        logs = jax.jit(lambda z, of, ramps: plan.objective.logs(z, of, ramps, np.inf))(*arguments)
+        logs = jax.jit(lambda z, of, ramps: plan.objective.logs(plan.coordinates.decode(z, of), of, ramps, np.inf))(
+            *arguments
+        )
         return plan.value_of(plan.residuals(spec)), np.asarray(logs)
 
     each = [at_start(searched([place], "mean")) for place in places]

@@ -36,7 +36,9 @@ def left_by(plan: CyclePlan, cycle: RepeatedCycle) -> tuple[np.ndarray, Repeated
     of = plan.structure(cycle)
     z = plan.coordinates.encode(cycle.turns, of)
     args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps, np.inf)
-    logs = jax.jit(plan.objective.logs, compiler_options=QUICKLY)(z, *args)
+    logs = jax.jit(
+        lambda z, of, *args: plan.objective.logs(plan.coordinates.decode(z, of), of, *args), compiler_options=QUICKLY
+    )(z, *args)
     rows = [r for r in plan.spec.requirement if plan.worst or plan.design.minimise in ("all requirements", r.name)]
     limits = [1.0 if r.target is None else float(r.target) * UNIT_OF[r.quantity][1] for r in rows]
     return np.exp(np.asarray(logs)) * limits, cycle._replace(turns=plan.coordinates.cycle(z, of))
@@ -83,6 +85,8 @@ def turning() -> str:
                 "sensor.accelerometer.bias.temperature": line,
                 "sensor.accelerometer.scale_factor.temperature": line,
                 "plan.cycle.moves": moves,
+                # So that the plan of a cycle is hardly rounded.
+                "rig.resolution": {"time": "1 ms"},
                 "requirement": [
                     r.model_dump(mode="json", exclude_unset=True) | {"grid": [21] * len(r.grid)}
                     for r in spec.requirement
@@ -240,6 +244,64 @@ def cases_of(robust: str) -> list[dict[str, str]]:
     if robust == "worst":
         return [{walk: walks[1], std: stds[1]} | more for more in ({}, {time: "20 s"}, {time: "1 h"})]
     return [{}, *({walk: w} for w in walks), *({std: s} for s in stds), {time: "20 s"}, {time: "1 h"}]
+
+
+def minimising(name: str, **targets: str) -> dict:
+    """A design for one requirement, with targets for those of a quantity."""
+    rows = [r.model_dump(mode="json", exclude_unset=True) for r in small().requirement]
+    rows = [{k: v for k, v in row.items() if k != "target"} for row in rows]
+    limited = [row | ({"target": targets[row["quantity"]]} if row["quantity"] in targets else {}) for row in rows]
+    return {"design.minimise": name, "requirement": limited}
+
+
+def test_scenarios_count_by_their_weights():
+    """The mean over two scenarios is that of the predictions of both, and the objective that descends agrees."""
+    noise = {"accelerometer": {"velocity_random_walk": "0.3 m/s/sqrt(h)"}}
+    scenarios = [{"weight": 3.0}, {"sensor": noise}]
+    plan = CyclePlan(small(**{"design.minimise": "all requirements", "design.scenario": scenarios}))
+    left, cycle = left_by(plan, plan.start)
+    found = tables_of(plan.spec_of(cycle))["plan"]
+    changes = ({}, {"sensor.accelerometer.velocity_random_walk": "0.3 m/s/sqrt(h)"})
+    predicted = [[r.decisive for r in gj.predict(small(plan=found, **c)).requirements] for c in changes]
+    assert left == pytest.approx(np.array(predicted), rel=0.02)
+    assert np.min(np.ptp(np.log(predicted), axis=0)) > 0.05
+    targets = [1.0 if r.target is None else float(r.target) * UNIT_OF[r.quantity][1] for r in plan.spec.requirement]
+    logs = np.mean(np.log(np.array(predicted) / targets), axis=1)
+    assert plan.value_of(plan.residuals(plan.spec_of(cycle))) == pytest.approx(
+        0.75 * logs[0] + 0.25 * logs[1], abs=1e-6
+    )
+    of = jax.tree.map(jnp.asarray, plan.structure(plan.start))
+    z, ramps = plan.coordinates.encode(plan.start.turns, of), plan.course(plan.start.cycles).ramps
+    value = float(jax.jit(plan.objective.value, compiler_options=QUICKLY)(z, of, ramps, np.inf))
+    assert value == pytest.approx(0.75 * logs[0] + 0.25 * logs[1], abs=0.02)
+    with pytest.raises(ValueError, match="changes which parameters there are"):
+        CyclePlan(small(**{"design.scenario": [{}, {"sensor": {"accelerometer": {"axes": ["x", "y"]}}}]}))
+
+
+def test_the_targets_of_other_requirements_limit_a_search():
+    """A search for one requirement alone may exceed the other's target; with the target it is met, at some cost."""
+    name, other = small().requirement[0].name, small().requirement[1]
+    alone = CyclePlan(small(**minimising(name)))
+    left = alone.residuals(alone.spec)[0][1].statistic()
+    unit = UNIT_OF[other.quantity][0]
+    limited = CyclePlan(small(**minimising(name, **{other.quantity: f"{0.5 * left} {unit}"})))
+    before = limited.residuals(limited.spec)
+    assert limited.exceeded(before) == {other.name: pytest.approx(math.log(2.0), rel=1e-9)}
+    own = math.log(before[0][0].statistic())
+    assert limited.without_limits(before) == pytest.approx(own, rel=1e-12)
+    of = jax.tree.map(jnp.asarray, limited.structure(limited.start))
+    z, ramps = limited.coordinates.encode(limited.start.turns, of), limited.course(limited.start.cycles).ramps
+    value = jax.jit(limited.objective.value, compiler_options=QUICKLY)
+    assert float(value(z, of, ramps, np.inf)) == pytest.approx(own + 10.0 * math.log(2.0), abs=0.4)
+    assert float(value(z, of, ramps, 30.0)) > float(value(z, of, ramps, np.inf))
+    *_, free = optimise(alone.spec, steps=200)
+    target = 0.97 * min(free.rows[1].now, left)
+    *_, best = optimise(small(**minimising(name, **{other.quantity: f"{target} {unit}"})), steps=200)
+    assert best.converged
+    assert best.rows[1].now <= target < free.rows[1].now
+    *_, never = optimise(small(**minimising(name, **{other.quantity: f"{1e-6 * target} {unit}"})), steps=40)
+    assert not never.converged
+    assert f"meets the target of {other.name}" in never.sentence
 
 
 def test_the_result_is_never_worse_than_the_plan_as_it_was(searched):

@@ -40,8 +40,8 @@ CYCLE = (
 
 
 def lasting(t: PoseTurn) -> float:
-    """A turn with cosine ramps at the axis's acceleration, then its rest; s."""
-    return abs(t.angle) / t.rate + math.pi * t.rate / (2.0 * LIMITS.accelerations[t.axis]) + t.rest
+    """A trapezoid at the axis's acceleration, then its rest; s."""
+    return abs(t.angle) / t.rate + t.rate / LIMITS.accelerations[t.axis] + t.rest
 
 
 def test_a_cycle_is_what_its_coordinates_are_decoded_to():
@@ -73,7 +73,7 @@ def test_whatever_the_coordinates_the_cycle_keeps_the_limits_and_closes(size):
             assert turned == pytest.approx(round(turned), abs=1e-12)
         assert all(t.rate <= LIMITS.rates[t.axis] for t in cycle)
         # The ramps alone do not turn further than the move does.
-        ramps = [math.pi * t.rate**2 / (2.0 * LIMITS.accelerations[t.axis]) for t in cycle]
+        ramps = [t.rate**2 / LIMITS.accelerations[t.axis] for t in cycle]
         assert all(r <= math.hypot(t.angle, 1e-3) for r, t in zip(ramps, cycle, strict=True))
         assert cycle[2].rate <= LIMITS.slow
         assert cycle[1].rest == 0.0

@@ -205,7 +205,8 @@ def _draw_path(spec: Spec, kind: Kind, truth: TriadTruth, random: np.random.Gene
 def _draw_hidden(triad: Any, random: np.random.Generator) -> tuple[ErrorTerm | ScaleFactors, ...]:
     """Structure beyond a triad's maps, of the size of its discrepancies: Legendre polynomials of higher degrees."""
     found: list[ErrorTerm | ScaleFactors] = []
-    bias, scale = triad.bias, getattr(triad, "scale_factor", None)
+    bias: Any = triad.bias
+    scale: Any = getattr(triad, "scale_factor", None)
     if (of := getattr(bias, "discrepancy", None)) is not None:
         values = float(of.standard_deviation) * random.standard_normal((3, 1, of.temperature_degree + 1))
         values[..., : bias.temperature.size] = 0.0

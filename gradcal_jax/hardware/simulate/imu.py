@@ -170,7 +170,7 @@ class TruthBasis:
         if self.kind == "polynomial":
             return formulas.monomials((x - self.centre) / self.scale, self.degree)
         if self.kind == "legendre":
-            return legendre.legvander((x - self.centre) / self.scale, self.degree)
+            return np.asarray(legendre.legvander((x - self.centre) / self.scale, self.degree), np.float64)
         return (
             formulas.b_spline(x, self.knots, self.degree) if self.kind == "b-spline" else formulas.bins(x, self.knots)
         )

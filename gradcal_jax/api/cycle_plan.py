@@ -68,6 +68,8 @@ _STANDING, _OF_MEMORY = 48, 0.5
 # What is left of the time for rounding, s: of a course of the file, and of a free one.
 _LEFT, _LEFT_OF_COURSE = 1e-3, 0.2
 _SLACK = 1e-9
+# A smaller turn, deg, says nothing of a sensor, and is lost among the readings about it.
+_SHOWS = 0.5
 # Resolution of turns (deg), rates (deg/s) and rests (s) in a plan.
 _ANGLE, _RATE, _FINE_RATE, _REST = 0.01, 0.1, 0.01, 0.1
 # Share of the largest rate beyond which a turn keeps its rate when it is rounded.
@@ -405,6 +407,12 @@ class CyclePlan:
         for axis, total in net.items() if self.closed else ():
             last = max(k for k, item in enumerate(items) if item[0] == axis)
             items[last][1] = round(items[last][1] - total + math.degrees(float(whole[axis])), 6)
+        for item in items:
+            # A turn that shows nothing: another one of its axis takes it along.
+            if item[0] >= 0 and 0.0 < abs(item[1]) < _SHOWS:
+                largest = max((of for of in items if of[0] == item[0]), key=lambda of: abs(of[1]))
+                if largest is not item:
+                    largest[1], item[1] = round(largest[1] + item[1], 6), 0.0
         items = [item for item in items if item[1] or item[3]]
 
         # The longest rests share what the controllers' steps of time cost, or leave.

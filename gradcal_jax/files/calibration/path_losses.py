@@ -61,22 +61,18 @@ def lag_losses(calibration: Calibration) -> Iterator[Loss]:
     """What lags of biases and scale factors, which a target does not carry, leave while the temperature changes by
     1 K/min."""
     for c in calibration.channel:
-        low, high = map(float, c.valid_temperature)
+        low, high = (float(t) for t in c.valid_temperature)
         for term in filter(None, map(c.term_of, ("bias", "scale_factor"))):
             if term.temperature is None or not (lag := float(c.thermal_lag or 0.0) + float(term.lag or 0.0)):
                 continue
-            t, w = (
-                x.ravel() for x in np.meshgrid(np.linspace(low, high, 201), np.linspace(*map(float, c.valid_rate), 21))
-            )
+            slow, fast = (float(r) for r in c.valid_rate)
+            t, w = np.meshgrid(np.linspace(low, high, 201), np.linspace(slow, fast, 21))
+            t, w = t.ravel(), w.ravel()
             later = np.clip(t + lag * _PER_MINUTE, low, high)
-            left = np.max(np.abs(term_values(term, later, w) - term_values(term, t, w)))
+            left = float(np.max(np.abs(term_values(term, later, w) - term_values(term, t, w))))
             unit, factor = _unit(c.name, term.name == "scale_factor")
-            yield Loss(
-                c.label,
-                f"{term.name.replace('_', ' ')}: lag of {lag:.3g} s",
-                float(left) * factor,
-                f"{unit} at 1 K/min",
-            )
+            what = f"{term.name.replace('_', ' ')}: lag of {lag:.3g} s"
+            yield Loss(c.label, what, left * factor, f"{unit} at 1 K/min")
 
 
 def _unit(channel: str, of_scale: bool) -> tuple[str, float]:

@@ -5,16 +5,21 @@ name. They load on first use (PEP 562): importing the package, or its hardware a
 library does not change JAX's global configuration; functions that report a covariance require
 `jax.config.update("jax_enable_x64", True)` first.
 
-`gradcal_jax.plots` draws their results.
+`gradcal_jax.plots` draws their results. `logging.getLogger("gradcal_jax")` tells of searches, runs and logs that are
+read.
 
 Quantities are SI (°C for temperatures) unless the name ends in another unit; reports are in ppm and deg/h.
 """
 
 import importlib
+import logging
 import warnings
 from typing import Any
 
 __version__ = "0.1.0"
+
+# What the package logs goes to handlers of the program that uses it, or nowhere.
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 _HOME_OF_NAME: dict[str, str] = {
     # what people write: specs, presets, rigs, and the schemas of all files

@@ -40,6 +40,16 @@ def test_the_formulas_load_without_any_array_library():
     assert not (HEAVY | {"numpy"}) & set(loaded)
 
 
+def test_what_is_logged_is_printed_by_no_handler_of_ours():
+    script = """
+import gradcal_jax, logging
+logging.getLogger("gradcal_jax.files").warning("a fault")
+print([type(handler).__name__ for handler in logging.getLogger("gradcal_jax").handlers], logging.getLogger().handlers)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("['NullHandler'] []\n", "")
+
+
 def test_the_public_names_load_on_first_use_and_all_exist():
     script = """
 import json, sys

@@ -92,13 +92,19 @@ def omitted_sentences(spec: Spec, temperature: np.ndarray, lag_is_fitted: bool =
         )
     if any(term.key == EARTH for term in absent):
         sentences.append(EARTH_IS_UNKNOWN)
-    rise, way = float(np.ptp(temperature)), float(abs(temperature[-1] - temperature[0]))
-    if lagging and rise > 5.0 and way > 0.8 * rise:
+    if lagging and _goes_one_way(temperature):
         sentences.append(
             "the temperature goes one way only, so a lag between the measured temperature and the dies' cannot be "
             "seen: it is taken as zero, and counts as an error"
         )
     return sentences
+
+
+def _goes_one_way(temperature: np.ndarray) -> bool:
+    """Whether a record (°C), which has noise, changes by more than 5 K and never returns by a fifth of its range."""
+    fall = float(np.max(np.maximum.accumulate(temperature) - temperature))
+    rise = float(np.max(temperature - np.minimum.accumulate(temperature)))
+    return max(fall, rise) > 5.0 and min(fall, rise) < 0.2 * float(np.ptp(temperature))
 
 
 def diagnosis_sentences(residual: np.ndarray, time_s: np.ndarray, moved: np.ndarray) -> list[str]:

@@ -4,6 +4,7 @@ They wrap functions that yield progress or take their input in parts. Steps that
 `api.log_flow`, since they load most of SciPy.
 """
 
+import logging
 from collections.abc import Callable, Sequence
 
 from gradcal_jax.api import frontier as frontiers
@@ -14,6 +15,8 @@ from gradcal_jax.api.plan_sentences import plan_warnings
 from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
+
+_LOG = logging.getLogger(__name__)
 
 
 def check(spec: Spec) -> list[str]:
@@ -50,7 +53,9 @@ def optimise(
     """
     for event in searched(spec, steps=steps, quick=quick, until_met=until_met):
         if isinstance(event, Optimised):
+            _LOG.info("optimise: %.4g %s; %s", event.now, event.unit, event.sentence)
             return event
+        _LOG.info("optimise: %s %.4g %s, %.0f %% done", event.name, event.best, event.unit, 100.0 * event.share)
         watch(event)
     raise AssertionError("a search ends with its result")
 

@@ -32,6 +32,7 @@ those at the top. Times count from the first row. Raw counts of unknown scale ar
 `wrong_units = "keep"`.
 """
 
+import logging
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -60,6 +61,8 @@ from gradcal_jax.files.tables import (
     TimeColumn,
     Where,
 )
+
+_LOG = logging.getLogger(__name__)
 
 FORMAT: Final = "gradcal-columns/1"
 _MEND: Final = '(mend the map, or have it say [policy] wrong_units = "keep")'
@@ -214,6 +217,9 @@ def import_log(path: str | Path, columns: ColumnMap | str | Path, *, rows: tuple
             log = at_rows_with_rates(log)
         examined = examine(log if rows is None else log.part(rows), columns.policy)
         _refuse_counts(table, columns)
+        _LOG.info("read %s: %d rows, %.6g s", path, len(examined.time_s), examined.duration_s)
+        for fault in examined.findings:
+            _LOG.warning("%s: %s", path, fault.message)
         return examined
 
 

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import logging
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -23,6 +24,8 @@ from gradcal_jax.files.log import (
     Reason,
 )
 from gradcal_jax.files.netcdf import NetcdfError, NetcdfVariable, load_netcdf, write_netcdf
+
+_LOG = logging.getLogger(__name__)
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -148,11 +151,13 @@ def read_log(path: str | Path) -> Log:
     if version != FORMAT:
         raise LogError(f'{path} has the format "{version}", where this program reads "{FORMAT}"')
     try:
-        return _from_dataset(dataset)
+        log = _from_dataset(dataset)
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
     except (KeyError, TypeError, ValueError) as error:
         raise LogError(f"{path} is not a whole log: {error}") from None
+    _LOG.info("read %s: %d rows, %.6g s", path, len(log.time_s), log.duration_s)
+    return log
 
 
 def _from_dataset(dataset: Any) -> Log:

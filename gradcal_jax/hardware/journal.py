@@ -20,6 +20,7 @@ Writing raises nothing, because the caller may be about to stop an axis: a journ
 
 import errno
 import json
+import logging
 import math
 import os
 import struct
@@ -27,13 +28,14 @@ import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, cast
 
 from .errors import HardwareError
 
+_LOG = logging.getLogger(__name__)
 _SYNC = b"\xa7\x4a"
 _HEAD = struct.Struct("<BBId")
 _EVENT, _RECEIVED, _SENT = 1, 2, 3
@@ -132,7 +134,8 @@ class Journal(AbstractContextManager["Journal"]):
         self._writer.start()
 
     def event(self, time_s: float, name: str, /, *, at_once: bool = True, **data: Any) -> None:
-        """Write an event; with `at_once` wait until the disk has it, or until there is a `problem`."""
+        """Write an event; with `at_once` wait until the disk has it, or until there is a `problem`, and log it: a
+        handler of the user's may wait, too."""
         payload = json.dumps({"event": name, **data}, separators=(",", ":"), allow_nan=False).encode()
         with self._change:
             self._append(_EVENT, 0, time_s, payload)
@@ -140,6 +143,9 @@ class Journal(AbstractContextManager["Journal"]):
                 mine = self._wanted = self._put_in
                 if not self._change.wait_for(lambda: self._on_disk >= mine or self.problem, _LONGEST_WAIT_S):
                     self._fail(f"the disk has not answered for {_LONGEST_WAIT_S:g} s")
+        if at_once:
+            with suppress(Exception):  # whatever a filter or handler raises
+                _LOG.info("run at %.3f s: %s %s", time_s, name, data)
 
     def bytes_of(self, line: str, time_s: float, data: bytes, *, received: bool) -> None:
         """Write bytes of a line; they are on the disk within `sync_every_s`."""

@@ -9,6 +9,7 @@ from estimate_scenes import draw_truth, record, scene
 from simulated_log import simulate_log
 
 import gradcal_jax as gj
+from gradcal_jax.api.contradictions import omitted_sentences
 from gradcal_jax.api.estimate import estimate_log, estimate_sensors
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.ieee_terms import calibration_map
@@ -382,6 +383,24 @@ def test_temperatures_in_another_unit_are_refused_by_name(recorded, unit, conver
     log, _ = recorded
     with pytest.raises(LogError, match=f"inside if they are in {unit}"):
         estimated(EXACT, replace(log, temperature_c=convert(log.temperature_c)))
+
+
+@pytest.mark.parametrize(
+    ("course", "one_way"),
+    [
+        ((20.0, 60.0), True),
+        ((60.0, -20.0), True),
+        ((20.0, 60.0, 55.0), True),
+        ((-20.0, 60.0, -20.0, 60.0), False),  # ends where a ramp would end
+        ((60.0, -20.0, 60.0, -20.0), False),
+        ((20.0, 60.0, 20.0), False),
+        ((20.0, 23.0), False),  # about constant
+    ],
+)
+def test_a_temperature_that_returns_does_not_go_one_way(course, one_way):
+    noise = 0.05 * np.random.default_rng(0).standard_normal(2000)
+    temperature = np.interp(np.linspace(0.0, len(course) - 1.0, 2000), range(len(course)), course) + noise
+    assert any("one way only" in sentence for sentence in omitted_sentences(BARE, temperature)) == one_way
 
 
 def test_there_is_no_verdict_beyond_the_data(recorded):

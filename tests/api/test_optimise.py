@@ -10,6 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from search_problem import SPEC
 
+import gradcal_jax as gj
 from gradcal_jax import files
 from gradcal_jax.api import assemble, predict
 from gradcal_jax.api.frontier import FrontierPoint, shortest
@@ -191,6 +192,17 @@ def test_a_quick_search_is_near_and_compiles_no_more_than_its_one_program(spec, 
     *_, again = optimise(other, quick=True)
     assert isinstance(again, Optimised)
     assert _program.cache_info().currsize == before
+
+
+def test_steps_of_a_search_are_logged(spec, caplog):
+    steps = []
+    with caplog.at_level("INFO", "gradcal_jax"):
+        found = gj.optimise(spec, quick=True, watch=steps.append)
+    of_search = [record.getMessage() for record in caplog.records if record.name == "gradcal_jax.api.flow"]
+    assert len(of_search) == len(steps) + 1
+    assert len(steps) > 1
+    assert f"{steps[-1].best:.4g} {steps[-1].unit}, {100.0 * steps[-1].share:.0f} % done" in of_search[-2]
+    assert of_search[-1] == f"optimise: {found.now:.4g} {found.unit}; {found.sentence}"
 
 
 def test_an_optimum_that_rounds_to_nothing_observed_is_a_sentence(spec):

@@ -9,6 +9,7 @@ import pytest
 from gradcal_jax.files.column_guess import guess
 from gradcal_jax.files.importers import import_log, parse_column_map
 from gradcal_jax.files.log import LogError
+from gradcal_jax.files.log_file import read_log, write_log
 
 PHYPHOX = '"Time (s)","Gyroscope x (rad/s)","Gyroscope y (rad/s)","Gyroscope z (rad/s)"'
 EUROC = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2]"
@@ -63,6 +64,27 @@ def test_a_guess_with_units_reads_the_file(tmp_path: Path):
     text = guess(path)
     assert text is not None
     assert import_log(path, parse_column_map(text)).rate_rad_per_s[0] == pytest.approx(rate)
+
+
+def test_a_log_that_is_read_is_logged_with_its_faults(tmp_path: Path, caplog):
+    path = tmp_path / "a.csv"
+    path.write_text("t,x\n" + "".join(f"{k / 100},0.1\n" for k in range(400) if not 100 < k < 200), encoding="utf-8")
+    columns = """
+        format = "gradcal-columns/1"
+        time = { column = "t", unit = "s" }
+        [rate]
+        x = { column = "x", unit = "deg/s" }
+    """
+    with caplog.at_level("INFO", "gradcal_jax"):
+        log = import_log(path, parse_column_map(columns))
+        write_log(log, tmp_path / "log.nc")
+        read_log(tmp_path / "log.nc")
+    said = [(record.levelname, record.getMessage()) for record in caplog.records]
+    rows = len(log.time_s)
+    assert said[0] == ("INFO", f"read {path}: {rows} rows, {log.duration_s:.6g} s")
+    assert said[1:-1] == [("WARNING", f"{path}: {fault.message}") for fault in log.findings]
+    assert log.findings
+    assert said[-1] == ("INFO", f"read {tmp_path / 'log.nc'}: {rows} rows, {log.duration_s:.6g} s")
 
 
 def test_sentences_of_receivers_are_known(tmp_path: Path):

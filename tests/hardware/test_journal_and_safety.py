@@ -1,5 +1,6 @@
 """The journal opens after anything; a rig is made safe whatever one device does; clocks are compared."""
 
+import logging
 import os
 import signal
 import subprocess
@@ -55,6 +56,23 @@ def test_journal_gives_back_what_was_written(tmp_path: Path) -> None:
     assert [chunk.data[2] for chunk in contents.chunks("unit1")] == list(range(6))
     assert [chunk.time_s for chunk in contents.chunks("chamber", received=False)] == [i + 0.5 for i in range(6)]
     assert len(records) == 4 + 12
+
+
+def test_events_that_wait_for_the_disk_are_logged_and_no_handler_stops_a_run(tmp_path, caplog):
+    def broken(record):
+        raise RuntimeError("a handler of the user's")
+
+    log = logging.getLogger(journal_module.__name__)
+    with caplog.at_level("INFO", "gradcal_jax"), Journal(tmp_path / "j") as journal:
+        journal.event(0.0, "ending", at_once=False, reason="not in the way of making safe")
+        journal.event(1.5, "state", state="running")
+        log.addFilter(broken)
+        try:
+            journal.event(2.0, "end", reason="done")
+        finally:
+            log.removeFilter(broken)
+    assert caplog.messages == ["run at 1.500 s: state {'state': 'running'}"]
+    assert [event.name for event in read_journal(tmp_path / "j").events] == ["ending", "state", "end"]
 
 
 def test_journal_cut_at_every_byte_opens_with_every_whole_record(tmp_path: Path) -> None:

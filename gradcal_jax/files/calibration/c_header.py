@@ -23,8 +23,11 @@ _POINTS, _FACTORS = 200, 4
 _FEWEST, _MOST, _SETTLED = 6, 40, 3e-7
 
 
-def header(calibration: Calibration, left_out: Sequence[str]) -> tuple[str, list[tuple[str, str, float, str]]]:
-    """The header's text, and the largest error of its float32 against the calibration itself, by channel."""
+def header(
+    calibration: Calibration, left_out: Sequence[str], lost: Sequence[str]
+) -> tuple[str, list[tuple[str, str, float, str]]]:
+    """The header's text, and the largest error of its float32 against the calibration itself, by channel. `left_out`:
+    coefficients that were set to zero; `lost`: what a header cannot carry, in words."""
     inputs, terms = inputs_of(calibration), list(_terms(calibration))
     errors, rounds, (at, raw, out) = _errors(calibration, inputs)
     inverse = _inverse(calibration, inputs)
@@ -41,6 +44,7 @@ def header(calibration: Calibration, left_out: Sequence[str]) -> tuple[str, list
     remarks = [f"{name}: {text}" for name, text in calibration.provenance.items()]
     remarks += ["SIMULATED: made from simulated data, of no real sensor."] if calibration.simulated else []
     remarks += [f"set to zero, since they did not pass: {', '.join(left_out)}"] if left_out else []
+    remarks += [f"not carried: {words}" for words in lost]
     rounding = float(np.max(np.abs(inverse) @ np.abs(raw)))  # of raw counts far off zero
     text = Template(presets.template("calibration.h")).substitute(
         serial_number=_comment(calibration.serial_number),

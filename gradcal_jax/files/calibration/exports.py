@@ -23,7 +23,7 @@ from gradcal_jax.display import summary
 from gradcal_jax.files.calibration import c_header
 from gradcal_jax.files.calibration.correction import linear_part, term_values, value_at
 from gradcal_jax.files.calibration.file import TEMPERATURE_RATE, CalibratedChannel, CalibratedTerm, Calibration, Noise
-from gradcal_jax.files.calibration.path_losses import path_losses
+from gradcal_jax.files.calibration.path_losses import Loss, lag_losses, path_losses
 from gradcal_jax.files.calibration.polynomials import bias_polynomial
 from gradcal_jax.files.calibration.text_template import rendered
 from gradcal_jax.files.log import Floats
@@ -32,15 +32,6 @@ from gradcal_jax.units import DEG_PER_H, G
 _GRID: Final = 201
 _TRIAD: Final = ("x", "y", "z")
 _MICRO_G: Final = 1e6 / G
-
-
-class Loss(NamedTuple):
-    """One thing that the target cannot carry: at most `value` in `unit`, of `what`, on `channel` ("gyro x")."""
-
-    channel: str
-    what: str
-    value: float
-    unit: str
 
 
 class Export(NamedTuple):
@@ -76,7 +67,10 @@ def export(
     plain, left_out = _without(calibration, zeroed)
     options: dict[str, Any] = {"temperature_c": temperature_c, "instance": instance, "device_id": device_id}
     options["template"] = template
-    done = FORMATS[target](plain, options | {"left_out": left_out})
+    of_path = list(path_losses(calibration))
+    lost = [loss for loss, _ in of_path if loss is not None] + ([] if target == "csv" else list(lag_losses(plain)))
+    unknown = [words for loss, words in of_path if loss is None]
+    done = FORMATS[target](plain, options | {"left_out": left_out, "lost": lost, "unknown": unknown})
     notes = [*done.notes]
     if target != "csv":
         lags = {channel.thermal_lag: channel.label for channel in calibration.channel if channel.thermal_lag}
@@ -85,12 +79,12 @@ def export(
         notes += [f"the lag of the {name.replace('_', ' ')}, {lag:.3g} s, is not carried" for name, lag in sorted(late)]
         if calibration.unobservable:
             notes.append(f"not observed by the data: {', '.join(calibration.unobservable)}")
-    notes += path_losses(calibration)
+    notes += [words for _, words in of_path]
     if left_out:
         notes.append(f"set to zero: {', '.join(left_out)}")
     if calibration.simulated:
         notes.append("this calibration was made from SIMULATED data")
-    return done._replace(notes=tuple(notes))
+    return done._replace(losses=(*done.losses, *lost), notes=tuple(notes))
 
 
 def export_sensors(calibrations: Sequence[Calibration], firmware: str) -> Export:
@@ -511,10 +505,12 @@ def _list_text(values: Floats) -> str:
 
 
 def _c_header(calibration: Calibration, options: Mapping[str, Any]) -> Export:
-    text, errors = c_header.header(calibration, options["left_out"])
-    losses = [Loss(*error) for error in errors]
-    losses += _losses(calibration.channel, lambda _, t: (0.0, "") if TEMPERATURE_RATE in t.signals else None)
-    return Export(text, tuple(losses), ("float32, no allocation, no division; channels in the order of the header",))
+    of_slope = _losses(calibration.channel, lambda _, t: (0.0, "") if TEMPERATURE_RATE in t.signals else None)
+    slopes = [loss._replace(what=f"{loss.what}: follows dT/dt") for loss in of_slope]
+    lost = [f"{of}, {what}: {value:.3g} {unit}" for of, what, value, unit in (*slopes, *options["lost"])]
+    text, errors = c_header.header(calibration, options["left_out"], (*lost, *options["unknown"]))
+    losses = *(Loss(*error) for error in errors), *slopes
+    return Export(text, losses, ("float32, no allocation, no division; channels in the order of the header",))
 
 
 def _csv(calibration: Calibration, options: Mapping[str, Any]) -> Export:

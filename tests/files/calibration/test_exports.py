@@ -20,12 +20,13 @@ from calibration_samples import (
     a_truth,
     axis_text,
     calibration_of,
+    document,
     gyro,
     readings,
 )
 
 from gradcal_jax.files import presets
-from gradcal_jax.files.calibration import parse_calibration
+from gradcal_jax.files.calibration import Calibration, parse_calibration
 from gradcal_jax.files.calibration.c_header import inputs_of, rounds_in_single
 from gradcal_jax.files.calibration.correction import correct, term_values
 from gradcal_jax.files.calibration.exports import (
@@ -243,6 +244,55 @@ def test_the_c_header_compiles_and_does_what_apply_does(calibration, tmp_path):
         assert stated.what == ("rounding" if calibration is not SPLINES else "polynomials in place of other bases")
     code = re.sub(r"/\*.*?\*/", "", done.text, flags=re.DOTALL)
     assert "/" not in code  # no division
+
+
+def followed_calibration():
+    """Of a gyro whose error depends on dT/dt as a term and under [[path]], on a lag, power-on and a hysteresis."""
+    made = document(a_truth())
+    x = made["channel"][0]
+    slope = {"name": "bias_gradient", "unit": "rad/K", "signals": ["temperature rate"], "coefficients": {"d": 2e-3}}
+    x["term"] = [*x["term"], slope]
+    x["term"][0]["lag"] = "120 s"
+    at = {"channel": "gyro_y", "standard_deviation": 1e-5}
+    made["path"] = [
+        at | {"name": "temperature_gradient", "value": 3e-3, "unit": "rad/K"},
+        at | {"name": "hysteresis_10K", "value": 1e-5, "unit": "rad/s/K", "width": "10 K"},
+        at | {"name": "turn_on_transient_900s", "value": 2e-5, "unit": "rad/s"},
+        at | {"name": "scale_factor_hysteresis_10K", "value": 2e-6, "unit": "1/K", "width": "10 K"},
+    ]
+    return Calibration.model_validate(made)
+
+
+NOT_CARRIED = {
+    ("gyro x", "bias gradient: follows dT/dt"): (2e-3 / 60.0 * DEG_PER_H, "deg/h at 1 K/min"),
+    ("gyro y", "bias: follows dT/dt"): (3e-3 / 60.0 * DEG_PER_H, "deg/h at 1 K/min"),
+    ("gyro y", "bias: hysteresis"): (1e-4 * DEG_PER_H, "deg/h"),
+    ("gyro y", "bias: turn-on transient"): (2e-5 * DEG_PER_H, "deg/h"),
+    ("gyro y", "scale factor: hysteresis"): (20.0, "ppm"),
+}
+
+
+def test_the_c_header_states_and_counts_what_it_cannot_carry():
+    calibration = followed_calibration()
+    done = export(calibration, "c-header")
+    comment = done.text.partition("*/")[0]
+    counted = {(one.channel, one.what): one for one in done.losses}
+    behind = term_values(calibration.channel[0].term_of("bias"), T + 2.0) - term_values(
+        calibration.channel[0].term_of("bias"), T
+    )
+    of_lag = np.max(np.abs(behind[:-10])) * DEG_PER_H, "deg/h at 1 K/min"
+    for (channel, what), (value, unit) in (NOT_CARRIED | {("gyro x", "bias: lag of 120 s"): of_lag}).items():
+        assert counted[channel, what].value == pytest.approx(value, rel=1e-2)
+        assert counted[channel, what].unit == unit
+        assert f" * not carried: {channel}, {what}: {counted[channel, what].value:.3g} {unit}\n" in comment
+    assert "not carried" not in export(CALIBRATION, "c-header").text
+
+
+def test_every_target_counts_what_depends_on_the_path():
+    for target in set(FORMATS) - {"template"}:
+        options = {"temperature_c": 25.0} if target in ("kalibr", "matrices") else {}
+        counted = {(one.channel, one.what) for one in export(followed_calibration(), target, **options).losses}
+        assert counted >= {of for of in NOT_CARRIED if of[0] == "gyro y"}
 
 
 PROGRAM = """

@@ -69,3 +69,6 @@ def test_nothing_is_green_or_met_that_failed_and_it_fits(pages, name):
     assert bool(greens(colours)) == (verdict == "met" and name == "page")
     assert ("not valid" in text.lower()) == (verdict == "not valid")
     assert name == "page" or "0123456789abcdef" * 4 in text
+    if name == "certificate":
+        assert "– ppm" not in text
+        assert ("Not stated: nothing is certified." in text) == (verdict == "not valid")

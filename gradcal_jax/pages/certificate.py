@@ -164,11 +164,11 @@ def _performed(stated: str, sources: Sources) -> str:
 
 
 def _method(sources: Sources, calibration: Calibration) -> str:
-    how = "as the log has it"
+    how = "As the log has it"
     if sources.spec is not None:
-        how = "stable temperatures, a reference rate at each"
+        how = "Stable temperatures, a reference rate at each"
         if sources.spec.plan.method == "gradient":
-            parts = ["temperature ramp; the reference is the angle of the table before and after each turn"]
+            parts = ["Temperature ramp; the reference is the angle of the table before and after each turn"]
             parts += ["gravity at each pose"] if sources.spec.sensor.accelerometer is not None else []
             how = ", and ".join(parts)
     estimator = calibration.provenance.get("estimator", NOT_STATED)
@@ -254,7 +254,8 @@ def _budgets(sources: Sources) -> Iterator[Budget]:
 
 def _value_of(part: str, quantity: str, stated: Sequence[tuple[str, str]]) -> str:
     """The figures of an input of the budget, those of several axes together."""
-    for name in (f"accelerometer {part}", part)[not quantity.startswith("accelerometer") :]:
+    of_accelerometer = quantity.startswith("accelerometer") or quantity == "second_order"
+    for name in (f"accelerometer {part}", part)[not of_accelerometer :]:
         pattern = re.compile(rf"(.*: )?{re.escape(name)}( error|, \d+ a turn| \d+)?")
         if own := dict.fromkeys(value for of, value in stated if pattern.fullmatch(of)):
             return "; ".join(own)
@@ -299,12 +300,17 @@ def certificate_tables(certificate: Certificate) -> dict[str, Any]:
     }
 
 
+def _shown(value: float | None, digits: int = 4, unit: str = "") -> str:
+    """A value in its unit; a dash alone where it is not known."""
+    return "–" if value is None else f"{figures(value, digits)} {unit}".rstrip()
+
+
 def write_certificate(certificate: Certificate, output: str | Path) -> None:
     """The two parts as one HTML file. Errors: `OSError` where it cannot be written."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["figures"] = lambda value, digits=4: "–" if value is None else figures(value, digits)
+    environment.filters["figures"] = _shown
     room = resources.files(__name__.rsplit(".", 1)[0])
     template = environment.from_string((room / "certificate.html").read_text(encoding="utf-8"))
     css = (room / "style.css").read_text(encoding="utf-8")

@@ -132,7 +132,8 @@ def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Pi
     def draw_done(ax: Axes, time_s: np.ndarray, values: np.ndarray, what: str, **more: Any) -> None:
         draw_against_time(time_s, values, what, "done", 0 if recipe is None else 1, ax, **more)
         if recipe is not None:
-            ax.legend()
+            # Above the frame: cycles fill all of it.
+            ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
 
     words = "Temperature of the chamber on the plan's clock"
     words += "." if history is None else ", which stops while a step waits: plan and run."

@@ -13,6 +13,7 @@ from gradcal_jax.cli import main
 from gradcal_jax.files.calibration import FitTest
 from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.rig import TEMPLATE
+from gradcal_jax.pages.certificate import _value_of
 
 REFERENCES = """
 [laboratory]
@@ -157,3 +158,10 @@ def test_it_prints_on_two_pages_and_fits_narrow_and_wide(made, folder, tmp_path)
             assert running.evaluate("document.documentElement.scrollWidth") <= width
         running.print_pdf(tmp_path / "c.pdf")
     assert len(re.findall(rb"/Type\s*/Page\b", (tmp_path / "c.pdf").read_bytes())) == 2
+
+
+def test_the_second_order_of_an_accelerometer_is_known_by_the_figures_of_accelerometers():
+    stated = [("prior knowledge", "bias 5 deg/h"), ("accelerometer prior knowledge", "bias 20 mg")]
+    assert _value_of("prior knowledge", "second_order", stated) == "bias 20 mg"
+    assert _value_of("prior knowledge", "accelerometer_bias", stated) == "bias 20 mg"
+    assert _value_of("prior knowledge", "gyro_bias", stated) == "bias 5 deg/h"

@@ -7,6 +7,7 @@ from report_samples import calibration, recipe, rehearse
 
 from gradcal_jax import api
 from gradcal_jax.api.estimate import estimate_sensors
+from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files.calibration import write_calibration
 from gradcal_jax.hardware import execute
@@ -68,6 +69,19 @@ def test_a_page_shows_every_figure_and_no_text_lies_on_another(html, chromium, w
     assert chromium.evaluate("document.documentElement.scrollWidth") <= visible
     assert max(box[3] for box in boxes) <= visible + 1.0
     assert min(box[1] for box in boxes) >= 0.0
+
+
+@pytest.mark.parametrize("width", [400, 1400])
+def test_a_certificate_fits_and_no_text_lies_on_another(html, chromium, width):
+    """That of an accelerometer too."""
+    words = ["report", html.parent / "run", "--certificate", "-o", html.parent / "certificate.html", "--force"]
+    assert main([str(word) for word in words]) == 0
+    chromium.open(html.parent / "certificate.html", width)
+    boxes = chromium.evaluate(BOXES)
+    assert len(boxes) > 100
+    assert overlaps(boxes) == []
+    assert max(box[3] for box in boxes) <= width
+    assert chromium.evaluate("document.documentElement.scrollWidth") <= width
 
 
 def test_the_check_of_overlaps_finds_one(tmp_path, chromium):

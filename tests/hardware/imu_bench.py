@@ -1,7 +1,7 @@
 """A short plan of a whole unit on a two-axis table, and its estimate from a log, for the tests of unit runs."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from hardware_bench import unpredicted
@@ -9,6 +9,7 @@ from hardware_bench import unpredicted
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fit_of_log import fitted_twice
 from gradcal_jax.api.imu_build import build_imu
+from gradcal_jax.api.log_rows import clock_fit, with_options
 from gradcal_jax.api.recorded_rows import imu_rows
 from gradcal_jax.files import changed
 from gradcal_jax.files.log import Log
@@ -86,11 +87,18 @@ def stopped_in_its_second_cycle(recipe: Recipe, folder: Path) -> None:
     assert (result.exit_status, result.steps_done) == ("stopped", 1)
 
 
-def estimated(log: Log, spec: Spec, truth: dict[str, float]) -> tuple[float, int, float, int]:
-    """χ² of a log and its degrees of freedom, and the normalised square of all errors of the estimate and theirs."""
-    built = build_imu(spec)
+def estimated(
+    log: Log, spec: Spec, truth: dict[str, float], clock: Literal["sensor", "host"] | None = None
+) -> tuple[float, int, float, int]:
+    """χ² of a log and its degrees of freedom, and the normalised square of all errors of the estimate and theirs.
+
+    As `estimate` does: where rates are integrated over the computer's time, the clock's error is a parameter, whose
+    hidden truth is that of the comparison: the simulated unit's clock is right.
+    """
+    counted, options, _ = with_options(spec, [log], Options(clock=clock))
+    built = build_imu(counted)
     model = built.model
-    rows, _ = imu_rows(built, [log], log.units[0], Options())
+    rows, _ = imu_rows(built, [log], log.units[0], options)
     assert log.temperature_c is not None
     # As it was read: what smooths a thermometer's steps in a ramp of an hour is too slow for one of a minute.
     done, readings, found, _ = fitted_twice(built, log.units[0], rows, log.temperature_c[0])
@@ -102,6 +110,8 @@ def estimated(log: Log, spec: Spec, truth: dict[str, float]) -> tuple[float, int
     chi_squared += float(np.sum((prior @ found.parameters) ** 2))
     degrees = int(used.sum()) + len(prior) - model.size
     names, reported = model.names(), model.to_reported
+    if counted.sensor.sample_clock_error is not None and spec.sensor.sample_clock_error is None:
+        truth = {"sample_clock": clock_fit(log).slope - 1.0} | truth
     assert set(names) == set(truth)
     errors = reported @ found.parameters - np.array([truth[name] for name in names])
     covariance = found.known.covariance(reported)

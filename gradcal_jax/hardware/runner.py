@@ -407,7 +407,10 @@ class Runner:
     def _begin(self, step: TrackStep, again: bool) -> float:
         """Bring axes and chamber to the step's start, wait for its condition, and command the chamber's course."""
         if step.mounting and step.mounting != self.mounting:
+            began = self.clock.now()
             self._hang(step)
+            if step.hangs_meanwhile:
+                return began
         if again or step.goes_there:
             self._axes.go_to_start(step.name, step.start_deg, self._duties)
         ready = step.ready or (step.again if again else None)

@@ -81,7 +81,8 @@ class TrackStep:
 
     With `goes_there` the axes always go to `start_deg` first. Of several mountings `hang` is the step's, with number
     `mounting`, from 1: where the units hang otherwise the operator is asked to change it before, with the axes at zero
-    and the chamber at a temperature safe for hands.
+    and the chamber at a temperature safe for hands; the step's own time begins afterwards, or before it with
+    `hangs_meanwhile`.
 
     The last `slack_s` of the step are waiting only: they make up for late turns by hand.
 
@@ -106,6 +107,7 @@ class TrackStep:
     goes_there: bool = False
     hang: str = ""
     mounting: int = 0
+    hangs_meanwhile: bool = False
     used: bool = False
 
     @property
@@ -207,6 +209,11 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
     if recipe.spec.rig.chamber.control == "none":
         alone: dict[str, Any] = {"temperature_c": None, "ramp_k_per_min": None, "ready": None, "start_c": None}
         steps = [replace(step, **alone, courses=(), again=None) for step in steps]
+        # The temperature does not wait while the units are hung anew: that takes of the unread part before.
+        for k, (step, after) in enumerate(itertools.pairwise(steps)):
+            if after.mounting and not (step.data or step.mounting):
+                own = {"hang": after.hang, "mounting": after.mounting, "start_deg": after.start_deg}
+                steps[k] = replace(step, **own, hangs_meanwhile=True, follows=False)
     return Track(tuple(steps), _gyro_errors(recipe.spec.sensor), read_at_rest(recipe.motion))
 
 

@@ -32,7 +32,9 @@ SPOILT = (1.0, 5.0, 45.0)
 def scene() -> Spec:
     # The slope of the temperature where it turns is a matter of its own.
     without = {"sensor.thermal_lag": None, "sensor.gyro.bias_temperature_gradient": None}
-    return gj.changed(gj.parse_spec(presets.text("no-encoder")), without)
+    way, back = ({"ramp_to": f"{end} degC", "rate": "5.5 K/min"} for end in (40, 10))
+    programme = [{"soak": "2 min", "at": "10 degC"}, way, {"soak": "1 min"}, back, {"soak": "1 min"}, way]
+    return gj.changed(gj.parse_spec(presets.text("no-encoder")), without | {"plan.programme": programme})
 
 
 def outcome(spec: Spec, seed: int, spoilt: float) -> dict[str, Any]:

@@ -219,6 +219,24 @@ def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
+def test_where_nobody_controls_the_temperature_it_does_not_wait_for_the_units_to_be_hung_anew(tmp_path: Path) -> None:
+    """Each stretch begins when the plan says, since hanging anew is done in the unread part before it."""
+    ways = [{"ramp_to": f"{end} degC", "rate": "6 K/min"} for end in (18, 10, 18)]
+    soak = {"soak": "130 s", "at": "10 degC"}
+    later = {"soak": "130 s"}
+    programme = [soak, ways[0], later, ways[1], later, ways[2]]
+    recipe = made(changed(parse_spec(presets.text("no-encoder")), {"plan.programme": programme}))
+    run = tmp_path / "run"
+    assert execute.run(recipe, run, simulate=True, seed=3).exit_status == "success"
+    events = RunFolder(run).contents().events
+    begins = {e.data["step"]: e.data["begins_s"] for e in events if e.name == "step begins"}
+    assert [e.data["mounting"] for e in events if e.name == "hung"] == [1, 2, 3]
+    for before, stretch, starts in (("soak 1", "motion 1", 0.0), ("soak 2", "motion 2", 210.0)):
+        first = min(at for name, at in begins.items() if name.startswith(stretch))
+        assert first - begins[before] == pytest.approx(130.0, abs=0.5)
+        assert first - begins["soak 1"] == pytest.approx(130.0 + starts, abs=1.0)
+
+
 def one_axis_rig() -> RigFile:
     return parse_rig(
         'format = "gradcal-rig/1"\n[[axis]]\nname = "turn"\ndriver = "zaber"\nport = "/dev/ttyUSB9"\nsafe = "hold"\n'

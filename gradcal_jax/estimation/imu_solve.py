@@ -10,6 +10,7 @@ with the whitened Jacobian `W J` at the nominal installation or at a first estim
 factor of about the installation's error: 1 mrad gains three digits a step.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
@@ -57,6 +58,9 @@ _SETTLED = 1e-3
 _HIGHER, _HALVINGS = 1.0, 10
 # Readings of one standstill differ by less, rad.
 _TURNS = np.radians(1.0)
+# Share of an angle's error in a gyro's row from which on it is along the axis; and the share of the white noise of a
+# second below which angle errors in rows of gyros across it, by their misalignments, are neglected.
+_ALONG, _ACROSS = 0.1, 0.2
 # Step of finite differences, rad.
 _SMALL_TURN = 1e-5
 # Least part of an encoder's error in the row of a gyro that is along its axis.
@@ -227,14 +231,24 @@ class ImuReadings(NamedTuple):
                     there = about + _SMALL_TURN * np.eye(model.size)[k]
                     columns[:, k] = self.by_steps((self.expected(there) - here) / _SMALL_TURN)
             begin += term.size
-        return self._with_own_angles(steps, about, here) if self.free else steps, columns
+        return self._with_own_angles(steps, about, here), columns
 
     def _with_own_angles(self, steps: NoiseSteps, about: np.ndarray, here: np.ndarray) -> NoiseSteps:
-        """The steps with the readings' derivatives by the errors of angles as the channels' own errors make them, as
-        those by the installation are: else a tilt about an axis, which resembles them, would seem to be observable.
+        """The steps with the readings' derivatives by the errors of angles as the channels' own errors make them, where
+        these derivatives are needed.
 
-        A constant error is that of both standstills, one in proportion to the angle that of each by its own angle."""
+        Without an encoder that is everywhere, as for the installation: else a tilt about an axis, which resembles them,
+        would seem to be observable. Otherwise only gyros across the axis, which see its angle by their misalignments
+        alone, would have too small a noise. A constant error is that of both standstills, one in proportion to the
+        angle that of each by its own angle."""
         motion, at = self.done.motion, segments_of(self.done.motion, self.model)
+        values, encoder = np.abs(self.model.to_reported @ about), self.model.encoder
+        across = [v for name, v in zip(self.model.names(), values, strict=True) if re.match(r"gyro_.\.m_", name)]
+        quiet = [float(c.model.angle_random_walk) for c in self.model.channels if c.kind == "gyro"]
+        seen = max(across, default=0.0) * float(np.max(np.hypot(encoder.offset, encoder.reading)))
+        if not self.free and (motion.line.rates or seen <= _ACROSS * min(quiet, default=np.inf)):
+            return steps
+        gyros = self.by_steps(np.array([c.kind == "gyro" for c in self.model.channels])[at.row_channel])
         before, after = motion.angles()
         observation = np.array(steps.observation)
         for k in range(motion.geometry.axis_count):
@@ -253,8 +267,10 @@ class ImuReadings(NamedTuple):
             whole = np.where(turns, way, 1.0)
             of_end = np.where(turns, (by[1] - begin * by[0]) / whole, by[0])
             of_begin = np.where(turns, (end * by[0] - by[1]) / whole, 0.0)
-            observation[:, now] = self.by_steps(of_end)
-            observation[:, now + motion.geometry.axis_count] = self.by_steps(of_begin)
+            for state, own in ((now, of_end), (now + motion.geometry.axis_count, of_begin)):
+                nominal = observation[:, state]
+                needed = self.free | (gyros & (np.abs(nominal) < _ALONG))
+                observation[:, state] = np.where(needed, self.by_steps(own), nominal)
         return steps._replace(observation=observation)
 
     def _system(self, nodes: BodyNodes) -> tuple[NoiseSteps, np.ndarray]:

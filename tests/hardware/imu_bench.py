@@ -18,7 +18,7 @@ from gradcal_jax.files.spec import parse_spec, read_spec
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.runner import Runner, RunProgress
-from gradcal_jax.information import imu_system, segments_of, whiten
+from gradcal_jax.information import segments_of, whiten
 
 HAND = Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml"
 # Two axes, a stop of an instant between two of their turns, and back to where it began.
@@ -102,7 +102,7 @@ def estimated(
     assert log.temperature_c is not None
     # As it was read: what smooths a thermometer's steps in a ramp of an hour is too slow for one of a minute.
     done, readings, found, _ = fitted_twice(built, log.units[0], rows, log.temperature_c[0])
-    steps, _ = imu_system(done.motion, model, readings.nominal())
+    steps, _ = readings.linear(found.parameters)
     used = np.asarray(steps.used)
     apart = np.where(segments_of(done.motion, model).used, readings.observed - readings.expected(found.parameters), 0.0)
     prior = model.prior_rows()

@@ -424,10 +424,15 @@ def _covered(
     if line.rates:
         warm, fast = np.asarray(line.level)[whole], np.asarray(line.terms)[whole, 0]
     else:
-        warm = temperature[estimation.within(done.rows, whole, len(temperature))]
-        fast = rates[estimation.within(done.rows, whole & (done.motion.axis >= 0), len(rates))]
+        warm = temperature[_rows_within(done, whole, len(temperature))]
+        fast = rates[_rows_within(done, whole & (done.motion.axis >= 0), len(rates))]
     fast = np.concatenate([[0.0], fast[np.isfinite(fast)]])
     return _outwards(warm, _TEMPERATURE_STEP_K), _outwards(fast, _RATE_STEP_RAD_PER_S)
+
+
+def _rows_within(done: ExecutedImu, pieces: np.ndarray, count: int) -> np.ndarray:
+    """`(count,)`: whether a row lies in one of the chosen pieces."""
+    return estimation.within(np.stack([done.rows[:-1], done.rows[1:]], axis=1)[pieces], count)
 
 
 def _outwards(values: np.ndarray, step: float) -> tuple[float, float]:
@@ -439,7 +444,7 @@ def _outwards(values: np.ndarray, step: float) -> tuple[float, float]:
 def _counts(logs: Sequence[Log], name: str, done: ExecutedImu) -> dict[str, int]:
     """Numbers of rows of all logs: used, without a reference, and left out, by reason."""
     whole = ~np.asarray(done.motion.line.gap)
-    used = estimation.within(done.rows, whole, sum(len(log.time_s) for log in logs))
+    used = _rows_within(done, whole, sum(len(log.time_s) for log in logs))
     parts = np.split(used, np.cumsum([len(log.time_s) for log in logs])[:-1])
     counts: dict[str, int] = {}
     for log, own in zip(logs, parts, strict=True):

@@ -11,7 +11,7 @@ from gradcal_jax.estimation.consistency import (
     whiteness,
 )
 from gradcal_jax.estimation.diagnosis import diagnosis as diagnosis
-from gradcal_jax.estimation.executed import Executed, column_readings, executed, standing_with, within
+from gradcal_jax.estimation.executed import Executed, column_readings, standing_with, within
 from gradcal_jax.estimation.gravity_angles import angles_by_gravity
 from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, executed_imu
 from gradcal_jax.estimation.imu_solve import (

@@ -1,24 +1,12 @@
-"""The executed plan: a log's standstills, moves and readings as a trajectory of the prediction's kind.
+"""The readings of a log: which rows a standing axis is read at, and the pieces of time between them."""
 
-A reading is taken where the log has one. Pieces from one reading to the next are those of a plan's trajectory: a rest,
-or a move with the rests beside it. Consecutive moves without a rest stop for an instant between them, and the row of
-that instant is read, too, if the log has a reading there. Moves are divided for the noise that the rate drives. Only
-the noise depends on the motion within a piece (mean rates suffice); the regressors come from the samples themselves
-(`estimation.samples`).
-
-Row `i` of a log represents the time from row `i − 1` to itself. Where rows are missing or masked the integral is
-interrupted: a new origin of the angle is read at the first reading after it (a gap piece).
-"""
-
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from gradcal_jax.formulas import runs
-from gradcal_jax.trajectory import Trajectory, held
+from gradcal_jax.trajectory import Trajectory
 
-_MOVE_PARTS = 8
 # Readings of a standing axis with less between them (rad) are of one standstill, whatever other axes do.
 _SAME_STANDSTILL = np.radians(0.5)
 # A value that a column repeats for longer than this many spacings of readings was read at its end, too.
@@ -31,58 +19,6 @@ class Executed(NamedTuple):
     line: Trajectory
     rows: np.ndarray
     broken: np.ndarray
-
-
-def executed(
-    time_s: np.ndarray,
-    temperature_c: np.ndarray,
-    rate_rad_per_s: np.ndarray,
-    angle_rad: np.ndarray | None,
-    standing: np.ndarray,
-    usable: np.ndarray,
-    reading: np.ndarray,
-    *,
-    longest_piece: float = np.inf,
-    readings_in_row: np.ndarray | None = None,
-) -> Executed:
-    """The timeline of a log's rows, all arrays `(n,)`.
-
-    `standing`: whether the axis stands (rows of one standstill are neighbours); `usable`: whether the row's sample may
-    be integrated (false also where rows are missing before it); `reading`: the rows at whose ends the standing table
-    was read, in a standstill or in an instant between two moves; `angle_rad` of the table there, None if unknown: then
-    moves have no reference and are gaps. `rate_rad_per_s` is used for the noise only. `readings_in_row`: how many
-    readings of the spec's noise a row's is worth. Errors: `ValueError` where there are fewer than two readings.
-    """
-    at = [np.flatnonzero(reading[a:b]) + a for a, b in runs(standing | reading)]
-    at = [rows.tolist() for rows in at if len(rows)]
-    if sum(map(len, at)) < 2:
-        raise ValueError("the log never stands still for two readings, so nothing can be read from it")
-    rows, flags = [at[0][0]], list[tuple[bool, ...]]()
-
-    def add(row: int, *, reads: bool, stands: bool, is_gap: bool = False, moves: bool = False, lost: bool = False):
-        rows.append(row)
-        flags.append((reads, stands, is_gap, moves, lost))
-
-    # Between two rows of equal counts every row may be integrated.
-    unusable = np.cumsum(~usable)
-    for number, (first, *others) in enumerate(at):
-        if number:
-            before = rows[-1]
-            if angle_rad is not None and unusable[before] == unusable[first]:
-                for row in _parts(time_s, before, first, longest_piece):
-                    add(row, reads=row == first, stands=row == first, moves=True)
-            else:
-                # The move draws the offset of the next standstill; a new origin is read after it.
-                add(first, reads=False, stands=True, moves=True, lost=True)
-                add(first, reads=False, stands=True, is_gap=True, lost=True)
-        for row in others:
-            unbroken = unusable[rows[-1]] == unusable[row]
-            add(row, reads=unbroken, stands=True, is_gap=not unbroken, lost=not unbroken)
-    where, (read, rest, gap, moving, broken) = np.array(rows), np.array(flags, bool).reshape(-1, 5).T
-    line = _line(time_s, temperature_c, rate_rad_per_s, angle_rad, where, read, rest, gap, moving)
-    if readings_in_row is not None:
-        line = replace(line, share=readings_in_row[where[1:]])
-    return Executed(line, where, broken)
 
 
 def standing_with(standing: np.ndarray, rows: np.ndarray, angle_rad: np.ndarray) -> np.ndarray:
@@ -126,46 +62,8 @@ def column_readings(
     return result
 
 
-def _line(time, temperature, rate, angle, at, read, rest, gap, moves) -> Trajectory:
-    duration = np.diff(time[at])
-    mean = np.zeros(len(moves))
-    if moves.any():
-        steps = np.diff(time, prepend=time[0])
-        turned = np.diff(np.cumsum(rate * steps)[at])
-        if angle is not None:
-            turned = _as_the_table(turned, angle[at], moves)
-        mean = np.where(moves, turned / np.where(duration > 0, duration, 1.0), 0.0)
-    cold = temperature[at]
-    return held(time[at[:-1]], duration, mean, cold[:-1], cold[1:], read=read, at_rest=rest, moving=moves, gap=gap)
-
-
-def _as_the_table(turned: np.ndarray, angle: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """The angles of each move's pieces, corrected to sum to the table's angle."""
-    result = turned.copy()
-    for first, last in _runs(moves):
-        total = angle[last + 1] - angle[first]
-        ours = turned[first : last + 1].sum()
-        result[first : last + 1] += (total - ours) / (last + 1 - first)
-    return result
-
-
-def _parts(time: np.ndarray, before: int, after: int, longest: float) -> list[int]:
-    """The rows at which a move is divided, its end included."""
-    lasts = time[after] - time[before]
-    count = min(max(_MOVE_PARTS, int(np.ceil(lasts / longest))), after - before)
-    goals = np.linspace(time[before], time[after], count + 1)[1:-1]
-    rows = np.searchsorted(time[before : after + 1], goals - 1e-9) + before
-    return [*dict.fromkeys(int(r) for r in rows if before < r < after), after]
-
-
-def _runs(where: np.ndarray) -> list[tuple[int, int]]:
-    """First and last row of every run of true values."""
-    return [(int(first), int(end) - 1) for first, end in runs(where)]
-
-
-def within(rows: np.ndarray, pieces: np.ndarray, count: int) -> np.ndarray:
-    """`(count,)`: whether a row lies in one of the chosen pieces."""
+def within(spans: np.ndarray, count: int) -> np.ndarray:
+    """`(count,)`: whether a row is one of `first + 1 … last` of any of the `spans` `(k, 2)`."""
     change = np.zeros(count + 1, np.int64)
-    np.add.at(change, rows[:-1][pieces] + 1, 1)
-    np.add.at(change, rows[1:][pieces] + 1, -1)
+    np.add.at(change, spans + 1, [1, -1])
     return np.cumsum(change[:-1]) > 0

@@ -17,16 +17,13 @@ from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
 from gradcal_jax.formulas import legendre
 from gradcal_jax.linalg import triangular_factor
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
-from gradcal_jax.model.nodes import NodeGroup, Nodes, OtherTemperature, SampleNodes, SharedNodes
+from gradcal_jax.model.nodes import NodeGroup, Nodes, OtherTemperature, SharedNodes
 
 BIAS: Final = "bias"
 SCALE_FACTOR: Final = "scale_factor"
 TEMPERATURE_GRADIENT: Final = "bias_temperature_gradient"
 HARMONICS: Final = "harmonics"
 DISCREPANCY: Final = "{}_discrepancy"
-
-# Noise of the rate below this share of the fastest one has no effect in float64.
-_NO_NOISE = 1e-8
 
 
 class Term(PytreeModule):
@@ -211,7 +208,7 @@ class Map(Term):
         plain = all(isinstance(basis, Polynomial) and basis.internal == "legendre" for basis in (t, w or t))
 
         def of_group(g: NodeGroup):
-            if not plain or isinstance(g, SampleNodes):
+            if not plain:
                 return g.sums(t(g.temperature), self.drive(g))
             return namespace(g.weight).reshape(_all_products(g, t, t.size, w, w.size if w else 1), (-1, self.size))
 
@@ -222,7 +219,7 @@ class Map(Term):
         beyond = self.beyond
         assert beyond is not None
         pairs = [(self.temperature, beyond.temperature), (self.rate, beyond.rate)]
-        if any(isinstance(g, SampleNodes) for g in nodes.groups) or not all(_continued(*pair) for pair in pairs):
+        if not all(_continued(*pair) for pair in pairs):
             return self.columns(nodes), beyond.columns(nodes)
         in_t, in_w = beyond.temperature.lowest, 1 if beyond.rate is None else beyond.rate.lowest
 
@@ -236,21 +233,10 @@ class Map(Term):
         return both[:, : self.size], both[:, self.size :]
 
     def drive(self, group: NodeGroup) -> AnyArray:
-        """Factor of the functions of temperature at the nodes: 1 for B, `χ(ω)·ω` for M.
-
-        A sampled rate has noise (errors in variables): the mean of `g(ω̃)` exceeds `g(ω)` by ½σ²g''(ω) + …, and that of
-        ½[g(ω̃+σ) + g(ω̃−σ)] exceeds `g(ω̃)` by the same, so `2g(ω̃) − ½[g(ω̃+σ) + g(ω̃−σ)]` has no error to that order
-        (none at all for maps up to the square of the rate).
-        """
-        if (basis := self.rate) is None:
+        """Factor of the functions of temperature at the nodes: 1 for B, `χ(ω)·ω` for M."""
+        if self.rate is None:
             return namespace(group.rate).ones((*group.rate.shape, 1))
-
-        def driven(rate):
-            return basis(rate) * rate[..., None]
-
-        if not isinstance(group, SampleNodes) or group.noise <= _NO_NOISE * np.max(np.abs(group.rate), initial=0.0):
-            return driven(group.rate)
-        return 2.0 * driven(group.rate) - 0.5 * (driven(group.rate + group.noise) + driven(group.rate - group.noise))
+        return self.rate(group.rate) * group.rate[..., None]
 
 
 def _prior_with_common(reported: np.ndarray, constant: np.ndarray, std, common_std) -> Float[AnyArray, "size size"]:

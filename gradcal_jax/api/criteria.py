@@ -4,7 +4,7 @@ from typing import Literal
 
 import numpy as np
 
-from gradcal_jax.api.missions import earth_gain, flights_of
+from gradcal_jax.api.imu_residual import earth_gain, flights_of
 from gradcal_jax.api.verdicts import mission_weights
 from gradcal_jax.design import Criterion, polynomial_grid
 from gradcal_jax.files.requirement import (

@@ -3,20 +3,21 @@
 The motion is read from the log; the rates within a move are first the gyros' own, then corrected by the first estimate.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import optimize
 
 from gradcal_jax import estimation, trajectory
 from gradcal_jax.api.build import move_of
-from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible
+from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible, refuse_misaligned
+from gradcal_jax.api.estimate_options import LONGEST_LAG_S, Lag, Options
 from gradcal_jax.api.estimated_calibration import calibrated_channels
-from gradcal_jax.api.fitted_lag import Lag, fitted_lag
 from gradcal_jax.api.imu_build import BuiltImu, course_before
+from gradcal_jax.api.log_rows import read_by_events
 from gradcal_jax.api.plan_sentences import prior_deviations
-from gradcal_jax.api.recorded_rows import read_by_events
 from gradcal_jax.estimation import (
     ExecutedImu,
     ImuEstimate,
@@ -31,6 +32,33 @@ from gradcal_jax.files.calibration.correction import correct_triads
 from gradcal_jax.files.log import LogError
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.formulas import followed
+
+
+def fitted_lag(chi_squared: Callable[[float], float], degrees: int | None = None) -> Lag:
+    """The lag (s) of least χ², and its standard deviation from the curvature of χ². With `degrees` of freedom that is
+    widened where the fit with that lag does not hold, by the root of χ² for each of them."""
+    known: dict[float, float] = {}
+
+    def value(lag: float) -> float:
+        if lag not in known:
+            known[lag] = chi_squared(lag)
+        return known[lag]
+
+    grid = [0.0, *np.geomspace(5.0, LONGEST_LAG_S, 12).tolist()]
+    values = [value(lag) for lag in grid]
+    best = int(np.argmin(values))
+    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    minimum: Any = optimize.minimize_scalar(value, bounds=(low, high), method="bounded", options={"xatol": 0.01})
+    lag = float(minimum.x) if minimum.fun < values[best] else grid[best]
+    # Three different lags, also where the minimum is at zero.
+    width = max(0.05 * lag, 1.0)
+    around = max(lag - width, 0.0) + width * np.arange(3.0)
+    bend = np.polyfit(around, [value(x) for x in around], 2)[0]
+    misfit = max(value(lag) / degrees, 1.0) if degrees else 1.0
+    return Lag(lag, float(np.sqrt(misfit / bend)) if bend > 0.0 else float("inf"))
+
 
 # Standard deviations by which a coefficient must be beyond what a device has.
 _SURE = 3.0
@@ -220,3 +248,76 @@ def planned_moves(built: BuiltImu) -> list[list[PlannedMove]]:
     # The cycle begins anew where it ends.
     groups[0] = [*groups.pop(), *groups[0]] if len(groups) > 1 else groups[0]
     return [group for group in groups if group]
+
+
+class Recorded(NamedTuple):
+    """The rows of one sensor, and messages on them. `points`: they are those of a table of points."""
+
+    rows: ImuRows
+    messages: tuple[str, ...]
+    points: TablePoints | None = None
+
+    def with_message(self, message: str) -> "Recorded":
+        """The same, with a message more."""
+        return self._replace(messages=(*self.messages, message))
+
+
+class FittedRows(NamedTuple):
+    """The fit of one sensor's rows, the temperature of its maps (°C) and their lag."""
+
+    built: BuiltImu
+    recorded: Recorded
+    temperature: np.ndarray
+    fit: Fit
+    smoothness: Smoothness | None
+    lag: Lag
+
+
+def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> FittedRows:
+    """The fit of one sensor's rows."""
+    rows, messages, points = recorded
+    temperature_of = lambda lag: followed(rows.temperature_c, rows.time_s, rows.stretch_starts, lag)  # noqa: E731
+    stable = isinstance(built.spec.plan, StandardPlan)
+    model = built.model
+    refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), model.channels)
+    threshold = options.threshold if options.robust else None
+    if options.lag != "fit":
+        lag = Lag(float(options.lag))
+    elif stable:
+        lag = Lag(0.0)
+        messages = *messages, "at stable temperatures a lag cannot be estimated: it is taken as zero"
+    else:
+        lag = lag_of_maps(built, name, rows, temperature_of)
+    temperature = temperature_of(lag.seconds)
+    fit, smoothness = fitted_twice(built, name, rows, temperature, threshold, points), None
+    if options.smoothness == "auto":
+        built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
+    return FittedRows(built, recorded._replace(messages=messages), temperature, fit, smoothness, lag)
+
+
+def together(spec: Spec, fits: Mapping[str, FittedRows]) -> dict[str, FittedRows]:
+    """The fits of the IMUs of a fixture, with what all of them say of the table, and messages on it."""
+    try:
+        joint = estimation.solve_together(
+            [of.fit.readings for of in fits.values()],
+            [of.fit.solution for of in fits.values()],
+            clock=spec.sensor.takes_host_clock,
+        )
+    except ValueError as error:
+        message = f"not estimated together with the other IMUs of the fixture: {error}"
+        return {name: of._replace(recorded=of.recorded.with_message(message)) for name, of in fits.items()}
+    common = f"estimated together with {len(fits) - 1} other IMUs, which share the table and its encoders"
+    found: dict[str, FittedRows] = {}
+    for (name, of), solution, test in zip(fits.items(), joint.solutions, joint.agreement, strict=True):
+        messages = [common]
+        if test is not None and not test.passed:
+            messages.append(
+                f"contradicts the other IMUs: the table that it sees differs from theirs (χ² {test.statistic:.4g}, "
+                f"{test.degrees} degrees of freedom): does it sit firmly, and at the right "
+                "place? Estimate the others without it"
+            )
+        recorded = of.recorded
+        for message in messages:
+            recorded = recorded.with_message(message)
+        found[name] = of._replace(fit=of.fit._replace(solution=solution), recorded=recorded)
+    return found

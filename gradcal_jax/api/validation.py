@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gradcal_jax import estimation, formulas
-from gradcal_jax.api.branches import BRANCHES, branch_of
-from gradcal_jax.api.log_rows import count_rows, table_axis_of, table_readings, usable_rows
+from gradcal_jax.api.log_rows import BRANCHES, branch_of, count_rows, table_axis_of, table_readings, usable_rows
 from gradcal_jax.display import summary
 from gradcal_jax.files.calibration import LOG_HASH, TEMPERATURE_RATE, Calibration, Result, correction
 from gradcal_jax.files.log import Log, LogError

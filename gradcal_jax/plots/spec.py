@@ -9,8 +9,7 @@ from matplotlib.lines import Line2D
 
 from gradcal_jax.api.ieee_terms import Box
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
-from gradcal_jax.api.imu_residual import imu_residual
-from gradcal_jax.api.missions import ErrorCurve, error_curves
+from gradcal_jax.api.imu_residual import ErrorCurve, error_curves, imu_residual
 from gradcal_jax.api.verdicts import target_of
 from gradcal_jax.files.requirement import MissionHeadingRequirement, Requirement
 from gradcal_jax.files.spec import expect_spec

@@ -343,7 +343,7 @@ def report_of(
     if moves.max(initial=0) >= _FEWEST_MOVES:
         subsets["odd moves against even ones"] = moves % 2 == 1
     few = {key: value for key, value in subsets.items() if 0.1 < np.mean(value) < 0.9}
-    tests = estimation.consistency(solution.estimate, solution.white, 0, few, model.to_reported, solution.taken)
+    tests = estimation.consistency(solution.estimate, solution.white, few, model.to_reported, solution.taken)
     channels: dict[str, tuple[Test, Test]] = {}
     for i, c in enumerate(model.channels):
         left, taken = solution.residuals_of(i), solution.taken[solution.channel == i]
@@ -396,7 +396,7 @@ def report_of(
     of_path = () if path is None else path.sentences
     of_path = *of_path, *one_way_sentences(built, solution.known, done.motion.line), *branch_sentences(built.spec)
     beside = *of_path, *omitted_sentences(built.spec, temperature[record], lag.std is not None), *beyond
-    looks = diagnosis_sentences(solution.estimate.residuals[0], of_segment[at.row_segment][used], moved)
+    looks = diagnosis_sentences(solution.estimate.residuals, of_segment[at.row_segment][used], moved)
     told = _words(report, solution), looks if contradicted else []
     hidden = (f"{channel.replace('_', ' ')}: {structure_in_words(test)}" for channel, test in structure if test.noticed)
     if smoothness is not None and smoothness.at_edge:

@@ -102,9 +102,9 @@ def lag_of_maps(built: BuiltImu, name: str, rows: ImuRows, temperature_of: Calla
 
     def chi_squared(lag: float) -> float:
         of = readings._replace(temperature_c=temperature_of(lag))
-        return float(estimation.solve_imu(of, solution.parameters).estimate.chi_squared[0])
+        return float(estimation.solve_imu(of, solution.parameters).estimate.chi_squared)
 
-    return fitted_lag(chi_squared, int(solution.estimate.degrees[0]))
+    return fitted_lag(chi_squared, solution.estimate.degrees)
 
 
 def fitted_twice(
@@ -197,7 +197,7 @@ def _read(
     if not checked:
         return Fit(done, readings, solution, seen.rates)
     _refuse_the_implausible(built, name, solution)
-    scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
+    scale = float(np.sqrt(solution.estimate.chi_squared / max(solution.estimate.degrees, 1)))
     if scale > _ABSURD:
         raise LogError(
             f"{name}: the unit's readings differ from the table's by {scale:.3g} times what noise explains: are the "

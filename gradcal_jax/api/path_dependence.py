@@ -136,8 +136,8 @@ def with_terms(
     known, rows = np.concatenate(former), np.zeros((int(np.count_nonzero(solution.used)), extended.size))
     new = np.setdiff1d(np.arange(extended.size), known)
     rows[:, new] = np.asarray(whiten(steps, columns[:, new]))[readings.by_steps(solution.used)]
-    rows[:, known] = solution.white.rows[0]
-    return Whitened(rows[None], solution.white.data, extended.prior_rows()), extended
+    rows[:, known] = solution.white.rows
+    return Whitened(rows, solution.white.data, extended.prior_rows()), extended
 
 
 def size_of_class(spec: Spec, kind: str) -> float:
@@ -195,7 +195,7 @@ def offered_terms(
 ) -> tuple[OfferedTerm, ...]:
     """The terms that reduce χ² most, one after the other, each with those before it: until heating and cooling agree,
     or none does so beyond chance. `temperature` (°C) and `heating` of every row that is used. Errors: none."""
-    time, degrees = readings.log.time_s, max(int(solution.estimate.degrees[0]), 1)
+    time, degrees = readings.log.time_s, max(solution.estimate.degrees, 1)
     left = _candidates(readings, float(np.ptp(temperature)), float(time[-1] - time[0]))
     white, extended = with_terms(
         readings, solution, lambda c: [t for one in left if (t := one.term(spec, c)) is not None]
@@ -212,21 +212,21 @@ def offered_terms(
             chosen = (kept | own[one.words]) & ~(maps & bool(one.lag))
             added = int(np.count_nonzero(chosen) - np.count_nonzero(kept))
             now = solve(short.without(~chosen))
-            tried.append((float(now.chi_squared[0]) + 2.0 * added, added, one, chosen, now))
+            tried.append((float(now.chi_squared) + 2.0 * added, added, one, chosen, now))
         _, added, one, chosen, now = min(tried, key=lambda of: of[0])
-        gained = max(float(fit.chi_squared[0] - now.chi_squared[0]), 0.0)
+        gained = max(float(fit.chi_squared - now.chi_squared), 0.0)
         if chdtrc(max(added, 1), gained) * len(left) > _OFFERED:
             break
         after = split(white.without(~chosen), HEATING_AGAINST_COOLING, heating, np.eye(int(np.count_nonzero(chosen))))
-        deviations, rank = now.known[0].deviations(np.eye(int(np.count_nonzero(chosen)))), np.cumsum(chosen) - 1
+        deviations, rank = now.known.deviations(np.eye(int(np.count_nonzero(chosen)))), np.cumsum(chosen) - 1
         coefficients: dict[str, tuple[float, float]] = {}
         for c in extended.channels:
             where = extended.where(c.kind, c.axis, one.words)
             if not one.lag and where.stop > where.start:
                 at = rank[where.start]
-                coefficients[c.name] = float(now.parameters[0][at]), float(deviations[at])
+                coefficients[c.name] = float(now.parameters[at]), float(deviations[at])
         chance = 1.0 if after is None else after.agreement.probability
-        before, with_it = (float(of.chi_squared[0]) / degrees for of in (fit, now))
+        before, with_it = (float(of.chi_squared) / degrees for of in (fit, now))
         offered.append(
             OfferedTerm(one.words, one.key, one.entry, before, with_it, chance, coefficients, one.amount.units)
         )
@@ -350,9 +350,9 @@ def path_dependence(
         fitted = solve(white)
         for c in model.channels:
             own = extended.where(c.kind, c.axis, _HALF)
-            deviations = fitted.known[0].deviations(np.eye(extended.size)[own])
+            deviations = fitted.known.deviations(np.eye(extended.size)[own])
             unit = "rad/s" if c.kind == "gyro" else "m/s^2"
-            differences.append(BranchDifference(c.name, unit, knots, fitted.parameters[0][own], deviations))
+            differences.append(BranchDifference(c.name, unit, knots, fitted.parameters[own], deviations))
     offers = offered_terms(spec, readings, solution, temperature, heating)
     return PathDependence(tuple(differences), offers, tuple(_sentences(spec, differences, offers)))
 

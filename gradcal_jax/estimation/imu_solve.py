@@ -20,23 +20,20 @@ import numpy as np
 from gradcal_jax.estimation.executed_nodes import nodes_of_rows
 from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, across_stops
 from gradcal_jax.estimation.robust import reweighted
-from gradcal_jax.estimation.solve import Estimate, Whitened
+from gradcal_jax.estimation.solve import Estimate, Whitened, factored
 from gradcal_jax.information import (
     NoiseSteps,
     Posterior,
-    SquareRootInformation,
     encoder_rows,
     estimator_of_means,
     filter_readings,
     filtered_states,
     imu_system,
     imu_unweighted,
-    posterior,
     row_of_steps,
     segments_of,
     whiten,
 )
-from gradcal_jax.information.posterior import OBSERVABLE
 from gradcal_jax.model import (
     AxisHarmonics,
     BaseTilt,
@@ -333,7 +330,7 @@ def _angles_read(log: ImuRows, rows: np.ndarray, moved: np.ndarray) -> np.ndarra
 
 
 class ImuEstimate(NamedTuple):
-    """One unit's `estimate` (`U` = 1), and its `white` rows, linearised about it, for those of the `R` rows that are
+    """One unit's `estimate`, and its `white` rows, linearised about it, for those of the `R` rows that are
     `used`. `taken`: the same rows of an orthonormal basis of the fitted columns. `moved`: size of the last of the
     `rounds`, in standard deviations. `weights`: of the rows used, 1 for full weight; `channel`: of each of
     them, its number.
@@ -351,16 +348,16 @@ class ImuEstimate(NamedTuple):
     @property
     def parameters(self) -> np.ndarray:
         """`(p,)`, in the engine's coordinates."""
-        return self.estimate.parameters[0]
+        return self.estimate.parameters
 
     def residuals_of(self, channel: int) -> np.ndarray:
         """The whitened residuals of one channel's rows, in standard deviations."""
-        return self.estimate.residuals[0][self.channel == channel]
+        return self.estimate.residuals[self.channel == channel]
 
     @property
     def known(self) -> Posterior:
         """Posterior of the parameters."""
-        return self.estimate.known[0]
+        return self.estimate.known
 
 
 def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, threshold: float | None = None) -> ImuEstimate:
@@ -385,7 +382,7 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
 
     kept = readings.by_steps(used)
     estimate, weights = reweighted(
-        steps, kept, estimate, lambda e: e.estimate.residuals[0], again, threshold, readings.with_noise
+        steps, kept, estimate, lambda e: e.estimate.residuals, again, threshold, readings.with_noise
     )
     return estimate._replace(weights=weights)
 
@@ -437,9 +434,9 @@ def estimate_unweighted(readings: ImuReadings) -> ImuEstimate:
     nothing = np.zeros(model.size)
     apart = readings.by_steps(np.where(at.used, readings.observed - readings.expected(nothing), 0.0))
     beta = np.append(estimator.back @ (estimator.weights.T @ apart), nothing[own:])
-    rest = weighted.white.data[0] - weighted.white.rows[0] @ beta
+    rest = weighted.white.data - weighted.white.rows @ beta
     known = imu_unweighted(motion, model, readings.nominal())
-    fitted = weighted.estimate._replace(parameters=beta[None], known=(known,), residuals=rest[None])
+    fitted = weighted.estimate._replace(parameters=beta, known=known, residuals=rest)
     return weighted._replace(estimate=fitted)
 
 
@@ -450,15 +447,8 @@ def _solved(
     model = readings.model
     kept = readings.by_steps(used)
     jacobian, prior = np.asarray(whiten(steps, columns))[kept], model.prior_rows()
-    # As many rows as columns: a log may have fewer readings than the model has parameters.
-    missing = max(0, model.size - len(jacobian) - len(prior))
-    design = np.concatenate([jacobian, prior, np.zeros((missing, model.size))])
-    norm = np.linalg.norm(design, axis=0)
-    scale = np.where(norm > 0.0, norm, 1.0)
-    orthogonal, triangle = np.linalg.qr(design / scale)
-    known = posterior(SquareRootInformation(triangle, scale))  # pyright: ignore[reportArgumentType]
-    left, spread, right = np.linalg.svd(triangle)
-    seen = spread > OBSERVABLE * spread[0]
+    design = np.concatenate([jacobian, prior])
+    basis, known = factored(design)
     deviation = known.deviations(np.eye(model.size))
     counted = np.isfinite(deviation) & (deviation > 0.0)
     beta, moved, rounds = np.zeros(model.size) if about is None else about.copy(), np.inf, 0
@@ -470,8 +460,7 @@ def _solved(
 
     rest, squares = left_over(beta)
     while moved > _SETTLED and rounds < _ROUNDS:
-        rotated = left.T @ (orthogonal.T @ np.concatenate([rest, -prior @ beta, np.zeros(missing)]))
-        step = (right[seen].T @ (rotated[seen] / spread[seen])) / scale
+        step = known.spread @ (basis.T @ np.concatenate([rest, -prior @ beta]))
         now, after = left_over(beta + step)
         # A large error that is hardly observable, such as of the azimuth, would go past the minimum and away from it.
         for _ in range(_HALVINGS):
@@ -482,14 +471,12 @@ def _solved(
         beta, rest, squares = beta + step, now, after
         moved = float(np.max(np.abs(step[counted]) / deviation[counted], initial=0.0))
         rounds += 1
-    chi_squared = np.array([squares])
-    degrees = np.array([len(design) - missing - np.count_nonzero(seen)])
-    taken = orthogonal[: len(jacobian)] @ left[:, seen]
+    degrees, taken = len(design) - basis.shape[1], basis[: len(jacobian)]
     if readings.free:
         lost = absorbed(steps, readings.angle_states)[kept]
-        degrees = degrees - round(float(np.sum(lost)))
+        degrees -= round(float(np.sum(lost)))
         taken = np.concatenate([taken, np.diag(np.sqrt(lost))[:, lost > _ABSORBED]], axis=1)
-    estimate = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
-    white = Whitened(jacobian[None], (rest + jacobian @ beta)[None], prior)
+    estimate = Estimate(beta, known, rest, np.asarray(squares), degrees)
+    white = Whitened(jacobian, rest + jacobian @ beta, prior)
     channel = segments_of(readings.done.motion, model).row_channel[used]
     return ImuEstimate(estimate, white, used, taken, moved, rounds, np.ones(len(rest)), channel)

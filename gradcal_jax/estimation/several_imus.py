@@ -19,6 +19,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from gradcal_jax.estimation.consistency import Test, chi_squared_test
 from gradcal_jax.estimation.imu_solve import ImuEstimate, ImuReadings
+from gradcal_jax.estimation.solve import factored
 from gradcal_jax.information import NoiseSteps, Posterior, imu_system, segments_of, whiten
 from gradcal_jax.information.posterior import OBSERVABLE
 from gradcal_jax.model import BodyNodes, CommonScale, ImuModel, MountingError
@@ -165,18 +166,13 @@ def _without_own(
     prior = np.asarray(model.prior_rows())
     of_own = ~np.any(prior[:, shared] != 0.0, axis=1)
     rows = np.concatenate([jacobian[:, ~shared], prior[of_own][:, ~shared]])
-    norm = np.linalg.norm(rows, axis=0)
-    norm = np.where(norm > 0.0, norm, 1.0)
-    orthogonal, triangle = np.linalg.qr(rows / norm)
-    left, spread, right = np.linalg.svd(triangle)
-    seen = spread > OBSERVABLE * spread[0]
-    basis = orthogonal[: len(jacobian)] @ left[:, seen]
-    back = (right[seen].T / spread[seen]) / norm[:, None]
+    basis, own_known = factored(rows)
+    basis = basis[: len(jacobian)]
     others = np.concatenate([jacobian[:, shared], white[:, 1 + size :]], axis=1)
     through, rotated = basis.T @ others, basis.T @ data
     information = others.T @ others - through.T @ through
     vector = others.T @ data - through.T @ rotated
-    return _Reduced(np.flatnonzero(~shared), rotated, through, back, information, vector)
+    return _Reduced(np.flatnonzero(~shared), rotated, through, own_known.spread, information, vector)
 
 
 def _own_states(model: ImuModel) -> int:
@@ -221,7 +217,7 @@ def _with(
     parameters[part.own] = part.back @ (part.rotated - part.through @ common)
     parameters[shared] = common[:table]
     known = Posterior(_spread(part, shared, half, table), solution.known.hidden)
-    return solution._replace(estimate=solution.estimate._replace(parameters=parameters[None], known=(known,)))
+    return solution._replace(estimate=solution.estimate._replace(parameters=parameters, known=known))
 
 
 def _spread(part: _Reduced, shared: np.ndarray, half: np.ndarray, table: int) -> np.ndarray:

@@ -127,22 +127,10 @@ class LeastSquares(NamedTuple):
     hidden: np.ndarray
 
 
-def least_squares(line: Trajectory, model: SensorModel, columns: np.ndarray | None = None) -> LeastSquares:
-    """Every point's mean rate error has the same weight; priors are not used.
-
-    `columns` `(P, p)`: measured regressors. Errors: `ValueError` for a gradient plan, whose
-    readings are angles.
-    """
-    if not line.rates:
-        raise ValueError("unweighted least squares on rates is for the standard method: a gradient plan reads angles")
-    rows = at_readings(line, model) if columns is None else columns
-    return least_squares_of_means(rows, np.asarray(line.read), line.duration)
-
-
 def least_squares_of_means(
     columns: Float[np.ndarray, "N p"], used: Bool[np.ndarray, " N"], duration: Float[np.ndarray, " N"]
 ) -> LeastSquares:
-    """Of integrals over `duration` s, whose means all have the same weight."""
+    """Of integrals over `duration` s, whose means all have the same weight; priors are not used."""
     lasting = duration[used][:, None]
     rows = columns[used] / lasting
     scale = np.where((norm := np.linalg.norm(rows, axis=0)) > 0, norm, 1.0)
@@ -154,12 +142,6 @@ def least_squares_of_means(
     hidden = directions[rank:].T / scale[:, None]
     back = (directions[:rank].T / singular[:rank]) / scale[:, None]
     return LeastSquares(weights, back, hidden / np.maximum(np.linalg.norm(hidden, axis=0), np.finfo(float).tiny))
-
-
-def unweighted(line: Trajectory, model: SensorModel) -> Posterior:
-    """Covariance of ordinary least squares on a standard plan's rate errors. Errors: as `least_squares`."""
-    estimator = least_squares(line, model)
-    return spread_of(estimator, noise_of_sums(noise_steps(line, model), estimator.weights))
 
 
 def spread_of(estimator: LeastSquares, noise: Float[np.ndarray, "r r"]) -> Posterior:

@@ -60,7 +60,7 @@ def outcome(spec: Spec, seed: int, spoilt: float) -> dict[str, Any]:
     return {
         "seed": seed, "nees": nees(list(range(model.calibrated))), "nees_scale": nees(scales),
         "scale": (error[scales] / sigma[scales]).tolist(), "sigma": (sigma[scales] / predicted[scales]).tolist(),
-        "residual": float(of.chi_squared[0] / of.degrees[0]), "coefficients": model.calibrated,
+        "residual": float(of.chi_squared / of.degrees), "coefficients": model.calibrated,
     }  # fmt: skip
 
 

@@ -12,12 +12,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax.api.contract_rows import (
-    coefficient_rows,
-    finite,
-    judged_by_data,
-    requirement_fields,
-)
+from gradcal_jax.api.contract_rows import coefficient_rows, finite, judged_by_data, requirement_fields
 from gradcal_jax.api.contradictions import (
     MeasuredDiscrepancy,
     RecordFaults,
@@ -69,9 +64,7 @@ from gradcal_jax.estimation import (
     Test,
 )
 from gradcal_jax.files.absent import branch_sentences
-from gradcal_jax.files.calibration import (
-    Calibration,
-)
+from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.calibration.correction import correct_triads
 from gradcal_jax.files.changes import along_axis
 from gradcal_jax.files.contracts import RequirementRow

@@ -27,11 +27,7 @@ from gradcal_jax.files import Prediction
 from gradcal_jax.files.absent import absent_terms, with_typical
 from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, PlaceRow, RequirementRow
 from gradcal_jax.files.places import specs_at_places
-from gradcal_jax.files.requirement import (
-    GyroScaleFactorRequirement,
-    MissionHeadingRequirement,
-    Requirement,
-)
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import (

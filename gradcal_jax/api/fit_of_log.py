@@ -24,7 +24,6 @@ from gradcal_jax.estimation import (
     ImuReadings,
     ImuRows,
     PlannedMove,
-    Plateaus,
     Smoothness,
     TablePoints,
 )
@@ -209,17 +208,15 @@ def _read(
 def _executed(built: BuiltImu, seen: ImuRows, points: TablePoints | None) -> ExecutedImu:
     """The executed motion by the rates of `seen`. Raises `ValueError`."""
     encoder, geometry = built.model.encoder, built.motion.geometry
-    if points is not None:
-        return estimation.motion_at_points(points.done, seen, geometry)
-    if isinstance(built.spec.plan, StandardPlan):
-        return estimation.motion_at_points(points_of(built, seen).done, seen, geometry)
+    if points is not None or isinstance(built.spec.plan, StandardPlan):
+        return estimation.motion_at_points(points or points_of(built, seen), seen, geometry)
     if read_by_events(built.spec):
         return estimation.motion_by_readings(seen, geometry)
     spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
     return estimation.executed_imu(seen, geometry, planned=planned_moves(built), **spacing)
 
 
-def points_of(built: BuiltImu, rows: ImuRows) -> Plateaus:
+def points_of(built: BuiltImu, rows: ImuRows) -> TablePoints:
     """The points of the standard method in a log's rows. Raises `ValueError` where there are none."""
     plan = built.spec.schedule
     assert isinstance(plan, StandardSchedule)

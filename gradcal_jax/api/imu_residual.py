@@ -275,18 +275,23 @@ class RequiredQuantity(NamedTuple):
         return ImuResidual(self.requirement, labels, self.temperatures, self.rates, deviations * factor, unit, factor)
 
 
+def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side; for missions
+    their indices."""
+    if isinstance(requirement, MissionHeadingRequirement):
+        return np.arange(float(len(requirement.mission))), np.zeros(1)
+    cold, warm = requirement.temperature
+    temperatures = np.linspace(float(cold), float(warm), min(most or requirement.grid[0], requirement.grid[0]))
+    if not isinstance(requirement, GyroScaleFactorRequirement):
+        return temperatures, np.zeros(1)
+    slow, fast = requirement.rate
+    return temperatures, np.linspace(float(slow), float(fast), min(most or requirement.grid[1], requirement.grid[1]))
+
+
 def quantity_of(built: BuiltImu, requirement: Requirement, most: int | None = None) -> RequiredQuantity:
     """A requirement's quantity on its grid, or on one of at most `most` a side. `beside`: the mounting's uncertainty,
     added to a misalignment relative to the case, or that of a sensitivity to dT/dt, added to a bias on a slope."""
-    rates, beside = np.zeros(1), 0.0
-    if isinstance(requirement, MissionHeadingRequirement):
-        temperatures = np.arange(float(len(requirement.mission)))
-    else:
-        counts = [min(count, most or count) for count in requirement.grid]
-        cold, warm = (float(t) for t in requirement.temperature)
-        temperatures = np.linspace(cold, warm, counts[0])
-        if isinstance(requirement, GyroScaleFactorRequirement):
-            rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), counts[1])
+    (temperatures, rates), beside = box(requirement, most), 0.0
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "case":
         frame = built.spec.sensor.frame
         if frame is None or frame.fixed_by != "case":

@@ -314,9 +314,8 @@ def estimate_points(
     if points.sigma_rad_per_s is not None:
         own = "the points' own sigma replaces the spec's noise; errors that the points share are not in it"
     sigma = points.sigma_rad_per_s
-    if sigma is not None:
-        sigma = np.where(between, 0.0, both(sigma)[:-1])
-    table = TablePoints(estimation.Executed(line, np.arange(2 * count), between), sigma)
+    own_sigma = None if sigma is None else np.where(between, 0.0, both(sigma)[:-1])
+    table = TablePoints(line, np.arange(2 * count), own_sigma)
     rows = rows._replace(temperature_c=warm)
     # What the spec omits counts as in the plan, whose points are of one run.
     size = built.model.size, built.model.calibrated

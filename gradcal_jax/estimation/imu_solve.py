@@ -8,6 +8,13 @@ the channels' terms at the resulting signals:
 
 with the whitened Jacobian `W J` at the nominal installation or at a first estimate. Each step reduces the error by a
 factor of about the installation's error: 1 mrad gains three digits a step.
+
+**Robust**: readings that the model cannot explain (an encoder's slip, a reading taken too early) get a lower weight, by
+Huber's function on the normalised innovations `r_k`: `w = min(1, k/|r|)`, k = 2.5 by default (the efficiency on clean
+data stays above 99 %). A weight acts on the *reading*, whose variance becomes `R + (1/w − 1) S`, S the variance of its
+innovation, and all rows are whitened again: a lower weight of the whitened row alone would leave the effect of the bad
+reading in the filter's state and so in the next innovations. A jump of the integrated rate persists and shows as
+several bad readings in a row: it is reported, but only the data can be corrected.
 """
 
 from collections.abc import Callable
@@ -19,7 +26,6 @@ import numpy as np
 
 from gradcal_jax.estimation.executed_nodes import nodes_of_rows
 from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, across_stops
-from gradcal_jax.estimation.robust import reweighted
 from gradcal_jax.estimation.solve import Estimate, Whitened, factored
 from gradcal_jax.information import (
     NoiseSteps,
@@ -52,6 +58,9 @@ _ROUNDS = 12
 _SETTLED = 1e-3
 # A step after which χ² is higher by more than this is halved, at most so many times.
 _HIGHER, _HALVINGS = 1.0, 10
+HUBER = 2.5
+# Largest number of weighings, and the change of a weight at which they end.
+_WEIGHINGS, _NO_CHANGE = 20, 0.01
 # Readings of one standstill differ by less, rad.
 _TURNS = np.radians(1.0)
 # Step of finite differences, rad.
@@ -165,7 +174,7 @@ class ImuReadings(NamedTuple):
     @property
     def angle_states(self) -> slice:
         """The noise states that are the errors of the axes' angles now."""
-        begin = len(self.model.channels) + sum(c.model.processes.count for c in self.model.channels)
+        begin = self.model.own_states
         return slice(begin, begin + self.done.motion.geometry.axis_count)
 
     def by_steps(self, values: np.ndarray) -> np.ndarray:
@@ -193,7 +202,7 @@ class ImuReadings(NamedTuple):
         line, axes = self.done.motion.line, self.done.motion.geometry.axis_count
         if axes > 1 or self.model.encoder.held or line.rates:
             return steps._replace(reading_variance=steps.reading_variance + variance)
-        now = sum(1 + c.model.processes.count for c in self.model.channels)
+        now = self.model.own_states
         stays = np.zeros(len(variance), bool) if steps.stays is None else np.asarray(steps.stays)
         along = np.asarray(steps.observation)[:, now]
         of_encoder = ~stays & (np.abs(along) > _SEES_ENCODER)
@@ -259,7 +268,7 @@ class ImuReadings(NamedTuple):
         if self.sigma is None:
             return steps, columns
         # What follows the channels' integrals and processes are errors of the reference.
-        own = slice(sum(1 + c.model.processes.count for c in self.model.channels))
+        own = slice(self.model.own_states)
         transition, covariance, initial = (np.array(x) for x in (steps.transition, steps.covariance, steps.initial))
         transition[:, own], covariance[:, own, own], initial[own, own] = 0.0, 0.0, 0.0
         variance = steps.reading_variance + self.by_steps(self.sigma) ** 2
@@ -364,8 +373,8 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
     """Parameters of a unit and its installation from its rows, with minimal norm in unobservable directions.
 
     `about`: approximate parameters in the engine's coordinates, the point of linearisation. `threshold`: rows with
-    larger residuals, in standard deviations, get a lower weight; see `robust`. Errors: `ValueError` where no row
-    is used, or one is not finite.
+    larger residuals, in standard deviations, get a lower weight; see the module's head. Errors: `ValueError` where no
+    row is used, or one is not finite, and for a threshold that is not positive.
     """
     steps, columns = readings.linear(about)
     used = np.asarray(segments_of(readings.done.motion, readings.model).used)
@@ -377,14 +386,30 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
     if threshold is None:
         return estimate
 
-    def again(noise: NoiseSteps, last: ImuEstimate) -> ImuEstimate:
-        return _solved(readings, noise, columns, used, last.parameters)
-
-    kept = readings.by_steps(used)
-    estimate, weights = reweighted(
-        steps, kept, estimate, lambda e: e.estimate.residuals, again, threshold, readings.with_noise
-    )
+    if not threshold > 0.0:
+        raise ValueError(f"the threshold of a robust estimate must be positive, not {threshold}")
+    noise, kept = steps, readings.by_steps(used)
+    extra, weights = np.zeros(len(kept)), np.ones(int(kept.sum()))
+    for _ in range(_WEIGHINGS):
+        spread = innovation_variance(noise)[kept]
+        # The innovation relative to its variance without the increase.
+        plain = spread - extra[kept]
+        against = np.abs(estimate.estimate.residuals) * np.sqrt(spread / np.maximum(plain, np.finfo(float).tiny))
+        new = np.minimum(1.0, threshold / np.maximum(against, threshold))
+        if np.max(np.abs(new - weights)) < _NO_CHANGE:
+            break
+        weights = new
+        extra[kept] = (1.0 / weights - 1.0) * plain
+        noise = readings.with_noise(steps, extra)
+        estimate = _solved(readings, noise, columns, used, estimate.parameters)
     return estimate._replace(weights=weights)
+
+
+def innovation_variance(steps: NoiseSteps) -> np.ndarray:
+    """`(N,)`: variance of each reading conditional on those before it, rad²; zero at steps without a reading."""
+    none = np.zeros((len(steps.initial), 0)), np.zeros((len(steps.used), 0))
+    per_std = filter_readings(none[0], steps.initial, steps, none[1]).per_std
+    return np.divide(1.0, per_std**2, out=np.zeros(len(per_std)), where=per_std > 0.0)
 
 
 def absorbed(steps: NoiseSteps, states: slice) -> np.ndarray:

@@ -96,7 +96,7 @@ def posteriors_together(
     for model, motion, nodes, _ in plans:
         steps, columns = imu_system(motion, model, nodes)
         shared.append(shared_parameters(model, clock=clock))
-        if (drawn := np.count_nonzero(np.any(np.asarray(steps.covariance)[:, _own_states(model) :], axis=(1, 2)))) and (
+        if (drawn := np.count_nonzero(np.any(np.asarray(steps.covariance)[:, model.own_states :], axis=(1, 2)))) and (
             drawn * len(columns) > _MOST
         ):
             raise MemoryError(
@@ -151,9 +151,8 @@ def _without_own(
 ) -> _Reduced:
     """The rows of an IMU, `apart` from what is expected `about` its parameters, in the order of the noise steps."""
     errors = _encoder_columns(model, steps)
-    channels = _own_states(model)
     # The filter of the IMU's own noise: the encoder's states neither move nor are seen.
-    own = slice(channels, None)
+    own = slice(model.own_states, None)
     covariance, initial, observed = (np.array(x) for x in (steps.covariance, steps.initial, steps.observation))
     covariance[:, own, :], covariance[:, :, own], initial[own, :], initial[:, own] = 0.0, 0.0, 0.0, 0.0
     observed[:, own] = 0.0
@@ -175,14 +174,9 @@ def _without_own(
     return _Reduced(np.flatnonzero(~shared), rotated, through, own_known.spread, information, vector)
 
 
-def _own_states(model: ImuModel) -> int:
-    """The number of noise states that are the IMU's own; after them come the encoders'."""
-    return sum(1 + c.model.processes.count for c in model.channels)
-
-
 def _encoder_columns(model: ImuModel, steps: NoiseSteps) -> np.ndarray:
     """`(N, u)`: what each innovation of the encoders' errors, of variance one, adds to every row."""
-    own = slice(_own_states(model), None)
+    own = slice(model.own_states, None)
     transition = np.asarray(steps.transition)[:, own, own]
     covariance = np.asarray(steps.covariance)[:, own, own]
     observed = np.asarray(steps.observation)[:, own]

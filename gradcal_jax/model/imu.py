@@ -87,6 +87,12 @@ class ImuModel(PytreeModule):
         return sum(c.model.size for c in self.channels)
 
     @property
+    def own_states(self) -> int:
+        """Number of the noise states that are the unit's own: integrals and processes of its channels. Those of the
+        encoders follow."""
+        return sum(1 + c.model.processes.count for c in self.channels)
+
+    @property
     def size(self) -> int:
         """Number of parameters."""
         return self.calibrated + sum(term.size for term in self.installation)

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
-from gradcal_jax.formulas import legendre
 from gradcal_jax.linalg import triangular_factor
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
 from gradcal_jax.model.nodes import NodeGroup, Nodes, OtherTemperature, SharedNodes
@@ -204,15 +203,10 @@ class Map(Term):
         return xp.concatenate(rows) if rows else xp.zeros((0, self.size))
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        t, w = self.temperature, self.rate
-        plain = all(isinstance(basis, Polynomial) and basis.internal == "legendre" for basis in (t, w or t))
-
         def of_group(g: NodeGroup):
-            if not plain:
-                return g.sums(t(g.temperature), self.drive(g))
-            return namespace(g.weight).reshape(_all_products(g, t, t.size, w, w.size if w else 1), (-1, self.size))
+            return g.sums(self.temperature(g.temperature), self.drive(g))
 
-        return nodes.at(self.late).integrals(of_group, self.size, moving_only=w is not None)
+        return nodes.at(self.late).integrals(of_group, self.size, moving_only=self.rate is not None)
 
     def columns_with_beyond(self, nodes: Nodes) -> tuple[Float[AnyArray, "P size"], Float[AnyArray, "P extra"]]:
         """The map's columns and the discrepancy's, computed together where its polynomials continue the map's."""
@@ -225,7 +219,9 @@ class Map(Term):
 
         def of_group(g: NodeGroup):
             xp, w = namespace(g.weight), beyond.rate
-            every = _all_products(g, beyond.temperature, in_t + beyond.temperature.size, w, in_w + w.size if w else 1)
+            of_rate = xp.ones((*g.rate.shape, 1)) if w is None else g.rate[..., None] * w.from_zero(g.rate)
+            every = g.sums(beyond.temperature.from_zero(g.temperature), of_rate)
+            every = xp.reshape(every, (len(every), -1, of_rate.shape[-1]))
             parts = (every[:, :in_t, :in_w], every[:, in_t:], every[:, :in_t, in_w:])
             return xp.concatenate([xp.reshape(part, (len(every), -1)) for part in parts], axis=1)
 
@@ -277,17 +273,6 @@ def _continued(own: Basis | None, higher: HigherPolynomials | None) -> bool:
     if not isinstance(own, Polynomial) or own.internal != "legendre":
         return False
     return (own.size, own.centre, own.scale) == (higher.lowest, higher.centre, higher.scale)
-
-
-def _all_products(g: NodeGroup, temperature, most: int, rate, of_rate: int) -> AnyArray:
-    """`(k, most, of_rate)`: integrals over the group's pieces of Legendre polynomials in temperature times those in
-    rate, times the rate itself; without `rate`, of those in temperature. The bases define centre and scale.
-    """
-    x = (g.temperature - temperature.centre) / temperature.scale
-    y = x if rate is None else (g.rate - rate.centre) / rate.scale
-    xp = namespace(x, y, g.weight)
-    second = xp.ones((*g.rate.shape, 1)) if rate is None else g.rate[..., None] * legendre(y, of_rate - 1)
-    return xp.reshape(g.sums(legendre(x, most - 1), second), (-1, most, of_rate))
 
 
 def _ordinal(basis: Basis, index: int) -> str:

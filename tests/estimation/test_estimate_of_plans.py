@@ -5,7 +5,7 @@ import pytest
 from expected_errors import nees_band, normalised_errors, on_trajectory, whitened
 
 from gradcal_jax.api import assemble
-from gradcal_jax.api.criteria import box
+from gradcal_jax.api.imu_residual import box
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.estimation import solve
 from gradcal_jax.files import parse_spec, presets

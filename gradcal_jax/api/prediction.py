@@ -41,7 +41,7 @@ from gradcal_jax.information import (
 )
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
 from gradcal_jax.information.residual import Statistic, statistic_of_each
-from gradcal_jax.model import Discrepancy
+from gradcal_jax.model import Discrepancy, ImuModel
 
 # The chances of keeping a target are computed on a grid of at most this many temperatures and rates.
 _GRID = 41
@@ -215,10 +215,7 @@ def _of_plan(built: BuiltImu, known: Posterior) -> dict[str, Any]:
     """The part of a prediction that is common to all plans: title, times, the reported parameters and their
     covariance."""
     spec, model = built.spec, built.model
-    terms = [term for c in model.channels for term in c.model.terms]
-    # A calibration carries no discrepancy.
-    carried = np.concatenate([np.full(term.size, not isinstance(term, Discrepancy)) for term in terms])
-    own = np.flatnonzero(carried)
+    own = np.flatnonzero(_carried(model))
     names, units = ([of[k] for k in own] for of in (model.names(), model.units()))
     reported = model.to_reported[own]
     deviations = known.deviations(reported)
@@ -232,6 +229,12 @@ def _of_plan(built: BuiltImu, known: Posterior) -> dict[str, Any]:
         "parameters": tuple(rows),
         "covariance": tuple(map(tuple, covariance.tolist())),
     }
+
+
+def _carried(model: ImuModel) -> np.ndarray:
+    """Which of the unit's own parameters a calibration has: all but those of discrepancies."""
+    terms = [term for c in model.channels for term in c.model.terms]
+    return np.concatenate([np.full(term.size, not isinstance(term, Discrepancy)) for term in terms])
 
 
 def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Requirement) -> RequirementRow:
@@ -374,9 +377,7 @@ def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], di
     model, motion, nodes = built.model, built.motion, built.body_nodes()
     _enough(runs, model.size)
     steps, columns = imu_system(motion, model, nodes)
-    terms = [term for c in model.channels for term in c.model.terms]
-    carried = np.concatenate([np.full(t.size, not isinstance(t, Discrepancy)) for t in terms])
-    carried = np.pad(carried, (0, model.size - len(carried)), constant_values=True)
+    carried = np.pad(_carried(model), (0, model.size - model.calibrated), constant_values=True)
     known, plain = imu_posterior(built), None
     if unweighted_estimator(spec):
         plain = estimator_of_means(motion, model, steps, columns), known

@@ -11,10 +11,10 @@ import itertools
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.estimation.imu_executed import PIECE_S, SEEN, ExecutedImu, ImuRows, nodes_of_way
+from gradcal_jax.estimation.imu_executed import PIECE_S, SEEN, ExecutedImu, ImuRows, mean_motion, nodes_of_way
 from gradcal_jax.estimation.plateaus import TablePoints
 from gradcal_jax.formulas import runs
-from gradcal_jax.trajectory import Geometry, TableMotion, frames, held
+from gradcal_jax.trajectory import Geometry, TableMotion, frames
 
 # A standstill between two moves is a piece of its own where it lasts longer; its rows next to a move may contain some
 # of the move.
@@ -79,7 +79,7 @@ def motion_by_readings(log: ImuRows, geometry: Geometry) -> ExecutedImu:
     at = np.array(rows)
     reads, lost = np.array(flags, bool).reshape(-1, 2).T
     turned = np.array([0.0 if way is None else way[-1] for way in ways])
-    line = _held(log, at, turned, np.array(axes) >= 0, reads, lost)
+    line = mean_motion(log, at, turned, np.array(axes) >= 0, reads, lost)
     line = eqx.tree_at(lambda x: x.share, line, worth[at[1:]])
     return _executed(line, log, geometry, at, np.array(axes), np.array([stands[0]]), tuple(ways))
 
@@ -96,15 +96,6 @@ def motion_at_points(points: TablePoints, log: ImuRows, geometry: Geometry) -> E
 def _executed(line, log: ImuRows, geometry: Geometry, rows: np.ndarray, axis: np.ndarray, start: np.ndarray, ways):
     each = np.arange(len(axis))
     return ExecutedImu(TableMotion(line, axis, log.mounting[rows[1:]], geometry, start, each, each, each), rows, ways)
-
-
-def _held(log: ImuRows, rows: np.ndarray, turned: np.ndarray, moving: np.ndarray, read: np.ndarray, lost: np.ndarray):
-    duration, at = np.diff(log.time_s[rows]), log.temperature_c[rows]
-    mean = turned / np.where(duration > 0.0, duration, 1.0)
-    ends = np.ones(len(moving), bool)
-    return held(
-        log.time_s[rows[:-1]], duration, mean, at[:-1], at[1:], read=read, at_rest=ends, moving=moving, gap=lost
-    )
 
 
 def _speed(log: ImuRows, geometry: Geometry) -> np.ndarray:

@@ -88,6 +88,13 @@ class SharedNodes(NamedTuple):
         product = (rate[i] - earth[i]) * (rate[k] + earth[k])
         return product if i != k else product - sum(w * w - e * e for w, e in zip(rate, earth, strict=True))
 
+    def product(self, names: tuple[str, ...]) -> Float[AnyArray, "U q 1"]:
+        """The product of signals; none: 1."""
+        product = namespace(self.weight).ones(self.weight.shape)
+        for name in names:
+            product = product * self.signal(name)
+        return product[..., None]
+
     def sums(self, first: Float[AnyArray, "k m a"], second: Float[AnyArray, "U q b"]) -> Float[AnyArray, "k ab"]:
         """As of `GaussNodes`."""
         xp = namespace(first, second)

@@ -331,10 +331,7 @@ class SignalMap(Term):
     def drive(self, group: NodeGroup) -> AnyArray:
         """Factor of the functions of temperature at the nodes."""
         assert isinstance(group, SharedNodes), "signals are of a body's nodes"
-        product = namespace(group.weight).ones(group.weight.shape)
-        for name in self.signals:
-            product = product * group.signal(name)
-        return product[..., None]
+        return group.product(self.signals)
 
 
 class GradientOfBias(Term):

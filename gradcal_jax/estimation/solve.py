@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.information import Posterior
-from gradcal_jax.information.posterior import OBSERVABLE
+from gradcal_jax.information.posterior import known_of
 
 
 class Whitened(NamedTuple):
@@ -79,13 +79,11 @@ def factored(design: np.ndarray) -> Factored:
     As `information.square_root` and `posterior`, but by NumPy's QR, since shapes vary and nothing is differentiated.
     """
     norm = np.linalg.norm(design, axis=0)
-    scale = np.where(norm > 0.0, norm, 1.0)[:, None]
-    orthogonal, triangle = np.linalg.qr(design / scale[:, 0])
+    scale = np.where(norm > 0.0, norm, 1.0)
+    orthogonal, triangle = np.linalg.qr(design / scale)
     left, singular, directions = np.linalg.svd(triangle)
-    rank = int(np.count_nonzero(singular > OBSERVABLE * np.max(singular, initial=0.0)))
-    spread, hidden = (directions[:rank].T / singular[:rank]) / scale, directions[rank:].T / scale
-    hidden = hidden / np.maximum(np.linalg.norm(hidden, axis=0), np.finfo(float).tiny)
-    return Factored(orthogonal @ left[:, :rank], Posterior(spread, hidden))
+    known = known_of(singular, directions, scale)
+    return Factored(orthogonal @ left[:, : known.spread.shape[1]], known)
 
 
 def solve(white: Whitened) -> Estimate:

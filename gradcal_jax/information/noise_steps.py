@@ -41,14 +41,6 @@ class NoiseSteps(NamedTuple):
     initial: Float[AnyArray, "n n"]
     stays: Bool[AnyArray, " N"] | None = None
 
-    def padded(self, count: int) -> "NoiseSteps":
-        """The same system, padded to `count` steps by identity steps without readings."""
-        n, missing = self.observation.shape[1], count - self.observation.shape[0]
-        still = np.broadcast_to(np.eye(n), (missing, n, n))
-        fillings = (still, np.zeros((missing, n, n)), np.zeros((missing, n)), np.ones(missing), np.zeros(missing, bool))
-        longer = [np.concatenate([np.asarray(f), filling]) for f, filling in zip(self, fillings, strict=False)]
-        return NoiseSteps._make([*longer, np.asarray(self.initial), None])
-
 
 def noise_states(line: Trajectory, model: SensorModel) -> int:
     """Number of noise states: the angle, the processes, and the offset of a standstill where the model has one."""

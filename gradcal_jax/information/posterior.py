@@ -108,12 +108,18 @@ def posterior(info: SquareRootInformation) -> Posterior:
     The singular values of the scaled factor separate the unobservable directions, `(p, p) -> (p, r), (p, k)`.
     Errors: none here; `information` refuses single precision with a `ValueError`.
     """
-    scale = np.asarray(info.scale)
     _, singular, directions = np.linalg.svd(np.asarray(info.factor))
-    seen = singular > OBSERVABLE * (singular[0] if len(singular) else 1.0)
-    spread = (directions[seen].T / singular[seen]) / scale[:, None]
-    hidden = directions[~seen].T / scale[:, None]
-    return Posterior(spread, hidden / np.maximum(np.linalg.norm(hidden, axis=0), np.finfo(float).tiny))
+    return known_of(singular, directions, np.asarray(info.scale))
+
+
+def known_of(
+    singular: Float[np.ndarray, " k"], directions: Float[np.ndarray, "p p"], scale: Float[np.ndarray, " p"]
+) -> Posterior:
+    """The posterior of variance one by singular values and right directions of rows with columns of length one."""
+    rank = int(np.count_nonzero(singular > OBSERVABLE * np.max(singular, initial=0.0)))
+    hidden = directions[rank:].T / scale[:, None]
+    hidden = hidden / np.maximum(np.linalg.norm(hidden, axis=0), np.finfo(float).tiny)
+    return Posterior((directions[:rank].T / singular[:rank]) / scale[:, None], hidden)
 
 
 class LeastSquares(NamedTuple):
@@ -135,13 +141,10 @@ def least_squares_of_means(
     rows = columns[used] / lasting
     scale = np.where((norm := np.linalg.norm(rows, axis=0)) > 0, norm, 1.0)
     left, singular, directions = np.linalg.svd(rows / scale)
-    seen = singular > OBSERVABLE * singular[0]
-    rank = int(seen.sum())
-    weights = np.zeros((len(used), rank))
-    weights[used] = left[:, :rank] / lasting
-    hidden = directions[rank:].T / scale[:, None]
-    back = (directions[:rank].T / singular[:rank]) / scale[:, None]
-    return LeastSquares(weights, back, hidden / np.maximum(np.linalg.norm(hidden, axis=0), np.finfo(float).tiny))
+    back, hidden = known_of(singular, directions, scale)
+    weights = np.zeros((len(used), back.shape[1]))
+    weights[used] = left[:, : back.shape[1]] / lasting
+    return LeastSquares(weights, back, hidden)
 
 
 def spread_of(estimator: LeastSquares, noise: Float[np.ndarray, "r r"]) -> Posterior:

@@ -156,22 +156,23 @@ def _judged(result: Result, cell: Cell) -> Acceptance:
     return Acceptance(result.name, result.axis, result.unit, target, error, std, risk, limit, verdict, rule)
 
 
+def _standstills(log: Log, unit: int) -> tuple[np.ndarray, list[str]]:
+    """The number of the standstill of every row (−1: none), and messages on how they were found."""
+    if log.standstill is not None:
+        return log.standstill, []
+    found = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
+    return found, ["the log marks no standstills: they were found where the rates are quiet"]
+
+
 def _axis(
     log: Log, corrected: Log, unit: int, axis: str, how: "_Ranges", earth_rate: float, table_axis: str | None
 ) -> AxisValidation:
-    messages: list[str] = []
-    column = log.axis_index(axis)
+    (number, messages), column = _standstills(log, unit), log.axis_index(axis)
     raw = log.rate_rad_per_s[unit, :, column]
     new = corrected.rate_rad_per_s[0, :, column]
     usable = usable_rows(log, unit) & np.isfinite(raw)
     table = table_axis_of(log, axis, table_axis)
-    if log.standstill is not None:
-        standing = log.standstill >= 0
-    else:
-        number = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
-        standing = number >= 0
-        messages.append("the log marks no standstills: they were found where the rates are quiet")
-    read, standing = table_readings(log, table, standing, np.inf, messages, every_kind=True)
+    read, standing = table_readings(log, table, number >= 0, np.inf, messages, every_kind=True)
     angle, reading, _ = read.at_rows(len(raw))
     temperature = log.temperature_c[unit] if log.temperature_c is not None else np.full(len(raw), np.nan)
     stops = [np.flatnonzero(reading[a:b]) + a for a, b in formulas.runs(standing | reading)]
@@ -254,10 +255,7 @@ def _triads(
     log: Log, corrected: Log, unit: int, how: "_Ranges", gravity: float, left_alone: tuple[str, ...]
 ) -> list[AxisValidation]:
     """The triads of gyros and of accelerometers that are calibrated and in the log."""
-    number, messages = log.standstill, list[str]()
-    if number is None:
-        number = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
-        messages.append("the log marks no standstills: they were found where the rates are quiet")
+    number, messages = _standstills(log, unit)
     usable = usable_rows(log, unit)
     step = np.where(usable, np.diff(log.time_s, prepend=log.time_s[0]), 0.0)
     rows, still = count_rows(log, unit, usable), number >= 0

@@ -7,10 +7,10 @@ from gradcal_jax.estimation.consistency import (
     chi_squared_test,
     consistency,
     contradictions,
+    diagnosis,
     split,
     whiteness,
 )
-from gradcal_jax.estimation.diagnosis import diagnosis as diagnosis
 from gradcal_jax.estimation.gravity_angles import angles_by_gravity
 from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, executed_imu
 from gradcal_jax.estimation.imu_solve import (
@@ -32,10 +32,9 @@ from gradcal_jax.estimation.read_motion import (
     standing_with,
     within,
 )
-from gradcal_jax.estimation.settling import settling as settling
 from gradcal_jax.estimation.several_imus import SeveralImus, posteriors_together, solve_together
 from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
 from gradcal_jax.estimation.solve import Estimate, Whitened, solve
-from gradcal_jax.estimation.standstill import find_standstills
+from gradcal_jax.estimation.standstill import find_standstills, settling
 from gradcal_jax.estimation.structure import StructureTest, chi_squared, components, size_of, structure_test
 from gradcal_jax.estimation.temperature import smoothed_temperature

@@ -148,7 +148,7 @@ def size_of_class(spec: Spec, kind: str) -> float:
 
 def _candidates(readings: ImuReadings, span_k: float, lasting_s: float) -> list[_Candidate]:
     """What may be tried on a record of a range of temperature and a duration, beside the terms of the model."""
-    known = [t for c in readings.model.channels for t in c.model.terms if not getattr(t, "signals", ())]
+    known = [t for t in readings.model.terms if not getattr(t, "signals", ())]
     plays = [float(t.width) for t in known if isinstance(t, Hysteresis)]
     others = [t.other for t in known if isinstance(t, TemperatureDifference)]
     transients = [float(t.time_constant) for t in known if isinstance(t, TurnOnTransient)]

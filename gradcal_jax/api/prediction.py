@@ -233,8 +233,7 @@ def _of_plan(built: BuiltImu, known: Posterior) -> dict[str, Any]:
 
 def _carried(model: ImuModel) -> np.ndarray:
     """Which of the unit's own parameters a calibration has: all but those of discrepancies."""
-    terms = [term for c in model.channels for term in c.model.terms]
-    return np.concatenate([np.full(term.size, not isinstance(term, Discrepancy)) for term in terms])
+    return np.concatenate([np.full(term.size, not isinstance(term, Discrepancy)) for term in model.terms])
 
 
 def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Requirement) -> RequirementRow:

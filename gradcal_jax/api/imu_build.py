@@ -119,8 +119,7 @@ def build_imu(
     if too := too_large(spec):
         raise MemoryError(too)
     model_, sources = _model_and_sources(spec)
-    terms = model_.terms
-    bases = [t.temperature for t in terms if isinstance(t, Map | SignalMap | Discrepancy)]
+    bases = [t.temperature for t in model_.terms if isinstance(t, Map | SignalMap | Discrepancy)]
     degree = max(b.degree if isinstance(b, Polynomial | BSpline | HigherPolynomials) else 0 for b in bases)
     # A lagging unit's exponentials, and transients, are no polynomials; a play is linear in T on each piece.
     own = any(isinstance(t, OwnTerm) for c in model_.channels for t in c.model.terms)
@@ -434,8 +433,7 @@ def _motion(parts: Sequence[tuple[TablePart, float]], spec: Spec, of: ImuModel) 
 
 def _decays(of: ImuModel) -> list[float]:
     """The rates (1/s) at which exponentials in a model's columns decay."""
-    terms = of.terms
-    transients = [1.0 / float(term.time_constant) for term in terms if isinstance(term, TurnOnTransient)]
+    transients = [1.0 / float(term.time_constant) for term in of.terms if isinstance(term, TurnOnTransient)]
     return transients + [1.0 / other.lag for other in of.others if other.lag]
 
 

@@ -65,8 +65,8 @@ def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
     along = (varying, drive_rates(line, varying)) if m and driven else None
     afresh = line.rates and line.points == "independent"
     drives = process_steps(p, line.duration, line.end_rate(), along, before, afresh=afresh)
-    to_angle, decayed, driven_angle, q_cross, q_self = drives
-    walk = model.angle_random_walk**2 * line.duration + driven_angle
+    to_angle, decayed, driven_walk, q_cross, q_self = drives
+    walk = model.angle_random_walk**2 * line.duration + driven_walk
     kept = xp.zeros((count, 1)) if line.rates else xp.ones((count, 1))
     none = xp.zeros((count, offset))
     first_row = xp.concatenate([kept, to_angle, none], axis=1)
@@ -108,17 +108,6 @@ def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
     return NoiseSteps(transition, covariance, observation, variance, line.read, initial)
 
 
-class ProcessSteps(NamedTuple):
-    """The part of `m` processes in the steps of an integral: `to_integral`, `decayed`, their covariances with it,
-    `cross`, and their `own` `(N, m)`; `variance` `(N,)` that they add to it."""
-
-    to_integral: AnyArray
-    decayed: AnyArray
-    variance: AnyArray
-    cross: AnyArray
-    own: AnyArray
-
-
 def process_steps(
     p: Processes,
     duration: Float[AnyArray, " N"],
@@ -127,9 +116,12 @@ def process_steps(
     before: AnyArray | None,
     *,
     afresh: bool,
-) -> ProcessSteps:
-    """The steps of processes that a rate drives. `varying`: the steps in which it varies, and its values on the nodes
-    there; `before` `(N, 1)`: steps before the data; `afresh`: the processes of every step start anew."""
+) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray]:
+    """The part of `m` processes, which a rate drives, in the steps of an integral: F_θx and their decay `(N, m)`, the
+    variance `(N,)` that they add to it, Q_θx and Q_xx `(N, m)`.
+
+    `varying`: the steps in which the rate varies, and its values on the nodes there; `before` `(N, 1)`: steps before
+    the data; `afresh`: the processes of every step start anew."""
     xp = namespace(duration, rate, p)
     to_integral, variance, cross, own = constant_drive(p, duration, rate)
     if varying is not None:
@@ -153,7 +145,7 @@ def process_steps(
         total = total + xp.sum(to_integral**2 * start, axis=1)
         cross, own = cross + to_integral * decayed * start, own + decayed**2 * start
         to_integral, decayed = xp.zeros(to_integral.shape), xp.zeros(to_integral.shape)
-    return ProcessSteps(to_integral, decayed, total, cross, own)
+    return to_integral, decayed, total, cross, own
 
 
 def constant_drive(

@@ -473,7 +473,8 @@ def _solved(
     kept = readings.by_steps(used)
     jacobian, prior = np.asarray(whiten(steps, columns))[kept], model.prior_rows()
     design = np.concatenate([jacobian, prior])
-    basis, known = factored(design)
+    of = factored(design)
+    known = of.known
     deviation = known.deviations(np.eye(model.size))
     counted = np.isfinite(deviation) & (deviation > 0.0)
     beta, moved, rounds = np.zeros(model.size) if about is None else about.copy(), np.inf, 0
@@ -485,7 +486,7 @@ def _solved(
 
     rest, squares = left_over(beta)
     while moved > _SETTLED and rounds < _ROUNDS:
-        step = known.spread @ (basis.T @ np.concatenate([rest, -prior @ beta]))
+        step = of.fit(np.concatenate([rest, -prior @ beta]))
         now, after = left_over(beta + step)
         # A large error that is hardly observable, such as of the azimuth, would go past the minimum and away from it.
         for _ in range(_HALVINGS):
@@ -496,7 +497,7 @@ def _solved(
         beta, rest, squares = beta + step, now, after
         moved = float(np.max(np.abs(step[counted]) / deviation[counted], initial=0.0))
         rounds += 1
-    degrees, taken = len(design) - basis.shape[1], basis[: len(jacobian)]
+    degrees, taken = len(design) - len(of.singular), of.basis[: len(jacobian)]
     if readings.free:
         lost = absorbed(steps, readings.angle_states)[kept]
         degrees -= round(float(np.sum(lost)))

@@ -165,13 +165,13 @@ def _without_own(
     prior = np.asarray(model.prior_rows())
     of_own = ~np.any(prior[:, shared] != 0.0, axis=1)
     rows = np.concatenate([jacobian[:, ~shared], prior[of_own][:, ~shared]])
-    basis, own_known = factored(rows)
-    basis = basis[: len(jacobian)]
+    of = factored(rows)
+    basis = of.basis[: len(jacobian)]
     others = np.concatenate([jacobian[:, shared], white[:, 1 + size :]], axis=1)
     through, rotated = basis.T @ others, basis.T @ data
     information = others.T @ others - through.T @ through
     vector = others.T @ data - through.T @ rotated
-    return _Reduced(np.flatnonzero(~shared), rotated, through, own_known.spread, information, vector)
+    return _Reduced(np.flatnonzero(~shared), rotated, through, of.known.spread, information, vector)
 
 
 def _encoder_columns(model: ImuModel, steps: NoiseSteps) -> np.ndarray:

@@ -66,11 +66,24 @@ class Estimate(NamedTuple):
 
 
 class Factored(NamedTuple):
-    """Least squares of a design `(n, p)` with columns of length one: `basis` `(n, r)`, orthonormal, of what its columns
-    span, and the posterior of variance one: `known.spread basisᵀ z` are the parameters of minimal norm for data z."""
+    """A design `(n, p)` with columns of length one, Q L diag(singular) directions: `known`, the posterior of variance
+    one, and `basis` `(n, r)`, orthonormal, of what its columns span."""
 
-    basis: np.ndarray
+    orthogonal: np.ndarray
+    left: np.ndarray
+    singular: np.ndarray
+    directions: np.ndarray
+    scale: np.ndarray
     known: Posterior
+
+    @property
+    def basis(self) -> np.ndarray:
+        return self.orthogonal @ self.left
+
+    def fit(self, data: np.ndarray) -> np.ndarray:
+        """The parameters of minimal norm for data `(n,)` or `(n, U)`."""
+        rotated = self.left.T @ (self.orthogonal.T @ data)
+        return ((self.directions.T @ (rotated.T / self.singular).T).T / self.scale).T
 
 
 def factored(design: np.ndarray) -> Factored:
@@ -83,14 +96,15 @@ def factored(design: np.ndarray) -> Factored:
     orthogonal, triangle = np.linalg.qr(design / scale)
     left, singular, directions = np.linalg.svd(triangle)
     known = known_of(singular, directions, scale)
-    return Factored(orthogonal @ left[:, : known.spread.shape[1]], known)
+    rank = known.spread.shape[1]
+    return Factored(orthogonal, left[:, :rank], singular[:rank], directions[:rank], scale, known)
 
 
 def solve(white: Whitened) -> Estimate:
     """Least squares, with minimal norm in the unobservable directions (`known.hidden`)."""
     design = np.concatenate([white.rows, white.prior])
     data = np.concatenate([white.data, np.zeros((len(white.prior), *white.data.shape[1:]))])
-    basis, known = factored(design)
-    beta = known.spread @ (basis.T @ data)
+    of = factored(design)
+    beta = of.fit(data)
     squares = np.sum((data - design @ beta) ** 2, axis=0)
-    return Estimate(beta, known, white.data - white.rows @ beta, squares, len(design) - basis.shape[1])
+    return Estimate(beta, of.known, white.data - white.rows @ beta, squares, len(design) - len(of.singular))

@@ -42,7 +42,8 @@ class Whitened(NamedTuple):
 
     def condensed(self) -> "Whitened":
         """p + 1 rows with the same least squares and χ², also joined with those of the complement of a subset."""
-        triangle, count = np.linalg.qr(np.column_stack([self.rows, self.data]), mode="r"), self.rows.shape[1]
+        triangle = np.asarray(np.linalg.qr(np.column_stack([self.rows, self.data]), mode="r"))
+        count = self.rows.shape[1]
         data = triangle[:, count:].reshape(len(triangle), *self.data.shape[1:])
         return Whitened(triangle[:, :count], data, self.prior)
 

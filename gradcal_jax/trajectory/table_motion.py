@@ -161,9 +161,9 @@ def _divided(
     pieces, at = pieces[order], at[order]
     apart = (np.diff(pieces, prepend=-1) != 0) | (np.diff(at, prepend=-1.0) > edge)
     line, source = motion.line.divided(pieces[apart], at[apart])
-    at = motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles
+    of_pieces = motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles
     path = {"history": motion.history, "others": motion.others, "behind": motion.behind}
-    return replace(table_motion(line, *at, waves, least), **path)
+    return replace(table_motion(line, *of_pieces, waves, least), **path)
 
 
 def motion_divided_by_plays(

@@ -97,31 +97,30 @@ RATE_LINEAR = Polynomial(1, 0.0, 300.0 * DEG)
 def core(scene: Scene, channel: str | None = None) -> tuple[trajectory.Schedule, SensorModel]:
     """The engine's plan and model of a scene, as its channel (or another one) sees it."""
     programme = trajectory.programme(scene.start, list(scene.stretches))
-    make = lambda acts: tuple(core_move(a, scene.longest_piece) for a in acts)  # noqa: E731
+    own = channel or scene.channel
+    make = lambda acts: tuple(core_move(a, own, scene.longest_piece) for a in acts)  # noqa: E731
     plan = trajectory.gradient_plan(
         programme,
         make(scene.moves),
         make(scene.after),
-        channel=channel or scene.channel,
         used=scene.used,
         read_every=scene.read_every,
     )
     return plan, core_model(scene)
 
 
-def core_move(act: Act, longest: float = np.inf) -> trajectory.Move:
-    if act.shape == "rest":
-        return trajectory.rest(act.duration, act.every)
+def core_move(act: Act, channel: str, longest: float = np.inf) -> trajectory.Move:
+    """A move as a channel sees it: one of another axis is a rest."""
+    if act.shape == "rest" or act.axis != channel:
+        return trajectory.rest(act.duration, act.every if act.shape == "rest" else act.others_every)
     return trajectory.turn(
         act.shape,
         act.peak,
         act.duration,
         ramp=act.ramp,
-        axis=act.axis,
         unevenness=act.unevenness,
         read_at_end=act.read_at_end,
         read_every=act.every,
-        others_read_every=act.others_every,
         longest_piece=longest,
     )
 

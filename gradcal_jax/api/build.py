@@ -85,7 +85,7 @@ def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[S
 
     def move(of: ResolvedMove) -> Move:
         spacing = every if of.reads_as_table else of.read_every
-        return move_of(replace(of, axis="x", read_every=spacing), None, longest)
+        return move_of(replace(of, read_every=spacing), longest)
 
     # (Steps behind the cycle are made once.)
     moves, after = (tuple(move(s.move) for s in part) for part in (plan.every_step, plan.after))
@@ -229,7 +229,7 @@ def longest_piece(sensor: GyroTriad) -> float:
     return _CORRELATION_TIMES_A_PIECE * min(times, default=np.inf)
 
 
-def move_of(move: ResolvedMove, others_read_every: float | None, longest_piece: float) -> Move:
+def move_of(move: ResolvedMove, longest_piece: float = np.inf) -> Move:
     """A move of a spec in the core's terms; times in s."""
     if move.is_rest:
         return trajectory.rest(move.duration, move.read_every, read_at_end=bool(move.read_end))
@@ -238,10 +238,8 @@ def move_of(move: ResolvedMove, others_read_every: float | None, longest_piece: 
         move.peak_rate,
         move.duration,
         ramp=move.ramp,
-        axis=move.axis,
         unevenness=move.unevenness,
         read_at_end=move.read_end,
         read_every=move.read_every,
-        others_read_every=others_read_every,
         longest_piece=longest_piece,
     )

@@ -1,17 +1,35 @@
-"""What a log or an estimate shows by itself to be wrong: units of temperature, requirements beyond the data, channels
-that no device has; and the sentences on what counts although no residual shows it."""
+"""What a log or an estimate shows by itself to be wrong: rows that no estimate may use, units of temperature, a plan
+that was broken off, requirements beyond the data, channels that no device has, and maps with more structure than the
+model; and the sentences on what counts although no residual shows it."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.estimation import CoarseFit, diagnosis
+from gradcal_jax import estimation
+from gradcal_jax.api.prediction import requirement_rows
+from gradcal_jax.api.tested_maps import hidden_maps, tested_maps
+from gradcal_jax.api.verdicts import UNIT_OF
+from gradcal_jax.estimation import (
+    CoarseFit,
+    Consistency,
+    ImuEstimate,
+    ImuReadings,
+    StructureTest,
+    diagnosis,
+    size_of,
+    structure_test,
+)
 from gradcal_jax.files.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
-from gradcal_jax.files.log import LogError
+from gradcal_jax.files.contracts import RequirementRow
+from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.signal_faults import without_faults
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.model import AXIS_NAMES, Channel
+from gradcal_jax.model import AXIS_NAMES, BIAS, Channel
 
 # K by which a die may be colder or warmer than the chamber's limits, self-heating included.
 _COLDER, _WARMER = 10.0, 35.0
@@ -193,3 +211,201 @@ def _no_device(own: float, across: Mapping[str, float]) -> str:
         if abs(abs(own) / ratio - 1.0) < 0.1:
             return f"{shown}: {words}"
     return f"{shown}: is the column of another axis, unit or sign?"
+
+
+# An angle within a standstill is no chance at this many standard deviations, and matters at this many of a reading.
+_NO_CHANCE, _MATTERS = 6.0, 2.0
+
+
+class RecordFaults(NamedTuple):
+    """Of one unit: sentences on rows that are left out, and by name those on what makes the calibration not valid."""
+
+    left_out: tuple[str, ...] = ()
+    not_valid: Mapping[str, str] = MappingProxyType({})
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """All of them."""
+        return *self.left_out, *self.not_valid.values()
+
+    @property
+    def also(self) -> str:
+        """The sentences behind that of an error."""
+        return "".join(f"; {sentence}" for sentence in self.sentences)
+
+
+def without_bad_rows(
+    spec: Spec, logs: Sequence[Log], channels: Collection[str]
+) -> tuple[list[Log], Mapping[str, RecordFaults]]:
+    """The logs with such rows masked, and by unit what was found in any of them; `channels`: those that are estimated,
+    such as "gyro x"."""
+    cleaned, left_out, wrong = list[Log](), dict[str, list[str]](), dict[str, dict[str, str]]()
+    for log in logs:
+        clean, found = without_faults(log, channels)
+        for name, faults in found.items():
+            if not clean.usable(name).any():
+                raise LogError(f"{name}: no row is left that may be used: {'; '.join(faults.sentences)}")
+        cleaned.append(clean)
+        for name, faults in found.items():
+            left_out.setdefault(name, []).extend(faults.sentences)
+            wrong.setdefault(name, {}).update(faults.coarse | _ends_of_standstills(spec, clean, name, channels))
+    return cleaned, {name: RecordFaults(tuple(left_out[name]), wrong[name]) for name in left_out}
+
+
+def _ends_of_standstills(spec: Spec, log: Log, name: str, channels: Collection[str]) -> dict[str, str]:
+    if log.standstill is None:
+        return {}
+    angles = [axis.angle for axis in spec.rig.table.axis]
+    known = min(float(np.hypot(float(a.reading_noise), float(a.standstill_offset))) for a in angles)
+    found = dict[str, str]()
+    for k, label in enumerate(log.axes):
+        if f"gyro {label}" not in channels:
+            continue
+        rate = log.rate_rad_per_s[log.unit_index(name), :, k]
+        seen = estimation.settling(log.time_s, rate, log.standstill >= 0, log.usable(name))
+        if seen is None:
+            continue
+        for angle, std, end, words in (
+            (seen.after, seen.after_std, "beginnings", "after the table is said to stand"),
+            (seen.before, seen.before_std, "ends", "before the table is said to move"),
+        ):
+            if abs(angle) > max(_NO_CHANCE * std, _MATTERS * known):
+                found[f"gyro {label} at the {end} of standstills"] = (
+                    f"gyro {label} turns {np.degrees(abs(angle)):.2g} deg {words}, in the mean of all standstills: its "
+                    "samples are delayed or filtered, or standstills are marked where the table still moves"
+                )
+    return found
+
+
+# A log that is shorter than its plan by less than this, s and as a share, is whole: runs end with their last reading.
+_MISSING_S, _MISSING = 2.0, 0.01
+
+
+def lacks_of(spec: Spec, logs: Sequence[Log]) -> str | None:
+    """A sentence on the part of a spec's plan that its logs lack, beside the prediction of the rest; None: they hold it
+    all, or the plan is one of points, of which each that is missing is named."""
+    schedule = spec.schedule
+    if isinstance(schedule, StandardSchedule) or spec.done:
+        return None
+    planned = sum(stretch.duration for stretch in schedule.stretches)
+    recorded = sum(_recorded_s(log) for log in logs)
+    if recorded > planned - max(_MISSING_S, _MISSING * planned):
+        return None
+    left, until = recorded, 0.0
+    for stretch in schedule.stretches:
+        until = stretch.start + min(left, stretch.duration)
+        left -= stretch.duration
+        if left <= 0.0:
+            break
+    text = f"the log ends at {recorded:.4g} s of the plan's {planned:.4g} s ({recorded / planned:.0%})"
+    whole, part = requirement_rows(spec), requirement_rows(spec, until)
+    said = [_beside(one, other) for one, other in zip(part, whole, strict=True)]
+    return f"{text}: the executed part alone predicts, by the named terms, {'; '.join(said)}" if said else text
+
+
+def _recorded_s(log: Log) -> float:
+    """Time of all unbroken stretches."""
+    steps = np.diff(log.time_s, prepend=log.time_s[:1])
+    steps[log.stretch_starts] = 0.0
+    return float(steps.sum())
+
+
+def _beside(part: RequirementRow, whole: RequirementRow) -> str:
+    left, planned = ("nothing" if v is None else f"{v:.4g} {part.unit}" for v in (part.decisive, whole.decisive))
+    return f"{left} of {part.name} (the whole plan {planned})"
+
+
+class MeasuredDiscrepancy(NamedTuple):
+    """The discrepancy of one map and axis, from `units` units together: standard deviation (`unit`) of the coefficients
+    beyond the structure, with its 95 % interval (`high` None: unbounded). `block`: its table in a spec."""
+
+    quantity: str
+    axis: str
+    units: int
+    unit: str
+    standard_deviation: float
+    low: float
+    high: float | None
+    block: str
+
+
+def structure_tests(spec: Spec, readings: ImuReadings, solution: ImuEstimate) -> Iterator[tuple[str, StructureTest]]:
+    """The test of each polynomial map of each gyro of an estimate, with the name of its channel."""
+    model = readings.model
+    for number, channel in enumerate(model.channels):
+        if channel.kind != "gyro":
+            continue
+        for term, level in hidden_maps(spec, channel.model):
+            white = solution.white.without(model.where("gyro", channel.axis, term.name))
+            # A discrepancy that the spec states is no contradiction of it, up to its size.
+            stated = 0.0 if channel.model.term(term.name) is None else float(term.std)
+            test = structure_test(white, readings.whitened_term(number, term), term, level, stated)
+            if test is not None:
+                yield channel.name, test
+
+
+def structure_in_words(test: StructureTest) -> str:
+    """A sentence on the degrees of a map that the data need."""
+    assert test.asked is not None
+    of_temperature, of_rate = test.asked
+    degree = f"degree {of_temperature} in temperature" + (f" and {of_rate} in rate" if test.quantity != BIAS else "")
+    return (
+        f"the {test.quantity.replace('_', ' ')} has more structure than the model (chance "
+        f"{test.test.probability:.1g}): {degree} fits significantly better"
+    )
+
+
+def discrepancies(spec: Spec, tests: Iterable[tuple[str, StructureTest]]) -> Iterator[MeasuredDiscrepancy]:
+    """The discrepancy of each map and channel, from all units together; `tests` with the names of their channels."""
+    of_map: dict[tuple[str, str], list[StructureTest]] = {}
+    for channel, test in tests:
+        of_map.setdefault((channel, test.quantity), []).append(test)
+    for (channel, quantity), own in of_map.items():
+        size = size_of([test.components for test in own])
+        if size is None:
+            continue
+        of = tested_maps(spec)[quantity]
+        unit, factor = UNIT_OF[quantity]
+        high = None if size.high is None else size.high * factor
+        degrees = f"temperature_degree = {of.temperature_degree}"
+        degrees += "" if quantity == BIAS else f", rate_degree = {of.rate_degree}"
+        std = f'standard_deviation = "{size.std * factor:.3g} {unit}"'
+        block = f"[sensor.gyro.{quantity}]\ndiscrepancy = {{ {std}, {degrees} }}"
+        stated = (size.std * factor, size.low * factor, high)
+        yield MeasuredDiscrepancy(quantity, channel[-1], len(own), unit, *stated, block if size.std else "")
+
+
+def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str]) -> list[str]:
+    """A sentence on the readings with the smallest robust weights; `names`: the channel of each reading."""
+    low = np.argsort(weights)[: np.count_nonzero(weights < 1.0)]
+    if not len(low):
+        return []
+    named = ", ".join(f"{names[k]} at {time_s[k]:.6g} s" for k in low[:5])
+    return [f"{len(low)} of {len(weights)} readings have less than full weight, the least {named}"]
+
+
+def excess_of(tests: Consistency) -> float:
+    """The factor by which residuals exceed the spec's noise where the χ² test fails; otherwise 1."""
+    return max(1.0, tests.noise_scale) if not tests.fit.passed and tests.fit.degrees > 0 else 1.0
+
+
+def not_valid(contradicted: Sequence[str]) -> list[str]:
+    """A sentence on tests that fail, where any does."""
+    if not contradicted:
+        return []
+    return [f"not valid: {'; '.join(contradicted)}: the data contradict the model, and no stated uncertainty holds"]
+
+
+def noise_sentences(tests: Consistency, larger: bool, what: str) -> list[str]:
+    """A sentence where the residuals are `larger`, or far smaller, than the spec's noise says."""
+    if larger:
+        return [
+            f"the residuals are {tests.noise_scale:.3g} times as large as the spec's noise says: the model lacks "
+            "something, or the noise figures are too small; requirements are judged with the larger noise"
+        ]
+    if tests.fit.probability <= 1.0 - 1e-3:
+        return []
+    return [
+        f"the residuals are only {tests.noise_scale:.3g} times what the spec's noise says: its figures are larger than "
+        f"this {what}'s"
+    ]

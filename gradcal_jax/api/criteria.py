@@ -4,11 +4,10 @@ from typing import Literal
 
 import numpy as np
 
-from gradcal_jax.api.missions import earth_gain, flights_of
+from gradcal_jax.api.imu_residual import box, earth_gain, flights_of
 from gradcal_jax.api.verdicts import mission_weights
 from gradcal_jax.design import Criterion, polynomial_grid
 from gradcal_jax.files.requirement import (
-    GyroScaleFactorRequirement,
     MissionHeadingRequirement,
     NorthRequirement,
     Requirement,
@@ -17,19 +16,6 @@ from gradcal_jax.information import contrasts
 from gradcal_jax.information.missions import mission_contrasts, mission_rows
 from gradcal_jax.information.residual import Contrasts, Statistic, map_of
 from gradcal_jax.model import BIAS, SCALE_FACTOR, HigherPolynomials, Map, Polynomial, SensorModel
-
-
-def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side; for missions
-    their indices."""
-    if isinstance(requirement, MissionHeadingRequirement):
-        return np.arange(float(len(requirement.mission))), np.zeros(1)
-    cold, warm = requirement.temperature
-    temperatures = np.linspace(float(cold), float(warm), min(most or requirement.grid[0], requirement.grid[0]))
-    if not isinstance(requirement, GyroScaleFactorRequirement):
-        return temperatures, np.zeros(1)
-    slow, fast = requirement.rate
-    return temperatures, np.linspace(float(slow), float(fast), min(most or requirement.grid[1], requirement.grid[1]))
 
 
 def contrasts_of(

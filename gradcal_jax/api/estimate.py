@@ -4,7 +4,6 @@ The spec describes the noise, the table and the terms; the executed motion is re
 """
 
 import itertools
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import MappingProxyType
@@ -13,26 +12,32 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax.api.contract_rows import (
-    judged_by_data,
-)
+from gradcal_jax.api.contract_rows import coefficient_rows, finite, judged_by_data, requirement_fields
 from gradcal_jax.api.contradictions import (
+    MeasuredDiscrepancy,
+    RecordFaults,
     beyond_the_data,
+    counting_less,
     diagnosis_sentences,
+    discrepancies,
+    excess_of,
+    lacks_of,
+    noise_sentences,
+    not_valid,
     omitted_sentences,
     refuse_other_units,
+    structure_in_words,
+    structure_tests,
+    without_bad_rows,
 )
-from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.estimate_options import Lag, Options
 from gradcal_jax.api.estimated_calibration import calibration_of, tests_by_name
-from gradcal_jax.api.executed_part import lacks_of
-from gradcal_jax.api.fit_of_log import points_of
-from gradcal_jax.api.fitted_lag import Lag
-from gradcal_jax.api.fitted_rows import FittedRows, Recorded, fit_of, together
+from gradcal_jax.api.fit_of_log import FittedRows, Recorded, fit_of, points_of, together
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.imu_residual import internal_misalignments
-from gradcal_jax.api.log_rows import count_rows, with_options
-from gradcal_jax.api.path_candidates import HEATING_AGAINST_COOLING
+from gradcal_jax.api.log_rows import count_rows, imu_rows, with_earth, with_options
 from gradcal_jax.api.path_dependence import (
+    HEATING_AGAINST_COOLING,
     BiasCurve,
     PathDependence,
     bias_curves,
@@ -40,9 +45,6 @@ from gradcal_jax.api.path_dependence import (
 )
 from gradcal_jax.api.plan_sentences import one_way_sentences
 from gradcal_jax.api.prediction import requirement_row
-from gradcal_jax.api.record_faults import RecordFaults, without_bad_rows
-from gradcal_jax.api.recorded_rows import imu_rows
-from gradcal_jax.api.structure_tests import MeasuredDiscrepancy, discrepancies, structure_in_words, structure_tests
 from gradcal_jax.api.systematic import (
     EstimatedRun,
     budget_of_estimate,
@@ -62,9 +64,7 @@ from gradcal_jax.estimation import (
     Test,
 )
 from gradcal_jax.files.absent import branch_sentences
-from gradcal_jax.files.calibration import (
-    Calibration,
-)
+from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.calibration.correction import correct_triads
 from gradcal_jax.files.changes import along_axis
 from gradcal_jax.files.contracts import RequirementRow
@@ -72,13 +72,12 @@ from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.places import places_of, specs_at_places
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.information import Posterior, segments_of
 from gradcal_jax.model import AXIS_NAMES, KINDS
+from gradcal_jax.units import DEG_PER_S, PPM
 
 # Steps to which the ranges of a calibration are rounded, outwards.
 _TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
@@ -306,22 +305,6 @@ def _prepared(spec: Spec, logs: Sequence[Log], units: Sequence[str], options: Op
     return _Prepared(built, logs, names, options, said, lacks, faults, omitted_noise_of_imu(built))
 
 
-def with_earth(spec: Spec, earth_rate: float) -> Spec:
-    """The spec of a gyro along its table's only axis, at the latitude at which an axis that points up has that rate of
-    the Earth (rad/s). Raises `ValueError` for other specs, whose rate of the Earth changes with the table's angles."""
-    gyro, hung = spec.sensor.gyro, spec.rig.table.mounting[0]
-    along = "" if gyro is None or not spec.is_one_axis else str(getattr(hung, gyro.axes[0]))
-    if along not in ("+z", "-z"):
-        raise ValueError(
-            "--earth-rate and --latitude are for one gyro along a table's only axis that points up: for others the "
-            "spec has [rig.site] latitude"
-        )
-    up = earth_rate if along == "+z" else -earth_rate
-    latitude = math.asin(max(-1.0, min(up / EARTH_RATE, 1.0)))
-    site = spec.rig.site.model_copy(update={"latitude": Quantity.of(latitude, "deg")})
-    return spec.model_copy(update={"rig": spec.rig.model_copy(update={"site": site})})
-
-
 def report_of(
     fitted: FittedRows,
     logs: Sequence[Log],
@@ -353,7 +336,7 @@ def report_of(
     if moves.max(initial=0) >= _FEWEST_MOVES:
         subsets["odd moves against even ones"] = moves % 2 == 1
     few = {key: value for key, value in subsets.items() if 0.1 < np.mean(value) < 0.9}
-    tests = estimation.consistency(solution.estimate, solution.white, 0, few, model.to_reported, solution.taken)
+    tests = estimation.consistency(solution.estimate, solution.white, few, model.to_reported, solution.taken)
     channels: dict[str, tuple[Test, Test]] = {}
     for i, c in enumerate(model.channels):
         left, taken = solution.residuals_of(i), solution.taken[solution.channel == i]
@@ -396,7 +379,7 @@ def report_of(
     if options.neighbours_k is not None:
         neighbours = estimation.neighbours_of(readings, solution, options.neighbours_k)
         alone = () if neighbours else ("no move has a rest right before and after it, so there are no neighbours",)
-    counts = _counts(logs, name, done) if points is None else {"used": int(np.count_nonzero(~points.done.broken))}
+    counts = _counts(logs, name, done) if points is None else {"used": int(np.count_nonzero(~points.line.gap))}
     beside_tests = lag, path, smoothness, neighbours, counts, structure, bias_curves(readings, solution)
     report = SensorEstimate(
         name, built, done, solution, calibration, requirements, tests, channels, *seen, (), *beside_tests
@@ -406,7 +389,7 @@ def report_of(
     of_path = () if path is None else path.sentences
     of_path = *of_path, *one_way_sentences(built, solution.known, done.motion.line), *branch_sentences(built.spec)
     beside = *of_path, *omitted_sentences(built.spec, temperature[record], lag.std is not None), *beyond
-    looks = diagnosis_sentences(solution.estimate.residuals[0], of_segment[at.row_segment][used], moved)
+    looks = diagnosis_sentences(solution.estimate.residuals, of_segment[at.row_segment][used], moved)
     told = _words(report, solution), looks if contradicted else []
     hidden = (f"{channel.replace('_', ' ')}: {structure_in_words(test)}" for channel, test in structure if test.noticed)
     if smoothness is not None and smoothness.at_edge:
@@ -424,10 +407,15 @@ def _covered(
     if line.rates:
         warm, fast = np.asarray(line.level)[whole], np.asarray(line.terms)[whole, 0]
     else:
-        warm = temperature[estimation.within(done.rows, whole, len(temperature))]
-        fast = rates[estimation.within(done.rows, whole & (done.motion.axis >= 0), len(rates))]
+        warm = temperature[_rows_within(done, whole, len(temperature))]
+        fast = rates[_rows_within(done, whole & (done.motion.axis >= 0), len(rates))]
     fast = np.concatenate([[0.0], fast[np.isfinite(fast)]])
     return _outwards(warm, _TEMPERATURE_STEP_K), _outwards(fast, _RATE_STEP_RAD_PER_S)
+
+
+def _rows_within(done: ExecutedImu, pieces: np.ndarray, count: int) -> np.ndarray:
+    """`(count,)`: whether a row lies in one of the chosen pieces."""
+    return estimation.within(np.stack([done.rows[:-1], done.rows[1:]], axis=1)[pieces], count)
 
 
 def _outwards(values: np.ndarray, step: float) -> tuple[float, float]:
@@ -439,7 +427,7 @@ def _outwards(values: np.ndarray, step: float) -> tuple[float, float]:
 def _counts(logs: Sequence[Log], name: str, done: ExecutedImu) -> dict[str, int]:
     """Numbers of rows of all logs: used, without a reference, and left out, by reason."""
     whole = ~np.asarray(done.motion.line.gap)
-    used = estimation.within(done.rows, whole, sum(len(log.time_s) for log in logs))
+    used = _rows_within(done, whole, sum(len(log.time_s) for log in logs))
     parts = np.split(used, np.cumsum([len(log.time_s) for log in logs])[:-1])
     counts: dict[str, int] = {}
     for log, own in zip(logs, parts, strict=True):
@@ -520,39 +508,81 @@ def _words(report: SensorEstimate, solution: ImuEstimate) -> list[str]:
     return sentences
 
 
-def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str]) -> list[str]:
-    """A sentence on the readings with the smallest robust weights; `names`: the channel of each reading."""
-    low = np.argsort(weights)[: np.count_nonzero(weights < 1.0)]
-    if not len(low):
-        return []
-    named = ", ".join(f"{names[k]} at {time_s[k]:.6g} s" for k in low[:5])
-    return [f"{len(low)} of {len(weights)} readings have less than full weight, the least {named}"]
+def estimate_rows(report: EstimateReport) -> dict[str, Any]:
+    """All numbers for `--json`."""
+    return {
+        "simulated": any(c.simulated for c in report.calibrations),
+        "as_wished": report.as_wished,
+        "discrepancies": [row._asdict() for row in report.discrepancies],
+        "units": [_sensor_rows(one) for one in report.sensors],
+    }
 
 
-def excess_of(tests: Consistency) -> float:
-    """The factor by which residuals exceed the spec's noise where the χ² test fails; otherwise 1."""
-    return max(1.0, tests.noise_scale) if not tests.fit.passed and tests.fit.degrees > 0 else 1.0
+def _sensor_rows(report: SensorEstimate) -> dict[str, Any]:
+    """All numbers of an estimate for `--json`, in SI unless they have a unit beside them."""
+    calibration, tests = report.calibration, report.consistency
+    return {
+        "unit": report.unit,
+        "simulated": calibration.simulated,
+        "readings": len(report.solution.weights),
+        "rows": dict(report.counts),
+        "parameters": coefficient_rows(calibration),
+        "covariance": None if calibration.covariance is None else calibration.covariance.model_dump(mode="json"),
+        "valid_temperature_c": [float(t) for t in calibration.valid_temperature],
+        "valid_rate_dps": [float(r) * DEG_PER_S for r in calibration.valid_rate],
+        "lag_s": report.lag.seconds,
+        "lag_std_s": report.lag.std,
+        "smoothness": _smoothness_rows(report.smoothness),
+        "neighbours": [_group_row(name, group) for name, own in report.neighbours.items() for group in own],
+        "down_weighted": int(np.count_nonzero(report.solution.weights < 1.0)),
+        "noise_scale": finite(tests.noise_scale),
+        "share_beyond_three_sigma": tests.beyond_three,
+        "largest_residual_sigma": tests.largest,
+        "table": [row.model_dump(mode="json") for row in calibration.table],
+        "requirements": [requirement_fields(row) for row in report.requirements],
+        "internal_misalignment": [row._asdict() for row in report.internal],
+        "gravity_rms_m_per_s2": report.gravity,
+        "tests": [row.model_dump(mode="json") for row in calibration.fit],
+        "structure": [
+            {
+                "channel": channel,
+                "quantity": t.quantity,
+                "test": t.test._asdict(),
+                "false_alarm": t.false_alarm,
+                "noticed": t.noticed,
+                "asked": t.asked,
+            }
+            for channel, t in report.structure
+        ],
+        "messages": list(report.messages),
+        "path": None if report.path is None else _path_rows(report.path),
+    }
 
 
-def not_valid(contradicted: Sequence[str], where: str = "") -> list[str]:
-    """A sentence on tests that fail, where any does."""
-    if not contradicted:
-        return []
-    return [
-        f"{where}not valid: {'; '.join(contradicted)}: the data contradict the model, and no stated uncertainty holds"
+def _smoothness_rows(chosen: Smoothness | None) -> list[dict[str, Any]] | None:
+    if chosen is None:
+        return None
+    return [{"channel": channel, "map": name, "std": std} for (channel, name), std in chosen.stds.items()]
+
+
+def _group_row(channel: str, group: Group) -> dict[str, Any]:
+    return {
+        "channel": channel,
+        "temperature_c": group.temperature_c,
+        "rate_dps": group.rate_rad_per_s * DEG_PER_S,
+        "moves": group.moves,
+        "scale_factor_ppm": group.scale_factor * PPM,
+        "standard_error_ppm": None if group.standard_error is None else group.standard_error * PPM,
+        "map_ppm": group.of_map * PPM,
+    }
+
+
+def _path_rows(path: PathDependence) -> dict[str, Any]:
+    """Half-differences of heating and cooling, and the terms that explain them, for `--json`, SI."""
+    differences = [
+        d._replace(**{k: getattr(d, k).tolist() for k in ("temperature_c", "value", "std")}) for d in path.differences
     ]
-
-
-def noise_sentences(tests: Consistency, larger: bool, what: str) -> list[str]:
-    """A sentence where the residuals are `larger`, or far smaller, than the spec's noise says."""
-    if larger:
-        return [
-            f"the residuals are {tests.noise_scale:.3g} times as large as the spec's noise says: the model lacks "
-            "something, or the noise figures are too small; requirements are judged with the larger noise"
-        ]
-    if tests.fit.probability <= 1.0 - 1e-3:
-        return []
-    return [
-        f"the residuals are only {tests.noise_scale:.3g} times what the spec's noise says: its figures are larger than "
-        f"this {what}'s"
-    ]
+    return {
+        "half_differences": [d._asdict() for d in differences],
+        "offers": [offer._asdict() for offer in path.offers],
+    }

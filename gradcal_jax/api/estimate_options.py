@@ -1,9 +1,11 @@
-"""How a log is estimated."""
+"""How a log is estimated, and the lag of the maps that was found."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from gradcal_jax.estimation import HUBER
+
+LONGEST_LAG_S = 1800.0
 
 
 @dataclass(frozen=True)
@@ -26,3 +28,31 @@ class Options:
     """Also group moves of one rate within this temperature difference, without a structure; K."""
     temperature_c: float | None = None
     """Temperature of a log without a thermometer, °C."""
+
+
+class Lag(NamedTuple):
+    """The lag of the maps, s; `std`: its standard deviation where it was fitted."""
+
+    seconds: float
+    std: float | None = None
+
+    @property
+    def doubts(self) -> list[str]:
+        """What speaks against a fitted lag, in sentences."""
+        if self.std is None:
+            return []
+        said: list[str] = []
+        if self.seconds > 0.99 * LONGEST_LAG_S:
+            said.append(f"the lag is at the longest allowed, {self.seconds:.0f} s: the data do not determine it")
+        if self.seconds < 2.0 * self.std:
+            said.append(
+                f"no lag of the maps shows: the estimate is {self.seconds:.2g} s, its uncertainty (1σ) {self.std:.2g} s"
+            )
+        return said
+
+    @property
+    def sentences(self) -> list[str]:
+        """What is said of a fitted lag."""
+        if self.std is None or self.doubts:
+            return self.doubts
+        return [f"the maps follow the temperature {self.seconds:.4g} s late (1σ {self.std:.2g} s)"]

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from gradcal_jax.api.contract_rows import fit_rows, provenance_of, random_walks, result_of_requirement, section_of
-from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.fitted_lag import Lag
+from gradcal_jax.api.estimate_options import Lag, Options
 from gradcal_jax.api.imu_build import BuiltImu
 from gradcal_jax.api.plan_sentences import prior_deviations, unobserved_parameters
 from gradcal_jax.estimation import Consistency, ImuEstimate, Test

@@ -3,27 +3,27 @@
 The motion is read from the log; the rates within a move are first the gyros' own, then corrected by the first estimate.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import optimize
 
 from gradcal_jax import estimation, trajectory
 from gradcal_jax.api.build import move_of
-from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible
+from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible, refuse_misaligned
+from gradcal_jax.api.estimate_options import LONGEST_LAG_S, Lag, Options
 from gradcal_jax.api.estimated_calibration import calibrated_channels
-from gradcal_jax.api.fitted_lag import Lag, fitted_lag
 from gradcal_jax.api.imu_build import BuiltImu, course_before
+from gradcal_jax.api.log_rows import read_by_events
 from gradcal_jax.api.plan_sentences import prior_deviations
-from gradcal_jax.api.recorded_rows import read_by_events
 from gradcal_jax.estimation import (
     ExecutedImu,
     ImuEstimate,
     ImuReadings,
     ImuRows,
     PlannedMove,
-    Plateaus,
     Smoothness,
     TablePoints,
 )
@@ -31,6 +31,33 @@ from gradcal_jax.files.calibration.correction import correct_triads
 from gradcal_jax.files.log import LogError
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.formulas import followed
+
+
+def fitted_lag(chi_squared: Callable[[float], float], degrees: int | None = None) -> Lag:
+    """The lag (s) of least χ², and its standard deviation from the curvature of χ². With `degrees` of freedom that is
+    widened where the fit with that lag does not hold, by the root of χ² for each of them."""
+    known: dict[float, float] = {}
+
+    def value(lag: float) -> float:
+        if lag not in known:
+            known[lag] = chi_squared(lag)
+        return known[lag]
+
+    grid = [0.0, *np.geomspace(5.0, LONGEST_LAG_S, 12).tolist()]
+    values = [value(lag) for lag in grid]
+    best = int(np.argmin(values))
+    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    minimum: Any = optimize.minimize_scalar(value, bounds=(low, high), method="bounded", options={"xatol": 0.01})
+    lag = float(minimum.x) if minimum.fun < values[best] else grid[best]
+    # Three different lags, also where the minimum is at zero.
+    width = max(0.05 * lag, 1.0)
+    around = max(lag - width, 0.0) + width * np.arange(3.0)
+    bend = np.polyfit(around, [value(x) for x in around], 2)[0]
+    misfit = max(value(lag) / degrees, 1.0) if degrees else 1.0
+    return Lag(lag, float(np.sqrt(misfit / bend)) if bend > 0.0 else float("inf"))
+
 
 # Standard deviations by which a coefficient must be beyond what a device has.
 _SURE = 3.0
@@ -74,9 +101,9 @@ def lag_of_maps(built: BuiltImu, name: str, rows: ImuRows, temperature_of: Calla
 
     def chi_squared(lag: float) -> float:
         of = readings._replace(temperature_c=temperature_of(lag))
-        return float(estimation.solve_imu(of, solution.parameters).estimate.chi_squared[0])
+        return float(estimation.solve_imu(of, solution.parameters).estimate.chi_squared)
 
-    return fitted_lag(chi_squared, int(solution.estimate.degrees[0]))
+    return fitted_lag(chi_squared, solution.estimate.degrees)
 
 
 def fitted_twice(
@@ -169,7 +196,7 @@ def _read(
     if not checked:
         return Fit(done, readings, solution, seen.rates)
     _refuse_the_implausible(built, name, solution)
-    scale = float(np.sqrt(solution.estimate.chi_squared[0] / max(int(solution.estimate.degrees[0]), 1)))
+    scale = float(np.sqrt(solution.estimate.chi_squared / max(solution.estimate.degrees, 1)))
     if scale > _ABSURD:
         raise LogError(
             f"{name}: the unit's readings differ from the table's by {scale:.3g} times what noise explains: are the "
@@ -181,17 +208,15 @@ def _read(
 def _executed(built: BuiltImu, seen: ImuRows, points: TablePoints | None) -> ExecutedImu:
     """The executed motion by the rates of `seen`. Raises `ValueError`."""
     encoder, geometry = built.model.encoder, built.motion.geometry
-    if points is not None:
-        return estimation.motion_at_points(points.done, seen, geometry)
-    if isinstance(built.spec.plan, StandardPlan):
-        return estimation.motion_at_points(points_of(built, seen).done, seen, geometry)
+    if points is not None or isinstance(built.spec.plan, StandardPlan):
+        return estimation.motion_at_points(points or points_of(built, seen), seen, geometry)
     if read_by_events(built.spec):
         return estimation.motion_by_readings(seen, geometry)
     spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
     return estimation.executed_imu(seen, geometry, planned=planned_moves(built), **spacing)
 
 
-def points_of(built: BuiltImu, rows: ImuRows) -> Plateaus:
+def points_of(built: BuiltImu, rows: ImuRows) -> TablePoints:
     """The points of the standard method in a log's rows. Raises `ValueError` where there are none."""
     plan = built.spec.schedule
     assert isinstance(plan, StandardSchedule)
@@ -210,7 +235,7 @@ def planned_moves(built: BuiltImu) -> list[list[PlannedMove]]:
             if step.axis < 0:
                 groups.append([])
                 continue
-            turn = move_of(replace(step.move, axis="x"), None, np.inf)
+            turn = move_of(step.move)
             line = trajectory.gradient_plan(trajectory.programme(0.0, [(turn.duration, 0.0)]), (turn,)).trajectory()
             begun = np.cumsum(line.turned()) - line.turned()
             piece = np.clip(np.searchsorted(line.start, places * turn.duration, side="right") - 1, 0, len(begun) - 1)
@@ -220,3 +245,76 @@ def planned_moves(built: BuiltImu) -> list[list[PlannedMove]]:
     # The cycle begins anew where it ends.
     groups[0] = [*groups.pop(), *groups[0]] if len(groups) > 1 else groups[0]
     return [group for group in groups if group]
+
+
+class Recorded(NamedTuple):
+    """The rows of one sensor, and messages on them. `points`: they are those of a table of points."""
+
+    rows: ImuRows
+    messages: tuple[str, ...]
+    points: TablePoints | None = None
+
+    def with_message(self, message: str) -> "Recorded":
+        """The same, with a message more."""
+        return self._replace(messages=(*self.messages, message))
+
+
+class FittedRows(NamedTuple):
+    """The fit of one sensor's rows, the temperature of its maps (°C) and their lag."""
+
+    built: BuiltImu
+    recorded: Recorded
+    temperature: np.ndarray
+    fit: Fit
+    smoothness: Smoothness | None
+    lag: Lag
+
+
+def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> FittedRows:
+    """The fit of one sensor's rows."""
+    rows, messages, points = recorded
+    temperature_of = lambda lag: followed(rows.temperature_c, rows.time_s, rows.stretch_starts, lag)  # noqa: E731
+    stable = isinstance(built.spec.plan, StandardPlan)
+    model = built.model
+    refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), model.channels)
+    threshold = options.threshold if options.robust else None
+    if options.lag != "fit":
+        lag = Lag(float(options.lag))
+    elif stable:
+        lag = Lag(0.0)
+        messages = *messages, "at stable temperatures a lag cannot be estimated: it is taken as zero"
+    else:
+        lag = lag_of_maps(built, name, rows, temperature_of)
+    temperature = temperature_of(lag.seconds)
+    fit, smoothness = fitted_twice(built, name, rows, temperature, threshold, points), None
+    if options.smoothness == "auto":
+        built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
+    return FittedRows(built, recorded._replace(messages=messages), temperature, fit, smoothness, lag)
+
+
+def together(spec: Spec, fits: Mapping[str, FittedRows]) -> dict[str, FittedRows]:
+    """The fits of the IMUs of a fixture, with what all of them say of the table, and messages on it."""
+    try:
+        joint = estimation.solve_together(
+            [of.fit.readings for of in fits.values()],
+            [of.fit.solution for of in fits.values()],
+            clock=spec.sensor.takes_host_clock,
+        )
+    except ValueError as error:
+        message = f"not estimated together with the other IMUs of the fixture: {error}"
+        return {name: of._replace(recorded=of.recorded.with_message(message)) for name, of in fits.items()}
+    common = f"estimated together with {len(fits) - 1} other IMUs, which share the table and its encoders"
+    found: dict[str, FittedRows] = {}
+    for (name, of), solution, test in zip(fits.items(), joint.solutions, joint.agreement, strict=True):
+        messages = [common]
+        if test is not None and not test.passed:
+            messages.append(
+                f"contradicts the other IMUs: the table that it sees differs from theirs (χ² {test.statistic:.4g}, "
+                f"{test.degrees} degrees of freedom): does it sit firmly, and at the right "
+                "place? Estimate the others without it"
+            )
+        recorded = of.recorded
+        for message in messages:
+            recorded = recorded.with_message(message)
+        found[name] = of._replace(fit=of.fit._replace(solution=solution), recorded=recorded)
+    return found

@@ -62,7 +62,7 @@ def optimise(
 
 def limit(spec: Spec) -> list[PlanLimit]:
     """The proven lower limit on the residual of any plan on this rig in this time, for every requirement of a gradient
-    plan that has a proof (`gradcal_jax.api.axis_limit`, `gradcal_jax.api.imu_limit`).
+    plan that has a proof (`gradcal_jax.api.axis_limit`, `gradcal_jax.api.limit`).
 
     Each `api.limit.PlanLimit` has `certified` (proven) and `value` (of the spec's own plan) in `unit`, the plan's
     `efficiency`, and `relaxed`: the limits of the rig that the proof leaves out. The derivation for a scale factor, a

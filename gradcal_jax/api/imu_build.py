@@ -119,8 +119,7 @@ def build_imu(
     if too := too_large(spec):
         raise MemoryError(too)
     model_, sources = _model_and_sources(spec)
-    terms = (t for c in model_.channels for t in c.model.terms)
-    bases = [t.temperature for t in terms if isinstance(t, Map | SignalMap | Discrepancy)]
+    bases = [t.temperature for t in model_.terms if isinstance(t, Map | SignalMap | Discrepancy)]
     degree = max(b.degree if isinstance(b, Polynomial | BSpline | HigherPolynomials) else 0 for b in bases)
     # A lagging unit's exponentials, and transients, are no polynomials; a play is linear in T on each piece.
     own = any(isinstance(t, OwnTerm) for c in model_.channels for t in c.model.terms)
@@ -426,7 +425,7 @@ def _motion(parts: Sequence[tuple[TablePart, float]], spec: Spec, of: ImuModel) 
     smooth = trajectory.divided_motion(motion, *_breaks(of), *fine)
     if not of.knows_path:
         return smooth
-    plays = [term for c in of.channels for term in c.model.terms if isinstance(term, Hysteresis)]
+    plays = [term for term in of.terms if isinstance(term, Hysteresis)]
     widths = tuple(sorted({float(term.width) for term in plays}))
     on_path = replace(smooth, history=course_before(spec), others=of.others)
     return trajectory.motion_divided_by_plays(on_path, widths, *fine)
@@ -434,15 +433,14 @@ def _motion(parts: Sequence[tuple[TablePart, float]], spec: Spec, of: ImuModel) 
 
 def _decays(of: ImuModel) -> list[float]:
     """The rates (1/s) at which exponentials in a model's columns decay."""
-    terms = [term for c in of.channels for term in c.model.terms]
-    transients = [1.0 / float(term.time_constant) for term in terms if isinstance(term, TurnOnTransient)]
+    transients = [1.0 / float(term.time_constant) for term in of.terms if isinstance(term, TurnOnTransient)]
     return transients + [1.0 / other.lag for other in of.others if other.lag]
 
 
 def _divisions(spec: Spec, of: ImuModel, built: BuiltImu) -> tuple[object, ...]:
     """What divides the motion of a plan into pieces, and the nodes of these, for other error terms than it was built
     for."""
-    path = [term for c in of.channels for term in c.model.terms if isinstance(term, PathTerm)]
+    path = [term for term in of.terms if isinstance(term, PathTerm)]
     times = of.others, [(type(term), term.name) for term in path]
     return spec.sensor.lag, times, _breaks(of), _fineness(spec, of, built.motion.line)
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from gradcal_jax.api.ieee_terms import term_map
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
+from gradcal_jax.api.plan_sentences import in_words
 from gradcal_jax.display import summary
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.calibration import CalibratedChannel, CalibratedTerm, Calibration
@@ -20,7 +21,6 @@ _TEMPERATURES, _RATES = 41, 9
 _UNSEEN = 1e-12
 # A sixth of a lot may be strangers: more of them are a group.
 _STRANGERS: Final = 6
-NUMBERS: Final = ("no", "one", "two", "three", "four", "five", "six")
 
 
 class Stranger(NamedTuple):
@@ -273,8 +273,7 @@ def _findings(of: LotMap, beyond: str | None) -> Iterator[str]:
         yield f"{what}: its mean does not differ from zero"
     if of.shape_count is None:
         most = last.shapes
-        names = NUMBERS[most] if most < len(NUMBERS) else str(most)
-        shapes = f"{names} shape{'' if most == 1 else 's'}" if most else "one map for all"
+        shapes = f"{in_words(most)} shape{'' if most == 1 else 's'}" if most else "one map for all"
         yield (
             f"{what}: the shapes do not repeat ({shapes} and {n} IMUs: {test}), so the lot says of the next IMU's map "
             "no more than its size; no prior is written"
@@ -287,10 +286,9 @@ def _findings(of: LotMap, beyond: str | None) -> Iterator[str]:
     elif of.shape_count == 0:
         yield f"{what}: no spread is seen beyond the calibrations' own uncertainty (one map for all: {test})"
     else:
-        names = NUMBERS[of.shape_count] if of.shape_count < len(NUMBERS) else str(of.shape_count)
         repeat = "shape repeats" if of.shape_count == 1 else "shapes repeat"
-        share = sum(of.shares[: of.shape_count])
-        yield f"{what}: {names} {repeat}, with {100.0 * share:.3g} % of the spread's variance ({test})"
+        share = 100.0 * sum(of.shares[: of.shape_count])
+        yield f"{what}: {in_words(of.shape_count)} {repeat}, with {share:.3g} % of the spread's variance ({test})"
     if beyond == "few" and len(of.serial_numbers) >= lots.FEW:
         yield f"{what}: {n} IMUs are too few for a prior"
     elif beyond == "unclear":

@@ -367,19 +367,19 @@ def _too_few(built: BuiltImu, axes: np.ndarray, channel: Channel) -> list[str]:
         rates, needed = _distinct_rates(built, axes, channel.axis), scale.rate.size
         if rates is not None and rates < needed:
             cures.append(
-                f"{_number(rates)} distinct {'rate' if rates == 1 else 'rates'} for {_number(needed)} coefficients in "
-                f"rate: add a turn at {'a second' if rates == 1 else 'another'} rate"
+                f"{in_words(rates)} distinct {'rate' if rates == 1 else 'rates'} for {in_words(needed)} coefficients "
+                f"in rate: add a turn at {'a second' if rates == 1 else 'another'} rate"
             )
     most = max(term.temperature.size for term in maps)
     line, schedule = built.motion.line, built.spec.schedule
     begin, end = (e[~line.gap] for e in line.ends())
     if max(begin.max(), end.max()) - min(begin.min(), end.min()) < 1.0:
         if most > 1:
-            cures.append(f"one temperature for {_number(most)} coefficients in temperature: go through a range")
+            cures.append(f"one temperature for {in_words(most)} coefficients in temperature: go through a range")
     elif isinstance(schedule, StandardSchedule) and (visited := len(set(schedule.temperatures))) < most:
         cures.append(
-            f"{_number(visited)} temperatures for {_number(most)} coefficients in temperature: add "
-            f"{_number(most - visited)}"
+            f"{in_words(visited)} temperatures for {in_words(most)} coefficients in temperature: add "
+            f"{in_words(most - visited)}"
         )
     return cures
 
@@ -435,7 +435,8 @@ def _when_tilted(built: BuiltImu) -> str:
     return "" if now is None else f": '{wanted.name}' is then {now:.3g} ppm"
 
 
-def _number(count: int) -> str:
+def in_words(count: int) -> str:
+    """A small number as a word, a larger one as it is."""
     words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
     return words[count] if count < len(words) else str(count)
 

@@ -1,41 +1,47 @@
-"""The prediction of a spec, as the contract gradcal-prediction/1."""
+"""The prediction of a spec, as the contract gradcal-prediction/1, and its Monte Carlo simulation."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.error_budget import ErrorBudget, limited_by
-from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, unweighted_estimator
 from gradcal_jax.api.imu_residual import (
     ImuResidual,
     errors_of,
     imu_residual,
+    mission_table,
+    own_noise_of,
     quantity_of,
     together,
 )
-from gradcal_jax.api.missions import mission_table, own_noise_of
 from gradcal_jax.api.plan_sentences import plan_warnings
 from gradcal_jax.api.scenarios import extremes
 from gradcal_jax.api.systematic import CountedPosteriors, budget_of_imu, shares_of_variance
 from gradcal_jax.api.tested_maps import noticing
 from gradcal_jax.api.verdicts import UNIT_OF, decision_rule, mission_weights, run_of, target_of, verdict_of
+from gradcal_jax.display import summary
 from gradcal_jax.files import Prediction
 from gradcal_jax.files.absent import absent_terms, with_typical
 from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, PlaceRow, RequirementRow
 from gradcal_jax.files.places import specs_at_places
-from gradcal_jax.files.requirement import (
-    GyroScaleFactorRequirement,
-    MissionHeadingRequirement,
-    Requirement,
-)
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.information import STATISTICS, Posterior
+from gradcal_jax.information import (
+    STATISTICS,
+    Posterior,
+    WishartTest,
+    estimator_of_means,
+    imu_system,
+    simulated_errors,
+    wishart_test,
+)
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
 from gradcal_jax.information.residual import Statistic, statistic_of_each
-from gradcal_jax.model import Discrepancy
+from gradcal_jax.model import Discrepancy, ImuModel
 
 # The chances of keeping a target are computed on a grid of at most this many temperatures and rates.
 _GRID = 41
@@ -209,10 +215,7 @@ def _of_plan(built: BuiltImu, known: Posterior) -> dict[str, Any]:
     """The part of a prediction that is common to all plans: title, times, the reported parameters and their
     covariance."""
     spec, model = built.spec, built.model
-    terms = [term for c in model.channels for term in c.model.terms]
-    # A calibration carries no discrepancy.
-    carried = np.concatenate([np.full(term.size, not isinstance(term, Discrepancy)) for term in terms])
-    own = np.flatnonzero(carried)
+    own = np.flatnonzero(_carried(model))
     names, units = ([of[k] for k in own] for of in (model.names(), model.units()))
     reported = model.to_reported[own]
     deviations = known.deviations(reported)
@@ -226,6 +229,11 @@ def _of_plan(built: BuiltImu, known: Posterior) -> dict[str, Any]:
         "parameters": tuple(rows),
         "covariance": tuple(map(tuple, covariance.tolist())),
     }
+
+
+def _carried(model: ImuModel) -> np.ndarray:
+    """Which of the unit's own parameters a calibration has: all but those of discrepancies."""
+    return np.concatenate([np.full(term.size, not isinstance(term, Discrepancy)) for term in model.terms])
 
 
 def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Requirement) -> RequirementRow:
@@ -342,3 +350,52 @@ def _checked(requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
             )
         }
     return {"check": CheckRow(**global_risks(row.worst, row.worst, row.target, acceptance)._asdict())}
+
+
+class TwinRow(NamedTuple):
+    """One requirement: its statistic as predicted and over the simulated runs, in `unit`."""
+
+    name: str
+    axis: str
+    unit: str
+    predicted: float
+    simulated: float
+
+    __repr__ = summary
+
+
+def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], dict[str, WishartTest]]:
+    """Simulate `runs` calibrations of a spec's plan. Returns a row for each requirement (ppm, deg/h; in its own unit),
+    and for all channels together the test of the sample covariance against the predicted one (likelihood ratio of a
+    Wishart matrix).
+
+    Errors: `ValueError` for fewer runs than parameters, and where the plan leaves something unobservable.
+    """
+    spec = expect_spec(spec)
+    built = build_imu(spec)
+    model, motion, nodes = built.model, built.motion, built.body_nodes()
+    _enough(runs, model.size)
+    steps, columns = imu_system(motion, model, nodes)
+    carried = np.pad(_carried(model), (0, model.size - model.calibrated), constant_values=True)
+    known, plain = imu_posterior(built), None
+    if unweighted_estimator(spec):
+        plain = estimator_of_means(motion, model, steps, columns), known
+    twin = simulated_errors(steps, np.asarray(columns), model.prior_rows(), carried, runs, seed, plain=plain)
+    found = Posterior(twin.left.T / np.sqrt(len(twin.left)), np.zeros((model.size, 0)))
+    rows: list[TwinRow] = []
+    for requirement in spec.requirement:
+        quantity = quantity_of(built, requirement)
+        one, other = quantity.residual(known), quantity.residual(found, whole=True)
+        values = (of.finite_statistic() for of in (one, other))
+        rows.append(TwinRow(requirement.name, requirement.axis, one.unit, *values))
+    own = model.calibrated if plain is not None else model.size
+    believed = Posterior(twin.predicted.spread[:own], twin.predicted.hidden[:own])
+    return rows, {"all": wishart_test(twin.errors[:, :own], believed)}
+
+
+def _enough(runs: int, parameters: int) -> None:
+    """Raise `ValueError` for too few runs."""
+    if runs < 2 * parameters:
+        raise ValueError(
+            f"{runs} runs cannot test a covariance of {parameters} parameters: ask for {2 * parameters} or more"
+        )

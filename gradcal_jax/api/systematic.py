@@ -294,16 +294,10 @@ def budget_of_estimate(
     built: BuiltImu, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
 ) -> CountedPosteriors:
     """The posteriors of an estimate. `noise`: of `omitted_noise_of_imu`."""
-    figures = (
+    named, complete = (
         _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
     )
-    return _estimated(built, known, done, noise, terms_of_imu(built), *figures)
-
-
-def _estimated(
-    built, known: Posterior, done: EstimatedRun, noise, terms, named: SystematicFigures, complete: SystematicFigures
-) -> CountedPosteriors:
-    size = built.model.size
+    size, terms = built.model.size, terms_of_imu(built)
     own, whole = (columns_of(figures, terms, size, done.ramp, done) for figures in (named, complete))
     turn_on = another_run(complete, terms, size)
     left = widened(known, own)
@@ -326,11 +320,8 @@ def counted_criterion(criterion: Criterion, built: Assembled) -> Criterion:
 def floor_of_plan(spec: Spec) -> tuple[BuiltImu, Posterior]:
     """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
     built = build_imu(spec)
-    return built, _alone(built.model.size, columns_of_imu(built))
-
-
-def _alone(size: int, columns: Mapping[str, np.ndarray]) -> Posterior:
-    return widened(Posterior(np.zeros((size, 0)), np.zeros((size, 0))), columns)
+    nothing = np.zeros((built.model.size, 0))
+    return built, widened(Posterior(nothing, nothing), columns_of_imu(built))
 
 
 def shares_of_variance(

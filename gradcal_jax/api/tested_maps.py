@@ -24,16 +24,7 @@ from gradcal_jax.information import (
     square_root,
     where_hidden,
 )
-from gradcal_jax.model import (
-    AXIS_NAMES,
-    BIAS,
-    DISCREPANCY,
-    SCALE_FACTOR,
-    Discrepancy,
-    ImuModel,
-    SensorModel,
-    make_map,
-)
+from gradcal_jax.model import AXIS_NAMES, BIAS, DISCREPANCY, SCALE_FACTOR, Discrepancy, ImuModel, SensorModel, make_map
 
 FALSE_ALARM = 0.01
 """Level of the test where the spec's [design] has no other."""

@@ -33,14 +33,7 @@ from gradcal_jax.files.motion_plan import PlanSchedule, PlanStep
 from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.sensor import (
-    AccelerometerTriad,
-    Bias,
-    GyroTriad,
-    ScaleFactor,
-    ScaleFactorDiscrepancy,
-    Sensor,
-)
+from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy, Sensor
 from gradcal_jax.files.spec import expect_whole
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import segments_of

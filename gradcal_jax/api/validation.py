@@ -10,13 +10,13 @@ force and rate at rest are gravity and the Earth's rate.
 
 import itertools
 import math
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from gradcal_jax import estimation, formulas
-from gradcal_jax.api.branches import BRANCHES, branch_of
-from gradcal_jax.api.log_rows import count_rows, table_axis_of, table_readings, usable_rows
+from gradcal_jax.api.log_rows import BRANCHES, branch_of, count_rows, table_axis_of, table_readings, usable_rows
 from gradcal_jax.display import summary
 from gradcal_jax.files.calibration import LOG_HASH, TEMPERATURE_RATE, Calibration, Result, correction
 from gradcal_jax.files.log import Log, LogError
@@ -28,6 +28,8 @@ from gradcal_jax.units import DEG_PER_H, DEG_PER_S, PPM, G
 _BRIEF_S, _SAME_K = 1.0, 1.0
 # A turn is of one table axis where the others turn by less, rad.
 _OTHER_AXIS = 1e-4
+# Least turn that shows a scale factor, rad; parts of a move over whose temperatures is averaged.
+_LEAST_TURN, _PARTS = np.radians(1.0), 8
 _STRAIGHT = 0.98
 
 
@@ -154,83 +156,89 @@ def _judged(result: Result, cell: Cell) -> Acceptance:
     return Acceptance(result.name, result.axis, result.unit, target, error, std, risk, limit, verdict, rule)
 
 
+def _standstills(log: Log, unit: int) -> tuple[np.ndarray, list[str]]:
+    """The number of the standstill of every row (−1: none), and messages on how they were found."""
+    if log.standstill is not None:
+        return log.standstill, []
+    found = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
+    return found, ["the log marks no standstills: they were found where the rates are quiet"]
+
+
 def _axis(
     log: Log, corrected: Log, unit: int, axis: str, how: "_Ranges", earth_rate: float, table_axis: str | None
 ) -> AxisValidation:
-    messages: list[str] = []
-    column = log.axis_index(axis)
+    (number, messages), column = _standstills(log, unit), log.axis_index(axis)
     raw = log.rate_rad_per_s[unit, :, column]
     new = corrected.rate_rad_per_s[0, :, column]
     usable = usable_rows(log, unit) & np.isfinite(raw)
     table = table_axis_of(log, axis, table_axis)
-    if log.standstill is not None:
-        standing = log.standstill >= 0
-    else:
-        number = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
-        standing = number >= 0
-        messages.append("the log marks no standstills: they were found where the rates are quiet")
-    read, standing = table_readings(log, table, standing, np.inf, messages, every_kind=True)
+    read, standing = table_readings(log, table, number >= 0, np.inf, messages, every_kind=True)
     angle, reading, _ = read.at_rows(len(raw))
     temperature = log.temperature_c[unit] if log.temperature_c is not None else np.full(len(raw), np.nan)
-    done = estimation.executed(
-        log.time_s,
-        np.zeros_like(raw),  # temperatures of the executed motion are not needed here
-        np.where(usable, raw, 0.0),
-        angle,
-        standing,
-        usable,
-        reading,
-        longest_piece=np.inf,
-    )
-    step = np.diff(log.time_s, prepend=log.time_s[0])
-    moving = done.line.moving
-    integrals = [np.cumsum(np.where(usable, rates - earth_rate, 0.0) * step) for rates in (raw, new)]
-    sums = [np.diff(integral[done.rows]) for integral in integrals]
-    elapsed = np.diff(log.time_s[done.rows])
-    at = 0.5 * (temperature[done.rows[1:]] + temperature[done.rows[:-1]])
+    stops = [np.flatnonzero(reading[a:b]) + a for a, b in formulas.runs(standing | reading)]
+    stops = [rows for rows in stops if len(rows)]
+    if sum(map(len, stops)) < 2:
+        raise LogError("the log never stands still for two readings, so nothing can be read from it")
+    unusable, time = np.cumsum(~usable), log.time_s
+
+    def whole(spans: Iterable[tuple[int, int]]) -> np.ndarray:
+        """Spans from one reading to another, first and last row, in which every row may be integrated."""
+        return np.array([(a, b) for a, b in spans if unusable[a] == unusable[b]], int).reshape(-1, 2)
+
+    turns = whole((a[-1], b[0]) for a, b in itertools.pairwise(stops) if angle is not None)
+    still = whole(span for rows in stops for span in itertools.pairwise(rows))
+    used = estimation.within(np.concatenate([turns, still]), len(raw))
+    step = np.diff(time, prepend=time[0])
     branch = how.branch(temperature, log.time_s)
     cells: list[Cell] = []
-    moves = rests = 0
+    moves = 0
     scale = bias = None
+    # Turns with a stop of a single reading between them are one.
+    apart = turns[1:, 0] != turns[:-1, 1]
+    ends = np.append(True, apart)[: len(turns)], np.append(apart, True)[: len(turns)]
+    turns = np.stack([turns[end, k] for k, end in enumerate(ends)], axis=1)
     if angle is not None:
-        # First and last piece of every move.
-        groups = [(first, end - 1) for first, end in formulas.runs(moving & ~done.broken).tolist()]
-        truth = np.array([angle[done.rows[b + 1]] - angle[done.rows[a]] for a, b in groups])
-        turned = np.abs(truth) > np.radians(1.0)
-        if turned.any():
-            before, after = (
-                (np.array([s[a : b + 1].sum() for a, b in groups]) - truth)[turned] / truth[turned] * PPM for s in sums
-            )
-            lasting = np.array([elapsed[a : b + 1].sum() for a, b in groups])[turned]
-            warm = np.array([np.mean(at[a : b + 1]) for a, b in groups])[turned]
-            speed = truth[turned] / lasting * DEG_PER_S
-            middle = [(done.rows[a] + done.rows[b + 1]) // 2 for a, b in groups]
-            moves = len(before)
-            scale = (_rms(before), _rms(after))
-            of_moves = branch[np.array(middle)[turned]]
-            cells += _cells(warm, speed, before, after, how.edges(warm), "ppm", of_moves)
-    still = ~moving & ~done.broken & (elapsed > _BRIEF_S)
-    if still.any():
+        turns = turns[np.abs(angle[turns[:, 1]] - angle[turns[:, 0]]) > _LEAST_TURN]
+    if angle is not None and (moves := len(turns)):
+        first, last = turns.T
+        truth = angle[last] - angle[first]
+        integrals = (np.cumsum(np.where(usable, rates - earth_rate, 0.0) * step) for rates in (raw, new))
+        before, after = ((of[last] - of[first] - truth) / truth * PPM for of in integrals)
+        warm = np.array([_mean_of_parts(temperature, time, *turn) for turn in turns.tolist()])
+        scale = (_rms(before), _rms(after))
+        speed, of_moves = truth / (time[last] - time[first]) * DEG_PER_S, branch[(first + last) // 2]
+        cells += _cells(warm, speed, before, after, how.edges(warm), "ppm", of_moves)
+    still = still[time[still[:, 1]] - time[still[:, 0]] > _BRIEF_S]
+    if rests := len(still):
         # A rest in which the temperature changes is divided by its ranges and branches.
-        piece = np.clip(np.searchsorted(done.rows, np.arange(len(raw))) - 1, 0, len(still) - 1)
-        inside = usable & still[piece]
-        inside[: done.rows[0] + 1] = inside[done.rows[-1] + 1 :] = False
+        piece = np.full(len(raw), -1)
+        for k, (begin, end) in enumerate(still.tolist()):
+            piece[begin + 1 : end + 1] = k
+        inside = usable & (piece >= 0)
         edges = how.edges(temperature[inside])
         number = ((piece * (len(edges) - 1) + _ranges(temperature, edges)) * 3 + branch + 1)[inside]
 
-        def mean(values: np.ndarray, time: np.ndarray | float = 1.0) -> np.ndarray:
-            return np.bincount(number, (values * step)[inside]) / time
+        def mean(values: np.ndarray, lasting: np.ndarray | float = 1.0) -> np.ndarray:
+            return np.bincount(number, (values * step)[inside]) / lasting
 
-        time = mean(np.ones(len(raw)))
-        time = np.where(time > _BRIEF_S, time, np.nan)
-        kept = np.isfinite(time)
-        before, after, warm = (mean(x, time)[kept] for x in (raw - earth_rate, new - earth_rate, temperature))
+        lasting = mean(np.ones(len(raw)))
+        kept = lasting > _BRIEF_S
+        lasting = np.where(kept, lasting, np.nan)
+        before, after, warm = (mean(x, lasting)[kept] for x in (raw - earth_rate, new - earth_rate, temperature))
         before, after = before * DEG_PER_H, after * DEG_PER_H
-        rests = int(still.sum())
-        bias = (_rms(before, time[kept]), _rms(after, time[kept]))
+        bias = (_rms(before, lasting[kept]), _rms(after, lasting[kept]))
         cells += _cells(warm, None, before, after, edges, "deg/h", np.arange(len(kept))[kept] % 3 - 1)
-    rows = count_rows(log, unit, estimation.within(done.rows, ~done.broken, len(raw)))
+    rows = count_rows(log, unit, used)
     return AxisValidation(axis, moves, rests, scale, bias, tuple(cells), rows, tuple(messages))
+
+
+def _mean_of_parts(temperature: np.ndarray, time: np.ndarray, first: int, last: int) -> float:
+    """The mean temperature (°C) over equal parts of the time from one row to another."""
+    parts = min(_PARTS, last - first)
+    rows = np.searchsorted(time[: last + 1], np.linspace(time[first], time[last], parts + 1) - 1e-9)
+    rows[0] = first
+    at = temperature[np.minimum(rows, last)]
+    return float(np.mean(0.5 * (at[1:] + at[:-1])))
 
 
 def _together(calibration: Calibration) -> bool:
@@ -247,10 +255,7 @@ def _triads(
     log: Log, corrected: Log, unit: int, how: "_Ranges", gravity: float, left_alone: tuple[str, ...]
 ) -> list[AxisValidation]:
     """The triads of gyros and of accelerometers that are calibrated and in the log."""
-    number, messages = log.standstill, list[str]()
-    if number is None:
-        number = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
-        messages.append("the log marks no standstills: they were found where the rates are quiet")
+    number, messages = _standstills(log, unit)
     usable = usable_rows(log, unit)
     step = np.where(usable, np.diff(log.time_s, prepend=log.time_s[0]), 0.0)
     rows, still = count_rows(log, unit, usable), number >= 0
@@ -316,7 +321,7 @@ def _turns(
         last = int(np.flatnonzero(number == rests[k + 1])[0])
         turned = np.sort(np.abs([angle[k + 1] - angle[k] for angle in angles]))
         between = slice(first + 1, last + 1)
-        if not turned[-1] > np.radians(1.0) or np.any(turned[:-1] > _OTHER_AXIS) or not step[between].all():
+        if not turned[-1] > _LEAST_TURN or np.any(turned[:-1] > _OTHER_AXIS) or not step[between].all():
             continue
         lasting, row = float(step[between].sum()), list[float]()
         wholes = [values[between].T @ step[between] for values in rates]

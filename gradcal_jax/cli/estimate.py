@@ -160,11 +160,9 @@ def estimate(
         writable(parameters, force)
     files = _files(output, names, force)
     use_float64()
-    from gradcal_jax.api.estimate import EstimateReport, estimate_log
+    from gradcal_jax.api.estimate import EstimateReport, estimate_log, estimate_rows
     from gradcal_jax.api.estimate_options import Options
-    from gradcal_jax.api.estimate_points import estimate_points
-    from gradcal_jax.api.estimate_rows import estimate_rows
-    from gradcal_jax.api.warm_up import estimate_warm_up
+    from gradcal_jax.api.warm_up import estimate_points, estimate_warm_up
 
     sources = {"log": ", ".join(path.name for path in (log, *more)), "spec": (spec or recipe or Path()).name}
     chosen = Options(**options, table_axis=table_axis, robust=robust)

@@ -9,9 +9,9 @@ from gradcal_jax.pages.plain_text import columns as table
 from gradcal_jax.units import PPM, G
 
 if TYPE_CHECKING:
+    from gradcal_jax.api.contradictions import MeasuredDiscrepancy
     from gradcal_jax.api.estimate import SensorEstimate
     from gradcal_jax.api.hand_estimate import HandReport
-    from gradcal_jax.api.structure_tests import MeasuredDiscrepancy
     from gradcal_jax.estimation import Group
     from gradcal_jax.files.contracts import RequirementRow
 

@@ -166,7 +166,7 @@ def _write_noise(
     writable(output, force)
     recorded = load(log, source, unit=unit)
     use_float64()
-    from gradcal_jax.api.noise_files import noise_file, noise_of_imu
+    from gradcal_jax.api.instability import noise_file, noise_of_imu
     from gradcal_jax.files.writing import write_whole
 
     channels = noise_of_imu(recorded, 0 if unit is None else unit, lag=_lag(lag))

@@ -17,7 +17,7 @@ from gradcal_jax.units import time_text
 _NOTHING = 5e-4
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.monte_carlo import TwinRow
+    from gradcal_jax.api.prediction import TwinRow
     from gradcal_jax.files import Prediction
     from gradcal_jax.files.contracts import RequirementRow
     from gradcal_jax.files.spec_sections import Spec

@@ -7,14 +7,14 @@ from gradcal_jax.estimation.consistency import (
     chi_squared_test,
     consistency,
     contradictions,
+    diagnosis,
     split,
     whiteness,
 )
-from gradcal_jax.estimation.diagnosis import diagnosis as diagnosis
-from gradcal_jax.estimation.executed import Executed, column_readings, executed, standing_with, within
 from gradcal_jax.estimation.gravity_angles import angles_by_gravity
 from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, executed_imu
 from gradcal_jax.estimation.imu_solve import (
+    HUBER,
     ImuEstimate,
     ImuReadings,
     angle_errors,
@@ -24,13 +24,17 @@ from gradcal_jax.estimation.imu_solve import (
 )
 from gradcal_jax.estimation.neighbours import Group, closest_neighbours, like_rates, moves_between_rests, neighbours_of
 from gradcal_jax.estimation.planned_moves import PlannedMove
-from gradcal_jax.estimation.plateaus import Plateaus, TablePoints, plateaus
-from gradcal_jax.estimation.read_motion import motion_at_points, motion_by_readings
-from gradcal_jax.estimation.robust import HUBER
-from gradcal_jax.estimation.settling import settling as settling
+from gradcal_jax.estimation.plateaus import TablePoints, plateaus
+from gradcal_jax.estimation.read_motion import (
+    column_readings,
+    motion_at_points,
+    motion_by_readings,
+    standing_with,
+    within,
+)
 from gradcal_jax.estimation.several_imus import SeveralImus, posteriors_together, solve_together
 from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
 from gradcal_jax.estimation.solve import Estimate, Whitened, solve
-from gradcal_jax.estimation.standstill import find_standstills
+from gradcal_jax.estimation.standstill import find_standstills, settling
 from gradcal_jax.estimation.structure import StructureTest, chi_squared, components, size_of, structure_test
 from gradcal_jax.estimation.temperature import smoothed_temperature

@@ -1,4 +1,5 @@
-"""Tests of a fit against the model, on whitened residuals, which are independent with variance one.
+"""Tests of a fit against the model, on whitened residuals, which are independent with variance one; and what residuals
+that are too large look like: a few single events, or motion, or the sensor's own noise.
 
 * `χ²` of the whole fit against its degrees of freedom: is the noise as large as in the spec?
 * whiteness (Ljung and Box, 1978): are residuals of successive readings correlated? The fit of the parameters correlates
@@ -8,7 +9,6 @@
 * **split test**: whitened rows are independent, so any two subsets are two experiments. With the smallest χ² of each,
   `χ²_AB − χ²_A − χ²_B` is χ² with as many degrees of freedom as parameters that both observe: do heating and cooling
   (or the first and the second half) agree? `(β_A − β_B)_k/√(C_A + C_B)_kk` shows the coefficient that differs.
-* held out: `χ²_AB − χ²_A`, of the rows of B predicted from A, with the covariance of that prediction.
 """
 
 from collections.abc import Mapping
@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from gradcal_jax.estimation.solve import Estimate, Whitened, solve
-from gradcal_jax.information.posterior import OBSERVABLE
+from gradcal_jax.estimation.solve import Estimate, Whitened, factored, solve
 
 _LAGS = 20
 # Least number of residuals for each lag for the statistic to be χ².
@@ -48,12 +47,11 @@ class Split(NamedTuple):
     name: str
     counts: tuple[int, int]
     agreement: Test
-    held_out: Test
     differences: np.ndarray
 
 
 class Consistency(NamedTuple):
-    """Tests of one unit. `noise_scale`: √(χ²/degrees), the factor by which the noise differs from the spec."""
+    """Tests of a fit. `noise_scale`: √(χ²/degrees), the factor by which the noise differs from the spec."""
 
     fit: Test
     noise_scale: float
@@ -78,25 +76,18 @@ def chi_squared_test(statistic: float, degrees: int) -> Test:
 def consistency(
     estimate: Estimate,
     white: Whitened,
-    unit: int,
     subsets: dict[str, np.ndarray],
     to_reported: np.ndarray,
     taken: np.ndarray | None = None,
-    compared: Whitened | None = None,
 ) -> Consistency:
-    """All tests of one unit. `subsets`: by name, a truth value for each reading used; `to_reported` `(p, p)`; `taken`:
-    result of `taken_up`, if known; `compared`: the unit's rows in the split tests, without the errors that are common
-    to all readings, if not those of `white`."""
-    residual = estimate.residuals[unit]
-    degrees = int(estimate.degrees[unit])
-    fit = chi_squared_test(float(estimate.chi_squared[unit]), degrees)
-    single = white.of_unit(unit)
-    parts = single if compared is None else compared
-    splits = [split(parts, name, subset, to_reported) for name, subset in subsets.items()]
+    """All tests of a fit. `subsets`: by name, a truth value for each reading used; `to_reported` `(p, p)`; `taken`:
+    result of `taken_up`, if known."""
+    residual, degrees, squares = estimate.residuals, estimate.degrees, float(estimate.chi_squared)
+    splits = [split(white, name, subset, to_reported) for name, subset in subsets.items()]
     return Consistency(
-        fit,
-        float(np.sqrt(estimate.chi_squared[unit] / degrees)) if degrees > 0 else float("nan"),
-        whiteness(residual, taken_up(single) if taken is None else taken),
+        chi_squared_test(squares, degrees),
+        float(np.sqrt(squares / degrees)) if degrees > 0 else float("nan"),
+        whiteness(residual, taken_up(white) if taken is None else taken),
         float(np.mean(np.abs(residual) > 3.0)) if len(residual) else 0.0,
         float(np.max(np.abs(residual), initial=0.0)),
         tuple(s for s in splits if s is not None),
@@ -137,29 +128,65 @@ def whiteness(residual: np.ndarray, taken: np.ndarray | None = None) -> Test:
 
 
 def taken_up(white: Whitened) -> np.ndarray:
-    """`(n, q)`: the readings' rows of an orthonormal basis of the columns of one unit's parameters."""
-    design = np.concatenate([white.rows[0], white.prior])
-    norm = np.linalg.norm(design, axis=0)
-    orthogonal, triangle = np.linalg.qr(design / np.where(norm > 0.0, norm, 1.0))
-    left, spread, _ = np.linalg.svd(triangle)
-    return orthogonal[: white.rows.shape[1]] @ left[:, spread > OBSERVABLE * spread[0]]
+    """`(n, q)`: the readings' rows of an orthonormal basis of the columns of all parameters."""
+    return factored(np.concatenate([white.rows, white.prior])).basis[: len(white.rows)]
 
 
 def split(white: Whitened, name: str, subset: np.ndarray, to_reported: np.ndarray) -> Split | None:
-    """Readings in `subset` against the others, of one unit; None where either side is empty."""
+    """Readings in `subset` against the others; None where either side is empty."""
     if subset.all() or not subset.any():
         return None
     halves = white.only(subset).condensed(), white.only(~subset).condensed()
     three = (*halves, halves[0].joined(halves[1]))
-    first, second, both = (solve(part) for part in three)
+    first, second = (solve(part) for part in halves)
     # Without the prior's rows, which both halves contain and which would count twice.
     without = [solve(part._replace(prior=part.prior[:0])) for part in three]
-    squares = [float(s.chi_squared[0]) for s in without]
-    ranks = [part.data.shape[1] - int(s.degrees[0]) for part, s in zip(three, without, strict=True)]
+    squares = [float(s.chi_squared) for s in without]
+    ranks = [len(part.data) - s.degrees for part, s in zip(three, without, strict=True)]
     agreement = chi_squared_test(max(squares[2] - squares[0] - squares[1], 0.0), ranks[0] + ranks[1] - ranks[2])
-    held_out = chi_squared_test(float(both.chi_squared[0] - first.chi_squared[0]), int((~subset).sum()))
-    apart = to_reported @ (first.parameters[0] - second.parameters[0])
-    variance = first.known[0].deviations(to_reported) ** 2 + second.known[0].deviations(to_reported) ** 2
+    apart = to_reported @ (first.parameters - second.parameters)
+    variance = first.known.deviations(to_reported) ** 2 + second.known.deviations(to_reported) ** 2
     seen = np.isfinite(variance) & (variance > 0.0)
     differences = np.where(seen, apart / np.sqrt(np.where(seen, variance, 1.0)), np.nan)
-    return Split(name, (int(subset.sum()), int((~subset).sum())), agreement, held_out, differences)
+    return Split(name, (int(subset.sum()), int((~subset).sum())), agreement, differences)
+
+
+# Robust standard deviations beyond which a residual is an event; largest share of events; the fewest residuals judged.
+_EVENT, _FEW, _JUDGED = 8.0, 0.01, 20
+# Ratio of the scales of residuals in motion and at rest that tells.
+_TELLS = 1.5
+# Events closer than this, s, are one.
+_ONE_S = 60.0
+
+
+class Diagnosis(NamedTuple):
+    """`events` `(k, 2)`: first and last time (s) of the events, in as many `readings`; scales of the other
+    residuals after moves and at rest, for the noise that the spec states (NaN: too few)."""
+
+    events: np.ndarray
+    readings: int
+    moving: float
+    resting: float
+
+    @property
+    def motion_tells(self) -> bool:
+        """Whether motion makes residuals larger."""
+        return bool(self.moving > _TELLS * max(self.resting, 1.0))
+
+
+def diagnosis(residual: np.ndarray, time_s: np.ndarray, moved: np.ndarray) -> Diagnosis:
+    """Of whitened residuals `(n,)` at their times (s); `moved` `(n,)`: whether the table moved before the reading."""
+    events = np.zeros(len(residual), bool)
+    for chosen in (moved, ~moved):
+        own = np.abs(residual[chosen])
+        if len(own) >= _JUDGED:
+            events[chosen] = own > _EVENT * max(1.4826 * float(np.median(own)), 1.0)
+    if np.count_nonzero(events) > max(3, int(_FEW * len(residual))):
+        events[:] = False
+    at = np.sort(time_s[events])
+    groups = np.split(at, np.flatnonzero(np.diff(at) > _ONE_S) + 1) if len(at) else []
+    scales = (
+        float(np.sqrt(np.mean(residual[chosen] ** 2))) if np.count_nonzero(chosen) >= _JUDGED else np.nan
+        for chosen in (moved & ~events, ~moved & ~events)
+    )
+    return Diagnosis(np.array([(g[0], g[-1]) for g in groups]).reshape(-1, 2), len(at), *scales)

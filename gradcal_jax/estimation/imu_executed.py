@@ -19,7 +19,7 @@ import numpy as np
 from gradcal_jax.estimation.planned_moves import SLOW_S, PlannedMove, TimedMove, timed_moves
 from gradcal_jax.formulas import followed, runs
 from gradcal_jax.model import SECOND, OtherTemperature
-from gradcal_jax.trajectory import Geometry, TableMotion, frames, held
+from gradcal_jax.trajectory import Geometry, TableMotion, Trajectory, frames, held
 
 # A rest is one row of each channel, as in a plan, but its temperature is followed in pieces of this duration.
 PIECE_S = 60.0
@@ -502,16 +502,23 @@ def _apart(near: np.ndarray, rows: np.ndarray) -> tuple[tuple[int, int], tuple[i
     return (0, int(near[0]) - begin), (int(near[-1]) + 1 - begin, end - begin)
 
 
-def _motion(
-    log: ImuRows, geometry: Geometry, rows: np.ndarray, axis: np.ndarray, lost: np.ndarray, turned: np.ndarray, start
-) -> TableMotion:
+def mean_motion(
+    log: ImuRows, rows: np.ndarray, turned: np.ndarray, moving: np.ndarray, read: np.ndarray, lost: np.ndarray
+) -> Trajectory:
+    """Pieces between `rows`, each at its mean rate; all arrays `(P,)`, `turned` rad."""
     duration, at = np.diff(log.time_s[rows]), log.temperature_c[rows]
     mean = turned / np.where(duration > 0.0, duration, 1.0)
     # Every move ends at a standstill.
-    ends = np.ones(len(axis), bool)
-    line = held(
-        log.time_s[rows[:-1]], duration, mean, at[:-1], at[1:], read=~lost, at_rest=ends, moving=axis >= 0, gap=lost
+    ends = np.ones(len(moving), bool)
+    return held(
+        log.time_s[rows[:-1]], duration, mean, at[:-1], at[1:], read=read, at_rest=ends, moving=moving, gap=lost
     )
+
+
+def _motion(
+    log: ImuRows, geometry: Geometry, rows: np.ndarray, axis: np.ndarray, lost: np.ndarray, turned: np.ndarray, start
+) -> TableMotion:
+    line = mean_motion(log, rows, turned, axis >= 0, ~lost, lost)
     # Neighbouring pieces of a rest, both read, are one segment.
     goes_on = (axis[1:] < 0) & (axis[:-1] < 0) & ~lost[1:] & ~lost[:-1]
     line = eqx.tree_at(lambda x: x.segment, line, np.concatenate([[0], np.cumsum(~goes_on)]))

@@ -8,6 +8,13 @@ the channels' terms at the resulting signals:
 
 with the whitened Jacobian `W J` at the nominal installation or at a first estimate. Each step reduces the error by a
 factor of about the installation's error: 1 mrad gains three digits a step.
+
+**Robust**: readings that the model cannot explain (an encoder's slip, a reading taken too early) get a lower weight, by
+Huber's function on the normalised innovations `r_k`: `w = min(1, k/|r|)`, k = 2.5 by default (the efficiency on clean
+data stays above 99 %). A weight acts on the *reading*, whose variance becomes `R + (1/w − 1) S`, S the variance of its
+innovation, and all rows are whitened again: a lower weight of the whitened row alone would leave the effect of the bad
+reading in the filter's state and so in the next innovations. A jump of the integrated rate persists and shows as
+several bad readings in a row: it is reported, but only the data can be corrected.
 """
 
 import re
@@ -20,24 +27,20 @@ import numpy as np
 
 from gradcal_jax.estimation.executed_nodes import nodes_of_rows
 from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, across_stops
-from gradcal_jax.estimation.robust import reweighted
-from gradcal_jax.estimation.solve import Estimate, Whitened
+from gradcal_jax.estimation.solve import Estimate, Whitened, factored
 from gradcal_jax.information import (
     NoiseSteps,
     Posterior,
-    SquareRootInformation,
     encoder_rows,
     estimator_of_means,
     filter_readings,
     filtered_states,
     imu_system,
     imu_unweighted,
-    posterior,
     row_of_steps,
     segments_of,
     whiten,
 )
-from gradcal_jax.information.posterior import OBSERVABLE
 from gradcal_jax.model import (
     AxisHarmonics,
     BaseTilt,
@@ -56,6 +59,9 @@ _ROUNDS = 12
 _SETTLED = 1e-3
 # A step after which χ² is higher by more than this is halved, at most so many times.
 _HIGHER, _HALVINGS = 1.0, 10
+HUBER = 2.5
+# Largest number of weighings, and the change of a weight at which they end.
+_WEIGHINGS, _NO_CHANGE = 20, 0.01
 # Readings of one standstill differ by less, rad.
 _TURNS = np.radians(1.0)
 # Share of an angle's error in a gyro's row from which on it is along the axis; and the share of the white noise of a
@@ -172,7 +178,7 @@ class ImuReadings(NamedTuple):
     @property
     def angle_states(self) -> slice:
         """The noise states that are the errors of the axes' angles now."""
-        begin = len(self.model.channels) + sum(c.model.processes.count for c in self.model.channels)
+        begin = self.model.own_states
         return slice(begin, begin + self.done.motion.geometry.axis_count)
 
     def by_steps(self, values: np.ndarray) -> np.ndarray:
@@ -200,7 +206,7 @@ class ImuReadings(NamedTuple):
         line, axes = self.done.motion.line, self.done.motion.geometry.axis_count
         if axes > 1 or self.model.encoder.held or line.rates:
             return steps._replace(reading_variance=steps.reading_variance + variance)
-        now = sum(1 + c.model.processes.count for c in self.model.channels)
+        now = self.model.own_states
         stays = np.zeros(len(variance), bool) if steps.stays is None else np.asarray(steps.stays)
         along = np.asarray(steps.observation)[:, now]
         of_encoder = ~stays & (np.abs(along) > _SEES_ENCODER)
@@ -278,7 +284,7 @@ class ImuReadings(NamedTuple):
         if self.sigma is None:
             return steps, columns
         # What follows the channels' integrals and processes are errors of the reference.
-        own = slice(sum(1 + c.model.processes.count for c in self.model.channels))
+        own = slice(self.model.own_states)
         transition, covariance, initial = (np.array(x) for x in (steps.transition, steps.covariance, steps.initial))
         transition[:, own], covariance[:, own, own], initial[own, own] = 0.0, 0.0, 0.0
         variance = steps.reading_variance + self.by_steps(self.sigma) ** 2
@@ -349,7 +355,7 @@ def _angles_read(log: ImuRows, rows: np.ndarray, moved: np.ndarray) -> np.ndarra
 
 
 class ImuEstimate(NamedTuple):
-    """One unit's `estimate` (`U` = 1), and its `white` rows, linearised about it, for those of the `R` rows that are
+    """One unit's `estimate`, and its `white` rows, linearised about it, for those of the `R` rows that are
     `used`. `taken`: the same rows of an orthonormal basis of the fitted columns. `moved`: size of the last of the
     `rounds`, in standard deviations. `weights`: of the rows used, 1 for full weight; `channel`: of each of
     them, its number.
@@ -367,24 +373,24 @@ class ImuEstimate(NamedTuple):
     @property
     def parameters(self) -> np.ndarray:
         """`(p,)`, in the engine's coordinates."""
-        return self.estimate.parameters[0]
+        return self.estimate.parameters
 
     def residuals_of(self, channel: int) -> np.ndarray:
         """The whitened residuals of one channel's rows, in standard deviations."""
-        return self.estimate.residuals[0][self.channel == channel]
+        return self.estimate.residuals[self.channel == channel]
 
     @property
     def known(self) -> Posterior:
         """Posterior of the parameters."""
-        return self.estimate.known[0]
+        return self.estimate.known
 
 
 def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, threshold: float | None = None) -> ImuEstimate:
     """Parameters of a unit and its installation from its rows, with minimal norm in unobservable directions.
 
     `about`: approximate parameters in the engine's coordinates, the point of linearisation. `threshold`: rows with
-    larger residuals, in standard deviations, get a lower weight; see `robust`. Errors: `ValueError` where no row
-    is used, or one is not finite.
+    larger residuals, in standard deviations, get a lower weight; see the module's head. Errors: `ValueError` where no
+    row is used, or one is not finite, and for a threshold that is not positive.
     """
     steps, columns = readings.linear(about)
     used = np.asarray(segments_of(readings.done.motion, readings.model).used)
@@ -396,14 +402,30 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
     if threshold is None:
         return estimate
 
-    def again(noise: NoiseSteps, last: ImuEstimate) -> ImuEstimate:
-        return _solved(readings, noise, columns, used, last.parameters)
-
-    kept = readings.by_steps(used)
-    estimate, weights = reweighted(
-        steps, kept, estimate, lambda e: e.estimate.residuals[0], again, threshold, readings.with_noise
-    )
+    if not threshold > 0.0:
+        raise ValueError(f"the threshold of a robust estimate must be positive, not {threshold}")
+    noise, kept = steps, readings.by_steps(used)
+    extra, weights = np.zeros(len(kept)), np.ones(int(kept.sum()))
+    for _ in range(_WEIGHINGS):
+        spread = innovation_variance(noise)[kept]
+        # The innovation relative to its variance without the increase.
+        plain = spread - extra[kept]
+        against = np.abs(estimate.estimate.residuals) * np.sqrt(spread / np.maximum(plain, np.finfo(float).tiny))
+        new = np.minimum(1.0, threshold / np.maximum(against, threshold))
+        if np.max(np.abs(new - weights)) < _NO_CHANGE:
+            break
+        weights = new
+        extra[kept] = (1.0 / weights - 1.0) * plain
+        noise = readings.with_noise(steps, extra)
+        estimate = _solved(readings, noise, columns, used, estimate.parameters)
     return estimate._replace(weights=weights)
+
+
+def innovation_variance(steps: NoiseSteps) -> np.ndarray:
+    """`(N,)`: variance of each reading conditional on those before it, rad²; zero at steps without a reading."""
+    none = np.zeros((len(steps.initial), 0)), np.zeros((len(steps.used), 0))
+    per_std = filter_readings(none[0], steps.initial, steps, none[1]).per_std
+    return np.divide(1.0, per_std**2, out=np.zeros(len(per_std)), where=per_std > 0.0)
 
 
 def absorbed(steps: NoiseSteps, states: slice) -> np.ndarray:
@@ -453,9 +475,9 @@ def estimate_unweighted(readings: ImuReadings) -> ImuEstimate:
     nothing = np.zeros(model.size)
     apart = readings.by_steps(np.where(at.used, readings.observed - readings.expected(nothing), 0.0))
     beta = np.append(estimator.back @ (estimator.weights.T @ apart), nothing[own:])
-    rest = weighted.white.data[0] - weighted.white.rows[0] @ beta
+    rest = weighted.white.data - weighted.white.rows @ beta
     known = imu_unweighted(motion, model, readings.nominal())
-    fitted = weighted.estimate._replace(parameters=beta[None], known=(known,), residuals=rest[None])
+    fitted = weighted.estimate._replace(parameters=beta, known=known, residuals=rest)
     return weighted._replace(estimate=fitted)
 
 
@@ -466,15 +488,9 @@ def _solved(
     model = readings.model
     kept = readings.by_steps(used)
     jacobian, prior = np.asarray(whiten(steps, columns))[kept], model.prior_rows()
-    # As many rows as columns: a log may have fewer readings than the model has parameters.
-    missing = max(0, model.size - len(jacobian) - len(prior))
-    design = np.concatenate([jacobian, prior, np.zeros((missing, model.size))])
-    norm = np.linalg.norm(design, axis=0)
-    scale = np.where(norm > 0.0, norm, 1.0)
-    orthogonal, triangle = np.linalg.qr(design / scale)
-    known = posterior(SquareRootInformation(triangle, scale))  # pyright: ignore[reportArgumentType]
-    left, spread, right = np.linalg.svd(triangle)
-    seen = spread > OBSERVABLE * spread[0]
+    design = np.concatenate([jacobian, prior])
+    of = factored(design)
+    known = of.known
     deviation = known.deviations(np.eye(model.size))
     counted = np.isfinite(deviation) & (deviation > 0.0)
     beta, moved, rounds = np.zeros(model.size) if about is None else about.copy(), np.inf, 0
@@ -486,8 +502,7 @@ def _solved(
 
     rest, squares = left_over(beta)
     while moved > _SETTLED and rounds < _ROUNDS:
-        rotated = left.T @ (orthogonal.T @ np.concatenate([rest, -prior @ beta, np.zeros(missing)]))
-        step = (right[seen].T @ (rotated[seen] / spread[seen])) / scale
+        step = of.fit(np.concatenate([rest, -prior @ beta]))
         now, after = left_over(beta + step)
         # A large error that is hardly observable, such as of the azimuth, would go past the minimum and away from it.
         for _ in range(_HALVINGS):
@@ -498,14 +513,12 @@ def _solved(
         beta, rest, squares = beta + step, now, after
         moved = float(np.max(np.abs(step[counted]) / deviation[counted], initial=0.0))
         rounds += 1
-    chi_squared = np.array([squares])
-    degrees = np.array([len(design) - missing - np.count_nonzero(seen)])
-    taken = orthogonal[: len(jacobian)] @ left[:, seen]
+    degrees, taken = len(design) - len(of.singular), of.basis[: len(jacobian)]
     if readings.free:
         lost = absorbed(steps, readings.angle_states)[kept]
-        degrees = degrees - round(float(np.sum(lost)))
+        degrees -= round(float(np.sum(lost)))
         taken = np.concatenate([taken, np.diag(np.sqrt(lost))[:, lost > _ABSORBED]], axis=1)
-    estimate = Estimate(beta[None], (known,), rest[None], chi_squared, degrees)
-    white = Whitened(jacobian[None], (rest + jacobian @ beta)[None], prior)
+    estimate = Estimate(beta, known, rest, np.asarray(squares), degrees)
+    white = Whitened(jacobian, rest + jacobian @ beta, prior)
     channel = segments_of(readings.done.motion, model).row_channel[used]
     return ImuEstimate(estimate, white, used, taken, moved, rounds, np.ones(len(rest)), channel)

@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
-from gradcal_jax.estimation.executed import Executed
 from gradcal_jax.formulas import runs
-from gradcal_jax.trajectory import held
+from gradcal_jax.trajectory import Trajectory, held
 from gradcal_jax.trajectory.schedule import Points
 
 # Tolerance of a table at a set point: relative, and rad/s.
@@ -26,20 +25,15 @@ _HELD_OVER_S, _STABLE_K = 1.0, 1.0
 
 
 class TablePoints(NamedTuple):
-    """The executed points of a table; `sigma` `(P,)`: of each piece's mean rate, rad/s, if known."""
+    """The executed points of a table: `line` of `P` pieces, between points gaps; `rows` `(P + 1,)`: piece k is rows
+    `rows[k] + 1 … rows[k+1]`; `sigma` `(P,)`: of each piece's mean rate, rad/s, if known. `missing`: planned points
+    (°C, rad/s) that the log lacks; `unplanned`: the number of its points that are not in the plan."""
 
-    done: Executed
-    sigma: np.ndarray | None
-
-
-class Plateaus(NamedTuple):
-    """The executed points; pieces between them are `broken`."""
-
-    done: Executed
-    missing: tuple[tuple[float, float], ...]
-    """Planned points (°C, rad/s) that the log lacks."""
-    unplanned: int
-    """Number of points of the log that are not in the plan."""
+    line: Trajectory
+    rows: np.ndarray
+    sigma: np.ndarray | None = None
+    missing: tuple[tuple[float, float], ...] = ()
+    unplanned: int = 0
 
     @property
     def sentences(self) -> list[str]:
@@ -69,7 +63,7 @@ def plateaus(
     integration_s: float,
     *,
     points: Points = "one run",
-) -> Plateaus:
+) -> TablePoints:
     """Find the points of a log's rows, arrays `(n,)`: the planned ones, and others at held rates and stable
     temperatures. `points`: whether they share the run's noise. Errors: `ValueError` where there is none.
     """
@@ -124,7 +118,7 @@ def plateaus(
         time_s[at[:-1]], np.diff(time_s[at]), np.where(between, 0.0, mean(table_rate_rad_per_s)), temperature,
         temperature, read=~between, at_rest=between, moving=~between, gap=between, rates=True, points=points,
     )  # fmt: skip
-    return Plateaus(Executed(line, at, between), missing, int(np.count_nonzero(others[last] >= 0)))
+    return TablePoints(line, at, None, missing, int(np.count_nonzero(others[last] >= 0)))
 
 
 def _held_elsewhere(time: np.ndarray, rate: np.ndarray, free: np.ndarray) -> np.ndarray:

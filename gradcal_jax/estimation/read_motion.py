@@ -11,14 +11,18 @@ import itertools
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.estimation.executed import Executed
-from gradcal_jax.estimation.imu_executed import PIECE_S, SEEN, ExecutedImu, ImuRows, nodes_of_way
+from gradcal_jax.estimation.imu_executed import PIECE_S, SEEN, ExecutedImu, ImuRows, mean_motion, nodes_of_way
+from gradcal_jax.estimation.plateaus import TablePoints
 from gradcal_jax.formulas import runs
-from gradcal_jax.trajectory import Geometry, TableMotion, frames, held
+from gradcal_jax.trajectory import Geometry, TableMotion, frames
 
 # A standstill between two moves is a piece of its own where it lasts longer; its rows next to a move may contain some
 # of the move.
 _STANDS_S, _GUARD_S = 1.0, 0.1
+# Readings of a standing axis with less between them (rad) are of one standstill, whatever other axes do.
+_SAME_STANDSTILL = np.radians(0.5)
+# A value that a column repeats for longer than this many spacings of readings was read at its end, too.
+_HELD = 3.0
 
 
 def motion_by_readings(log: ImuRows, geometry: Geometry) -> ExecutedImu:
@@ -75,32 +79,23 @@ def motion_by_readings(log: ImuRows, geometry: Geometry) -> ExecutedImu:
     at = np.array(rows)
     reads, lost = np.array(flags, bool).reshape(-1, 2).T
     turned = np.array([0.0 if way is None else way[-1] for way in ways])
-    line = _held(log, at, turned, np.array(axes) >= 0, reads, lost)
+    line = mean_motion(log, at, turned, np.array(axes) >= 0, reads, lost)
     line = eqx.tree_at(lambda x: x.share, line, worth[at[1:]])
     return _executed(line, log, geometry, at, np.array(axes), np.array([stands[0]]), tuple(ways))
 
 
-def motion_at_points(done: Executed, log: ImuRows, geometry: Geometry) -> ExecutedImu:
+def motion_at_points(points: TablePoints, log: ImuRows, geometry: Geometry) -> ExecutedImu:
     """The motion of the points of the standard method, each at a held rate of the only axis."""
-    line = done.line
-    moving = np.asarray(line.moving) & ~done.broken
+    line = points.line
+    moving = np.asarray(line.moving & ~line.gap)
     rates = np.where(moving, line.terms[:, 0], 0.0) * line.duration
     ways = tuple(np.linspace(0.0, way, 3) if moves else None for way, moves in zip(rates, moving, strict=True))
-    return _executed(line, log, geometry, done.rows, np.where(moving, 0, -1), np.zeros(1), ways)
+    return _executed(line, log, geometry, points.rows, np.where(moving, 0, -1), np.zeros(1), ways)
 
 
 def _executed(line, log: ImuRows, geometry: Geometry, rows: np.ndarray, axis: np.ndarray, start: np.ndarray, ways):
     each = np.arange(len(axis))
     return ExecutedImu(TableMotion(line, axis, log.mounting[rows[1:]], geometry, start, each, each, each), rows, ways)
-
-
-def _held(log: ImuRows, rows: np.ndarray, turned: np.ndarray, moving: np.ndarray, read: np.ndarray, lost: np.ndarray):
-    duration, at = np.diff(log.time_s[rows]), log.temperature_c[rows]
-    mean = turned / np.where(duration > 0.0, duration, 1.0)
-    ends = np.ones(len(moving), bool)
-    return held(
-        log.time_s[rows[:-1]], duration, mean, at[:-1], at[1:], read=read, at_rest=ends, moving=moving, gap=lost
-    )
 
 
 def _speed(log: ImuRows, geometry: Geometry) -> np.ndarray:
@@ -140,3 +135,51 @@ def _turned(
     step = np.diff(log.time_s[last : first + 1], prepend=log.time_s[last])
     turned, path = np.cumsum(own * step), np.cumsum(np.abs(own) * step)
     return (turned + (angle - turned[-1]) * path / path[-1] if path[-1] > 0.0 else turned), path
+
+
+def standing_with(standing: np.ndarray, rows: np.ndarray, angle_rad: np.ndarray) -> np.ndarray:
+    """`(n,)`: rows at which an axis stands: those `standing`, and those between two of its readings, at `rows` `(R,)`
+    in a standstill, without a turn between them (other axes may move there). `angle_rad` `(R,)`: of the readings."""
+    result = standing.copy()
+    for first, last, change in zip(rows[:-1], rows[1:], np.diff(angle_rad), strict=True):
+        if abs(change) < _SAME_STANDSTILL:
+            result[first : last + 1] = True
+    return result
+
+
+def column_readings(
+    time_s: np.ndarray, angle_rad: np.ndarray | None, standing: np.ndarray, read_every: float
+) -> np.ndarray:
+    """`(n,)`: the rows to read in a log with the table's angle at every row, or without any: in each standstill the
+    first and the last, and between them those `read_every` s apart.
+
+    A value equal to that of the row before was not polled again and is no reading, but one that stays for more than
+    three times `read_every` is read at its last row, too. An angle that never changes in the whole log says that the
+    table stands, and shows no polls. Errors: `ValueError` where `read_every` is not positive.
+    """
+    if not read_every > 0.0:
+        raise ValueError(f"the spacing of readings must be positive, not {read_every}")
+    result = np.zeros(len(time_s), bool)
+    if angle_rad is not None and np.all(angle_rad[standing] == angle_rad[standing][:1]):
+        angle_rad = None
+    for first, end in runs(standing).tolist():
+        time = time_s[first:end]
+        polled = np.ones(end - first, bool)
+        if angle_rad is not None:
+            polled[1:] = np.diff(angle_rad[first:end]) != 0.0
+            begins = np.flatnonzero(polled)
+            lasts = np.append(begins[1:], end - first) - 1
+            polled[lasts[time[lasts] - time[begins] > _HELD * read_every]] = True
+        polls = np.flatnonzero(polled)
+        between = np.isfinite(read_every)
+        goals = np.arange(time[0] + read_every, time[-1] - 0.5 * read_every, read_every) if between else np.zeros(0)
+        after = np.searchsorted(time[polls], goals - 1e-9)
+        result[first + polls[np.concatenate([[0], after[after < len(polls)], [len(polls) - 1]])]] = True
+    return result
+
+
+def within(spans: np.ndarray, count: int) -> np.ndarray:
+    """`(count,)`: whether a row is one of `first + 1 … last` of any of the `spans` `(k, 2)`."""
+    change = np.zeros(count + 1, np.int64)
+    np.add.at(change, spans + 1, [1, -1])
+    return np.cumsum(change[:-1]) > 0

@@ -19,6 +19,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from gradcal_jax.estimation.consistency import Test, chi_squared_test
 from gradcal_jax.estimation.imu_solve import ImuEstimate, ImuReadings
+from gradcal_jax.estimation.solve import factored
 from gradcal_jax.information import NoiseSteps, Posterior, imu_system, segments_of, whiten
 from gradcal_jax.information.posterior import OBSERVABLE
 from gradcal_jax.model import BodyNodes, CommonScale, ImuModel, MountingError
@@ -95,7 +96,7 @@ def posteriors_together(
     for model, motion, nodes, _ in plans:
         steps, columns = imu_system(motion, model, nodes)
         shared.append(shared_parameters(model, clock=clock))
-        if (drawn := np.count_nonzero(np.any(np.asarray(steps.covariance)[:, _own_states(model) :], axis=(1, 2)))) and (
+        if (drawn := np.count_nonzero(np.any(np.asarray(steps.covariance)[:, model.own_states :], axis=(1, 2)))) and (
             drawn * len(columns) > _MOST
         ):
             raise MemoryError(
@@ -150,9 +151,8 @@ def _without_own(
 ) -> _Reduced:
     """The rows of an IMU, `apart` from what is expected `about` its parameters, in the order of the noise steps."""
     errors = _encoder_columns(model, steps)
-    channels = _own_states(model)
     # The filter of the IMU's own noise: the encoder's states neither move nor are seen.
-    own = slice(channels, None)
+    own = slice(model.own_states, None)
     covariance, initial, observed = (np.array(x) for x in (steps.covariance, steps.initial, steps.observation))
     covariance[:, own, :], covariance[:, :, own], initial[own, :], initial[:, own] = 0.0, 0.0, 0.0, 0.0
     observed[:, own] = 0.0
@@ -165,28 +165,18 @@ def _without_own(
     prior = np.asarray(model.prior_rows())
     of_own = ~np.any(prior[:, shared] != 0.0, axis=1)
     rows = np.concatenate([jacobian[:, ~shared], prior[of_own][:, ~shared]])
-    norm = np.linalg.norm(rows, axis=0)
-    norm = np.where(norm > 0.0, norm, 1.0)
-    orthogonal, triangle = np.linalg.qr(rows / norm)
-    left, spread, right = np.linalg.svd(triangle)
-    seen = spread > OBSERVABLE * spread[0]
-    basis = orthogonal[: len(jacobian)] @ left[:, seen]
-    back = (right[seen].T / spread[seen]) / norm[:, None]
+    of = factored(rows)
+    basis = of.basis[: len(jacobian)]
     others = np.concatenate([jacobian[:, shared], white[:, 1 + size :]], axis=1)
     through, rotated = basis.T @ others, basis.T @ data
     information = others.T @ others - through.T @ through
     vector = others.T @ data - through.T @ rotated
-    return _Reduced(np.flatnonzero(~shared), rotated, through, back, information, vector)
-
-
-def _own_states(model: ImuModel) -> int:
-    """The number of noise states that are the IMU's own; after them come the encoders'."""
-    return sum(1 + c.model.processes.count for c in model.channels)
+    return _Reduced(np.flatnonzero(~shared), rotated, through, of.known.spread, information, vector)
 
 
 def _encoder_columns(model: ImuModel, steps: NoiseSteps) -> np.ndarray:
     """`(N, u)`: what each innovation of the encoders' errors, of variance one, adds to every row."""
-    own = slice(_own_states(model), None)
+    own = slice(model.own_states, None)
     transition = np.asarray(steps.transition)[:, own, own]
     covariance = np.asarray(steps.covariance)[:, own, own]
     observed = np.asarray(steps.observation)[:, own]
@@ -221,7 +211,7 @@ def _with(
     parameters[part.own] = part.back @ (part.rotated - part.through @ common)
     parameters[shared] = common[:table]
     known = Posterior(_spread(part, shared, half, table), solution.known.hidden)
-    return solution._replace(estimate=solution.estimate._replace(parameters=parameters[None], known=(known,)))
+    return solution._replace(estimate=solution.estimate._replace(parameters=parameters, known=known))
 
 
 def _spread(part: _Reduced, shared: np.ndarray, half: np.ndarray, table: int) -> np.ndarray:

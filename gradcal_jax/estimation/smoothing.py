@@ -53,8 +53,8 @@ def with_smoothness(model: ImuModel, stds: Sequence[float]) -> ImuModel:
     )
 
 
-def choose_smoothness(white: Whitened, model: ImuModel, unit: int = 0) -> Smoothness:
-    """The strengths at which one unit's data are most probable.
+def choose_smoothness(white: Whitened, model: ImuModel) -> Smoothness:
+    """The strengths at which the data are most probable.
 
     Searched within three decades about the strengths of the model. Errors: `ValueError` for a model without a
     smoothness prior.
@@ -63,9 +63,8 @@ def choose_smoothness(white: Whitened, model: ImuModel, unit: int = 0) -> Smooth
     terms: list[Any] = [model.channels[i].model.terms[k] for i, k in places]
     if not places:
         raise ValueError("no map of this model has a smoothness prior: give B-splines or bins with one")
-    rows = white.rows_of(unit)
-    orthogonal, triangle = np.linalg.qr(rows)
-    data = orthogonal.T @ white.data[unit]
+    orthogonal, triangle = np.linalg.qr(white.rows)
+    data = orthogonal.T @ white.data
     start = np.log([float(term.smoothness_std) for term in terms])
 
     def minus_twice(log_std: np.ndarray) -> float:

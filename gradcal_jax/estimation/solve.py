@@ -1,9 +1,7 @@
 """The estimate: the whitening and least squares of the prediction, applied to data.
 
-Readings of the integrated error, with the regressors and the noise steps of a prediction: `N` steps (one for each piece
-of a trajectory, some without a reading), `p` parameters of the model, `U` units on one table. `y_k = Φ_k β + noise` is
-the integrated rate of the sensor less the angle of the reference since the angle's origin, with the regressors of
-`information.at_readings` and the noise of `information.noise_steps`.
+Readings of the integrated error, with the regressors and the noise steps of a prediction: `N` steps (some without a
+reading), `p` parameters of the model. `y_k = Φ_k β + noise` is the integrated output of the sensor less the reference.
 
 The readings are whitened as columns beside the regressors; with the priors' rows below them
 
@@ -18,12 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.information import Posterior, SquareRootInformation, posterior
-from gradcal_jax.information.posterior import OBSERVABLE
+from gradcal_jax.information import Posterior
+from gradcal_jax.information.posterior import known_of
 
 
 class Whitened(NamedTuple):
-    """Rows of variance one, of the steps that have a reading: `rows` `(U or 1, n, p)`, `data` `(U, n)`.
+    """Rows of variance one, of the steps that have a reading: `rows` `(n, p)`, `data` `(n,)`; or `(n, U)`, of `U`
+    sensors with the same rows.
 
     `prior` `(q, p)`: whitened rows of the prior, whose data are zero.
     """
@@ -32,84 +31,81 @@ class Whitened(NamedTuple):
     data: np.ndarray
     prior: np.ndarray
 
-    def rows_of(self, unit: int) -> np.ndarray:
-        return self.rows[unit if len(self.rows) > 1 else 0]
-
-    def of_unit(self, unit: int) -> "Whitened":
-        """One unit alone."""
-        return Whitened(self.rows_of(unit)[None], self.data[unit : unit + 1], self.prior)
-
     def only(self, subset: np.ndarray) -> "Whitened":
         """A subset of the readings `(n,)`: whitened rows are independent, so any subset is an experiment of its own."""
-        return Whitened(self.rows[:, subset], self.data[:, subset], self.prior)
+        return Whitened(self.rows[subset], self.data[subset], self.prior)
 
     def without(self, own: slice | np.ndarray) -> "Whitened":
         """The rows without the columns `own` (a slice, or a mask) and the priors that concern them."""
         kept = ~np.any(self.prior[:, own] != 0.0, axis=1)
-        return Whitened(np.delete(self.rows, own, axis=2), self.data, np.delete(self.prior[kept], own, axis=1))
+        return Whitened(np.delete(self.rows, own, axis=1), self.data, np.delete(self.prior[kept], own, axis=1))
 
     def condensed(self) -> "Whitened":
         """p + 1 rows with the same least squares and χ², also joined with those of the complement of a subset."""
-        rows, data = [], []
-        for unit in range(len(self.data)):
-            both = np.concatenate([self.rows_of(unit), self.data[unit][:, None]], axis=1)
-            triangle = np.asarray(np.linalg.qr(both, mode="r"))
-            rows.append(triangle[:, :-1])
-            data.append(triangle[:, -1])
-        return Whitened(np.stack(rows), np.stack(data), self.prior)
+        triangle = np.asarray(np.linalg.qr(np.column_stack([self.rows, self.data]), mode="r"))
+        count = self.rows.shape[1]
+        data = triangle[:, count:].reshape(len(triangle), *self.data.shape[1:])
+        return Whitened(triangle[:, :count], data, self.prior)
 
     def joined(self, other: "Whitened") -> "Whitened":
         """The readings of both."""
-        rows, data = ((self.rows, other.rows), (self.data, other.data))
-        return Whitened(np.concatenate(rows, axis=1), np.concatenate(data, axis=1), self.prior)
+        rows, data = np.concatenate([self.rows, other.rows]), np.concatenate([self.data, other.data])
+        return Whitened(rows, data, self.prior)
 
 
 class Estimate(NamedTuple):
-    """Of `U` units. `parameters` `(U, p)`, in the engine's coordinates; `known`: posterior of each
-    unit (the same object where the units share their columns).
-
-    `residuals` `(U, n)`: whitened, of the readings used; `chi_squared` `(U,)` counts the priors' rows too and has
-    `degrees` degrees of freedom.
+    """`parameters` `(p,)`, in the engine's coordinates, with their posterior; `residuals` `(n,)`: whitened, of the
+    readings used; `chi_squared` counts the priors' rows too and has `degrees` degrees of freedom. Of `U` sensors with
+    the same rows `(p, U)`, `(n, U)`, `(U,)`.
     """
 
     parameters: np.ndarray
-    known: tuple[Posterior, ...]
+    known: Posterior
     residuals: np.ndarray
     chi_squared: np.ndarray
-    degrees: np.ndarray
+    degrees: int
 
 
-def solve(white: Whitened) -> Estimate:
-    """Least squares of every unit, with minimal norm in the unobservable directions (`known.hidden`)."""
-    units, priors = len(white.data), len(white.prior)
-    parameters, known, squares, degrees = [], [], [], []
-    for rows, members in (
-        [(white.rows[0], range(units))] if len(white.rows) == 1 else [(white.rows[u], [u]) for u in range(units)]
-    ):
-        design = np.concatenate([rows, white.prior])
-        data = np.concatenate([white.data[list(members)], np.zeros((len(members), priors))], axis=1).T
-        factor, rotated, scale = _factor(design, data)
-        one = posterior(SquareRootInformation(factor, scale))  # pyright: ignore[reportArgumentType]
-        solution, _, rank, _ = np.linalg.lstsq(factor, rotated, rcond=OBSERVABLE)
-        coefficients = solution / scale[:, None]
-        parameters += list(coefficients.T)
-        squares += list(np.sum((data - design @ coefficients) ** 2, axis=0))
-        known += [one] * len(members)
-        degrees += [len(design) - int(rank)] * len(members)
-    beta = np.array(parameters)
-    residuals = np.stack([white.data[u] - white.rows_of(u) @ beta[u] for u in range(units)])
-    return Estimate(beta, tuple(known), residuals, np.array(squares), np.array(degrees))
+class Factored(NamedTuple):
+    """A design `(n, p)` with columns of length one, Q L diag(singular) directions: `known`, the posterior of variance
+    one, and `basis` `(n, r)`, orthonormal, of what its columns span."""
+
+    orthogonal: np.ndarray
+    left: np.ndarray
+    singular: np.ndarray
+    directions: np.ndarray
+    scale: np.ndarray
+    known: Posterior
+
+    @property
+    def basis(self) -> np.ndarray:
+        return self.orthogonal @ self.left
+
+    def fit(self, data: np.ndarray) -> np.ndarray:
+        """The parameters of minimal norm for data `(n,)` or `(n, U)`."""
+        rotated = self.left.T @ (self.orthogonal.T @ data)
+        return ((self.directions.T @ (rotated.T / self.singular).T).T / self.scale).T
 
 
-def _factor(design: np.ndarray, data: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`R` `(p, p)` of the design with columns of length one, `Qᵀ data`, and the columns' lengths.
+def factored(design: np.ndarray) -> Factored:
+    """The factors of a design, whose unobservable directions are `known.hidden`.
 
-    As `information.square_root`, but by NumPy's QR, since shapes vary and nothing is differentiated.
+    As `information.square_root` and `posterior`, but by NumPy's QR, since shapes vary and nothing is differentiated.
     """
     norm = np.linalg.norm(design, axis=0)
     scale = np.where(norm > 0.0, norm, 1.0)
-    rows = design / scale
-    if missing := max(0, rows.shape[1] - len(rows)):
-        rows, data = np.pad(rows, ((0, missing), (0, 0))), np.pad(data, ((0, missing), (0, 0)))
-    orthogonal, factor = np.linalg.qr(rows)
-    return factor, orthogonal.T @ data, scale
+    orthogonal, triangle = np.linalg.qr(design / scale)
+    left, singular, directions = np.linalg.svd(triangle)
+    known = known_of(singular, directions, scale)
+    rank = known.spread.shape[1]
+    return Factored(orthogonal, left[:, :rank], singular[:rank], directions[:rank], scale, known)
+
+
+def solve(white: Whitened) -> Estimate:
+    """Least squares, with minimal norm in the unobservable directions (`known.hidden`)."""
+    design = np.concatenate([white.rows, white.prior])
+    data = np.concatenate([white.data, np.zeros((len(white.prior), *white.data.shape[1:]))])
+    of = factored(design)
+    beta = of.fit(data)
+    squares = np.sum((data - design @ beta) ** 2, axis=0)
+    return Estimate(beta, of.known, white.data - white.rows @ beta, squares, len(design) - len(of.singular))

@@ -68,11 +68,11 @@ def components(white: Whitened, extra: np.ndarray, keep: np.ndarray | None = Non
 
     `keep` `(k,)`: the tested functions; the others are estimated, too, without a prior.
     """
-    n, rows = len(extra), white.rows[0]
+    n, rows = len(extra), white.rows
     keep = np.ones(extra.shape[1], bool) if keep is None else keep
     white_prior = np.pad(white.prior, ((0, 0), (0, int((~keep).sum()))))
     beside = np.concatenate([np.concatenate([rows, extra[:, ~keep]], axis=1), white_prior])
-    both = np.concatenate([extra[:, keep], white.data.T], axis=1)
+    both = np.column_stack([extra[:, keep], white.data])
     both = np.concatenate([both, np.zeros((len(beside) - n, both.shape[1]))])
     length = np.linalg.norm(beside, axis=0)
     left, singular, _ = np.linalg.svd(beside / np.where(length > 0.0, length, 1.0), full_matrices=False)

@@ -14,7 +14,6 @@ from gradcal_jax.information.imu_rows import (
 )
 from gradcal_jax.information.montecarlo import (
     WishartTest,
-    monte_carlo_errors,
     simulate_noise,
     simulated_errors,
     wishart_test,
@@ -36,10 +35,8 @@ from gradcal_jax.information.posterior import (
     Posterior,
     SquareRootInformation,
     information,
-    least_squares,
     posterior,
     square_root,
-    unweighted,
 )
 from gradcal_jax.information.regressors import at_readings, since_origin
 from gradcal_jax.information.residual import STATISTICS, contrasts, residual, statistic

@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray, namespace, placed, put, summed
-from gradcal_jax.information.noise_steps import NoiseSteps, constant_drive, drive_rates, varying_drive
+from gradcal_jax.information.noise_steps import NoiseSteps, drive_rates, process_steps
 from gradcal_jax.information.posterior import (
     LeastSquares,
     Posterior,
@@ -195,6 +195,7 @@ def _joint_steps(
     begins = np.zeros(count, bool)
     begins[at.first if by_pieces else slice(None)] = True
     gap = np.asarray(line.gap)[slice(None) if by_pieces else at.first]
+    before = np.cumprod(gap).astype(bool)[:, None] if gap[0] else None
     everything = slice(None)
     transition: list[tuple] = []
     covariance: list[tuple] = []
@@ -211,25 +212,14 @@ def _joint_steps(
         states = np.arange(state, state + p.count)
         state += p.count
         rates = drives[c.kind][:, c.axis] if by_pieces else xp.zeros(count)
-        to_integral, q_integral, q_cross, q_self = constant_drive(p, duration, rates)
+        along_rates = None
         if by_pieces and c.kind == "gyro" and (varying := line.varying_pieces).shape[0]:
-            driven = varying_drive(p, duration[varying], drive_rates(line, varying) * along[varying, c.axis][:, None])
-            by_rate = (p.rate_gain != 0.0)[None, :]
-            to_integral, q_integral, q_cross = (
-                put(x, varying, xp.where(by_rate, y, x[varying]))
-                for x, y in zip((to_integral, q_integral, q_cross), driven, strict=True)
-            )
-        walk = c.model.angle_random_walk**2 * duration + xp.sum(q_integral, axis=1)
-        decayed, start = xp.exp(-p.decay[None] * duration[:, None]), (p.initial_std**2)[None]
-        if gap[0]:
-            # Every process begins with the data.
-            before = np.cumprod(gap).astype(bool)[:, None]
-            decayed, q_self = xp.where(before, 1.0, decayed), xp.where(before, 0.0, q_self)
-        if line.points == "independent":
-            # The processes of a point start afresh, and drive its integral over the piece as over any other.
-            walk = walk + xp.sum(to_integral**2 * start, axis=1)
-            q_cross, q_self = q_cross + to_integral * decayed * start, q_self + decayed**2 * start
-            to_integral, decayed = np.zeros((2, count, p.count))
+            along_rates = varying, drive_rates(line, varying) * along[varying, c.axis][:, None]
+        afresh = line.points == "independent"
+        to_integral, decayed, variance, q_cross, q_self = process_steps(
+            p, duration, rates, along_rates, before, afresh=afresh
+        )
+        walk = c.model.angle_random_walk**2 * duration + variance
         transition += [
             ((everything, i, i), np.where(begins, 0.0, 1.0)),
             ((everything, i, states), to_integral),

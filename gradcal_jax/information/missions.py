@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gradcal_jax.information.residual import Contrasts
-from gradcal_jax.model import Discrepancy, GradientOfBias, Map, Nodes, Processes, SampleNodes, SensorModel
+from gradcal_jax.model import Discrepancy, GaussNodes, GradientOfBias, Map, Nodes, Processes, SensorModel
 from gradcal_jax.trajectory import quadrature
 
 # Gauss nodes on each straight line: exact for quintic by quintic maps times the rate.
@@ -60,18 +60,11 @@ def mission_rows(model: SensorModel, flight: Flight, at: Float[np.ndarray, " k"]
     rows = np.zeros((len(cuts), model.size))
     for number, (first, last) in enumerate(pairwise(cuts), 1):
         here = slice(first, last)
-        along = lambda of, here=here: (of[here, None] + np.diff(of)[here, None] * nodes).ravel()  # noqa: E731
-        group = SampleNodes(
-            pieces=np.zeros(1, int),
-            starts=np.zeros(1, int),
-            weight=(np.diff(breaks)[here, None] * weights).ravel(),
-            rate=along(rate),
-            temperature=along(temperature),
-            noise=0.0,
-            moving=True,
-        )
-        change = np.array([temperature[last] - temperature[first]])
-        rows[number, places] = np.asarray(part.columns(Nodes((group,), change, np.zeros(1), np.zeros(1))))[0]
+        along = lambda of, here=here: of[here, None] + np.diff(of)[here, None] * nodes  # noqa: E731
+        lasting, none = np.diff(breaks)[here, None] * weights, np.zeros(last - first)
+        group = GaussNodes(np.arange(last - first), lasting, along(rate), along(temperature), moving=True)
+        of_lines = part.columns(Nodes((group,), np.diff(temperature)[here], none, none))
+        rows[number, places] = np.sum(np.asarray(of_lines), axis=0)
     return np.cumsum(rows, axis=0)[np.searchsorted(cuts, ends)]
 
 

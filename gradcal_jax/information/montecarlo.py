@@ -9,12 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.display import summary
-from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
-from gradcal_jax.information.posterior import LeastSquares, Posterior, least_squares, posterior, square_root, unweighted
-from gradcal_jax.information.regressors import at_readings
+from gradcal_jax.information.noise_steps import NoiseSteps
+from gradcal_jax.information.posterior import LeastSquares, Posterior, posterior, square_root
 from gradcal_jax.information.whitening import whiten
-from gradcal_jax.model import Discrepancy, SensorModel
-from gradcal_jax.trajectory import Trajectory
 
 
 class Twin(NamedTuple):
@@ -25,21 +22,6 @@ class Twin(NamedTuple):
     errors: np.ndarray
     predicted: Posterior
     left: np.ndarray
-
-
-def monte_carlo_errors(
-    line: Trajectory, model: SensorModel, runs: int, seed: int = 0, tile: int = 256, *, weighted: bool = True
-) -> Twin:
-    """Simulate `runs` calibrations. Parameters with a prior are drawn from it; those without are zero, without loss of
-    generality.
-
-    Not `weighted`: estimate and prediction by ordinary least squares (`posterior.unweighted`). Errors: `ValueError`
-    where the plan leaves something unobservable, since its estimate would be arbitrary.
-    """
-    system = noise_steps(line, model), at_readings(line, model)
-    plain = None if weighted else (least_squares(line, model), unweighted(line, model))
-    carried = np.concatenate([np.full(t.size, not isinstance(t, Discrepancy)) for t in model.terms])
-    return simulated_errors(*system, model.prior_rows(), carried, runs, seed, tile, plain=plain)
 
 
 def simulated_errors(
@@ -53,9 +35,13 @@ def simulated_errors(
     *,
     plain: tuple[LeastSquares, Posterior] | None = None,
 ) -> Twin:
-    """As `monte_carlo_errors`, of any linear system with the rows `prior` `(m, p)` of its priors; `carried` `(p,)`:
-    whether a calibration has a parameter. `plain`: an unweighted estimator and its posterior; it leaves the last
-    parameters, which are noise to it, at zero."""
+    """Simulate `runs` calibrations by a linear system with the rows `prior` `(m, p)` of its priors. Parameters with a
+    prior are drawn from it; those without are zero, without loss of generality.
+
+    `carried` `(p,)`: whether a calibration has a parameter. `plain`: an unweighted estimator and its posterior; it
+    leaves the last parameters, which are noise to it, at zero. Errors: `ValueError` where the plan leaves something
+    unobservable, since its estimate would be arbitrary.
+    """
     rng = np.random.default_rng(seed)
     known = posterior(square_root(np.concatenate([whiten(steps, columns), prior]))) if plain is None else plain[1]
     if known.hidden.shape[1]:

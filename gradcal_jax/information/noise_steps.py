@@ -41,14 +41,6 @@ class NoiseSteps(NamedTuple):
     initial: Float[AnyArray, "n n"]
     stays: Bool[AnyArray, " N"] | None = None
 
-    def padded(self, count: int) -> "NoiseSteps":
-        """The same system, padded to `count` steps by identity steps without readings."""
-        n, missing = self.observation.shape[1], count - self.observation.shape[0]
-        still = np.broadcast_to(np.eye(n), (missing, n, n))
-        fillings = (still, np.zeros((missing, n, n)), np.zeros((missing, n)), np.ones(missing), np.zeros(missing, bool))
-        longer = [np.concatenate([np.asarray(f), filling]) for f, filling in zip(self, fillings, strict=False)]
-        return NoiseSteps._make([*longer, np.asarray(self.initial), None])
-
 
 def noise_states(line: Trajectory, model: SensorModel) -> int:
     """Number of noise states: the angle, the processes, and the offset of a standstill where the model has one."""
@@ -67,29 +59,14 @@ def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
     n, m, count = noise_states(line, model), p.count, line.piece_count
     offset = n - 1 - m
 
-    to_angle, q_angle, q_cross, q_self = constant_drive(p, line.duration, line.end_rate())
     varying = line.varying_pieces
-    driven_by_rate = (xp is not np or np.any(p.rate_gain)) if rule is None else rule.driven
-    if m and varying.shape[0] and driven_by_rate:
-        by_rate = (p.rate_gain != 0.0)[None, :]
-        driven = varying_drive(p, line.duration[varying], drive_rates(line, varying))
-        # A process that the rate does not drive has a constant c, whose closed form holds for any correlation time.
-        to_angle, q_angle, q_cross = (
-            put(x, varying, xp.where(by_rate, y, x[varying]))
-            for x, y in zip((to_angle, q_angle, q_cross), driven, strict=True)
-        )
-    decayed = xp.exp(-p.decay[None, :] * line.duration[:, None])
-    walk = model.angle_random_walk**2 * line.duration + xp.sum(q_angle, axis=1)
-    start = (p.initial_std**2)[None]
-    if line.has_gaps:
-        # Every process begins with the data: the initial value of a random walk is part of the bias.
-        before = (xp.cumsum(xp.where(line.gap, 0, 1)) == 0)[:, None]
-        decayed, q_self = xp.where(before, 1.0, decayed), xp.where(before, 0.0, q_self)
-    if line.rates and line.points == "independent":
-        # The processes of a point start afresh, and drive its angle over the piece as over any other.
-        walk = walk + xp.sum(to_angle**2 * start, axis=1)
-        q_cross, q_self = q_cross + to_angle * decayed * start, q_self + decayed**2 * start
-        to_angle, decayed = xp.zeros((count, m)), xp.zeros((count, m))
+    driven = varying.shape[0] and ((xp is not np or np.any(p.rate_gain)) if rule is None else rule.driven)
+    before = (xp.cumsum(xp.where(line.gap, 0, 1)) == 0)[:, None] if line.has_gaps else None
+    along = (varying, drive_rates(line, varying)) if m and driven else None
+    afresh = line.rates and line.points == "independent"
+    drives = process_steps(p, line.duration, line.end_rate(), along, before, afresh=afresh)
+    to_angle, decayed, driven_walk, q_cross, q_self = drives
+    walk = model.angle_random_walk**2 * line.duration + driven_walk
     kept = xp.zeros((count, 1)) if line.rates else xp.ones((count, 1))
     none = xp.zeros((count, offset))
     first_row = xp.concatenate([kept, to_angle, none], axis=1)
@@ -122,11 +99,53 @@ def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
         variance = white / line.share + on_the_move**2
         first = xp.reshape(white + offset * spread, (1,))
     initial = put(
-        xp.zeros((n, n)), (states, states), xp.concatenate([first, start[0], *([xp.reshape(spread, (1,))] * offset)])
+        xp.zeros((n, n)),
+        (states, states),
+        xp.concatenate([first, p.initial_std**2, *([xp.reshape(spread, (1,))] * offset)]),
     )
     if offset:
         initial = put(initial, ([0, n - 1], [n - 1, 0]), -spread)
     return NoiseSteps(transition, covariance, observation, variance, line.read, initial)
+
+
+def process_steps(
+    p: Processes,
+    duration: Float[AnyArray, " N"],
+    rate: Float[AnyArray, " N"],
+    varying: tuple[AnyArray, AnyArray] | None,
+    before: AnyArray | None,
+    *,
+    afresh: bool,
+) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray]:
+    """The part of `m` processes, which a rate drives, in the steps of an integral: F_θx and their decay `(N, m)`, the
+    variance `(N,)` that they add to it, Q_θx and Q_xx `(N, m)`.
+
+    `varying`: the steps in which the rate varies, and its values on the nodes there; `before` `(N, 1)`: steps before
+    the data; `afresh`: the processes of every step start anew."""
+    xp = namespace(duration, rate, p)
+    to_integral, variance, cross, own = constant_drive(p, duration, rate)
+    if varying is not None:
+        steps, rates = varying
+        by_rate = (p.rate_gain != 0.0)[None, :]
+        # A process that the rate does not drive has a constant c, whose closed form holds for any correlation time.
+        to_integral, variance, cross = (
+            put(x, steps, xp.where(by_rate, y, x[steps]))
+            for x, y in zip((to_integral, variance, cross), varying_drive(p, duration[steps], rates), strict=True)
+        )
+    decayed, start, total = (
+        xp.exp(-p.decay[None] * duration[:, None]),
+        (p.initial_std**2)[None],
+        xp.sum(variance, axis=1),
+    )
+    if before is not None:
+        # Every process begins with the data: the initial value of a random walk is part of the bias.
+        decayed, own = xp.where(before, 1.0, decayed), xp.where(before, 0.0, own)
+    if afresh:
+        # The processes of a point start afresh, and drive its integral over the piece as over any other.
+        total = total + xp.sum(to_integral**2 * start, axis=1)
+        cross, own = cross + to_integral * decayed * start, own + decayed**2 * start
+        to_integral, decayed = xp.zeros(to_integral.shape), xp.zeros(to_integral.shape)
+    return to_integral, decayed, total, cross, own
 
 
 def constant_drive(

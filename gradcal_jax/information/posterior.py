@@ -108,12 +108,18 @@ def posterior(info: SquareRootInformation) -> Posterior:
     The singular values of the scaled factor separate the unobservable directions, `(p, p) -> (p, r), (p, k)`.
     Errors: none here; `information` refuses single precision with a `ValueError`.
     """
-    scale = np.asarray(info.scale)
     _, singular, directions = np.linalg.svd(np.asarray(info.factor))
-    seen = singular > OBSERVABLE * (singular[0] if len(singular) else 1.0)
-    spread = (directions[seen].T / singular[seen]) / scale[:, None]
-    hidden = directions[~seen].T / scale[:, None]
-    return Posterior(spread, hidden / np.maximum(np.linalg.norm(hidden, axis=0), np.finfo(float).tiny))
+    return known_of(singular, directions, np.asarray(info.scale))
+
+
+def known_of(
+    singular: Float[np.ndarray, " k"], directions: Float[np.ndarray, "p p"], scale: Float[np.ndarray, " p"]
+) -> Posterior:
+    """The posterior of variance one by singular values and right directions of rows with columns of length one."""
+    rank = int(np.count_nonzero(singular > OBSERVABLE * np.max(singular, initial=0.0)))
+    hidden = directions[rank:].T / scale[:, None]
+    hidden = hidden / np.maximum(np.linalg.norm(hidden, axis=0), np.finfo(float).tiny)
+    return Posterior((directions[:rank].T / singular[:rank]) / scale[:, None], hidden)
 
 
 class LeastSquares(NamedTuple):
@@ -127,39 +133,18 @@ class LeastSquares(NamedTuple):
     hidden: np.ndarray
 
 
-def least_squares(line: Trajectory, model: SensorModel, columns: np.ndarray | None = None) -> LeastSquares:
-    """Every point's mean rate error has the same weight; priors are not used.
-
-    `columns` `(P, p)`: measured regressors. Errors: `ValueError` for a gradient plan, whose
-    readings are angles.
-    """
-    if not line.rates:
-        raise ValueError("unweighted least squares on rates is for the standard method: a gradient plan reads angles")
-    rows = at_readings(line, model) if columns is None else columns
-    return least_squares_of_means(rows, np.asarray(line.read), line.duration)
-
-
 def least_squares_of_means(
     columns: Float[np.ndarray, "N p"], used: Bool[np.ndarray, " N"], duration: Float[np.ndarray, " N"]
 ) -> LeastSquares:
-    """Of integrals over `duration` s, whose means all have the same weight."""
+    """Of integrals over `duration` s, whose means all have the same weight; priors are not used."""
     lasting = duration[used][:, None]
     rows = columns[used] / lasting
     scale = np.where((norm := np.linalg.norm(rows, axis=0)) > 0, norm, 1.0)
     left, singular, directions = np.linalg.svd(rows / scale)
-    seen = singular > OBSERVABLE * singular[0]
-    rank = int(seen.sum())
-    weights = np.zeros((len(used), rank))
-    weights[used] = left[:, :rank] / lasting
-    hidden = directions[rank:].T / scale[:, None]
-    back = (directions[:rank].T / singular[:rank]) / scale[:, None]
-    return LeastSquares(weights, back, hidden / np.maximum(np.linalg.norm(hidden, axis=0), np.finfo(float).tiny))
-
-
-def unweighted(line: Trajectory, model: SensorModel) -> Posterior:
-    """Covariance of ordinary least squares on a standard plan's rate errors. Errors: as `least_squares`."""
-    estimator = least_squares(line, model)
-    return spread_of(estimator, noise_of_sums(noise_steps(line, model), estimator.weights))
+    back, hidden = known_of(singular, directions, scale)
+    weights = np.zeros((len(used), back.shape[1]))
+    weights[used] = left[:, : back.shape[1]] / lasting
+    return LeastSquares(weights, back, hidden)
 
 
 def spread_of(estimator: LeastSquares, noise: Float[np.ndarray, "r r"]) -> Posterior:

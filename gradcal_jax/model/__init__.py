@@ -18,7 +18,6 @@ from gradcal_jax.model.nodes import (
     GaussNodes,
     Nodes,
     OtherTemperature,
-    SampleNodes,
 )
 from gradcal_jax.model.noise import (
     Processes,

@@ -23,7 +23,7 @@ from gradcal_jax.model.installation import InstallationTerm
 from gradcal_jax.model.nodes import AXIS_NAMES, BodyNodes, OtherTemperature
 from gradcal_jax.model.path import PathTerm, TemperatureDifference
 from gradcal_jax.model.sensor import SensorModel
-from gradcal_jax.model.terms import GradientOfBias, Map, SignalMap, block_diagonal
+from gradcal_jax.model.terms import GradientOfBias, Map, SignalMap, Term, block_diagonal
 
 ChannelKind = Literal["gyro", "accelerometer"]
 KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
@@ -87,6 +87,17 @@ class ImuModel(PytreeModule):
         return sum(c.model.size for c in self.channels)
 
     @property
+    def terms(self) -> list[Term]:
+        """The terms of all channels, in the order of their parameters."""
+        return [term for c in self.channels for term in c.model.terms]
+
+    @property
+    def own_states(self) -> int:
+        """Number of the noise states that are the unit's own: integrals and processes of its channels. Those of the
+        encoders follow."""
+        return sum(1 + c.model.processes.count for c in self.channels)
+
+    @property
     def size(self) -> int:
         """Number of parameters."""
         return self.calibrated + sum(term.size for term in self.installation)
@@ -108,15 +119,13 @@ class ImuModel(PytreeModule):
     @property
     def knows_path(self) -> bool:
         """Whether any term depends on the path of temperature."""
-        terms = [term for c in self.channels for term in c.model.terms]
-        return bool(self.others) or any(isinstance(term, PathTerm) for term in terms)
+        return bool(self.others) or any(isinstance(term, PathTerm) for term in self.terms)
 
     @property
     def others(self) -> tuple[OtherTemperature, ...]:
         """The temperatures beside that of the sensor on which its terms depend."""
-        terms = [term for c in self.channels for term in c.model.terms]
-        late = {term.late for term in terms if isinstance(term, Map | SignalMap) and term.late is not None}
-        return tuple(sorted(late | {term.other for term in terms if isinstance(term, TemperatureDifference)}))
+        late = {term.late for term in self.terms if isinstance(term, Map | SignalMap) and term.late is not None}
+        return tuple(sorted(late | {term.other for term in self.terms if isinstance(term, TemperatureDifference)}))
 
     def names(self) -> list[str]:
         """Names of the reported parameters in order: `gyro_x.b00`, `accelerometer_z.k2`, `azimuth`."""
@@ -177,7 +186,7 @@ class ImuModel(PytreeModule):
         """S with `columns at T + by = (columns at T) S` for each `by` (K); None unless all are polynomials of T."""
         result, known = np.tile(np.eye(self.size), (len(by), 1, 1)), {}
         begin = 0
-        for term in (term for c in self.channels for term in c.model.terms):
+        for term in self.terms:
             if isinstance(term, Map | SignalMap):
                 basis, count = term.temperature, term.size // term.temperature.size
                 if not isinstance(basis, Polynomial) or term.late is not None:

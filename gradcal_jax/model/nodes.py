@@ -1,8 +1,8 @@
 """Nodes: where the errors of a sensor are evaluated and summed, piece by piece. The one place where plan and log meet.
 
 A parameter of the sensor adds `∫ (its function of temperature and rate) dt` to the integrated error of a piece. A plan
-integrates on Gauss–Legendre nodes of smooth motion (`GaussNodes`), a log sums its samples (`SampleNodes`); the terms of
-the model are the same functions of both.
+integrates on Gauss–Legendre nodes of smooth motion, a log on its samples; the terms of the model are the same functions
+of both.
 """
 
 from dataclasses import replace
@@ -32,26 +32,6 @@ class GaussNodes(PytreeModule):
         xp = namespace(first, second)
         weighted = xp.swapaxes(second * self.weight[..., None], -1, -2)
         return xp.reshape(xp.swapaxes(weighted @ first, -1, -2), (first.shape[0], -1))
-
-
-class SampleNodes(PytreeModule):
-    """Samples `(n,)` of a log in order of time; those of the k-th of `pieces` begin at `starts[k]`.
-
-    `noise`: standard deviation of a sample's rate (rad/s), which biases functions that are not linear in the rate.
-    """
-
-    pieces: Int[np.ndarray, " k"]
-    starts: Int[np.ndarray, " k"]
-    weight: Float[np.ndarray, " n"]
-    rate: Float[np.ndarray, " n"]
-    temperature: Float[np.ndarray, " n"]
-    noise: float
-    moving: bool = eqx.field(static=True)
-
-    def sums(self, first: Float[np.ndarray, "n a"], second: Float[np.ndarray, "n b"]) -> Float[np.ndarray, "k ab"]:
-        """As of `GaussNodes`."""
-        products = first[:, :, None] * (second * self.weight[:, None])[:, None, :]
-        return np.add.reduceat(products.reshape(len(first), -1), self.starts, axis=0)
 
 
 class OtherTemperature(NamedTuple):
@@ -108,6 +88,13 @@ class SharedNodes(NamedTuple):
         product = (rate[i] - earth[i]) * (rate[k] + earth[k])
         return product if i != k else product - sum(w * w - e * e for w, e in zip(rate, earth, strict=True))
 
+    def product(self, names: tuple[str, ...]) -> Float[AnyArray, "U q 1"]:
+        """The product of signals; none: 1."""
+        product = namespace(self.weight).ones(self.weight.shape)
+        for name in names:
+            product = product * self.signal(name)
+        return product[..., None]
+
     def sums(self, first: Float[AnyArray, "k m a"], second: Float[AnyArray, "U q b"]) -> Float[AnyArray, "k ab"]:
         """As of `GaussNodes`."""
         xp = namespace(first, second)
@@ -124,7 +111,7 @@ class SharedNodes(NamedTuple):
         return self.others[of.name]
 
 
-NodeGroup = GaussNodes | SampleNodes | SharedNodes
+NodeGroup = GaussNodes | SharedNodes
 
 
 class Nodes(PytreeModule):

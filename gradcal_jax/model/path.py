@@ -67,17 +67,11 @@ class PathTerm(Term):
         return []
 
     def prior_rows(self) -> Float[AnyArray, "q size"]:
-        return namespace(self.std).reshape(1.0 / self.std, (1, 1))
+        return namespace(self.std).eye(self.size) / self.std
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
         of_group = {id(g): values for g, values in zip(nodes.groups, self.functions(nodes), strict=True)}
-        return nodes.integrals(lambda g: g.sums(of_group[id(g)], self._drive(g)), self.size)
-
-    def _drive(self, group: SharedNodes) -> AnyArray:
-        product = namespace(group.weight).ones(group.weight.shape)
-        for name in self.signals:
-            product = product * group.signal(name)
-        return product[..., None]
+        return nodes.integrals(lambda g: g.sums(of_group[id(g)], g.product(self.signals)), self.size)
 
 
 def _shared(nodes: Nodes) -> list[SharedNodes]:
@@ -205,9 +199,6 @@ class HalfDifference(PathTerm):
 
     def names(self) -> list[str]:
         return [f"{self.name}{k}" for k in range(self.size)]
-
-    def prior_rows(self) -> Float[AnyArray, "q q"]:
-        return namespace(self.std).eye(self.size) / self.std
 
     def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m q"]]:
         result, knots = [], self.temperature.knots

@@ -85,11 +85,6 @@ class SensorModel(PytreeModule):
         return [term.unit for term in self.terms for _ in range(term.size)]
 
     @property
-    def calibrated(self) -> int:
-        """Number of calibrated parameters, which precede those of the rig and of structure."""
-        return sum(term.size for term in self.terms if isinstance(term, Map | GradientOfBias))
-
-    @property
     def to_reported(self) -> np.ndarray:
         """`(p, p)`: the engine's parameters to the reported ones."""
         return block_diagonal([term.to_reported for term in self.terms])

@@ -14,19 +14,15 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
-from gradcal_jax.formulas import legendre
 from gradcal_jax.linalg import triangular_factor
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
-from gradcal_jax.model.nodes import NodeGroup, Nodes, OtherTemperature, SampleNodes, SharedNodes
+from gradcal_jax.model.nodes import NodeGroup, Nodes, OtherTemperature, SharedNodes
 
 BIAS: Final = "bias"
 SCALE_FACTOR: Final = "scale_factor"
 TEMPERATURE_GRADIENT: Final = "bias_temperature_gradient"
 HARMONICS: Final = "harmonics"
 DISCREPANCY: Final = "{}_discrepancy"
-
-# Noise of the rate below this share of the fastest one has no effect in float64.
-_NO_NOISE = 1e-8
 
 
 class Term(PytreeModule):
@@ -207,28 +203,25 @@ class Map(Term):
         return xp.concatenate(rows) if rows else xp.zeros((0, self.size))
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        t, w = self.temperature, self.rate
-        plain = all(isinstance(basis, Polynomial) and basis.internal == "legendre" for basis in (t, w or t))
-
         def of_group(g: NodeGroup):
-            if not plain or isinstance(g, SampleNodes):
-                return g.sums(t(g.temperature), self.drive(g))
-            return namespace(g.weight).reshape(_all_products(g, t, t.size, w, w.size if w else 1), (-1, self.size))
+            return g.sums(self.temperature(g.temperature), self.drive(g))
 
-        return nodes.at(self.late).integrals(of_group, self.size, moving_only=w is not None)
+        return nodes.at(self.late).integrals(of_group, self.size, moving_only=self.rate is not None)
 
     def columns_with_beyond(self, nodes: Nodes) -> tuple[Float[AnyArray, "P size"], Float[AnyArray, "P extra"]]:
         """The map's columns and the discrepancy's, computed together where its polynomials continue the map's."""
         beyond = self.beyond
         assert beyond is not None
         pairs = [(self.temperature, beyond.temperature), (self.rate, beyond.rate)]
-        if any(isinstance(g, SampleNodes) for g in nodes.groups) or not all(_continued(*pair) for pair in pairs):
+        if not all(_continued(*pair) for pair in pairs):
             return self.columns(nodes), beyond.columns(nodes)
         in_t, in_w = beyond.temperature.lowest, 1 if beyond.rate is None else beyond.rate.lowest
 
         def of_group(g: NodeGroup):
             xp, w = namespace(g.weight), beyond.rate
-            every = _all_products(g, beyond.temperature, in_t + beyond.temperature.size, w, in_w + w.size if w else 1)
+            of_rate = xp.ones((*g.rate.shape, 1)) if w is None else g.rate[..., None] * w.from_zero(g.rate)
+            every = g.sums(beyond.temperature.from_zero(g.temperature), of_rate)
+            every = xp.reshape(every, (len(every), -1, of_rate.shape[-1]))
             parts = (every[:, :in_t, :in_w], every[:, in_t:], every[:, :in_t, in_w:])
             return xp.concatenate([xp.reshape(part, (len(every), -1)) for part in parts], axis=1)
 
@@ -236,21 +229,10 @@ class Map(Term):
         return both[:, : self.size], both[:, self.size :]
 
     def drive(self, group: NodeGroup) -> AnyArray:
-        """Factor of the functions of temperature at the nodes: 1 for B, `χ(ω)·ω` for M.
-
-        A sampled rate has noise (errors in variables): the mean of `g(ω̃)` exceeds `g(ω)` by ½σ²g''(ω) + …, and that of
-        ½[g(ω̃+σ) + g(ω̃−σ)] exceeds `g(ω̃)` by the same, so `2g(ω̃) − ½[g(ω̃+σ) + g(ω̃−σ)]` has no error to that order
-        (none at all for maps up to the square of the rate).
-        """
-        if (basis := self.rate) is None:
+        """Factor of the functions of temperature at the nodes: 1 for B, `χ(ω)·ω` for M."""
+        if self.rate is None:
             return namespace(group.rate).ones((*group.rate.shape, 1))
-
-        def driven(rate):
-            return basis(rate) * rate[..., None]
-
-        if not isinstance(group, SampleNodes) or group.noise <= _NO_NOISE * np.max(np.abs(group.rate), initial=0.0):
-            return driven(group.rate)
-        return 2.0 * driven(group.rate) - 0.5 * (driven(group.rate + group.noise) + driven(group.rate - group.noise))
+        return self.rate(group.rate) * group.rate[..., None]
 
 
 def _prior_with_common(reported: np.ndarray, constant: np.ndarray, std, common_std) -> Float[AnyArray, "size size"]:
@@ -291,17 +273,6 @@ def _continued(own: Basis | None, higher: HigherPolynomials | None) -> bool:
     if not isinstance(own, Polynomial) or own.internal != "legendre":
         return False
     return (own.size, own.centre, own.scale) == (higher.lowest, higher.centre, higher.scale)
-
-
-def _all_products(g: NodeGroup, temperature, most: int, rate, of_rate: int) -> AnyArray:
-    """`(k, most, of_rate)`: integrals over the group's pieces of Legendre polynomials in temperature times those in
-    rate, times the rate itself; without `rate`, of those in temperature. The bases define centre and scale.
-    """
-    x = (g.temperature - temperature.centre) / temperature.scale
-    y = x if rate is None else (g.rate - rate.centre) / rate.scale
-    xp = namespace(x, y, g.weight)
-    second = xp.ones((*g.rate.shape, 1)) if rate is None else g.rate[..., None] * legendre(y, of_rate - 1)
-    return xp.reshape(g.sums(legendre(x, most - 1), second), (-1, most, of_rate))
 
 
 def _ordinal(basis: Basis, index: int) -> str:
@@ -360,10 +331,7 @@ class SignalMap(Term):
     def drive(self, group: NodeGroup) -> AnyArray:
         """Factor of the functions of temperature at the nodes."""
         assert isinstance(group, SharedNodes), "signals are of a body's nodes"
-        product = namespace(group.weight).ones(group.weight.shape)
-        for name in self.signals:
-            product = product * group.signal(name)
-        return product[..., None]
+        return group.product(self.signals)
 
 
 class GradientOfBias(Term):

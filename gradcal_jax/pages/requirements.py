@@ -8,8 +8,7 @@ import numpy as np
 
 from gradcal_jax.api.ieee_terms import Box, calibrated_posterior, calibration_map, grid_of
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
-from gradcal_jax.api.imu_residual import ImuResidual, quantity_of
-from gradcal_jax.api.missions import ErrorCurve, error_curves
+from gradcal_jax.api.imu_residual import ErrorCurve, ImuResidual, error_curves, quantity_of
 from gradcal_jax.api.prediction import counted_posteriors
 from gradcal_jax.api.systematic import TURN_ON, CountedPosteriors, widened
 from gradcal_jax.api.verdicts import run_of

@@ -32,14 +32,14 @@ def draw_residuals_over_time(report: SensorEstimate, *, ax: Axes | None = None) 
     drawn = []
     for k, c in enumerate(report.built.model.channels):
         own = channel == k
-        residual = report.solution.estimate.residuals[0][own]
+        residual = report.solution.estimate.residuals[own]
         marker = "o" if c.kind == "gyro" else "^"
         name = c.name.replace("_", " ")
         drawn.append(
             ax.scatter(time[own], residual, s=6, marker=marker, color=PALETTE[k % 6], label=name, rasterized=True)
         )
     if (low := report.solution.weights < 1.0).any():
-        residual = report.solution.estimate.residuals[0]
+        residual = report.solution.estimate.residuals
         ax.scatter(time[low], residual[low], s=30, marker="x", color=PALETTE[1], label="reduced weight")
     for level in (-3.0, 3.0):
         ax.axhline(level, color="black", linewidth=0.7, linestyle=":")

@@ -20,7 +20,7 @@ Division = tuple[tuple[float, ...], tuple[bool, ...]]
 
 
 class PieceTable(NamedTuple):
-    """The smooth pieces `(k,)` of one move on one channel.
+    """The smooth pieces `(k,)` of one move.
 
     A piece lasts `(u_end − u_start)·(by_duration·duration + by_ramp·ramp)` of its move's duration and ramp, and its
     rate is `peak_rate · terms·f(u)` (f: the motion family of `formulas`). Flags: a reading at the end; the axis stands
@@ -40,18 +40,15 @@ class PieceTable(NamedTuple):
 
 @dataclass(frozen=True)
 class Move:
-    """A turn (any of `formulas.SHAPES`), or a rest (`shape="rest"`), of the table axis `axis`.
+    """A turn (any of `formulas.SHAPES`), or a rest (`shape="rest"`).
 
     `peak_rate` rad/s, signed; `duration` s, the whole move's; `ramp` s, each ramp's, of a turn by hand the standing
-    before and after turning; `unevenness` of a turn by hand. `divisions`: of each smooth part; `division_at_rest`: for
-    an axis that stands during the move.
+    before and after turning; `unevenness` of a turn by hand. `divisions`: of each smooth part.
     """
 
     shape: str
-    axis: str
     duration: float
     divisions: tuple[Division, ...]
-    division_at_rest: Division
     peak_rate: float = 0.0
     ramp: float = 0.0
     unevenness: float = 0.0
@@ -61,15 +58,16 @@ class Move:
     @property
     def angle(self) -> float:
         """Net angle, rad."""
-        p = self.pieces(self.axis)
+        p = self.pieces
         lasting = p.by_duration * self.duration + p.by_ramp * self.ramp
         family = formulas.motion_angle(p.u_end) - formulas.motion_angle(p.u_start)
         return float(np.sum(np.sum(family * p.terms, axis=1) * lasting)) * self.peak_rate
 
-    def pieces(self, channel: str) -> PieceTable:
-        """The move on a channel: its own motion, or standing while another axis moves."""
-        if self.shape == "rest" or channel != self.axis:
-            return standing(self.division_at_rest)
+    @property
+    def pieces(self) -> PieceTable:
+        """The pieces of the move."""
+        if self.shape == "rest":
+            return standing(self.divisions[0])
         return turning(self.shape, self.divisions, self.unevenness, stands=self.ramp > 0.0)
 
 
@@ -141,8 +139,7 @@ def rest(duration: float, read_every: float | None = None, *, read_at_end: bool 
     times = formulas.reading_times(float(duration), read_every)
     if read_at_end and (not times or times[-1] < duration):
         times.append(float(duration))
-    division = divide(float(duration), tuple(times))
-    return Move("rest", "", float(duration), (division,), division)
+    return Move("rest", float(duration), (divide(float(duration), tuple(times)),))
 
 
 def turn(
@@ -151,19 +148,16 @@ def turn(
     duration: float,
     *,
     ramp: float = 0.0,
-    axis: str = "x",
     unevenness: float = 0.0,
     read_at_end: bool = True,
     read_every: float | None = None,
-    others_read_every: float | None = None,
     longest_piece: float = np.inf,
 ) -> Move:
-    """A turn of `axis` from plain numbers: `peak_rate` rad/s, signed; `duration` and each `ramp` in s.
+    """A turn from plain numbers: `peak_rate` rad/s, signed; `duration` and each `ramp` in s.
 
     `shape`: one of `formulas.SHAPES`; `unevenness` of a turn by hand. `read_at_end`: the angle is read where the turn
-    ends; `others_read_every` s: of axes that stand during the move. `read_every` reads also on the move; `read_at_end`
-    then has no effect. `longest_piece` (a few of the shortest correlation time of the noise) divides the parts on which
-    the rate varies.
+    ends. `read_every` reads also on the move; `read_at_end` then has no effect. `longest_piece` (a few of the shortest
+    correlation time of the noise) divides the parts on which the rate varies.
 
     Errors: `ValueError` for an unknown shape or ramps longer than the move.
     """
@@ -184,6 +178,4 @@ def turn(
         times = tuple(min(t, part) for t in inside)
         divisions.append(divide(part, times, np.inf if what == "flat" else longest_piece))
         begin += part
-    others = divide(float(duration), tuple(formulas.reading_times(duration, others_read_every)))
-    numbers = float(duration), tuple(divisions), others, float(peak_rate), float(ramp)
-    return Move(shape, axis, *numbers, unevenness)
+    return Move(shape, float(duration), tuple(divisions), float(peak_rate), float(ramp), unevenness)

@@ -244,14 +244,13 @@ def gradient_plan(
     moves: tuple[Move, ...] = (),
     after: tuple[Move, ...] = (),
     *,
-    channel: str = "x",
     used: tuple[tuple[int, int], ...] | None = None,
     read_every: float | None = 1.0,
 ) -> Schedule:
     """Repeat the `moves`, each time with the moves `after` of other axes, as often as they fit into the used parts of a
     programme.
 
-    `channel`: the axis of the sensor. `used`: (first, last) of the programme's stretches, last not included; None: all.
+    `used`: (first, last) of the programme's stretches, last not included; None: all.
     `read_every` s: spacing of the readings while the axis stands in the remaining time; None: one at its end. Errors:
     `ValueError` when the moves fit nowhere.
     """
@@ -260,8 +259,8 @@ def gradient_plan(
     period = own + sum(m.duration for m in after)
     spans = used or ((0, len(times) - 1),)
     cycle = (*moves, *after)
-    tables = [m.pieces(channel) for m in cycle]
-    numbers = [(m.duration, m.peak_rate if m.axis == channel else 0.0, m.ramp) for m in cycle]
+    tables = [m.pieces for m in cycle]
+    numbers = [(m.duration, m.peak_rate, m.ramp) for m in cycle]
     placed: list[tuple[int, PieceTable]] = []
     fillers: list[tuple[int, int, int, np.ndarray]] = []
     gaps: list[int] = []

@@ -148,20 +148,22 @@ def divided_motion(
         alike, own = np.flatnonzero(motion.kind == kind), of_kinds[kinds == kind]
         pieces = np.concatenate([pieces, np.repeat(alike, len(own))])
         at = np.concatenate([at, np.tile(own, len(alike))])
+    return _divided(motion, pieces, at, EDGE, waves, least)
+
+
+def _divided(
+    motion: TableMotion, pieces: np.ndarray, at: np.ndarray, edge: float, waves: int | None, least: int
+) -> TableMotion:
+    """The motion with `pieces` divided at the fractions `at`, of those within `edge` at the first."""
     if not len(pieces):
         return motion
     order = np.lexsort((at, pieces))
     pieces, at = pieces[order], at[order]
-    apart = (np.diff(pieces, prepend=-1) != 0) | (np.diff(at, prepend=-1.0) > EDGE)
+    apart = (np.diff(pieces, prepend=-1) != 0) | (np.diff(at, prepend=-1.0) > edge)
     line, source = motion.line.divided(pieces[apart], at[apart])
-    return _of_pieces(motion, line, source, waves, least)
-
-
-def _of_pieces(motion: TableMotion, line: Trajectory, source: np.ndarray, waves: int | None, least: int) -> TableMotion:
-    """The motion in the pieces of `line`, which are parts of the pieces `source`."""
-    at = motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles
+    of_pieces = motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles
     path = {"history": motion.history, "others": motion.others, "behind": motion.behind}
-    return replace(table_motion(line, *at, waves, least), **path)
+    return replace(table_motion(line, *of_pieces, waves, least), **path)
 
 
 def motion_divided_by_plays(
@@ -169,8 +171,7 @@ def motion_divided_by_plays(
 ) -> TableMotion:
     """The motion with its pieces divided where the temperature turns, and where plays of these half-widths (K) begin or
     cease to follow it, so that they are smooth on every piece. Numbers must be known; the rest as `divided_motion`."""
-    line, source = motion.line.divided(*_turning_points(motion.line))
-    motion = motion if line.piece_count == len(motion.axis) else _of_pieces(motion, line, source, waves, least)
+    motion = _divided(motion, *_turning_points(motion.line), 0.0, waves, least)
     line, (begin, end) = motion.line, motion.line.ends()
     pieces, places = [np.zeros(0, int)], [np.zeros(0)]
     earlier = begin[:1] if motion.history is None else np.append(motion.history, begin[0])
@@ -192,13 +193,7 @@ def motion_divided_by_plays(
             places.append(0.5 * (low + high) if line.lagged else linear)
     piece, place = np.concatenate(pieces), np.concatenate(places)
     inside = (place > _PLAY_EDGE) & (place < 1.0 - _PLAY_EDGE)
-    piece, place = piece[inside], place[inside]
-    order = np.lexsort((place, piece))
-    piece, place = piece[order], place[order]
-    apart = (np.diff(piece, prepend=-1) != 0) | (np.diff(place, prepend=-1.0) > _PLAY_EDGE)
-    if not np.any(apart):
-        return motion
-    return _of_pieces(motion, *line.divided(piece[apart], place[apart]), waves, least)
+    return _divided(motion, piece[inside], place[inside], _PLAY_EDGE, waves, least)
 
 
 def _turning_points(line: Trajectory) -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,7 @@ def test_a_prediction_that_is_wrong_by_a_tenth_is_found(monkeypatch: pytest.Monk
     def spoilt(errors, predicted):
         return wishart_test(errors, Posterior(1.1 * predicted.spread, predicted.hidden))
 
-    monkeypatch.setattr(sys.modules["gradcal_jax.api.monte_carlo"], "wishart_test", spoilt)
+    monkeypatch.setattr(sys.modules["gradcal_jax.api.prediction"], "wishart_test", spoilt)
     assert not monte_carlo(parse_spec(presets.text("ferraris")), 400, seed=1)[1]["all"].consistent
 
 

@@ -13,8 +13,7 @@ import yaml
 from scipy.signal import lfilter
 
 from gradcal_jax import identify
-from gradcal_jax.api.instability import allan_of, at_rest, instability, of_sensor
-from gradcal_jax.api.noise_files import noise_file, noise_of_imu
+from gradcal_jax.api.instability import allan_of, at_rest, instability, noise_file, noise_of_imu, of_sensor
 from gradcal_jax.cli import main
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.log_file import write_log

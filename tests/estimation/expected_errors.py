@@ -11,8 +11,7 @@ from gradcal_jax.model import SensorModel
 
 
 class Observations(NamedTuple):
-    """Readings `(N, U)` of `U` units on one trajectory, rad, with their noise steps and regressors `(N, p)`, or
-    `(U, N, p)` of each unit's own."""
+    """Readings `(N, U)` of `U` units on one trajectory, rad, with their noise steps and regressors `(N, p)`."""
 
     steps: NoiseSteps
     columns: np.ndarray
@@ -22,11 +21,8 @@ class Observations(NamedTuple):
 def whitened(observations: Observations, model: SensorModel) -> Whitened:
     """The rows of all units together, of the steps that have a reading."""
     steps, columns = observations.steps, observations.columns
-    every = columns if columns.ndim == 3 else columns[None]
-    rows = whiten(steps, np.concatenate([*every, observations.readings], axis=1))[steps.used]
-    count = len(every) * every.shape[2]
-    own = np.moveaxis(rows[:, :count].reshape(len(rows), len(every), -1), 1, 0)
-    return Whitened(own, rows[:, count:].T, model.prior_rows())
+    rows = whiten(steps, np.concatenate([columns, observations.readings], axis=1))[steps.used]
+    return Whitened(rows[:, : columns.shape[1]], rows[:, columns.shape[1] :], model.prior_rows())
 
 
 def nees_band(runs, parameters, confidence=0.99):
@@ -37,18 +33,13 @@ def nees_band(runs, parameters, confidence=0.99):
 
 
 def normalised_errors(found, truth):
-    """`(U,)`: squared errors of each unit's parameters, normalised by its covariance (NEES); truth `(U, p)` or `(p,)`.
+    """`(U,)`: squared errors of each unit's parameters, normalised by the covariance (NEES); truth `(U, p)`.
 
     With s Sᵀ the covariance's root, `|S⁺(β̂ − β)|²`. Errors: `ValueError` where something is unobservable.
     """
-    result = np.empty(len(found.parameters))
-    for unit, known in enumerate(found.known):
-        if known.hidden.shape[1]:
-            raise ValueError("some parameters are not observable, so no error of theirs can be normalised")
-        error = found.parameters[unit] - (truth if truth.ndim == 1 else truth[unit])
-        white = np.linalg.lstsq(known.spread, error, rcond=None)[0]
-        result[unit] = float(white @ white)
-    return result
+    if found.known.hidden.shape[1]:
+        raise ValueError("some parameters are not observable, so no error of theirs can be normalised")
+    return np.sum(np.linalg.lstsq(found.known.spread, found.parameters - truth.T, rcond=None)[0] ** 2, axis=0)
 
 
 def on_trajectory(line, model, readings):

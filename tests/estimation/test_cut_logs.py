@@ -6,9 +6,8 @@ from estimate_scenes import draw_truth, record, scene
 from logs_zoo import STANDARD, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api.estimate import estimate_log, estimate_sensors
-from gradcal_jax.api.estimate_rows import estimate_rows
-from gradcal_jax.api.executed_part import lacks_of
+from gradcal_jax.api.contradictions import lacks_of
+from gradcal_jax.api.estimate import estimate_log, estimate_rows, estimate_sensors
 from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.files.log import Log, part_of
 from gradcal_jax.pages.report_data import report_data_of

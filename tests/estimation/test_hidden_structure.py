@@ -6,8 +6,7 @@ from logs_zoo import spec_of
 from simulated_log import simulate_log
 
 from gradcal_jax.api import assemble, predict
-from gradcal_jax.api.estimate import estimate_log
-from gradcal_jax.api.estimate_rows import estimate_rows
+from gradcal_jax.api.estimate import estimate_log, estimate_rows
 from gradcal_jax.files import changed, to_toml
 from gradcal_jax.files.spec import parse_spec
 

@@ -37,10 +37,10 @@ def test_an_axis_is_estimated_within_its_covariance(spec, rate_hz, marked):
     log, truth = simulate_log(spec, sample_rate_hz=rate_hz, seed=3)
     (channel,) = estimated(spec, log if marked else replace(log, standstill=None), axis="x")
     estimate = channel.solution.estimate
-    root = estimate.known[0].spread
-    white = np.linalg.solve(root, estimate.parameters[0] - truth["x"][0])
+    root = estimate.known.spread
+    white = np.linalg.solve(root, estimate.parameters - truth["x"][0])
     assert chi2.sf(white @ white, len(white)) > 1e-3
-    assert 1e-3 < chi2.sf(estimate.chi_squared[0], estimate.degrees[0]) < 1.0 - 1e-3
+    assert 1e-3 < chi2.sf(estimate.chi_squared, estimate.degrees) < 1.0 - 1e-3
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 2.0, 5.0, 10.0])

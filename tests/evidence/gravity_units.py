@@ -20,7 +20,7 @@ from gradcal_jax.api.estimate import with_options
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fit_of_log import fitted_twice
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.api.recorded_rows import imu_rows
+from gradcal_jax.api.log_rows import imu_rows
 from gradcal_jax.files import presets
 from gradcal_jax.files.spec_sections import Spec
 
@@ -62,7 +62,7 @@ def outcome(spec: Spec, seed: int, spoilt: float) -> dict[str, Any]:
     return {
         "seed": seed, "nees": nees(list(range(model.calibrated))), "nees_scale": nees(scales),
         "scale": (error[scales] / sigma[scales]).tolist(), "sigma": (sigma[scales] / predicted[scales]).tolist(),
-        "residual": float(of.chi_squared[0] / of.degrees[0]), "coefficients": model.calibrated,
+        "residual": float(of.chi_squared / of.degrees), "coefficients": model.calibrated,
     }  # fmt: skip
 
 

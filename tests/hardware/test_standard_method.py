@@ -67,9 +67,11 @@ def test_fifty_seeds_scatter_as_the_model_says():
         )  # fmt: skip
         columns, readings = np.asarray(model.columns(gauss_nodes(line, model))), np.radians(said - turned)[:, None]
         found = estimation.solve(whitened(Observations(noise_steps(line, model), columns, readings), model))
-        residuals += float(found.residuals[0] @ found.residuals[0])
-        error = model.to_reported @ found.parameters[0] - np.array([truth[f"gyro_x.{name}"] for name in model.names()])
-        errors += float(np.sum(np.linalg.solve(model.to_reported @ found.known[0].spread, error) ** 2))
+        residuals += float(np.sum(found.residuals**2))
+        error = model.to_reported @ found.parameters[:, 0] - np.array(
+            [truth[f"gyro_x.{name}"] for name in model.names()]
+        )
+        errors += float(np.sum(np.linalg.solve(model.to_reported @ found.known.spread, error) ** 2))
     freedom = SEEDS * (count - model.size)
     assert (count, model.size) == (36, 16)
     assert 1e-3 < chi2.sf(residuals, freedom) < 1.0 - 1e-3, residuals / freedom

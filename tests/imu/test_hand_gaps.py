@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from test_hand_estimate import AT, G, drawn, held, squared
 
-from gradcal_jax.api.hand_estimate import HandReport, estimate_by_hand
-from gradcal_jax.api.short_gaps import fill_short_gaps
+from gradcal_jax.api.hand_estimate import HandReport, estimate_by_hand, fill_short_gaps
 from gradcal_jax.files.log import Log
 
 

@@ -11,8 +11,7 @@ from loop_scene import WIDTHS, recorded, spec_of
 from matplotlib.figure import Figure
 
 import gradcal_jax as gj
-from gradcal_jax.api.estimate import EstimateReport, SensorEstimate, estimate_sensors
-from gradcal_jax.api.estimate_rows import estimate_rows
+from gradcal_jax.api.estimate import EstimateReport, SensorEstimate, estimate_rows, estimate_sensors
 from gradcal_jax.api.instability import at_rest, temperature_ranges
 from gradcal_jax.cli import main
 from gradcal_jax.cli.estimated import text_of_estimate

@@ -7,9 +7,14 @@ import pytest
 from helpers import SCENES, core
 from scipy.stats import chi2
 
-from gradcal_jax.information import monte_carlo_errors, wishart_test
+from gradcal_jax.information import at_readings, noise_steps, simulated_errors, wishart_test
 
 RUNS = 2000
+
+
+def monte_carlo_errors(line, model, runs: int, seed: int = 0):
+    system = noise_steps(line, model), at_readings(line, model)
+    return simulated_errors(*system, model.prior_rows(), np.ones(model.size, bool), runs, seed)
 
 
 def check(line, model, runs: int, seed: int = 1) -> None:

@@ -71,7 +71,7 @@ class Bench:
         hidden = at_readings(self.line, with_hidden(self.spec, self.model, "scale_factor"))[:, self.model.size :]
         rows = whiten(self.steps, np.concatenate([self.columns, hidden, readings], axis=1))[self.steps.used]
         p, k = self.model.size, self.hidden.size
-        return Whitened(rows[None, :, :p], rows[:, p + k :].T, self.model.prior_rows()), rows[:, p : p + k], gamma
+        return Whitened(rows[:, :p], rows[:, p + k :], self.model.prior_rows()), rows[:, p : p + k], gamma
 
 
 def test_the_degrees_are_those_of_the_functions():
@@ -154,7 +154,7 @@ def test_the_data_ask_for_the_degree_that_is_hidden():
     bench = Bench("written")
     white, extra, _ = bench.units(1, 0.0, 7)
     of_fourth = [k for k, d in enumerate(bench.degrees) if d == (4, 0)]
-    test = structure_test(white._replace(data=white.data + 30 * PPM * extra[:, of_fourth].T), extra, bench.hidden, 0.01)
+    test = structure_test(white._replace(data=white.data + 30 * PPM * extra[:, of_fourth]), extra, bench.hidden, 0.01)
     assert test.noticed
     assert test.asked == (4, 3)
     nothing = structure_test(white, extra, bench.hidden, 0.01)
@@ -206,9 +206,9 @@ def test_a_thousand_units_with_hidden_maps(name):
     spec = changed(bench.spec, {"sensor.scale_factor.discrepancy": HIDDEN | {"standard_deviation": "5 ppm"}})
     model = assemble(spec).model
     white, extra, gamma = bench.units(1000, 5 * PPM, 17)
-    rows = np.concatenate([white.rows[0], extra], axis=1)
+    rows = np.concatenate([white.rows, extra], axis=1)
     both = np.concatenate([rows, model.prior_rows()])
-    data = np.concatenate([white.data.T, np.zeros((len(model.prior_rows()), 1000))])
+    data = np.concatenate([white.data, np.zeros((len(model.prior_rows()), 1000))])
     size = np.linalg.norm(both, axis=0)
     beta = (np.linalg.lstsq(both / size, data, rcond=None)[0] / size[:, None])[: bench.model.size]
     t, w = (a.ravel() for a in np.meshgrid(np.linspace(-30, 70, 41), np.radians(np.linspace(-300, 300, 41))))

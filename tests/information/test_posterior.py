@@ -20,7 +20,15 @@ from helpers import (
 
 from gradcal_jax import model as models
 from gradcal_jax import trajectory
-from gradcal_jax.information import residual, statistic, unobservable_combinations, unweighted, whiten
+from gradcal_jax.information import (
+    at_readings,
+    noise_steps,
+    residual,
+    statistic,
+    unobservable_combinations,
+    whiten,
+)
+from gradcal_jax.information.posterior import least_squares_of_means, noise_of_sums, spread_of
 from gradcal_jax.model import SCALE_FACTOR, Bins, BSpline, gyro_model, make_map
 
 LINEAR = Polynomial(1, 20.0, 50.0)
@@ -71,6 +79,12 @@ def test_smoothness_reaches_where_the_plan_does_not(basis):
     cold_and_warm = residual(seeing, smooth, "bias", np.array([-20.0, 55.0]), np.zeros(1))[:, 0]
     assert np.all(np.isfinite(cold_and_warm))
     assert cold_and_warm[1] > cold_and_warm[0] + 3 * DEG_PER_H
+
+
+def unweighted(line, model):
+    """Covariance of ordinary least squares on the mean rate errors of a standard plan."""
+    of = least_squares_of_means(at_readings(line, model), np.asarray(line.read), line.duration)
+    return spread_of(of, noise_of_sums(noise_steps(line, model), of.weights))
 
 
 def test_unweighted_least_squares_by_hand():
@@ -129,12 +143,6 @@ def test_what_is_common_to_a_run_stays_common_among_its_points():
     np.testing.assert_allclose(unweighted(plan.trajectory(), model).deviations(reported), plain, rtol=1e-8)
     # The clock is a constant of the scale factor, and no number of points takes it off.
     assert knowledge(plan, model).deviations(reported)[0] > 1e-3
-
-
-def test_unweighted_least_squares_is_for_rates():
-    plan, model = core(SCENES["gap"])
-    with pytest.raises(ValueError, match="standard method"):
-        unweighted(plan.trajectory(), model)
 
 
 def test_the_residual_with_a_discrepancy_is_the_errors_own_variance():

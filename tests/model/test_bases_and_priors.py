@@ -71,7 +71,6 @@ def test_terms_follow_one_another_and_are_found_by_name():
     assert [s.stop - s.start for s in groups] == [4, 6, 1, 4, 1 * 4 + 2 * 1]
     assert [s.start for s in groups] == [0, *(s.stop for s in groups[:-1])]
     assert model.size == groups[-1].stop == 21 == len(model.names()) == len(model.units())
-    assert model.calibrated == 11
     assert model.where("bias_discrepancy") == slice(21, 21)
     assert model.term("bias_discrepancy") is None
     assert model.units()[-1] == "1"

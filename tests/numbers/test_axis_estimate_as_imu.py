@@ -16,9 +16,9 @@ sys.path.append(str(Path(__file__).parents[1] / "estimation"))
 from logs_zoo import GRADIENT, STANDARD, spec_of
 from simulated_log import simulate_log
 
+from gradcal_jax.api.contradictions import discrepancies
 from gradcal_jax.api.estimate import estimate_log, estimate_sensors
 from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.structure_tests import discrepancies
 from gradcal_jax.files import changed
 from gradcal_jax.files import spec as specs
 from gradcal_jax.files.changes import tables_of

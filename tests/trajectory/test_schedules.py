@@ -20,7 +20,7 @@ def a_turn(shape, **more):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_move_takes_its_time_turns_its_angle_and_never_jumps(shape):
     move = a_turn(shape, read_every=2.0)
-    pieces = move.pieces("x")
+    pieces = move.pieces
     duration = (pieces.u_end - pieces.u_start) * (pieces.by_duration * TIME + pieces.by_ramp * move.ramp)
     assert duration.sum() == pytest.approx(TIME, rel=1e-14)
     assert float(move.angle) == pytest.approx(float(turned_angle(shape, RATE, TIME, RAMP)), abs=1e-12)
@@ -32,16 +32,6 @@ def test_a_move_takes_its_time_turns_its_angle_and_never_jumps(shape):
     np.testing.assert_allclose([ends[0, 0], ends[-1, 1]], 0.0, atol=1e-12)
     # Readings every 2 s, the one at the end included only if it falls there.
     np.testing.assert_allclose(np.cumsum(duration)[np.asarray(pieces.read)], [2.0, 4.0, 6.0], rtol=1e-13)
-
-
-def test_another_axis_sees_a_rest_of_the_same_length():
-    move = a_turn("hand", axis="y", others_read_every=2.0)
-    pieces = move.pieces("x")
-    assert not pieces.moving.any()
-    assert pieces.at_rest.all()
-    assert float(np.sum(pieces.u_end - pieces.u_start)) == pytest.approx(1.0)
-    assert np.all(pieces.by_duration == 1.0)
-    assert pieces.read.sum() == 3
 
 
 def test_ramps_that_do_not_fit_are_refused():

@@ -1,18 +1,4 @@
-"""`gradcal-lines/1`: the description of a device with a text protocol, without code.
-
-    format = "gradcal-lines/1"
-    role   = "chamber"                              # or "axis"
-    title  = "Thermotron 3800"
-    [line]                                          # the framing of messages
-    ends   = "\\r"
-    [ask.air]                                       # a query, and its reply with fields in braces
-    send   = "PVAR1?"
-    reply  = "{air}"
-    [tell.setpoint]                                 # a command, with values in braces
-    send   = ["SETP1,{setpoint:g}", "RUNM"]
-    [state.conditioning]                            # a state of the device, from a field
-    field  = "mode"
-    bit    = 4
+"""`gradcal-lines/1`: the description of a device with a text protocol, without code; `presets/devices` has examples.
 
 In a reply `{name}` is a number, `{name:text}` the text up to the next character of the template, `{name:char}` one
 character; a field without a name is ignored. A reply must show the value of every command: a protocol in which a set
@@ -29,7 +15,7 @@ from pydantic import BeforeValidator, Field
 
 from gradcal_jax import units
 from gradcal_jax.files import quantity as q
-from gradcal_jax.files.document import model_of, read_toml
+from gradcal_jax.files.document import Model, model_of, read_toml
 from gradcal_jax.files.problems import Problem, instead
 from gradcal_jax.files.section import Section
 
@@ -85,6 +71,15 @@ class Line(Section):
     """What to look at where nothing answers."""
 
 
+def unit_problems(table: Section, kinds: Mapping[str, str]) -> Iterator[Problem]:
+    """Keys of a table that hold no unit of their dimension, by `kinds`."""
+    for name, kind in kinds.items():
+        try:
+            units.parse(f"1 {getattr(table, name)}", kind)
+        except ValueError as problem:
+            yield Problem((name,), str(problem), getattr(table, name))
+
+
 class DeviceUnits(Section):
     """`[units]`: what the device's own numbers are in."""
 
@@ -101,12 +96,7 @@ class DeviceUnits(Section):
 
     def _problems(self) -> Iterator[Problem]:
         kinds = ("temperature", "temperature slope", "angle", "angular rate", "angular acceleration")
-        for name, kind in zip(DeviceUnits.model_fields, kinds, strict=True):
-            unit = getattr(self, name)
-            try:
-                units.parse(f"1 {unit}", kind)
-            except ValueError as problem:
-                yield Problem((name,), str(problem), unit)
+        return unit_problems(self, dict(zip(DeviceUnits.model_fields, kinds, strict=True)))
 
 
 class DeviceLimits(Section):
@@ -361,23 +351,25 @@ def _problem_of_reply(template: str) -> str:
     return ""
 
 
-def reply_pattern(template: str) -> re.Pattern[str]:
-    """The pattern of a reply, with the fields as named groups. Matching is linear in a line's length."""
+def reply_pattern(template: str, number: str = _NUMBER, blanks: str = " +", around: str = r" *\1 *") -> re.Pattern[str]:
+    """The pattern of a reply, with the fields as named groups. Matching is linear in a line's length.
+
+    `blanks` stand for each blank of the template, `around` for commas and colons, about which devices differ.
+    """
+
+    def literal(text: str) -> str:
+        return re.sub("([,:])", around, blanks.join(re.escape(part) for part in text.split(" ")))
+
     pattern, place = "", 0
     for match in _FIELD.finditer(template):
-        pattern += _literal(template[place : match.start()])
+        pattern += literal(template[place : match.start()])
         place = match.end()
         if match[2] == "text":
             group = f"([^{re.escape(template[place])}]*)" if place < len(template) else "(.*)"
         else:
-            group = "(.)" if match[2] == "char" else _NUMBER
+            group = "(.)" if match[2] == "char" else number
         pattern += group.replace("(", f"(?P<{match[1]}>", 1) if match[1] else group
-    return re.compile(pattern + _literal(template[place:]), re.DOTALL)
-
-
-def _literal(text: str) -> str:
-    """Any number of blanks, and any around commas and colons: devices differ."""
-    return re.sub(r"([,:])", r" *\1 *", " +".join(re.escape(part) for part in text.split(" ")))
+    return re.compile(pattern + literal(template[place:]), re.DOTALL)
 
 
 def formatted(template: str, values: Mapping[str, float]) -> tuple[str, dict[str, str]]:
@@ -400,18 +392,24 @@ def shows(sent: str, reply: str) -> bool:
 
 
 def protocol_of(value: object, changes: object = None) -> LineProtocol:
+    """The protocol of a rig file: see `described`."""
+    return described(LineProtocol, FORMAT, value, changes)
+
+
+def described(kind: type[Model], form: str, value: object, changes: object) -> Model:
     """The protocol of a rig file: the name of one of this program's, or its own tables; and what differs from it.
 
     Raises:
         ValueError: no such name, or (as `SpecError`) everything that is wrong with the tables.
     """
+    name, names = value if isinstance(value, str) else "", shipped(form)
     if isinstance(value, Mapping):
-        tables: dict[str, Any] = dict(value)  # pyright: ignore[reportUnknownArgumentType]
-        return model_of(LineProtocol, changed_tables(tables, changes), FORMAT, "")
-    if not isinstance(value, str) or value not in shipped():
-        word = value if isinstance(value, str) else ""
-        raise ValueError(f"expected the name of a protocol, or its tables; {instead(word, shipped())}")
-    return model_of(LineProtocol, changed_tables(read_toml(protocol_text(value), value), changes), FORMAT, value)
+        tables = cast("Mapping[str, Any]", value)
+    elif name in names:
+        tables = read_toml(protocol_text(name), name)
+    else:
+        raise ValueError(f"expected the name of a protocol, or its tables; {instead(name, names)}")
+    return model_of(kind, changed_tables(tables, changes), form, name)
 
 
 def changed_tables(tables: Mapping[str, Any], changes: object) -> dict[str, Any]:

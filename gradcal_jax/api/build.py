@@ -238,7 +238,6 @@ def move_of(move: ResolvedMove, others_read_every: float | None, longest_piece: 
         move.peak_rate,
         move.duration,
         ramp=move.ramp,
-        axis=move.axis,
         unevenness=move.unevenness,
         read_at_end=move.read_end,
         read_every=move.read_every,

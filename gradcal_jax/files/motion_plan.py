@@ -194,7 +194,7 @@ def row_count(schedule: PlanSchedule, table: RigTable) -> int:
         if stands > 0.0 and (table.standing == "held" or not table.typed):
             # What no cycle fills has no reading at its end beside spaced ones.
             total += _rows(
-                ResolvedMove("rest", "x", stands, read_end=math.isinf(spacing), read_every=spacing), spacing, table
+                ResolvedMove("rest", stands, read_end=math.isinf(spacing), read_every=spacing), spacing, table
             )
     return total
 
@@ -252,7 +252,7 @@ def _after(cycle: MotionCycle, moving: float, rig: Rig) -> tuple[PlanStep, ...]:
         refuse(*([] if read else [Problem(("cycle", "other_axes"), _HELD)]))
         other, every = float(cycle.other_axes.duration), cycle.other_axes.read_every
         spacing = float(rig.table.axis[0].angle.read_every if every is None else every)
-        move = ResolvedMove("rest", "x", other, read_end=False)
+        move = ResolvedMove("rest", other, read_end=False)
         if cycle.other_axes.read:
             move = replace(move, read_end=math.isinf(spacing), read_every=spacing)
         rests.append(PlanStep(-1, move, -1))
@@ -262,7 +262,7 @@ def _after(cycle: MotionCycle, moving: float, rig: Rig) -> tuple[PlanStep, ...]:
             message = f"is shorter than the moves and the other axes together, {moving + other:.6g} s"
             refuse(Problem(("cycle", "duration"), message, cycle.duration.text))
         if idle > 0.0:
-            rests.append(PlanStep(-1, ResolvedMove("rest", "x", idle, read_end=not read), -1))
+            rests.append(PlanStep(-1, ResolvedMove("rest", idle, read_end=not read), -1))
     return tuple(rests)
 
 
@@ -376,7 +376,7 @@ def _unclosed(ends: Sequence[float], start: Sequence[float], axes: Iterable[str]
 
 def rest_step(duration: float, source: int) -> PlanStep:
     """A rest of `duration` s."""
-    return PlanStep(-1, ResolvedMove("rest", "x", duration), source)
+    return PlanStep(-1, ResolvedMove("rest", duration), source)
 
 
 def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None) -> ResolvedMove:
@@ -389,7 +389,6 @@ def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None)
     duration, signed = size / peak + ramp, math.copysign(peak, angle)
     return ResolvedMove(
         "cosine ramps",
-        "x",
         max(duration, 2.0 * ramp),
         angle=angle,
         peak_rate=signed,

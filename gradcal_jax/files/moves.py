@@ -49,7 +49,6 @@ class ResolvedMove:
     """
 
     shape: str
-    axis: Axis
     duration: float
     angle: float = 0.0
     peak_rate: float = 0.0
@@ -116,7 +115,7 @@ class _Move(Section):
         end = self.read != "none" and self.read_every is None
         own: dict[str, Any] = {"read_end": end, "read_every": _number(self.read_every), "repeat": self.repeat}
         own |= {"low": min(0.0, reach), "high": max(0.0, reach)}
-        return ResolvedMove(shape, AXES[0], duration, **own | motion)
+        return ResolvedMove(shape, duration, **own | motion)
 
 
 class Rest(_Move):

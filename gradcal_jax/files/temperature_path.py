@@ -173,8 +173,3 @@ class TemperaturePath(Section):
             if len(set(values)) < len(values):
                 refuse(Problem((key,), f"two entries have one {of}: their coefficients cannot be separated"))
         return self
-
-    @property
-    def widths(self) -> tuple[float, ...]:
-        """The half-widths of all plays, K."""
-        return tuple(sorted({float(play.width) for play in (*self.hysteresis, *self.scale_factor_hysteresis)}))

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax.units import DIMENSIONS, UnitError, convert, dimension_of, format_quantity, parse, to_unit, unit_of
-from gradcal_jax.units.dimensions import SYMBOLS
+from gradcal_jax.units.symbols import SYMBOLS
 
 DEG = math.pi / 180.0
 ARW = "angle random walk"

@@ -107,7 +107,7 @@ def record(samples: int) -> np.ndarray:
 def direct_bound_ours(rate: np.ndarray, times: np.ndarray) -> np.ndarray:
     from gradcal_jax.identify.largest_drift import largest_drift
 
-    return largest_drift(rate, INTERVAL, times, AVERAGE).largest_drift[:, 0]
+    return largest_drift(rate, INTERVAL, times, AVERAGE).largest_drift
 
 
 def _angle_and_mean(rate: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:

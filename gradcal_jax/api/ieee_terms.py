@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.files.calibration import CalibratedChannel, CalibratedTerm, Calibration
-from gradcal_jax.files.calibration.correction import basis_values
 from gradcal_jax.information import Posterior
 from gradcal_jax.model import ImuModel
 from gradcal_jax.units import DEG_PER_S
@@ -85,8 +84,8 @@ def term_map(
     if (term := channel.term_of(name)) is None:
         raise ValueError(f"the calibration of {channel.label} holds no {name.replace('_', ' ')}")
     one = np.ones((len(temperature_c), 1))
-    cold = one if term.temperature is None else basis_values(term.temperature, temperature_c)
-    fast = one if term.rate is None else basis_values(term.rate, rate)
+    cold = one if term.temperature is None else term.temperature.values(temperature_c)
+    fast = one if term.rate is None else term.rate.values(rate)
     return TermMap(calibration, channel, term, (cold[:, :, None] * fast[:, None, :]).reshape(len(one), -1))
 
 

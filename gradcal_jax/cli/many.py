@@ -181,7 +181,7 @@ def summary_of(results: "xarray.Dataset") -> dict[str, Any]:
 
     failed = int(np.count_nonzero(results["failure"].values != ""))
     reasons = Counter(str(reason) for reason in results["failure"].values.ravel() if reason)
-    axes = [str(name) for name in results.coords if name != "sensor_axis"]
+    axes = [str(name) for name in results.coords]
     rows: list[dict[str, Any]] = []
     for name, variable in results.data_vars.items():
         if variable.attrs.get("decisive") != "yes":

@@ -5,18 +5,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from gradcal_jax import formulas
+from gradcal_jax.files import quantity as q
 from gradcal_jax.files.problems import Problem
-from gradcal_jax.files.quantity import (
-    PositiveRate,
-    PositiveTemperatureDifference,
-    Quantity,
-    Rate,
-    Temperature,
-    Whole,
-)
 from gradcal_jax.files.section import Section, chosen_by
+from gradcal_jax.formulas import Array
 
-Degree = Annotated[Whole, Field(le=15)]
+Degree = Annotated[q.Whole, Field(le=15)]
 SplineDegree = Annotated[int, Field(strict=True, ge=0, le=5)]
 _MOST_PIECES = 200
 
@@ -29,13 +24,15 @@ def increasing(values: Sequence[float], key: str) -> list[Problem]:
     return []
 
 
-class _Polynomial(Section):
+class Polynomial(Section):
+    """Powers of (x − centre)/scale."""
+
     basis: Literal["polynomial"]
     """Kind of functions."""
     degree: Degree
     """Highest power."""
-    centre: Quantity
-    scale: Quantity
+    centre: q.Quantity
+    scale: q.Quantity
     internal: Literal["legendre", "chebyshev"] = "legendre"
     """Orthogonal polynomials in which it is computed; results are in powers."""
 
@@ -49,31 +46,37 @@ class _Polynomial(Section):
         """Where the basis is defined (°C or rad/s); None: everywhere."""
         return None
 
+    def values(self, x: Array) -> Array:
+        """Values of its *reported* functions, `(n,) -> (n, size)`."""
+        return formulas.monomials((x - float(self.centre)) / float(self.scale), self.degree)
 
-class TemperaturePolynomial(_Polynomial):
+
+class TemperaturePolynomial(Polynomial):
     """Powers of (T − centre)/scale."""
 
-    centre: Temperature = Quantity(20.0, "20 degC", "temperature")
+    centre: q.Temperature = q.Quantity(20.0, "20 degC", "temperature")
     """Temperature at which x is 0."""
-    scale: PositiveTemperatureDifference
+    scale: q.PositiveTemperatureDifference
     """Temperature difference at which x is 1."""
 
 
-class RatePolynomial(_Polynomial):
+class RatePolynomial(Polynomial):
     """Powers of (ω − centre)/scale."""
 
-    centre: Rate = Quantity(0.0, "0 deg/s", "angular rate")
+    centre: q.Rate = q.Quantity(0.0, "0 deg/s", "angular rate")
     """Rate at which x is 0."""
-    scale: PositiveRate
+    scale: q.PositiveRate
     """Rate at which x is 1."""
 
 
-class _Spline(Section):
+class Spline(Section):
+    """B-splines of `degree` on increasing knots, both ends included."""
+
     basis: Literal["b-spline"]
     """Kind of functions."""
     degree: SplineDegree = 3
     """Degree of the pieces."""
-    knots: tuple[Quantity, ...]
+    knots: tuple[q.Quantity, ...]
 
     def _problems(self) -> Iterable[Problem]:
         return increasing(self.knots, "knots")
@@ -88,25 +91,31 @@ class _Spline(Section):
         """Where the basis is defined (°C or rad/s)."""
         return (self.knots[0], self.knots[-1])
 
+    def values(self, x: Array) -> Array:
+        """Values of its functions, `(n,) -> (n, size)`."""
+        return formulas.b_spline(x, tuple(float(k) for k in self.knots), self.degree)
 
-class TemperatureSpline(_Spline):
+
+class TemperatureSpline(Spline):
     """B-splines of `degree` on increasing knots, both ends included."""
 
-    knots: Annotated[tuple[Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
+    knots: Annotated[tuple[q.Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
     """Temperatures at which pieces meet, both ends included, rising."""
 
 
-class RateSpline(_Spline):
+class RateSpline(Spline):
     """B-splines of `degree` on increasing knots, both ends included."""
 
-    knots: Annotated[tuple[Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
+    knots: Annotated[tuple[q.Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
     """Rates at which pieces meet, both ends included, rising."""
 
 
-class _Bins(Section):
+class Bins(Section):
+    """One constant between each two neighbouring edges."""
+
     basis: Literal["bins"]
     """Kind of functions."""
-    edges: tuple[Quantity, ...]
+    edges: tuple[q.Quantity, ...]
 
     def _problems(self) -> Iterable[Problem]:
         return increasing(self.edges, "edges")
@@ -121,18 +130,22 @@ class _Bins(Section):
         """Where the basis is defined (°C or rad/s)."""
         return (self.edges[0], self.edges[-1])
 
+    def values(self, x: Array) -> Array:
+        """Values of its functions, `(n,) -> (n, size)`."""
+        return formulas.bins(x, tuple(float(e) for e in self.edges))
 
-class TemperatureBins(_Bins):
+
+class TemperatureBins(Bins):
     """One constant between each two neighbouring edges."""
 
-    edges: Annotated[tuple[Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
+    edges: Annotated[tuple[q.Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
     """Temperatures between which the value is constant, rising."""
 
 
-class RateBins(_Bins):
+class RateBins(Bins):
     """One constant between each two neighbouring edges."""
 
-    edges: Annotated[tuple[Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
+    edges: Annotated[tuple[q.Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
     """Rates between which the value is constant, rising."""
 
 

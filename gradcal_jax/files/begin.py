@@ -2,11 +2,13 @@
 
 The error budget is that of the sensor's grade (`typical.toml`), with the source of each figure beside it; the plan
 turns the sensor at three rates while the chamber ramps, as a map of degree two in rate requires, and an IMU on a table
-of one axis is hung three times.
+of one axis is hung three times. Questions and presets are data, `start.toml`.
 """
 
 import math
+import tomllib
 from collections.abc import Callable, Mapping
+from importlib import resources
 from typing import Any, Final, NamedTuple
 
 from gradcal_jax import units
@@ -23,165 +25,51 @@ Answers = Mapping[str, str]
 
 
 class Question(NamedTuple):
-    """A question: its name, its words, and the kinds of its answers, which commas separate. `when`: whether it is asked
-    after these answers. An `optional` one takes "typical", too."""
+    """A question: its name, its words, and the kinds of its answers, which commas separate. `after`: of what it is
+    asked alone. An `optional` one takes "typical", too."""
 
     name: str
     asks: str
     kinds: tuple[str, ...]
-    when: Callable[[Answers], bool] = lambda _: True
+    after: tuple[str, ...] = ()
     optional: bool = False
+
+    def when(self, answers: Answers) -> bool:
+        """Whether it is asked after these answers."""
+        return all(_OF_ANSWERS[what](answers) for what in self.after)
 
 
 def _turns(of: Answers) -> bool:
     return of["table"] != "none"
 
 
-def _is_imu(of: Answers) -> bool:
-    return of["kind"] == "imu"
-
-
-def _turns_several(of: Answers) -> bool:
-    return of["kind"] != "gyro" and _turns(of)
-
-
-def _turns_imu(of: Answers) -> bool:
-    return _is_imu(of) and _turns(of)
-
-
-QUESTIONS: Final = (
-    Question("sensor", "What is the sensor called?", ("text",)),
-    Question("kind", "What is calibrated: gyro (one axis), gyros (x, y, z), imu (with accelerometers)?", ("kind",)),
-    Question("grade", f"Of which grade is it: {', '.join(grades())}?", ("grade",)),
-    Question("walk", "Its gyros' angle random walk, from the data sheet or `gradcal allan`?", ("angle random walk",)),
-    Question("full_scale", "Their full scale?", ("angular rate",)),
-    Question(
-        "sheet",
-        'From the sheet: zero-rate offset, its and the scale factor\'s change with temperature (or "typical")?',
-        ("angular rate", "bias slope", "scale factor slope"),
-        optional=True,
-    ),
-    Question(
-        "turn_on", 'By how much does the bias differ at the next power-on (or "typical")?', ("angular rate",),
-        optional=True,
-    ),
-    Question(
-        "force",
-        "The accelerometers' velocity random walk, zero-g offset, and its change with temperature?",
-        ("velocity random walk", "acceleration", "acceleration slope"),
-        _is_imu,
-    ),
-    Question("stream", "How do samples come: stim300, vectornav, text (lines), own (it logs by itself)?", ("stream",)),
-    Question("table", f"What turns the table: {', '.join(TABLES)}?", ("table",)),
-    Question("axes", "How many axes has it: 1 or 2?", ("axes",), _turns_several),
-    Question("rate", "How fast does it turn at most?", ("angular rate",), _turns),
-    Question("acceleration", "How fast does it speed up?", ("angular acceleration",), _turns),
-    Question(
-        "angle",
-        'By how much is its angle off where it comes to rest (or "none": nothing reads it)?',
-        ("offset",),
-        _turns,
-    ),
-    Question("travel", 'How far each way, before a cable ends it, as "170 deg" (or "unlimited")?', ("travel",), _turns),
-    Question("latitude", "At which latitude is it?", ("angle",), _turns_several),
-    Question("makes", "What makes the temperature: {chambers}?", ("chamber",), _turns),
-    Question(
-        "chamber",
-        "From which temperature to which, and how fast does it ramp?",
-        ("temperature", "temperature", "temperature slope"),
-        _turns,
-    ),
-    Question(
-        "targets",
-        "The limits on the error: of the gyros' scale factor and bias?",
-        ("scale factor", "angular rate"),
-        _turns,
-    ),
-    Question(
-        "force_targets",
-        "And of the accelerometers' scale factor and bias?",
-        ("scale factor", "acceleration"),
-        _turns_imu,
-    ),
-)  # fmt: skip
-
-_DRONE: Final = {
-    "sensor": "ICM-42688 class",
-    "kind": "imu",
-    "grade": "consumer",
-    "walk": "0.17 deg/sqrt(h)",
-    "full_scale": "500 deg/s",
-    "sheet": "0.5 deg/s, 0.005 deg/s/K, 50 ppm/K",
-    "turn_on": TYPICAL,
-    "force": "0.042 m/s/sqrt(h), 20 mg, 0.15 mg/K",
-    "stream": "own",
-    "table": "grbl",
-    "axes": "1",
-    "rate": "360 deg/s",
-    "acceleration": "300 deg/s^2",
-    "angle": "0.05 deg",
-    "travel": "720 deg",
-    "latitude": "48 deg",
-    "makes": "espec",
-    "chamber": "-25 degC, 70 degC, 1 K/min",
-    "targets": "1200 ppm, 200 deg/h",
-    "force_targets": "1000 ppm, 4 mg",
+_OF_ANSWERS: Final[Mapping[str, Callable[[Answers], bool]]] = {
+    "table": _turns,
+    "imu": lambda of: of["kind"] == "imu",
+    "several axes": lambda of: of["kind"] != "gyro",
 }
-_TACTICAL: Final = _DRONE | {
-    "sensor": "tactical MEMS",
-    "grade": "tactical",
-    "walk": "0.15 deg/sqrt(h)",
-    "full_scale": "400 deg/s",
-    "sheet": TYPICAL,
-    "force": "0.07 m/s/sqrt(h), 5 mg, 0.05 mg/K",
-    "stream": "stim300",
-    "table": "zaber",
-    "axes": "2",
-    "rate": "400 deg/s",
-    "acceleration": "400 deg/s^2",
-    "angle": "30 arcsec",
-    "travel": "unlimited",
-    "makes": "weiss",
-    "chamber": "-40 degC, 85 degC, 1 K/min",
-    "targets": "300 ppm, 35 deg/h",
-    "force_targets": "500 ppm, 1 mg",
-}
-PRESETS: Final[Mapping[str, Answers]] = {
-    "drone-imu": _DRONE,
-    "bmi088": _DRONE
-    | {
-        "sensor": "BMI088",
-        "walk": "0.84 deg/sqrt(h)",
-        "sheet": "1 deg/s, 0.015 deg/s/K, 300 ppm/K",
-        "force": "0.103 m/s/sqrt(h), 20 mg, 0.2 mg/K",
-        "stream": "text",
-        "travel": "170 deg",
-        "makes": "none",
-        "chamber": "0 degC, 50 degC, 1 K/min",
-        "targets": "2000 ppm, 300 deg/h",
-    },
-    "tactical-imu": _TACTICAL,
-    "drone-gyro": _DRONE | {"kind": "gyro", "sheet": TYPICAL, "targets": "1200 ppm, 120 deg/h"},
-    "tactical-gyro": _TACTICAL | {"kind": "gyro"},
-    "no-encoder": _DRONE
-    | {
-        "walk": "0.2 deg/sqrt(h)",
-        "full_scale": "1000 deg/s",
-        "stream": "stim300",
-        "table": "hand",
-        "rate": "400 deg/s",
-        "acceleration": "800 deg/s^2",
-        "angle": "none",
-        "travel": "unlimited",
-        "makes": "none",
-        "chamber": "10 degC, 40 degC, 5.5 K/min",
-        "targets": "150 ppm, 40 deg/h",
-        "force_targets": "300 ppm, 1 mg",
-    },
-}
+_DATA: Final[dict[str, Any]] = tomllib.loads(
+    (resources.files("gradcal_jax.files") / "start.toml").read_text(encoding="utf-8")
+)
+QUESTIONS: Final = tuple(
+    Question(
+        row["name"], row["asks"], tuple(row["kinds"]), tuple(row.get("after", ())), optional=row.get("optional", False)
+    )
+    for row in _DATA["question"]
+)
+
+
+def _preset(name: str) -> dict[str, str]:
+    own = dict(_DATA["preset"][name])
+    return (_preset(own.pop("like")) if "like" in own else {}) | own
+
+
+PRESETS: Final[Mapping[str, Answers]] = {name: _preset(name) for name in _DATA["preset"]}
 """Answers to all questions, for a sensor and a bench."""
-DEFAULTS: Final[Answers] = {k: v for k, v in _DRONE.items() if k not in ("sensor", "walk", "full_scale", "force")} | {
-    "sheet": TYPICAL
+DEFAULTS: Final[Answers] = {
+    key: value
+    for key, value in (PRESETS["drone-imu"] | {"sheet": TYPICAL}).items()
+    if key not in ("sensor", "walk", "full_scale", "force")
 }
 """What an empty line answers; the figures of a sensor have no default, since those of another one would be wrong."""
 _CHOICES: Final[Mapping[str, Callable[[], tuple[str, ...]]]] = {
@@ -203,7 +91,9 @@ def preset(name: str) -> dict[str, str]:
 
 def asked(question: Question) -> str:
     """The words of a question."""
-    return question.asks.format(chambers=", ".join(chambers())) if "{chambers}" in question.asks else question.asks
+    options = {"grades": grades, "tables": lambda: TABLES, "chambers": chambers}
+    shown = {name: ", ".join(known()) for name, known in options.items() if f"{{{name}}}" in question.asks}
+    return question.asks.format(**shown)
 
 
 def understood(question: Question, answer: str) -> tuple[float | str, ...]:

@@ -1,60 +1,39 @@
 """`[rig]`: the table of one axis with its angle reference, or the site and table of a whole unit, and the chamber."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Annotated, Final, Literal, cast
 
 from pydantic import BeforeValidator, Field
 
+from gradcal_jax.files import quantity as q
 from gradcal_jax.files.bases import increasing
 from gradcal_jax.files.problems import Problem, repeated_names
-from gradcal_jax.files.quantity import (
-    Angle,
-    Count,
-    Latitude,
-    Number,
-    Of,
-    PositiveAcceleration,
-    PositiveRate,
-    PositiveScaleFactor,
-    PositiveSpecificForce,
-    PositiveTemperatureDifference,
-    PositiveTemperatureSlope,
-    Quantity,
-    SizeOfAngle,
-    SizeOfScaleFactor,
-    SizeOfSpecificForce,
-    SizeOfTime,
-    Temperature,
-    Text,
-    Time,
-    Travel,
-)
 from gradcal_jax.files.rig import Name
 from gradcal_jax.files.section import Section
 
-NO_TIME: Final = Quantity(0.0, "0 s", "time")
+NO_TIME: Final = q.Quantity(0.0, "0 s", "time")
 
 
 class Harmonic(Section):
     """Repeatable error of the encoder: the angle's error repeats with the angle."""
 
-    order: Annotated[Count, Field(le=100_000)]
+    order: Annotated[q.Count, Field(le=100_000)]
     """Periods in one turn."""
-    amplitude: SizeOfAngle
+    amplitude: q.SizeOfAngle
     """Standard deviation of the cosine part and of the sine part."""
 
 
 class AngleReference(Section):
     """Error budget of the angle: white per reading, one draw a standstill, by angle, and by time on the move."""
 
-    reading_noise: SizeOfAngle = Quantity(0.0, "0 deg", "angle")
+    reading_noise: q.SizeOfAngle = q.Quantity(0.0, "0 deg", "angle")
     """Standard deviation of each reading, independent of all others."""
-    standstill_offset: SizeOfAngle = Quantity(0.0, "0 deg", "angle")
+    standstill_offset: q.SizeOfAngle = q.Quantity(0.0, "0 deg", "angle")
     """Standard deviation of what is common to all readings of one standstill and new in the next."""
-    timing_error: SizeOfTime = Quantity(0.0, "0 s", "time")
+    timing_error: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
     """Standard deviation of the time of a reading on the move, which the rate turns into angle."""
-    scale_error: SizeOfScaleFactor | None = None
+    scale_error: q.SizeOfScaleFactor | None = None
     """Standard deviation of the scale of the angle (a gear's ratio, counts for a turn), a ratio."""
     harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
     """Errors that repeat with the angle."""
@@ -67,11 +46,11 @@ class AngleReference(Section):
 class Chamber(Section):
     """The climatic chamber: where it can go and how fast."""
 
-    range: tuple[Temperature, Temperature]
+    range: tuple[q.Temperature, q.Temperature]
     """Coldest and hottest temperature of the chamber."""
-    max_heating: PositiveTemperatureSlope
+    max_heating: q.PositiveTemperatureSlope
     """Steepest slope upwards."""
-    max_cooling: PositiveTemperatureSlope
+    max_cooling: q.PositiveTemperatureSlope
     """Steepest slope downwards, as a size."""
     control: Literal["chamber", "none"] = "chamber"
     """"none": a fridge, a hair dryer, a bag of ice. A run commands and awaits no temperature, needs no chamber in its
@@ -84,19 +63,19 @@ class Chamber(Section):
 class Resolution(Section):
     """Resolution of the controllers: recipes are rounded to these steps."""
 
-    temperature: PositiveTemperatureDifference | None = None
+    temperature: q.PositiveTemperatureDifference | None = None
     """Step of a temperature set point."""
-    time: Time | None = None
+    time: q.Time | None = None
     """Step of a duration."""
-    rate: PositiveRate | None = None
+    rate: q.PositiveRate | None = None
     """Step of a rate."""
-    acceleration: PositiveAcceleration | None = None
+    acceleration: q.PositiveAcceleration | None = None
     """Step of an acceleration."""
-    angle: SizeOfAngle | None = None
+    angle: q.SizeOfAngle | None = None
     """Step of an angle."""
 
 
-NO_ANGLE: Final = Quantity(0.0, "0 deg", "angle")
+NO_ANGLE: Final = q.Quantity(0.0, "0 deg", "angle")
 _DIRECTIONS: Final = {
     f"{sign}{axis}": tuple(float(f"{sign}1") * (k == i) for k in range(3))
     for i, axis in enumerate("xyz")
@@ -104,22 +83,22 @@ _DIRECTIONS: Final = {
 }
 _TURN: Final = 2.0 * math.pi
 Direction = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-Vector = tuple[Number, Number, Number]
-Length = Annotated[Quantity, Of("length")]
+Vector = tuple[q.Number, q.Number, q.Number]
+Length = Annotated[q.Quantity, q.Of("length")]
 # Largest error of a rotation matrix that is written with six digits.
 _ROTATION: Final = 1e-5
-Spacing = Annotated[Quantity, Of("time", above="0 s", infinite="rest")]
+Spacing = Annotated[q.Quantity, q.Of("time", above="0 s", infinite="rest")]
 
 
 class Site(Section):
     """Where the rig stands."""
 
-    latitude: Latitude | None = None
+    latitude: q.Latitude | None = None
     """Geodetic latitude, north positive. For gyros along the only axis of a table it may be absent or "unknown": up to
     15.04 deg/h of the Earth's rate then count in their bias."""
-    gravity: PositiveSpecificForce | None = None
+    gravity: q.PositiveSpecificForce | None = None
     """Local gravity as it is used; absent: normal gravity at sea level of the latitude."""
-    gravity_accuracy: SizeOfSpecificForce = Quantity(0.0, "0 mg", "acceleration")
+    gravity_accuracy: q.SizeOfSpecificForce = q.Quantity(0.0, "0 mg", "acceleration")
     """Standard deviation of gravity; its error is common to all accelerometers."""
 
     @property
@@ -149,7 +128,7 @@ class AxisEncoder(AngleReference):
     """"gravity": there is no encoder, on any axis. The device's accelerometers tell the angle of every standstill, and
     its gyros count whole turns; the plan's angles need not be kept, each is estimated. All other keys but `read_every`
     are then left out."""
-    read_every: Spacing = Quantity(1.0, "1 s", "time")
+    read_every: Spacing = q.Quantity(1.0, "1 s", "time")
     """Spacing of the readings while the axis stands; "rest": one, at the end of each rest."""
 
 
@@ -160,15 +139,15 @@ class TableAxis(Section):
     """Its name, which moves refer to."""
     direction: Vector
     """Direction while all stand at zero, in the frame that the axis outside carries (outermost: East, North, up)."""
-    max_rate: PositiveRate
+    max_rate: q.PositiveRate
     """Largest rate."""
-    max_acceleration: PositiveAcceleration
+    max_acceleration: q.PositiveAcceleration
     """Largest acceleration."""
-    travel: Travel = Quantity(float("inf"), "unlimited", "angle")
+    travel: q.Travel = q.Quantity(float("inf"), "unlimited", "angle")
     """How far it may turn each way from zero; "unlimited" where no cable winds up."""
-    keep_out: tuple[Angle, Angle] | None = None
+    keep_out: tuple[q.Angle, q.Angle] | None = None
     """Angles between which it must never stand or pass, such as ["120 deg", "150 deg"]; zero lies outside of them."""
-    orthogonality: SizeOfAngle = NO_ANGLE
+    orthogonality: q.SizeOfAngle = NO_ANGLE
     """Standard deviation of the angle to the next axis inside."""
     angle: AxisEncoder = AxisEncoder()
     """Error budget of its angle."""
@@ -198,10 +177,16 @@ class TableAxis(Section):
         return tuple(c / length for c in self.direction)
 
 
+def _determinant(matrix: Iterable[Sequence[float]]) -> float:
+    """Of a 3 × 3 matrix: 1 for a rotation."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+
 class Mounting(Section):
     """How the unit hangs on the innermost axis."""
 
-    name: Text | None = None
+    name: q.Text | None = None
     """A name for people."""
     x: Direction = "+x"
     """Axis of the innermost table axis's frame along which the body's x points."""
@@ -209,13 +194,13 @@ class Mounting(Section):
     """The same of the body's y."""
     z: Direction = "+z"
     """The same of the body's z."""
-    rotation: tuple[Angle, Angle, Angle] | None = None
+    rotation: tuple[q.Angle, q.Angle, q.Angle] | None = None
     """Rotation vector (body) by which it is turned further."""
-    accuracy: SizeOfAngle = NO_ANGLE
+    accuracy: q.SizeOfAngle = NO_ANGLE
     """Standard deviation of each of the three angles."""
 
     def _problems(self) -> Iterator[Problem]:
-        if self.determinant != 1.0:
+        if _determinant(self.columns) != 1.0:
             directions = f"x = {self.x}, y = {self.y}, z = {self.z}"
             yield Problem((), "the body's axes must be three different ones and right-handed (x × y = z)", directions)
 
@@ -224,18 +209,12 @@ class Mounting(Section):
         """Body x, y and z in the innermost axis's frame, before `rotation`."""
         return tuple(_DIRECTIONS[d] for d in (self.x, self.y, self.z))
 
-    @property
-    def determinant(self) -> float:
-        """1 for a rotation."""
-        (a, b, c), (d, e, f), (g, h, i) = self.columns
-        return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-
 
 class Place(Mounting):
     """`[[rig.table.place]]`: where an IMU sits in a fixture that holds several; its directions are in the fixture's
     frame, and the table's mountings are those of the fixture."""
 
-    name: Text  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    name: q.Text  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
     """Its name; the IMU of this name in a run or log sits here."""
     matrix: tuple[Vector, Vector, Vector] | None = None
     """In the place of x, y and z: the rotation from the body to the fixture, row by row."""
@@ -245,11 +224,12 @@ class Place(Mounting):
     def _problems(self) -> Iterator[Problem]:
         yield from super()._problems()
         if self.matrix is not None:
-            products = [sum(a * b for a, b in zip(p, q, strict=True)) for p in self.matrix for q in self.matrix]
-            (a, b, c), (d, e, f), (g, h, i) = self.matrix
-            determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+            products = [sum(a * b for a, b in zip(u, v, strict=True)) for u in self.matrix for v in self.matrix]
             whole = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-            if determinant < 0.0 or max(abs(p - w) for p, w in zip(products, whole, strict=True)) > _ROTATION:
+            if (
+                _determinant(self.matrix) < 0.0
+                or max(abs(p - w) for p, w in zip(products, whole, strict=True)) > _ROTATION
+            ):
                 yield Problem(("matrix",), "is no rotation: its rows must be orthogonal, of length 1 and right-handed")
             if self.model_fields_set & {"x", "y", "z"}:
                 yield Problem(("matrix",), "is in the place of x, y and z: leave these out")
@@ -269,13 +249,13 @@ class RigTable(Section):
     """"held": a standing axis is known not to turn; "read": its angle is what each reading says, every `read_every`."""
     drive: Literal["motor", "hand"] = "motor"
     """"hand": a gimbal that the operator turns."""
-    answer_time: SizeOfTime = NO_TIME
+    answer_time: q.SizeOfTime = NO_TIME
     """What an operator needs for each turn by hand beside its duration: half to read the request, half to answer."""
-    tilt: SizeOfAngle = NO_ANGLE
+    tilt: q.SizeOfAngle = NO_ANGLE
     """Standard deviation of the base's two tilts."""
-    azimuth: SizeOfAngle = NO_ANGLE
+    azimuth: q.SizeOfAngle = NO_ANGLE
     """Standard deviation of the base's azimuth."""
-    rate_accuracy: SizeOfScaleFactor | None = None
+    rate_accuracy: q.SizeOfScaleFactor | None = None
     """Standard deviation of the reference rate of the standard method, a ratio; absent: exact."""
     axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
     """Axes, outermost first."""
@@ -333,17 +313,17 @@ class SimulatedLoop(Section):
 
     law: Literal["relays", "thermal masses"]
     """"relays": Preisach's, many of them; "thermal masses": two with a gradient across them."""
-    gyro_bias: PositiveRate | None = None
+    gyro_bias: q.PositiveRate | None = None
     """Size of the gyros' bias."""
-    gyro_scale_factor: PositiveScaleFactor | None = None
+    gyro_scale_factor: q.PositiveScaleFactor | None = None
     """Size of the gyros' scale factor."""
-    accelerometer_bias: PositiveSpecificForce | None = None
+    accelerometer_bias: q.PositiveSpecificForce | None = None
     """Size of the accelerometers' bias."""
-    accelerometer_scale_factor: PositiveScaleFactor | None = None
+    accelerometer_scale_factor: q.PositiveScaleFactor | None = None
     """Size of the accelerometers' scale factor."""
-    width: PositiveTemperatureDifference = Quantity(10.0, "10 K", "temperature difference")
+    width: q.PositiveTemperatureDifference = q.Quantity(10.0, "10 K", "temperature difference")
     """About the half-width of the relays, which have 0.3 to 2 times it."""
-    time_constants: tuple[Time, Time] = (Quantity(60.0, "1 min", "time"), Quantity(600.0, "10 min", "time"))
+    time_constants: tuple[q.Time, q.Time] = (q.Quantity(60.0, "1 min", "time"), q.Quantity(600.0, "10 min", "time"))
     """Of the two masses."""
 
     def _problems(self) -> Iterator[Problem]:
@@ -359,7 +339,7 @@ class SimulatedLoop(Section):
 class Rig(Section):
     """The bench of a whole unit."""
 
-    name: Text | None = None
+    name: q.Text | None = None
     """A name for people."""
     site: Site = Site()
     """Where the rig stands."""
@@ -369,7 +349,7 @@ class Rig(Section):
     """The climatic chamber."""
     resolution: Resolution | None = None
     """Steps of the controllers, to which a recipe is rounded."""
-    shift: Time = Quantity(28800.0, "8 h", "time")
+    shift: q.Time = q.Quantity(28800.0, "8 h", "time")
     """Duration of a shift, for the number of IMUs that a fixture calibrates in one."""
     simulated_loop: Annotated[tuple[SimulatedLoop, ...], Field(max_length=10)] = ()
     """Loops over the temperature of simulated sensors."""

@@ -14,15 +14,7 @@ from gradcal_jax.files.motion_plan import PlanSchedule, PlanStep, plan_schedule,
 from gradcal_jax.files.plan import ChamberCourse, RampItem, StandardPlan
 from gradcal_jax.files.problems import Key, Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.requirement import (
-    GyroScaleFactorRequirement,
-    MisalignmentRequirement,
-    MissionHeadingRequirement,
-    PositionRequirement,
-    Requirement,
-    TiltRequirement,
-    TurnRequirement,
-)
+from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
 from gradcal_jax.files.schedule import TemperatureSegment
 from gradcal_jax.files.sensor import GyroTriad
 
@@ -225,16 +217,17 @@ def _table_of(spec: "Spec", dotted: str) -> Any:
 
 def _needed_axes(requirement: Requirement) -> list[tuple[str, str]]:
     """Sensors without which a requirement's quantity would count as known exactly."""
-    if isinstance(requirement, TurnRequirement):
-        return [("gyro", "z")]
-    if isinstance(requirement, TiltRequirement):
-        return [("accelerometer", a) for a in "xy"]
-    if isinstance(requirement, PositionRequirement):
-        return [(kind, a) for kind in ("gyro", "accelerometer") for a in "xy"]
-    if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
-        kinds = ("gyro", "accelerometer") if requirement.quantity.startswith("accelerometer") else ("gyro",)
-        return [(kind, a) for kind in kinds for a in "xyz"]
-    return []
+    kinds, axes = _NEEDED_AXES.get(requirement.quantity, ((), ""))
+    if getattr(requirement, "relative_to", "") == "internal":
+        kinds, axes = ("gyro", *(("accelerometer",) if requirement.quantity.startswith("accelerometer") else ())), "xyz"
+    return [(kind, axis) for kind in kinds for axis in axes]
+
+
+_NEEDED_AXES: Final[Mapping[str, tuple[tuple[str, ...], str]]] = {
+    "heading": (("gyro",), "z"),
+    "tilt": (("accelerometer",), "xy"),
+    "position": (("gyro", "accelerometer"), "xy"),
+}
 
 
 def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, key: Key) -> list[Problem]:

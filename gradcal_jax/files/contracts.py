@@ -164,20 +164,9 @@ class SensorRow(Section):
     """The map M."""
 
 
-class SegmentRow(Section):
-    """The motion of one sensor axis and the chamber's course from `start` for `duration`.
+class CourseRow(Section):
+    """A motion, and the chamber's course meanwhile."""
 
-    Where a segment begins at another temperature than the one before it ended, the chamber steps.
-    """
-
-    axis: Axis
-    """Axis of the sensor."""
-    table_axis: Axis | None = None
-    """Axis that the table turns meanwhile; null: none."""
-    read: bool
-    """Whether a reading of this axis falls into the segment, its start excepted."""
-    used: bool = True
-    """False where the data are not part of the calibration; a reading that ends it is the angle's new origin."""
     start: Finite
     """Beginning (s)."""
     duration: Size
@@ -192,12 +181,28 @@ class SegmentRow(Section):
     """Time from rest to the peak rate (s); of a turn by hand, how long it stands before and after turning."""
     unevenness: Size | None = None
     """Of a turn by hand, as a share of the rate."""
+    used: bool = True
+    """False where the data are not part of the calibration; a reading that ends it is the angle's new origin."""
     temperature_start: Finite
     """The chamber's at the start (°C)."""
     temperature_end: Finite
     """The chamber's at the end (°C), linear in between."""
     temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None
     """Points (time in s, °C) through which it goes in between."""
+
+
+class SegmentRow(CourseRow):
+    """The motion of one sensor axis and the chamber's course from `start` for `duration`.
+
+    Where a segment begins at another temperature than the one before it ended, the chamber steps.
+    """
+
+    axis: Axis
+    """Axis of the sensor."""
+    table_axis: Axis | None = None
+    """Axis that the table turns meanwhile; null: none."""
+    read: bool
+    """Whether a reading of this axis falls into the segment, its start excepted."""
     standstill_id: int | None = None
     """Number of the standstill; null while the axis moves."""
 

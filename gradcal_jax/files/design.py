@@ -9,20 +9,9 @@ from typing import Annotated, Any, Final, Literal, cast
 
 from pydantic import Field, model_validator
 
+from gradcal_jax.files import quantity as q
 from gradcal_jax.files.bases import Degree, RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.problems import Problem, hint, one_of
-from gradcal_jax.files.quantity import (
-    Count,
-    Flag,
-    Number,
-    PositiveAngle,
-    PositiveScaleFactor,
-    Probability,
-    Quantity,
-    Text,
-    Time,
-    Whole,
-)
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.sensor import ScaleFactor
 
@@ -44,9 +33,9 @@ and poses: `cycle` (all of it) and `programme` (the chamber's legs, turning poin
 class Scenario(Section):
     """A variant of sensor or rig for which the plan must be good too: changes of single keys, and a weight."""
 
-    name: Text | None = None
+    name: q.Text | None = None
     """A name for people."""
-    weight: Annotated[Number, Field(gt=0.0)] = 1.0
+    weight: Annotated[q.Number, Field(gt=0.0)] = 1.0
     """Its weight in the mean over scenarios."""
     sensor: dict[str, Any] = Field(default_factory=dict)
     """Changed keys below [sensor]."""
@@ -57,15 +46,15 @@ class Scenario(Section):
 class Notice(Section):
     """What a design must notice: a scale factor's polynomials beyond the structure, up to these degrees."""
 
-    standard_deviation: PositiveScaleFactor
+    standard_deviation: q.PositiveScaleFactor
     """Standard deviation of each hidden coefficient, a ratio."""
     temperature_degree: Degree | None = None
     """Highest hidden degree in temperature; absent: the discrepancy's, or two more than the structure's."""
     rate_degree: Degree | None = None
     """Highest hidden degree in rate; absent: likewise."""
-    power: Probability = Quantity(0.9, "90 %", "scale factor")
+    power: q.Probability = q.Quantity(0.9, "90 %", "scale factor")
     """Probability with which it must be noticed."""
-    false_alarm: Probability = Quantity(0.01, "1 %", "scale factor")
+    false_alarm: q.Probability = q.Quantity(0.01, "1 %", "scale factor")
     """Level of the test that `estimate` makes of the log."""
 
 
@@ -76,39 +65,39 @@ WORST = "worst ratio"
 class Design(Section):
     """What `optimise` may change, and what for."""
 
-    minimise: Text = ALL
+    minimise: q.Text = ALL
     """A requirement's name, "motion time" or "total time". Of an axis also "A-optimality", "D-optimality" or
     "E-optimality"; of other IMUs "all requirements" (geometric mean of residual over target) or "worst ratio". Where it
     is one requirement, the targets of the others are limits."""
     free: Annotated[tuple[Free, ...], Field(min_length=1)] = ()
     """Which parts of the plan may change. Of cycles of turns and poses "cycle" and "programme"; absent: the cycle and,
     with a `hysteresis` in the spec, the programme."""
-    max_motion: Time | None = None
+    max_motion: q.Time | None = None
     """Longest ramp."""
-    max_total: Time | None = None
+    max_total: q.Time | None = None
     """Longest plan, soaks included."""
     cycles: Literal["own", "alike"] = "own"
     """Whether every turn at the table has moves of its own, or all the same; absent: the same where turns are many."""
-    moves: Annotated[Count, Field(le=400)] | None = None
+    moves: Annotated[q.Count, Field(le=400)] | None = None
     """Of an axis the turns in each turn at the table, 40 at most; absent: as many as are likely to help. Of other IMUs
     the most turns in a cycle; absent: 80."""
-    starts: Count = 16
+    starts: q.Count = 16
     """Number of searches from different plans."""
-    seed: Whole = 0
+    seed: q.Whole = 0
     """Seed of the search."""
     notice: Notice | None = None
     """What the design must notice."""
-    whole_turns: Flag = False
+    whole_turns: q.Flag = False
     """Whether every turn must be a whole number of revolutions, where encoder errors repeat."""
     robust: Literal["mean", "worst"] = "mean"
     """Whether the mean or the worst counts: over the scenarios, and over the ranges of `uncertain` noise figures."""
     scenario: Annotated[tuple[Scenario, ...], Field(max_length=1000)] = ()
     """Variants of sensor or rig that the plan must serve too."""
-    angle_step: PositiveAngle | None = None
+    angle_step: q.PositiveAngle | None = None
     """Turns are whole numbers of it; absent: any angle."""
-    shortest_rest: Time = Quantity(2.0, "2 s", "time")
+    shortest_rest: q.Time = q.Quantity(2.0, "2 s", "time")
     """Shortest rest."""
-    longest_rest: Time = Quantity(120.0, "2 min", "time")
+    longest_rest: q.Time = q.Quantity(120.0, "2 min", "time")
     """Longest rest."""
 
     @model_validator(mode="before")

@@ -1,35 +1,10 @@
 """Recordings of other programs -> `Log`: text tables, NumPy's `.npz` and `.npy`, MATLAB v5 files, Parquet.
 
-A small TOML file has the meaning of the columns, with units:
-
-    format      = "gradcal-columns/1"
-    sample_rate = "100 Hz"                    # as stated; needed where there is no time
-    full_scale  = "500 deg/s"                 # optional: where rates saturate
-    skip_first  = 1                           # rows left out on request, and counted as such
-
-    time        = { column = "t", unit = "us" }
-    host_time   = { column = "pc", unit = "s" }
-    temperature = { column = "temp", unit = "degC" }
-    status      = { column = "flags", good = 0 }
-    standstill  = { column = "rest" }         # truth values, or the number of the standstill (negative: moving)
-    [rate]
-    x = { column = "gx", unit = "deg/s", scale = 0.0305, zero = 12 }      # (number - zero) × scale, in the unit
-    y = { column = "gyro", index = 1, unit = "rad/s" }                    # one column of a two-dimensional array
-    [force]                                   # specific force: +1 g along an axis that points up at rest
-    x = { column = "ax", unit = "m/s^2" }     # as for rates
-    [table_angle]
-    inner = { column = 4, unit = "deg" }      # text and .npy: also by number, counted from 0
-    where = { column = "id", equals = 1 }     # of several sensors in the same columns the rows of one
-    sensor_rate = "400 Hz"                    # where rows are single samples of a faster sensor, every n-th, no means
-    [csv]
-    delimiter = ";"                           # ",", ";", "tab" or "whitespace"; header = false, comment = "#", skip = 0
-    decimal   = ","                           # 1,5 for one and a half; encoding = "latin-1" where it is not UTF-8
-    [policy]
-    gaps = "refuse"                           # see gradcal_jax.files.log_faults
-
-Several sensors on one table: `[[sensor]]` tables with `name`, `rate`, `force`, `temperature` and `status`, in place of
-those at the top. Times count from the first row. Raw counts of unknown scale are kept unchanged with
-`wrong_units = "keep"`.
+A small TOML file, the column map, has the meaning of the columns, with units: `templates/columns.toml` is one to start
+from. A number is (number - zero) × scale in the column's unit; columns of text and `.npy` are named by number, too, and
+those of a two-dimensional array by `index`. Times count from the first row. Of several sensors on one table there are
+`[[sensor]]` tables with `name`, `rate`, `force`, `temperature` and `status`, in place of those at the top. Raw counts
+of unknown scale are kept unchanged with `wrong_units = "keep"`.
 """
 
 import logging
@@ -81,26 +56,26 @@ class SensorColumns(Section):
     """Columns of one of several sensors."""
 
     name: Name
-    """Of the sensor."""
+    """Name or serial number of the sensor."""
     rate: Annotated[dict[Name, RateColumn], Field(min_length=1, max_length=20)]
-    """Columns of its axes, by name."""
+    """Columns of the axes, by name."""
     force: Annotated[dict[Name, ForceColumn], Field(max_length=20, default_factory=dict[str, ForceColumn])]
-    """Columns of its accelerometers' specific force, by axis."""
+    """Columns of the accelerometers' specific force, by axis."""
     temperature: TemperatureColumn | None = None
-    """Column of its temperature."""
+    """Column of the temperature."""
     second_temperature: TemperatureColumn | None = None
-    """Column of its second thermometer's temperature."""
+    """Column of the second thermometer's temperature, such as of the case."""
     status: StatusColumn | None = None
-    """Column of its status."""
+    """Column of the device's own status."""
 
 
-class ColumnMap(Section):
-    """What the columns of a recording mean; see the module's head."""
+class ColumnMap(SensorColumns):
+    """What the columns of a recording mean."""
 
     format: Literal["gradcal-columns/1"]
     """Name and version of this file format."""
     name: Name = "sensor"
-    """Name or serial number of the sensor."""
+    rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
     sample_rate: Frequency | None = None
     """As stated; needed where there is no time."""
     sensor_rate: Frequency | None = None
@@ -116,16 +91,6 @@ class ColumnMap(Section):
     """Column of the sensor's time."""
     host_time: TimeColumn | None = None
     """Column of the computer's time."""
-    rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
-    """Columns of the axes, by name."""
-    force: Annotated[dict[Name, ForceColumn], Field(max_length=20, default_factory=dict[str, ForceColumn])]
-    """Columns of the accelerometers' specific force, by axis."""
-    temperature: TemperatureColumn | None = None
-    """Column of the temperature."""
-    second_temperature: TemperatureColumn | None = None
-    """Column of the second thermometer's temperature, such as of the case."""
-    status: StatusColumn | None = None
-    """Column of the device's own status."""
     standstill: Source | None = None
     """Column of truth values, or of the standstill's number (negative: moving)."""
     table_angle: Annotated[dict[Name, AngleColumn], Field(max_length=20, default_factory=dict[str, AngleColumn])]
@@ -165,10 +130,8 @@ class ColumnMap(Section):
 
     @property
     def sensors(self) -> tuple[SensorColumns, ...]:
-        """The sensors; one sensor of the keys at the top where `[[sensor]]` is absent."""
-        if self.sensor:
-            return self.sensor
-        return (SensorColumns(**{key: getattr(self, key) for key in SensorColumns.model_fields}),)
+        """The sensors; the map itself where `[[sensor]]` is absent."""
+        return self.sensor or (self,)
 
     def sources(self) -> Iterator[Source]:
         """Every column that the map names."""

@@ -16,6 +16,7 @@ integrated noise. Estimated by generalised least squares with all priors.
 from typing import Literal
 
 from gradcal_jax.files.contracts import (
+    CourseRow,
     Finite,
     GradientSensitivityRow,
     HarmonicRow,
@@ -168,25 +169,11 @@ class InstallationRow(Section):
     """Of "sample_clock": whether accelerometers see it, too."""
 
 
-class ImuSegmentRow(Section):
+class ImuSegmentRow(CourseRow):
     """A rest, or the move of one axis."""
 
-    start: Finite
-    """Beginning (s)."""
-    duration: Size
-    """Length (s)."""
     axis: str | None = None
     """The axis that moves; null: all stand."""
-    shape: str
-    """As of gradcal-timeline/2."""
-    peak_rate: Finite = 0.0
-    """Largest rate, signed (rad/s)."""
-    angle: Finite = 0.0
-    """Angle turned, signed (rad)."""
-    ramp: Size | None = None
-    """Time from rest to the peak rate (s); of a turn by hand, how long it stands before and after turning."""
-    unevenness: Size | None = None
-    """Of a turn by hand, as a share of the rate."""
     angles_before: tuple[Finite, ...]
     """Angles of all axes as it begins, outermost first (rad)."""
     angles_after: tuple[Finite, ...]
@@ -199,14 +186,6 @@ class ImuSegmentRow(Section):
     """Number of each axis's standstill; null while it moves."""
     read: tuple[str, ...]
     """Channels that have a row of it."""
-    used: bool = True
-    """False where the data are not part of the calibration."""
-    temperature_start: Finite
-    """The chamber's at the start (°C)."""
-    temperature_end: Finite
-    """The chamber's at the end (°C), linear in between."""
-    temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None
-    """Points (time in s, °C) through which it goes in between."""
 
 
 class ImuTimeline(Section):

@@ -1,18 +1,4 @@
-"""`gradcal-lines/1`: the description of a device with a text protocol, without code.
-
-    format = "gradcal-lines/1"
-    role   = "chamber"                              # or "axis"
-    title  = "Thermotron 3800"
-    [line]                                          # the framing of messages
-    ends   = "\\r"
-    [ask.air]                                       # a query, and its reply with fields in braces
-    send   = "PVAR1?"
-    reply  = "{air}"
-    [tell.setpoint]                                 # a command, with values in braces
-    send   = ["SETP1,{setpoint:g}", "RUNM"]
-    [state.conditioning]                            # a state of the device, from a field
-    field  = "mode"
-    bit    = 4
+"""`gradcal-lines/1`: the description of a device with a text protocol, without code; `presets/devices` has examples.
 
 In a reply `{name}` is a number, `{name:text}` the text up to the next character of the template, `{name:char}` one
 character; a field without a name is ignored. A reply must show the value of every command: a protocol in which a set
@@ -28,25 +14,9 @@ from typing import Annotated, Any, Final, Literal, cast
 from pydantic import BeforeValidator, Field
 
 from gradcal_jax import units
-from gradcal_jax.files.document import model_of, read_toml
+from gradcal_jax.files import quantity as q
+from gradcal_jax.files.document import Model, model_of, read_toml
 from gradcal_jax.files.problems import Problem, instead
-from gradcal_jax.files.quantity import (
-    Angle,
-    Count,
-    Flag,
-    Number,
-    PositiveAcceleration,
-    PositiveAngle,
-    PositiveRate,
-    PositiveTemperatureDifference,
-    PositiveTemperatureSlope,
-    Quantity,
-    SizeOfTime,
-    Temperature,
-    Text,
-    Time,
-    Whole,
-)
 from gradcal_jax.files.section import Section
 
 FORMAT: Final = "gradcal-lines/1"
@@ -61,7 +31,7 @@ def _listed(value: object) -> object:
     return (value,) if isinstance(value, str) else value
 
 
-Texts = Annotated[tuple[Text, ...], BeforeValidator(_listed), Field(max_length=8)]
+Texts = Annotated[tuple[q.Text, ...], BeforeValidator(_listed), Field(max_length=8)]
 # A reply may be empty except for its end.
 Replies = Annotated[tuple[Annotated[str, Field(strict=True, max_length=2000)], ...], BeforeValidator(_listed)]
 
@@ -69,7 +39,7 @@ Replies = Annotated[tuple[Annotated[str, Field(strict=True, max_length=2000)], .
 class Line(Section):
     """`[line]`. `frame` "stx-etx-xor8": STX, `address`, the text with its eighth bits set, their exclusive or, ETX."""
 
-    baudrate: Count = 9600
+    baudrate: q.Count = 9600
     """Bits per second."""
     bytesize: Literal[7, 8] = 8
     """Data bits of a character."""
@@ -87,70 +57,74 @@ class Line(Section):
     """What ends a line that is sent."""
     reply_ends: Annotated[str, Field(strict=True, max_length=4)] = ""
     """What ends a reply; empty: the same."""
-    timeout: Time = Quantity(2.0, "2 s", "time")
+    timeout: q.Time = q.Quantity(2.0, "2 s", "time")
     """How long a reply is waited for."""
-    pause: SizeOfTime = Quantity(0.0, "0 s", "time")
+    pause: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
     """Least time between two messages."""
-    boot: SizeOfTime = Quantity(0.0, "0 s", "time")
+    boot: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
     """Time that the device is given after its port was opened, which restarts many boards."""
-    pause_after_command: SizeOfTime = Quantity(0.0, "0 s", "time")
+    pause_after_command: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
     """Time that a command is given before the next message."""
-    refusal: Text | None = None
+    refusal: q.Text | None = None
     """How a reply begins that refuses."""
-    hint: Text | None = None
+    hint: q.Text | None = None
     """What to look at where nothing answers."""
+
+
+def unit_problems(table: Section, kinds: Mapping[str, str]) -> Iterator[Problem]:
+    """Keys of a table that hold no unit of their dimension, by `kinds`."""
+    for name, kind in kinds.items():
+        try:
+            units.parse(f"1 {getattr(table, name)}", kind)
+        except ValueError as problem:
+            yield Problem((name,), str(problem), getattr(table, name))
 
 
 class DeviceUnits(Section):
     """`[units]`: what the device's own numbers are in."""
 
-    temperature: Text = "degC"
+    temperature: q.Text = "degC"
     """Of temperatures."""
-    ramp: Text = "K/min"
+    ramp: q.Text = "K/min"
     """Of the chamber's slopes."""
-    angle: Text = "deg"
+    angle: q.Text = "deg"
     """Of angles."""
-    rate: Text = "deg/s"
+    rate: q.Text = "deg/s"
     """Of rates."""
-    acceleration: Text = "deg/s^2"
+    acceleration: q.Text = "deg/s^2"
     """Of accelerations."""
 
     def _problems(self) -> Iterator[Problem]:
         kinds = ("temperature", "temperature slope", "angle", "angular rate", "angular acceleration")
-        for name, kind in zip(DeviceUnits.model_fields, kinds, strict=True):
-            unit = getattr(self, name)
-            try:
-                units.parse(f"1 {unit}", kind)
-            except ValueError as problem:
-                yield Problem((name,), str(problem), unit)
+        return unit_problems(self, dict(zip(DeviceUnits.model_fields, kinds, strict=True)))
 
 
 class DeviceLimits(Section):
     """`[limits]`, of a chamber or of an axis. `free_ramp`: the number that stands for "as fast as it can"."""
 
-    lowest: Temperature | None = None
+    lowest: q.Temperature | None = None
     """Coldest temperature that it takes."""
-    highest: Temperature | None = None
+    highest: q.Temperature | None = None
     """Warmest temperature that it takes."""
-    resolution: PositiveTemperatureDifference = Quantity(0.1, "0.1 K", "temperature difference")
+    resolution: q.PositiveTemperatureDifference = q.Quantity(0.1, "0.1 K", "temperature difference")
     """Finest step of a set temperature."""
-    slowest: PositiveTemperatureSlope | None = None
+    slowest: q.PositiveTemperatureSlope | None = None
     """Slowest ramp that it takes."""
-    fastest: PositiveTemperatureSlope | None = None
+    fastest: q.PositiveTemperatureSlope | None = None
     """Fastest ramp that it takes."""
-    free_ramp: Number | None = None
+    free_ramp: q.Number | None = None
     """Number that stands for "as fast as it can"."""
-    max_rate: PositiveRate | None = None
+    max_rate: q.PositiveRate | None = None
     """Fastest that the axis turns."""
-    max_acceleration: PositiveAcceleration | None = None
+    max_acceleration: q.PositiveAcceleration | None = None
     """Fastest change of its rate."""
-    step: PositiveAngle | None = None
+    step: q.PositiveAngle | None = None
     """Finest step of a set angle."""
-    lowest_angle: Angle | None = None
+    lowest_angle: q.Angle | None = None
     """Lowest angle that it takes."""
-    highest_angle: Angle | None = None
+    highest_angle: q.Angle | None = None
     """Highest angle that it takes."""
-    spin_angle: PositiveAngle | None = None
+    spin_angle: q.PositiveAngle | None = None
     """How far a spin may go."""
 
 
@@ -158,13 +132,13 @@ class LineQuestion(Section):
     """`[ask.NAME]`. `last`: the line that ends a reply of several; `bare`: nothing ends the question. Without `last`
     several replies are other forms of one: a text that a form lacks is empty."""
 
-    send: Text
+    send: q.Text
     """The question."""
     reply: Annotated[Texts, Field(min_length=1)]
     """Its reply with fields in braces; several: lines of one reply, or other forms of it."""
-    last: Text | None = None
+    last: q.Text | None = None
     """The line that ends a reply of several."""
-    bare: Flag = False
+    bare: q.Flag = False
     """Nothing ends the question."""
 
     @property
@@ -190,9 +164,9 @@ class Command(Section):
     """What acknowledges it; empty: nothing."""
     shown_by: Texts = ()
     """Fields that show its value."""
-    bare: Flag = False
+    bare: q.Flag = False
     """Nothing ends the command."""
-    reply_when_done: Flag = False
+    reply_when_done: q.Flag = False
     """Whether it is acknowledged only when it has been done, as a homing may be."""
 
 
@@ -200,7 +174,7 @@ class Condition(Section):
     """`[state.NAME]`: it is so where a field equals one of these texts, equals none, begins with one, has a
     bit set, or is below a number."""
 
-    field: Text
+    field: q.Text
     """Which field of a reply."""
     equals: Texts = ()
     """It is so where the field is one of these."""
@@ -208,9 +182,9 @@ class Condition(Section):
     """It is so where the field is none of these."""
     begins: Texts = ()
     """It is so where the field begins with one of these."""
-    bit: Whole | None = None
+    bit: q.Whole | None = None
     """It is so where this bit of the field is set, counted from 0."""
-    below: Number | None = None
+    below: q.Number | None = None
     """It is so where the field is a number below this."""
 
     def _problems(self) -> Iterator[Problem]:
@@ -234,11 +208,11 @@ class Condition(Section):
 class RequiredSetting(Section):
     """`[[require]]`: how the device must be set before anything is told to it, and why."""
 
-    field: Text
+    field: q.Text
     """Which field of a reply."""
     equals: Texts
     """What it must be."""
-    why: Text
+    why: q.Text
     """What goes wrong otherwise."""
 
 
@@ -249,7 +223,7 @@ class LineProtocol(Section):
     """Name and version of this file format."""
     role: Literal["chamber", "axis"]
     """What the device is."""
-    title: Text
+    title: q.Text
     """A name for people."""
     line: Line = Line()
     """How a message is spoken."""
@@ -343,7 +317,7 @@ class LineProtocol(Section):
         if "end_program" in self.tell and "program" not in self.state:
             yield Problem(("state", "program"), "this key is missing; nothing else shows what end_program did")
         line = self.line
-        spoken = [*(q.send for q in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
+        spoken = [*(question.send for question in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
         if any(ord(letter) > 255 for text in (*spoken, line.prefix, line.ends, line.reply_ends) for letter in text):
             yield Problem((), "only characters of one byte can be sent")
 
@@ -377,23 +351,25 @@ def _problem_of_reply(template: str) -> str:
     return ""
 
 
-def reply_pattern(template: str) -> re.Pattern[str]:
-    """The pattern of a reply, with the fields as named groups. Matching is linear in a line's length."""
+def reply_pattern(template: str, number: str = _NUMBER, blanks: str = " +", around: str = r" *\1 *") -> re.Pattern[str]:
+    """The pattern of a reply, with the fields as named groups. Matching is linear in a line's length.
+
+    `blanks` stand for each blank of the template, `around` for commas and colons, about which devices differ.
+    """
+
+    def literal(text: str) -> str:
+        return re.sub("([,:])", around, blanks.join(re.escape(part) for part in text.split(" ")))
+
     pattern, place = "", 0
     for match in _FIELD.finditer(template):
-        pattern += _literal(template[place : match.start()])
+        pattern += literal(template[place : match.start()])
         place = match.end()
         if match[2] == "text":
             group = f"([^{re.escape(template[place])}]*)" if place < len(template) else "(.*)"
         else:
-            group = "(.)" if match[2] == "char" else _NUMBER
+            group = "(.)" if match[2] == "char" else number
         pattern += group.replace("(", f"(?P<{match[1]}>", 1) if match[1] else group
-    return re.compile(pattern + _literal(template[place:]), re.DOTALL)
-
-
-def _literal(text: str) -> str:
-    """Any number of blanks, and any around commas and colons: devices differ."""
-    return re.sub(r"([,:])", r" *\1 *", " +".join(re.escape(part) for part in text.split(" ")))
+    return re.compile(pattern + literal(template[place:]), re.DOTALL)
 
 
 def formatted(template: str, values: Mapping[str, float]) -> tuple[str, dict[str, str]]:
@@ -416,18 +392,24 @@ def shows(sent: str, reply: str) -> bool:
 
 
 def protocol_of(value: object, changes: object = None) -> LineProtocol:
+    """The protocol of a rig file: see `described`."""
+    return described(LineProtocol, FORMAT, value, changes)
+
+
+def described(kind: type[Model], form: str, value: object, changes: object) -> Model:
     """The protocol of a rig file: the name of one of this program's, or its own tables; and what differs from it.
 
     Raises:
         ValueError: no such name, or (as `SpecError`) everything that is wrong with the tables.
     """
+    name, names = value if isinstance(value, str) else "", shipped(form)
     if isinstance(value, Mapping):
-        tables: dict[str, Any] = dict(value)  # pyright: ignore[reportUnknownArgumentType]
-        return model_of(LineProtocol, changed_tables(tables, changes), FORMAT, "")
-    if not isinstance(value, str) or value not in shipped():
-        word = value if isinstance(value, str) else ""
-        raise ValueError(f"expected the name of a protocol, or its tables; {instead(word, shipped())}")
-    return model_of(LineProtocol, changed_tables(read_toml(protocol_text(value), value), changes), FORMAT, value)
+        tables = cast("Mapping[str, Any]", value)
+    elif name in names:
+        tables = read_toml(protocol_text(name), name)
+    else:
+        raise ValueError(f"expected the name of a protocol, or its tables; {instead(name, names)}")
+    return model_of(kind, changed_tables(tables, changes), form, name)
 
 
 def changed_tables(tables: Mapping[str, Any], changes: object) -> dict[str, Any]:

@@ -160,7 +160,7 @@ VARIABLES: Final[Mapping[str, LogVariable]] = {
     name: LogVariable(field, tuple(dimensions.split()), kind, unit, words)
     for name, field, dimensions, kind, unit, words in (
         ("time", "time_s", "time", np.float64, "s", "stamp of the sensor's clock"),
-        ("rate", "rate_rad_per_s", "unit time axis", np.float64, "rad s-1", "angular rate of the sensor"),
+        ("rate", "rate_rad_per_s", "unit time axis", np.float64, "rad s-1", "mean angular rate since the row before"),
         ("specific_force", "specific_force_m_per_s2", "unit time force_axis", np.float64, "m s-2", "specific force"),
         ("temperature", "temperature_c", "unit time", np.float64, "degC", "temperature of the sensor"),
         ("second_temperature", "second_temperature_c", "unit time", np.float64, "degC", "of its second thermometer"),

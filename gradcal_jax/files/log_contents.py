@@ -1,97 +1,37 @@
 """The contents of a gradcal-log/1 for other programs: the netCDF's dimensions, variables with units, attributes."""
 
-from typing import Annotated, Generic, Literal, TypeVar
+from collections.abc import Mapping
+from types import GenericAlias
+from typing import Annotated, Any, Final, Literal, cast
 
-from pydantic import Field
+from pydantic import Field, create_model
 
+from gradcal_jax.files.log import NEEDED, OF_READINGS, VARIABLES, LogVariable
 from gradcal_jax.files.quantity import Text, Whole
 from gradcal_jax.files.section import Section
 
-Dimensions = TypeVar("Dimensions")
-Unit = TypeVar("Unit")
-PerSample = tuple[Literal["time"]]
-PerUnit = tuple[Literal["unit"], Literal["time"]]
-PerAxis = tuple[Literal["unit"], Literal["time"], Literal["axis"]]
-PerForceAxis = tuple[Literal["unit"], Literal["time"], Literal["force_axis"]]
-PerTableAxis = tuple[Literal["time"], Literal["table_axis"]]
+
+def _described(name: str, variable: LogVariable) -> Any:
+    """The type and default of a variable's description."""
+    dimensions = GenericAlias(tuple, tuple(Literal[dimension] for dimension in variable.dimensions))  # pyright: ignore[reportInvalidTypeArguments]
+    words = f"{variable.words[:1].upper()}{variable.words[1:]}."
+    fields: dict[str, Any] = {
+        "description": (Text | None, Field(None, description="In words.")),  # pyright: ignore[reportOperatorIssue]
+        "dimensions": (dimensions, Field(description="Dimensions of the variable.")),
+        "units": (Literal[variable.unit], Field(description="Its unit.")),
+    }
+    title = "".join(part.capitalize() for part in name.split("_")) + "Variable"
+    model = cast("Any", create_model(title, __base__=Section, __doc__=words, **fields))
+    return (model, Field(description=words)) if name in NEEDED else (model | None, Field(None, description=words))
 
 
-class _Variable(Section, Generic[Dimensions, Unit]):
-    description: Text | None = None
-    """In words."""
-    dimensions: Dimensions
-    """Dimensions of the variable."""
-    units: Unit
-    """Its unit."""
-
-
-class Stamps(_Variable[PerSample, Literal["s"]]):
-    """Strictly increasing, of the sensor's clock (`time`) or the computer's (`host_time`)."""
-
-
-class Rates(_Variable[PerAxis, Literal["rad s-1"]]):
-    """Angular rates: of a row, the mean since the row before."""
-
-
-class Forces(_Variable[PerForceAxis, Literal["m s-2"]]):
-    """Specific forces: +1 g along an axis that points up at rest; of a row, the mean since the row before."""
-
-
-class Temperatures(_Variable[PerUnit, Literal["degC"]]):
-    """Of the sensors."""
-
-
-class TableAngles(_Variable[PerTableAxis, Literal["rad"]]):
-    """Not wrapped."""
-
-
-class TableRates(_Variable[PerTableAxis, Literal["rad s-1"]]):
-    """Of the table's axes."""
-
-
-class Standstills(_Variable[PerSample, Literal["1"]]):
-    """Number of the standstill that a row belongs to; -1 while the table moves."""
-
-
-class Mountings(_Variable[PerSample, Literal["1"]]):
-    """Of the mountings of the unit's spec the number, from 0."""
-
-
-class Statuses(_Variable[PerUnit, Literal["1"]]):
-    """0: usable; otherwise bits: 1 no rate, 2 saturated, 4 marked, 8 no temperature, 16 it is frozen, 32 left out,
-    64 no specific force, 128 a value is frozen, 256 far from its neighbours.
-    """
-
-
-class StretchStarts(_Variable[tuple[Literal["stretch"]], Literal["1"]]):
-    """The rows at which unbroken stretches begin; the first is 0."""
-
-
-class Variables(Section):
-    """Of these, `time`, `rate` and `stretch_start` must be there."""
-
-    time: Stamps
-    """Of the sensor's clock."""
-    rate: Rates
-    """Output of the gyros."""
-    stretch_start: StretchStarts
-    """Begins of unbroken stretches."""
-    specific_force: Forces | None = None
-    """Output of the accelerometers."""
-    temperature: Temperatures | None = None
-    """Of the sensors."""
-    table_angle: TableAngles | None = None
-    """Of the table's axes."""
-    table_rate: TableRates | None = None
-    """Of the table's axes."""
-    standstill: Standstills | None = None
-    """Number of the standstill of each row."""
-    mounting: Mountings | None = None
-    """Number of the unit's mounting."""
-    host_time: Stamps | None = None
-    """Of the computer's clock."""
-    status: Statuses | None = None
-    """Whether a row is usable."""
+_ALL: Final[Mapping[str, LogVariable]] = {**VARIABLES, **OF_READINGS}
+Variables: Any = create_model(
+    "Variables",
+    __base__=Section,
+    __doc__="Of these, `time`, `rate` and `stretch_start` must be there.",
+    **{name: _described(name, variable) for name, variable in _ALL.items()},
+)
 
 
 class Labels(Section):
@@ -108,18 +48,18 @@ class Labels(Section):
 
 
 class LogContents(Section):
-    """gradcal-log/1: a netCDF-4 file with these variables and global attributes. A checksum of all bytes may follow the
-    data, where other programs ignore it.
+    """gradcal-log/1: a netCDF-4 file with these variables and global attributes.
 
     `rows_removed` (JSON in the file) counts by reason the rows of the source that could not be kept; `findings` (JSON)
     are the faults found, `provenance` (JSON) texts by name. `simulated` is 1 where no real sensor made the data.
+    Specific forces are +1 g along an axis that points up at rest, and as rates the mean since the row before.
     """
 
     format: Literal["gradcal-log/1"]
     """Name and version of this file format."""
     labels: Labels
     """Coordinates."""
-    variables: Variables
+    variables: Variables  # pyright: ignore[reportInvalidTypeForm]
     """Variables."""
     rows: Whole
     """Number of rows."""

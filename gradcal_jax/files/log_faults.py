@@ -1,25 +1,4 @@
-"""From raw columns to a log: faults of recordings, detected, named, and treated by a policy.
-
-    fault                       detected by                                                           may be
-    unreadable row              its time is no number of seconds                                      mask, refuse
-    duplicate stamp             its time is that of an earlier row                                    mask, refuse
-    unordered stamp             its time is before that of an earlier row                             mask, refuse
-    gap                         an interval that later stamps do not make up for (jitter they do)     split, refuse
-    missing rate                a rate that is no finite number                                       mask, refuse
-    missing force               a specific force that is no finite number                             mask, refuse
-    saturated                   at full scale, or stuck at its own extreme three rows on end          mask, keep, refuse
-    marked                      the device's own status                                               mask, keep, refuse
-    missing temperature         a temperature that is no finite number, or jumps away and back        mask, keep, refuse
-    frozen temperature          unchanged for long, in a record where it changes                      mask, keep, refuse
-    wrong unit                  sizes that no sensor has; a factor against the table or stated rate   keep, refuse
-    rows in turns               rows that are nearer to the next but one than to the next                 keep, refuse
-    uneven stamps               apart by unlike times, and yet never far from an even clock               keep
-    rows out of order           many earlier stamps, by no more than a hundredth of the record            sort, refuse
-    changed rate                evenly at one rate in a part, and at another in the rest                  keep, refuse
-    clock drift                 sample rate against the stated one, against the host, or wandering    keep, refuse
-
-*mask* takes the rows out of use and counts them, *split* makes two stretches, *keep* only reports, *refuse* raises.
-"""
+"""From raw columns to a log: faults of recordings, detected, named, and treated by a policy (`Policy` lists them)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -84,7 +63,8 @@ _FACTORS: Final[Mapping[str, float]] = {
 
 
 class Policy(Section):
-    """The action for each fault; see the module's head."""
+    """The action for each fault: "mask" takes the rows out of use and counts them, "split" makes two stretches, "keep"
+    reports alone, "refuse" is an error."""
 
     unreadable_rows: Literal["mask", "refuse"] = "mask"
     """Rows whose time is no number."""

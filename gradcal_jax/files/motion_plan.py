@@ -16,23 +16,16 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from gradcal_jax.files.bench import Rig, RigTable, TableAxis
-from gradcal_jax.files.moves import CosineRamps, Move, ResolvedMove, Rest
+from gradcal_jax.files.moves import FULL_TURN, Angled, CosineRamps, Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse, OtherAxes, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
-from gradcal_jax.files.quantity import Angle, Count, Number, PositiveRate, Temperature, Text, Time
-from gradcal_jax.files.schedule import (
-    CourseTimes,
-    Stretch,
-    TemperatureSegment,
-    programme_of,
-)
+from gradcal_jax.files.quantity import Angle, Count, PositiveRate, Temperature, Text, Time
+from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
 from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
 
 BEYOND_TRAVEL: Final = "travel"
 """The kind of the problems of moves beyond an axis's travel, which `files.travel` mends."""
 _SLACK = 1e-6
-_FULL_TURN = 2.0 * math.pi
-_MOST = 1e6 * _FULL_TURN
 _HELD = 'has no effect where the table holds its angle; leave it out, or set rig.table.standing = "read"'
 _ONE_REST = "a rest is of all axes; leave this key out"
 # Spacing of the readings of a rest that is read at its end alone.
@@ -52,32 +45,15 @@ class Pose(Section):
     """How long to stay there."""
 
 
-class QuickTurn(Section):
+class QuickTurn(Angled):
     """A turn of one axis with cosine ramps, as fast as the axis goes."""
 
-    turn: Angle | None = None
-    """Angle, signed."""
-    turns: Number | None = None
-    """Number of revolutions, signed, in the place of an angle."""
     axis: Text | None = None
     """Name of the table axis; absent: the only one."""
     peak_rate: PositiveRate | None = None
     """Largest rate; absent: the axis's own. A short turn does not reach it."""
     repeat: Count = 1
     """How often the move is made."""
-
-    def _problems(self) -> Iterator[Problem]:
-        key = "turn" if self.turns is None else "turns"
-        if self.turn is not None and self.turns is not None:
-            yield Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns)
-        elif not self.angle or abs(self.angle) > _MOST:
-            message = "must not be zero, nor beyond a million turns; a rest is written { rest = … }"
-            yield Problem((key,), message, self.turn or self.turns)
-
-    @property
-    def angle(self) -> float:
-        """In rad."""
-        return _FULL_TURN * self.turns if self.turns is not None else float(self.turn or 0.0)
 
 
 class AxisMove(Section):
@@ -218,7 +194,7 @@ def row_count(schedule: PlanSchedule, table: RigTable) -> int:
         if stands > 0.0 and (table.standing == "held" or not table.typed):
             # What no cycle fills has no reading at its end beside spaced ones.
             total += _rows(
-                ResolvedMove("rest", "x", stands, read_end=math.isinf(spacing), read_every=spacing), spacing, table
+                ResolvedMove("rest", stands, read_end=math.isinf(spacing), read_every=spacing), spacing, table
             )
     return total
 
@@ -276,7 +252,7 @@ def _after(cycle: MotionCycle, moving: float, rig: Rig) -> tuple[PlanStep, ...]:
         refuse(*([] if read else [Problem(("cycle", "other_axes"), _HELD)]))
         other, every = float(cycle.other_axes.duration), cycle.other_axes.read_every
         spacing = float(rig.table.axis[0].angle.read_every if every is None else every)
-        move = ResolvedMove("rest", "x", other, read_end=False)
+        move = ResolvedMove("rest", other, read_end=False)
         if cycle.other_axes.read:
             move = replace(move, read_end=math.isinf(spacing), read_every=spacing)
         rests.append(PlanStep(-1, move, -1))
@@ -286,7 +262,7 @@ def _after(cycle: MotionCycle, moving: float, rig: Rig) -> tuple[PlanStep, ...]:
             message = f"is shorter than the moves and the other axes together, {moving + other:.6g} s"
             refuse(Problem(("cycle", "duration"), message, cycle.duration.text))
         if idle > 0.0:
-            rests.append(PlanStep(-1, ResolvedMove("rest", "x", idle, read_end=not read), -1))
+            rests.append(PlanStep(-1, ResolvedMove("rest", idle, read_end=not read), -1))
     return tuple(rests)
 
 
@@ -356,6 +332,7 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
                 if item.peak_rate is not None and item.peak_rate > axis.max_rate * (1.0 + _SLACK):
                     message = f'axis "{axis.name}" goes up to {axis.max_rate}; lower it, or leave it out'
                     problems.append(Problem((*key, "peak_rate"), message, str(item.peak_rate)))
+                assert item.angle is not None
                 move = replace(quickest_turn(item.angle, axis, item.peak_rate), repeat=item.repeat)
             else:
                 move = cast("Any", item.move).resolve(float(axis.max_acceleration))
@@ -393,13 +370,13 @@ def _unclosed(ends: Sequence[float], start: Sequence[float], axes: Iterable[str]
             "must return (or end a whole turn away); add a pose",
         )
         for name, begin, end in zip(axes, start, ends, strict=True)
-        if abs((end - begin) / _FULL_TURN - round((end - begin) / _FULL_TURN)) > 1e-6
+        if abs((end - begin) / FULL_TURN - round((end - begin) / FULL_TURN)) > 1e-6
     ]
 
 
 def rest_step(duration: float, source: int) -> PlanStep:
     """A rest of `duration` s."""
-    return PlanStep(-1, ResolvedMove("rest", "x", duration), source)
+    return PlanStep(-1, ResolvedMove("rest", duration), source)
 
 
 def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None) -> ResolvedMove:
@@ -412,7 +389,6 @@ def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None)
     duration, signed = size / peak + ramp, math.copysign(peak, angle)
     return ResolvedMove(
         "cosine ramps",
-        "x",
         max(duration, 2.0 * ramp),
         angle=angle,
         peak_rate=signed,

@@ -32,6 +32,7 @@ Axis = Literal["x", "y", "z"]
 AXES: Final[tuple[Axis, ...]] = ("x", "y", "z")
 AGREEMENT: Final = 0.005
 _ROUNDING: Final = 1e-9
+FULL_TURN: Final = 2.0 * math.pi
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,6 @@ class ResolvedMove:
     """
 
     shape: str
-    axis: Axis
     duration: float
     angle: float = 0.0
     peak_rate: float = 0.0
@@ -115,7 +115,7 @@ class _Move(Section):
         end = self.read != "none" and self.read_every is None
         own: dict[str, Any] = {"read_end": end, "read_every": _number(self.read_every), "repeat": self.repeat}
         own |= {"low": min(0.0, reach), "high": max(0.0, reach)}
-        return ResolvedMove(shape, AXES[0], duration, **own | motion)
+        return ResolvedMove(shape, duration, **own | motion)
 
 
 class Rest(_Move):
@@ -130,30 +130,30 @@ class Rest(_Move):
         return self.resolved("rest", float(self.rest), other_axes=self.other_axes)
 
 
-class _Turn(_Move):
+class Angled(Section):
+    """An angle, which is written in one of two ways."""
+
     turn: Angle | None = None
     """Angle, signed."""
     turns: Number | None = None
     """Number of revolutions, signed, in the place of an angle."""
-    duration: Time | None = None
-    """How long, ramps included."""
 
     @model_validator(mode="after")
-    def _one_angle(self) -> "_Turn":
+    def _one_angle(self) -> "Angled":
         if self.turn is not None and self.turns is not None:
             refuse(Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns))
         if self.turn == 0.0:
             refuse(Problem(("turn",), "must not be zero; a rest is written { rest = … }", "0"))
-        if self.turns == 0.0 or (self.turns is not None and abs(self.turns) > 1e6):
+        if abs(self.turn or 0.0) > 1e6 * FULL_TURN:
+            refuse(Problem(("turn",), "must be at most a million turns", str(self.turn)))
+        if self.turns == 0.0 or abs(self.turns or 0.0) > 1e6:
             refuse(Problem(("turns",), "must be a number of turns other than zero, at most a million", self.turns))
         return self
 
     @property
     def angle(self) -> float | None:
         """The angle of the file, in rad."""
-        if self.turns is not None:
-            return 2.0 * math.pi * self.turns
-        return _number(self.turn)
+        return FULL_TURN * self.turns if self.turns is not None else _number(self.turn)
 
     @property
     def angle_key(self) -> str:
@@ -161,50 +161,38 @@ class _Turn(_Move):
         return "turns" if self.turns is not None else "turn"
 
 
-class _PeakedTurn(_Turn):
+class _Turn(_Move, Angled):
+    duration: Time | None = None
+    """How long, ramps included."""
+
+
+class _RampedTurn(_Turn):
     SHAPE: ClassVar[str]
-
-    peak_rate: Rate | None = None
-    """Largest rate; signed where the angle follows from the other keys."""
-
-    @model_validator(mode="after")
-    def _signs(self) -> "_PeakedTurn":
-        if self.peak_rate is not None:
-            if self.peak_rate == 0.0:
-                refuse(Problem(("peak_rate",), "must not be zero", self.peak_rate.text))
-            if self.peak_rate < 0.0 and self.angle is not None:
-                message = f'must be positive: the direction is the sign of "{self.angle_key}"'
-                refuse(Problem(("peak_rate",), message, self.peak_rate.text))
-        return self
-
-    def sizes(self) -> tuple[float, float | None, float | None, float | None]:
-        """Direction (±1), and the sizes of angle, peak rate and duration in the file."""
-        angle, peak = self.angle, _number(self.peak_rate)
-        leading = angle if angle is not None else peak
-        direction = -1.0 if leading is not None and leading < 0.0 else 1.0
-        size, fastest = (None if value is None else abs(value) for value in (angle, peak))
-        return direction, size, fastest, _number(self.duration)
-
-    def motion(self, *, angle: float, peak: float, duration: float, acceleration: float, ramp: float) -> ResolvedMove:
-        """A one-way turn from sizes."""
-        direction = self.sizes()[0]
-        signed, sizes = direction * angle, {"ramp": ramp, "peak_acceleration": acceleration, "fastest": peak}
-        return self.resolved(self.SHAPE, duration, reach=signed, angle=signed, peak_rate=direction * peak, **sizes)
-
-
-class _RampedTurn(_PeakedTurn):
     # Peak acceleration times ramp, over peak rate.
     STEEPNESS: ClassVar[float]
 
+    peak_rate: Rate | None = None
+    """Largest rate; signed where the angle follows from the other keys."""
     ramp: Time | None = None
     """Time from rest to the peak rate; absent: as short as the table allows."""
 
+    @model_validator(mode="after")
+    def _signs(self) -> "_RampedTurn":
+        peak = self.peak_rate
+        if peak is not None and peak == 0.0:
+            refuse(Problem(("peak_rate",), "must not be zero", peak.text))
+        if peak is not None and peak < 0.0 and self.angle is not None:
+            message = f'must be positive: the direction is the sign of "{self.angle_key}"'
+            refuse(Problem(("peak_rate",), message, peak.text))
+        return self
+
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """Complete (θ, A, D, r) by θ = A(D − r)."""
-        _, angle, peak, duration = self.sizes()
-        ramp = _number(self.ramp)
-        sizes = [value is not None for value in (angle, peak, duration)]
-        if sum(sizes) < 2:
+        signed, fastest = self.angle, _number(self.peak_rate)
+        direction = math.copysign(1.0, signed if signed is not None else fastest or 1.0)
+        angle, peak = (None if value is None else abs(value) for value in (signed, fastest))
+        duration, ramp = _number(self.duration), _number(self.ramp)
+        if sum(value is not None for value in (angle, peak, duration)) < 2:
             message = "the motion is not determined; give two of turn, peak_rate and duration (and ramp if it matters)"
             raise SpecError([Problem((), message)])
         least = self.STEEPNESS / max_acceleration  # ramp time for each unit of peak rate
@@ -235,8 +223,9 @@ class _RampedTurn(_PeakedTurn):
                     self._too_short(2.0 * math.sqrt(least * angle))
                 peak = 2.0 * angle / (duration + math.sqrt(discriminant))
                 ramp = least * peak
-        acceleration = self.STEEPNESS * peak / ramp
-        return self.motion(angle=angle, peak=peak, duration=duration, acceleration=acceleration, ramp=ramp)
+        turned, acceleration = direction * angle, self.STEEPNESS * peak / ramp
+        sizes = {"ramp": ramp, "peak_acceleration": acceleration, "fastest": peak}
+        return self.resolved(self.SHAPE, duration, reach=turned, angle=turned, peak_rate=direction * peak, **sizes)
 
     def _from_three(self, angle: float, peak: float, duration: float, ramp: float | None) -> float:
         fitting = duration - angle / peak

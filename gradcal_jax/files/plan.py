@@ -17,56 +17,48 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
+from gradcal_jax.files import quantity as q
 from gradcal_jax.files.problems import Problem
-from gradcal_jax.files.quantity import (
-    Flag,
-    Of,
-    PositiveTemperatureSlope,
-    Quantity,
-    Rate,
-    Temperature,
-    Time,
-)
 from gradcal_jax.files.section import Section, read_by, refuse, refuse_misspelt
 
 
 class Soak(Section):
     """Waiting at the start temperature."""
 
-    duration: Time
+    duration: q.Time
     """How long."""
-    used: Flag = False
+    used: q.Flag = False
     """Whether its readings are part of the data."""
 
 
 class SoakItem(Section):
     """An item of a programme: stay."""
 
-    soak: Time
+    soak: q.Time
     """How long."""
-    at: Temperature | None = None
+    at: q.Temperature | None = None
     """Temperature; of the first item alone."""
-    used: Flag = False
+    used: q.Flag = False
     """Whether its readings are part of the data."""
 
 
 class RampItem(Section):
     """An item of a programme: go to another temperature at a constant slope."""
 
-    ramp_to: Temperature
+    ramp_to: q.Temperature
     """Temperature at its end."""
-    rate: PositiveTemperatureSlope
+    rate: q.PositiveTemperatureSlope
     """Slope, as a size."""
-    used: Flag = True
+    used: q.Flag = True
     """Whether its readings are part of the data."""
 
 
 class StepItem(Section):
     """An item of a programme: go to another temperature as fast as the chamber can."""
 
-    step_to: Temperature
+    step_to: q.Temperature
     """Temperature at its end."""
-    used: Flag = False
+    used: q.Flag = False
     """Whether its readings are part of the data."""
 
 
@@ -88,11 +80,11 @@ ProgrammeItem = Annotated[SoakItem | RampItem | StepItem, read_by(_choose_item)]
 class OtherAxes(Section):
     """The time that the other axes take in each cycle, during which this axis stands."""
 
-    duration: Time
+    duration: q.Time
     """How long."""
-    read: Flag = False
+    read: q.Flag = False
     """Whether this axis is read meanwhile."""
-    read_every: Time | None = None
+    read_every: q.Time | None = None
     """Spacing of these readings; absent: as in the first rest of the cycle that has one."""
 
     def _problems(self) -> Iterator[Problem]:
@@ -103,8 +95,8 @@ class OtherAxes(Section):
 class _Slopes:
     """Marks a field that holds one size of a slope, or a list of signed slopes."""
 
-    _one = Of("temperature slope", above="0 K/min")
-    _each = Of("temperature slope")
+    _one = q.Of("temperature slope", above="0 K/min")
+    _each = q.Of("temperature slope")
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         writing = core_schema.plain_serializer_function_ser_schema(_slopes_as_text)
@@ -114,10 +106,10 @@ class _Slopes:
         one = self._one.__get_pydantic_json_schema__(schema, handler)
         return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
 
-    def read(self, value: object) -> Quantity | tuple[Quantity, ...]:
+    def read(self, value: object) -> q.Quantity | tuple[q.Quantity, ...]:
         if not isinstance(value, list | tuple):
             return self._one.read(value)
-        slopes: list[Quantity] = []
+        slopes: list[q.Quantity] = []
         problems: list[Problem] = []
         for i, entry in enumerate(cast("list[object]", value)):
             try:
@@ -130,17 +122,17 @@ class _Slopes:
         return tuple(slopes)
 
 
-def _slopes_as_text(value: Quantity | tuple[Quantity, ...]) -> str | list[str]:
+def _slopes_as_text(value: q.Quantity | tuple[q.Quantity, ...]) -> str | list[str]:
     return [str(slope) for slope in value] if isinstance(value, tuple) else str(value)
 
 
-Slopes = Annotated[Quantity | tuple[Quantity, ...], _Slopes()]
+Slopes = Annotated[q.Quantity | tuple[q.Quantity, ...], _Slopes()]
 
 
 class ChamberCourse(Section):
     """The chamber's course, in one of the three ways."""
 
-    temperature: Annotated[tuple[Temperature, ...], Field(min_length=1, max_length=2)] | None = None
+    temperature: Annotated[tuple[q.Temperature, ...], Field(min_length=1, max_length=2)] | None = None
     """[start, end] of the ramp; [start] with a list of gradients."""
     gradient: Slopes | None = None
     """Slope of the ramp as a size, or a list of signed slopes, one for each cycle."""
@@ -183,13 +175,13 @@ class StandardPlan(Section):
 
     method: Literal["standard"]
     """The method."""
-    temperatures: Annotated[tuple[Temperature, ...], Field(min_length=1, max_length=1000)]
+    temperatures: Annotated[tuple[q.Temperature, ...], Field(min_length=1, max_length=1000)]
     """Set points, in order."""
-    soak: Time
+    soak: q.Time
     """Waiting at each before it counts."""
-    integration: Time
+    integration: q.Time
     """Time of each mean."""
-    rates: Annotated[tuple[Rate, ...], Field(min_length=1, max_length=1000)] | None = None
+    rates: Annotated[tuple[q.Rate, ...], Field(min_length=1, max_length=1000)] | None = None
     """Reference rates at each set point; absent: the axis stands."""
     estimator: Literal["best linear", "least squares"] = "best linear"
     """Generalised least squares with all priors, or unweighted least squares as in the paper."""

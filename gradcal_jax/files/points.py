@@ -1,15 +1,7 @@
 """Tables of points: a sensor's output at a temperature and a reference rate, the data of the standard method.
 
-    format         = "gradcal-points/1"
-    name           = "SN-7"                   # of the sensor; axis = "x"
-    temperature    = { column = "T", unit = "degC" }
-    reference_rate = { column = "table", unit = "deg/s" }
-    output         = { column = "gyro", unit = "deg/s", scale = 0.0305, zero = 12 }    # (number - zero) × scale
-    sigma          = { column = "std of mean", unit = "deg/s" }     # of the output; without it the spec's noise counts
-    [csv]
-    delimiter = ";"                           # as of a column map (importers)
-
-A row a point; text, .npz, .npy, .mat or netCDF (.nc), where columns are variables.
+A row a point; text, .npz, .npy, .mat or netCDF (.nc), where columns are variables. The map of the columns,
+gradcal-points/1, is alike to that of a recording (`importers`): `templates/points.toml` is one to start from.
 """
 
 from collections.abc import Iterator
@@ -33,7 +25,7 @@ EXAMPLE: Final = presets.template("points.toml")
 
 
 class PointMap(Section):
-    """What the columns of a table of points mean; see the module's head."""
+    """What the columns of a table of points mean."""
 
     format: Literal["gradcal-points/1"]
     """Name and version of this file format."""

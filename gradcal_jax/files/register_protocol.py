@@ -1,20 +1,5 @@
-"""`gradcal-registers/1`: the description of a chamber that is read and commanded by Modbus registers, without code.
-
-    format = "gradcal-registers/1"
-    role   = "chamber"
-    title  = "Eurotherm 3504"
-    [registers.air]                      # a number of the device, by its name here
-    address  = 1
-    decimals = 1
-    [registers.setpoint]
-    address  = 2
-    decimals = 1
-    [tell]                               # a command: the registers that are written, in this order
-    setpoint = { setpoint = "{setpoint}" }
-    on       = { run = 1 }
-    [state.conditioning]                 # a state of the device, from a register
-    field  = "run"
-    equals = "1"
+"""`gradcal-registers/1`: the description of a chamber that is read and commanded by Modbus registers, without code;
+`presets/devices` has examples.
 
 Every value that is written is read back, from its own register or from the one that `shown_in` names. The order of
 commands and their verification are in the driver (`hardware.drivers.registers`).
@@ -22,20 +7,11 @@ commands and their verification are in the driver (`hardware.drivers.registers`)
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from gradcal_jax.files.document import model_of, read_toml
-from gradcal_jax.files.line_protocol import (
-    Condition,
-    DeviceLimits,
-    DeviceUnits,
-    RequiredSetting,
-    changed_tables,
-    protocol_text,
-    shipped,
-)
+from gradcal_jax.files.line_protocol import Condition, DeviceLimits, DeviceUnits, RequiredSetting, described
 from gradcal_jax.files.problems import Problem, instead
 from gradcal_jax.files.quantity import Count, Flag, Quantity, SizeOfTime, Text, Time
 from gradcal_jax.files.section import Section
@@ -168,17 +144,5 @@ class RegisterProtocol(Section):
 
 
 def register_protocol_of(value: object, changes: object = None) -> RegisterProtocol:
-    """The protocol of a rig file: the name of one of this program's, or its own tables; and what differs from it.
-
-    Raises:
-        ValueError: no such name, or (as `SpecError`) everything that is wrong with the tables.
-    """
-    if isinstance(value, Mapping):
-        tables: dict[str, Any] = dict(value)  # pyright: ignore[reportUnknownArgumentType]
-        return model_of(RegisterProtocol, changed_tables(tables, changes), FORMAT, "")
-    names = shipped(FORMAT)
-    if not isinstance(value, str) or value not in names:
-        word = value if isinstance(value, str) else ""
-        raise ValueError(f"expected the name of a protocol, or its tables; {instead(word, names)}")
-    tables = dict(read_toml(protocol_text(value), value))
-    return model_of(RegisterProtocol, changed_tables(tables, changes), FORMAT, value)
+    """The protocol of a rig file: see `line_protocol.described`."""
+    return described(RegisterProtocol, FORMAT, value, changes)

@@ -1,33 +1,18 @@
 """`[[requirement]]`: the errors that a calibration limits, and their statistics."""
 
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, ClassVar, Final, Literal
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 
 from pydantic import Field, Strict, model_validator
 
+from gradcal_jax.files import quantity as q
 from gradcal_jax.files.bases import increasing
 from gradcal_jax.files.mission import Missions
 from gradcal_jax.files.problems import Problem, one_of
-from gradcal_jax.files.quantity import (
-    Of,
-    PositiveAccelerationSensitivity,
-    PositiveAngle,
-    PositiveLength,
-    PositiveRate,
-    PositiveScaleFactor,
-    PositiveSecondOrder,
-    PositiveSpecificForce,
-    Quantity,
-    Rate,
-    Temperature,
-    TemperatureSlope,
-    Text,
-    Time,
-)
 from gradcal_jax.files.section import Section, chosen_by, refuse
 
 Coverage = Annotated[float, Strict(), Field(gt=0.0, le=10.0, allow_inf_nan=False)]
-Risk = Annotated[Quantity, Of("scale factor", above="0 %", at_most="50 %")]
+Risk = Annotated[q.Quantity, q.Of("scale factor", above="0 %", at_most="50 %")]
 Points = Annotated[int, Field(strict=True, ge=2, le=5001)]
 
 
@@ -37,15 +22,13 @@ class _OfRuns(Section):
 
 
 Over = Literal["mean", "max", "rms"]
-
-
 Elements = Literal["all", "worst", "x", "y", "z"]
 
 
 class _OfElements(Section):
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y", "z")
 
-    name: Text
+    name: q.Text
     """Its name, which verdicts and [design] refer to."""
     axis: Elements = "worst"
     """One element, the worst of them, or all (root mean square)."""
@@ -62,7 +45,7 @@ class _OfElements(Section):
 
 
 class _InARange(_OfElements):
-    temperature: tuple[Temperature, Temperature]
+    temperature: tuple[q.Temperature, q.Temperature]
     """Lowest and highest temperature."""
 
     def _problems(self) -> Iterator[Problem]:
@@ -87,7 +70,7 @@ class _OnAPath(Section):
     branch: Literal["heating", "cooling", "both"] | None = None
     """Branch of the temperature on which the error counts; "both": the worst of the two at every temperature. Absent:
     the mean of both, without hysteresis."""
-    slope: tuple[TemperatureSlope, TemperatureSlope] | None = None
+    slope: tuple[q.TemperatureSlope, q.TemperatureSlope] | None = None
     """Lowest and highest dT/dt of the service, whose errors count; absent: the temperature stands."""
 
     @model_validator(mode="after")
@@ -113,7 +96,7 @@ class GyroBiasRequirement(_OverTemperature, _OfRuns, _OnAPath):
     """Bias of the gyros, over temperature."""
 
     quantity: Literal["gyro_bias"]
-    target: PositiveRate | None = None
+    target: q.PositiveRate | None = None
 
 
 class GyroScaleFactorRequirement(_InARange, _OnAPath):
@@ -121,13 +104,13 @@ class GyroScaleFactorRequirement(_InARange, _OnAPath):
 
     quantity: Literal["gyro_scale_factor"]
     """What must be good."""
-    rate: tuple[Rate, Rate]
+    rate: tuple[q.Rate, q.Rate]
     """Lowest and highest rate."""
     grid: tuple[Points, Points] = (101, 121)
     """Numbers of temperatures and of rates, ends included."""
     statistic: Literal["mean of max", "mean", "max", "rms"] = "mean of max"
     """How the standard deviation is summed up over the box."""
-    target: PositiveScaleFactor | None = None
+    target: q.PositiveScaleFactor | None = None
 
     def _problems(self) -> Iterator[Problem]:
         yield from _InARange._problems(self)
@@ -143,7 +126,7 @@ class MisalignmentRequirement(_OverTemperature):
     relative_to: Literal["table", "case", "internal"] = "table"
     """The table's axes, the case (adds the mounting's accuracy), or the unit itself."""
     axis: Elements = "all"
-    target: PositiveAngle | None = None
+    target: q.PositiveAngle | None = None
 
 
 class SensitivityRequirement(_OverTemperature):
@@ -151,76 +134,61 @@ class SensitivityRequirement(_OverTemperature):
 
     quantity: Literal["g_sensitivity"]
     axis: Elements = "all"
-    target: PositiveAccelerationSensitivity | None = None
+    target: q.PositiveAccelerationSensitivity | None = None
 
 
 class AccelerometerBiasRequirement(_OverTemperature, _OfRuns, _OnAPath):
     """Bias of the accelerometers."""
 
     quantity: Literal["accelerometer_bias"]
-    target: PositiveSpecificForce | None = None
+    target: q.PositiveSpecificForce | None = None
 
 
 class AccelerometerScaleFactorRequirement(_OverTemperature, _OnAPath):
     """Scale factor of the accelerometers."""
 
     quantity: Literal["accelerometer_scale_factor"]
-    target: PositiveScaleFactor | None = None
+    target: q.PositiveScaleFactor | None = None
 
 
 class SecondOrderRequirement(_OverTemperature):
     """K2 of the accelerometers."""
 
     quantity: Literal["second_order"]
-    target: PositiveSecondOrder | None = None
+    target: q.PositiveSecondOrder | None = None
 
 
-class PositionRequirement(_InARange, _OfRuns):
+class PositionRequirement(_OverTemperature, _OfRuns):
     """Horizontal position after free-inertial navigation at rest, level: the calibration's part."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
 
     quantity: Literal["position"]
-    """What must be good."""
-    after: Time
+    after: q.Time
     """How long the navigation lasts."""
-    grid: tuple[Points] = (101,)
-    """Number of temperatures, ends included."""
-    statistic: Over = "mean"
-    """How the standard deviation is summed up over temperature."""
-    target: PositiveLength | None = None
+    target: q.PositiveLength | None = None
 
 
-class TiltRequirement(_InARange, _OfRuns):
+class TiltRequirement(_OverTemperature, _OfRuns):
     """Error of the vertical that levelled accelerometers give, the worse of two directions."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
 
     quantity: Literal["tilt"]
-    """What must be good."""
-    grid: tuple[Points] = (101,)
-    """Number of temperatures, ends included."""
-    statistic: Over = "mean"
-    """How the standard deviation is summed up over temperature."""
-    target: PositiveAngle | None = None
+    target: q.PositiveAngle | None = None
 
 
-class TurnRequirement(_InARange, _OfRuns):
+class TurnRequirement(_OverTemperature, _OfRuns):
     """Heading error after a level turn about the body's z axis."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "z")
 
     quantity: Literal["heading"]
-    """What must be good."""
-    turn: PositiveAngle
+    turn: q.PositiveAngle
     """Angle of the turn."""
-    rate: PositiveRate
+    rate: q.PositiveRate
     """Rate of the turn."""
-    grid: tuple[Points] = (101,)
-    """Number of temperatures, ends included."""
-    statistic: Over = "mean"
-    """How the standard deviation is summed up over temperature."""
-    target: PositiveAngle | None = None
+    target: q.PositiveAngle | None = None
 
 
 class MissionHeadingRequirement(_OfElements):
@@ -234,11 +202,11 @@ class MissionHeadingRequirement(_OfElements):
     """What must be good."""
     mission: Missions
     """Tables of rate and temperature over time, with weights."""
-    after: Time | None = None
+    after: q.Time | None = None
     """When the error is taken; absent: at the end of each mission."""
     statistic: Literal["rms", "max"] = "rms"
     """How several missions are summed up."""
-    target: PositiveAngle | None = None
+    target: q.PositiveAngle | None = None
 
     def _problems(self) -> Iterator[Problem]:
         yield from _OfElements._problems(self)
@@ -256,45 +224,30 @@ class MissionHeadingRequirement(_OfElements):
         return (len(self.mission),)
 
     @property
-    def temperature(self) -> tuple[Quantity, Quantity]:
+    def temperature(self) -> tuple[q.Quantity, q.Quantity]:
         """The coldest and the warmest of all missions."""
         every = [t for mission in self.mission for t in mission.rows.temperature]
-        return Quantity.of(min(every), "degC"), Quantity.of(max(every), "degC")
+        return q.Quantity.of(min(every), "degC"), q.Quantity.of(max(every), "degC")
 
     @property
-    def rate(self) -> tuple[Quantity, Quantity]:
+    def rate(self) -> tuple[q.Quantity, q.Quantity]:
         """The least and the largest rate of all missions."""
         every = [w for mission in self.mission for w in mission.rows.rate]
-        return Quantity.of(min(every), "deg/s"), Quantity.of(max(every), "deg/s")
+        return q.Quantity.of(min(every), "deg/s"), q.Quantity.of(max(every), "deg/s")
 
 
 class NorthRequirement(_OverTemperature):
     """The error of a gyrocompass: of a gyro's bias, over the Earth's rate across the meridian at the `latitude`."""
 
     quantity: Literal["north"]
-    latitude: Annotated[Quantity, Of("angle", at_least="-89 deg", at_most="89 deg")]
+    latitude: Annotated[q.Quantity, q.Of("angle", at_least="-89 deg", at_most="89 deg")]
     """Where north is sought."""
-    after: Time
+    after: q.Time
     """How long it stands to find north, on which the sensor's own noise depends."""
-    target: PositiveAngle | None = None
+    target: q.PositiveAngle | None = None
 
 
-_CLASSES: Final[Mapping[str, type[Section]]] = {
-    "gyro_bias": GyroBiasRequirement,
-    "gyro_scale_factor": GyroScaleFactorRequirement,
-    "gyro_misalignment": MisalignmentRequirement,
-    "g_sensitivity": SensitivityRequirement,
-    "accelerometer_bias": AccelerometerBiasRequirement,
-    "accelerometer_scale_factor": AccelerometerScaleFactorRequirement,
-    "accelerometer_misalignment": MisalignmentRequirement,
-    "second_order": SecondOrderRequirement,
-    "position": PositionRequirement,
-    "tilt": TiltRequirement,
-    "heading": TurnRequirement,
-    "mission_heading": MissionHeadingRequirement,
-    "north": NorthRequirement,
-}
-Requirement = Annotated[
+Requirement = (
     GyroBiasRequirement
     | GyroScaleFactorRequirement
     | MisalignmentRequirement
@@ -306,7 +259,7 @@ Requirement = Annotated[
     | TiltRequirement
     | TurnRequirement
     | MissionHeadingRequirement
-    | NorthRequirement,
-    chosen_by("quantity", _CLASSES),
-]
-Requirements = Annotated[tuple[Requirement, ...], Field(max_length=100)]
+    | NorthRequirement
+)
+_CLASSES: Final = {name: of for of in get_args(Requirement) for name in get_args(of.__annotations__["quantity"])}
+Requirements = Annotated[tuple[Annotated[Requirement, chosen_by("quantity", _CLASSES)], ...], Field(max_length=100)]

@@ -14,21 +14,13 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from typing import Any, Final, cast
 
 from gradcal_jax import units
+from gradcal_jax.files import quantity as q
 from gradcal_jax.files.bench import Resolution
 from gradcal_jax.files.changes import differences, tables_of
 from gradcal_jax.files.motion_plan import PlanSchedule, duration_of
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.problems import ABSENT, dotted
-from gradcal_jax.files.quantity import (
-    Angle,
-    PositiveAcceleration,
-    PositiveRate,
-    PositiveTemperatureDifference,
-    PositiveTemperatureSlope,
-    Quantity,
-    Time,
-)
 from gradcal_jax.files.schedule import Stretch
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import spec_of
@@ -55,23 +47,23 @@ Table = dict[str, Any]
 class ControllerSteps(Section):
     """The steps of the controllers. The defaults suit this program's drivers; a spec's `[rig.resolution]` overrides."""
 
-    temperature: PositiveTemperatureDifference = Quantity(0.1, "0.1 K", "temperature difference")
+    temperature: q.PositiveTemperatureDifference = q.Quantity(0.1, "0.1 K", "temperature difference")
     """Step of a temperature."""
-    slope: PositiveTemperatureSlope = Quantity(0.01 / 60.0, "0.01 K/min", "temperature slope")
+    slope: q.PositiveTemperatureSlope = q.Quantity(0.01 / 60.0, "0.01 K/min", "temperature slope")
     """Step of a slope."""
-    time: Time = Quantity(0.1, "0.1 s", "time")
+    time: q.Time = q.Quantity(0.1, "0.1 s", "time")
     """Step of a duration."""
-    rate: PositiveRate = Quantity(math.radians(0.01), "0.01 deg/s", "angular rate")
+    rate: q.PositiveRate = q.Quantity(math.radians(0.01), "0.01 deg/s", "angular rate")
     """Step of a rate."""
-    angle: Angle = Quantity(math.radians(0.001), "0.001 deg", "angle")
+    angle: q.Angle = q.Quantity(math.radians(0.001), "0.001 deg", "angle")
     """Step of an angle."""
-    acceleration: PositiveAcceleration | None = None
+    acceleration: q.PositiveAcceleration | None = None
     """Step of an acceleration; absent: any."""
 
 
 # A rotary stage that counts accelerations in units of 10 000/1.6384 microsteps/s² has coarse steps: one that divides
 # a turn into 1 152 000 microsteps makes 1.907, 3.815, … deg/s².
-_ACCELERATION: Final = Quantity.read("1.9073486328125 deg/s^2", "angular acceleration")
+_ACCELERATION: Final = q.Quantity.read("1.9073486328125 deg/s^2", "angular acceleration")
 
 
 def steps_of(spec: Spec) -> ControllerSteps:

@@ -57,11 +57,11 @@ class Section(BaseModel):
 
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
-    """The meaning of each key of a table: the texts below the fields, those of its bases first."""
+    """The meaning of each key of a table: the texts below the fields, or their descriptions."""
     texts: dict[str, str] = {}
     for owner in reversed(model.__mro__):
         texts |= _texts(owner.__module__).get(owner.__qualname__, {}) if issubclass(owner, Section) else {}
-    return {name: text for name, text in texts.items() if name in model.model_fields}
+    return {name: text for name, field in model.model_fields.items() if (text := texts.get(name) or field.description)}
 
 
 @cache

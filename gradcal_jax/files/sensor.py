@@ -5,38 +5,10 @@ from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from gradcal_jax.files import quantity as q
 from gradcal_jax.files.bases import Degree, RateBasis, TemperatureBasis
 from gradcal_jax.files.prior_shapes import BiasShape, ScaleFactorShape, SpecificForceShape, shape_problems
 from gradcal_jax.files.problems import Problem
-from gradcal_jax.files.quantity import (
-    AccelerationSlope,
-    AngleRandomWalk,
-    BiasSlope,
-    ForceGradientSensitivity,
-    Margin,
-    Of,
-    PositiveAccelerationSensitivity,
-    PositiveAngle,
-    PositiveLength,
-    PositiveRate,
-    PositiveScaleFactor,
-    PositiveSecondOrder,
-    PositiveSpecificForce,
-    PositiveSquareSensitivity,
-    PositiveThirdOrder,
-    Quantity,
-    RateRandomWalk,
-    ScaleFactorSlope,
-    SizeOfGradientSensitivity,
-    SizeOfRate,
-    SizeOfScaleFactor,
-    SizeOfSpecificForce,
-    SizeOfTemperatureDifference,
-    SizeOfTime,
-    Text,
-    Time,
-    VelocityRandomWalk,
-)
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.temperature_path import (
     DifferenceOfForce,
@@ -52,23 +24,23 @@ from gradcal_jax.files.uncertain import UncertainSection, figures_of
 class _Process(UncertainSection):
     FIGURES = ("standard_deviation", "correlation_time")
 
-    standard_deviation: Quantity
+    standard_deviation: q.Quantity
     """Stationary standard deviation."""
-    correlation_time: Time
+    correlation_time: q.Time
     """Time constant of its autocorrelation."""
 
 
 class Drift(_Process):
     """In-run bias instability: a first-order Gauss–Markov process (stationary standard deviation, correlation time)."""
 
-    standard_deviation: PositiveRate
+    standard_deviation: q.PositiveRate
     """Stationary standard deviation of the rate error."""
 
 
 class ScaleFactorInstability(_Process):
     """Residual scale-factor instability: a first-order Gauss–Markov process multiplied by the rate, or the force."""
 
-    standard_deviation: PositiveScaleFactor
+    standard_deviation: q.PositiveScaleFactor
     """Stationary standard deviation of the scale factor's error, a ratio."""
 
 
@@ -77,13 +49,13 @@ class TemperatureError(UncertainSection):
 
     FIGURES = _Process.FIGURES
 
-    standard_deviation: SizeOfTemperatureDifference
+    standard_deviation: q.SizeOfTemperatureDifference
     """Standard deviation of the temperature's error; 0 K: none."""
-    correlation_time: Time | None = None
+    correlation_time: q.Time | None = None
     """Time constant of its autocorrelation; absent: one draw for the whole run."""
-    bias_slope: BiasSlope | None = None
+    bias_slope: q.BiasSlope | None = None
     """Typical slope of the bias over temperature, through which the error acts."""
-    scale_factor_slope: ScaleFactorSlope | None = None
+    scale_factor_slope: q.ScaleFactorSlope | None = None
     """Typical slope of the scale factor over temperature, through which the error acts."""
 
     @model_validator(mode="after")
@@ -98,20 +70,20 @@ class TemperatureError(UncertainSection):
 class BiasTemperatureGradient(Section):
     """Bias sensitivity to dT/dt; the table's presence makes it a parameter to estimate."""
 
-    prior: SizeOfGradientSensitivity | None = None
+    prior: q.SizeOfGradientSensitivity | None = None
     """Standard deviation of the coefficient before the calibration; absent: unknown; 0: there is none to estimate."""
 
 
 class ForceTemperatureError(TemperatureError):
     """As of a gyro, of an accelerometer."""
 
-    bias_slope: AccelerationSlope | None = None
+    bias_slope: q.AccelerationSlope | None = None
 
 
 class ForceTemperatureGradient(BiasTemperatureGradient):
     """As of a gyro, of an accelerometer."""
 
-    prior: ForceGradientSensitivity | None = None
+    prior: q.ForceGradientSensitivity | None = None
 
 
 def _gradient_of_bias(table: type[BiasTemperatureGradient], dimension: str, least: str) -> BeforeValidator:
@@ -120,13 +92,13 @@ def _gradient_of_bias(table: type[BiasTemperatureGradient], dimension: str, leas
     def read(value: object) -> object:
         if isinstance(value, Mapping):
             return table.model_validate(value)
-        return value if value is None or isinstance(value, Section) else Of(dimension, at_least=least).read(value)
+        return value if value is None or isinstance(value, Section) else q.Of(dimension, at_least=least).read(value)
 
     return BeforeValidator(read)
 
 
 class _Lagging(Section):
-    lag: Time | None = None
+    lag: q.Time | None = None
     """First-order lag, known, with which this map follows the sensor's temperature; absent: at once. It begins in
     equilibrium, as after a soak."""
 
@@ -141,7 +113,7 @@ class _Lagging(Section):
 class BiasDiscrepancy(Section):
     """Structure of B(T) beyond the model: the next orthogonal polynomials, with a prior."""
 
-    standard_deviation: PositiveRate
+    standard_deviation: q.PositiveRate
     """Prior standard deviation of each of the hidden coefficients."""
     temperature_degree: Degree
     """Highest degree in temperature that may be hidden."""
@@ -150,7 +122,7 @@ class BiasDiscrepancy(Section):
 class ScaleFactorDiscrepancy(Section):
     """Structure of M(T, ω) beyond the model: polynomials up to these degrees, with a prior."""
 
-    standard_deviation: PositiveScaleFactor
+    standard_deviation: q.PositiveScaleFactor
     """Prior standard deviation of each of the hidden coefficients, a ratio."""
     temperature_degree: Degree
     """Highest degree in temperature that may be hidden."""
@@ -163,9 +135,9 @@ class Bias(_Lagging):
 
     temperature: TemperatureBasis
     """Basis over temperature."""
-    prior: PositiveRate | None = None
+    prior: q.PositiveRate | None = None
     """Standard deviation of each coefficient before the calibration; absent: unknown."""
-    smoothness: PositiveRate | None = None
+    smoothness: q.PositiveRate | None = None
     """Standard deviation of the difference of neighbouring coefficients, of splines and bins."""
     discrepancy: BiasDiscrepancy | None = None
     """Structure beyond the basis."""
@@ -190,9 +162,9 @@ class ScaleFactor(_Lagging):
     """Basis over temperature."""
     rate: RateBasis
     """Basis over rate."""
-    prior: PositiveScaleFactor | None = None
+    prior: q.PositiveScaleFactor | None = None
     """Standard deviation of each coefficient before the calibration, a ratio; absent: unknown."""
-    smoothness: PositiveScaleFactor | None = None
+    smoothness: q.PositiveScaleFactor | None = None
     """Standard deviation of the difference of neighbouring coefficients, of splines and bins."""
     discrepancy: ScaleFactorDiscrepancy | None = None
     """Structure beyond the basis."""
@@ -210,7 +182,7 @@ class ScaleFactor(_Lagging):
         return self.temperature.size * self.rate.size
 
 
-def _smoothness(value: Quantity | None, *bases: str) -> list[Problem]:
+def _smoothness(value: q.Quantity | None, *bases: str) -> list[Problem]:
     if value is not None and all(basis == "polynomial" for basis in bases):
         message = 'neighbouring coefficients have a meaning for "b-spline" and "bins" only; leave this key out'
         return [Problem(("smoothness",), message, value.text)]
@@ -225,16 +197,16 @@ some 1 ms at either end, is good to 0.1 ppm over hours; the computer's own clock
 class _Instrument(Section):
     """Clock and thermometer of a device, common to all of its channels."""
 
-    thermal_lag: SizeOfTime | None = None
+    thermal_lag: q.SizeOfTime | None = None
     """Time constant, first order, between the chamber's air and the sensor's dies."""
     clock: Literal["sensor", "host"] | None = None
     """Clock over which rates are integrated. "host": the computer's, which counts 1 ppm in the place of
     `sample_clock_error`; absent: the better of the two, since a run's log has both."""
-    sample_clock_error: SizeOfScaleFactor | None = None
+    sample_clock_error: q.SizeOfScaleFactor | None = None
     """Standard deviation of the clock that stamps all samples, a ratio; it acts as a scale factor."""
-    temperature_offset: SizeOfTemperatureDifference | None = None
+    temperature_offset: q.SizeOfTemperatureDifference | None = None
     """Standard deviation of the constant difference between the dies' temperature and the measured one."""
-    temperature_lag: SizeOfTime | None = None
+    temperature_lag: q.SizeOfTime | None = None
     """Standard deviation of the time by which the dies' temperature follows the measured one."""
     second_thermometer: SecondThermometer | None = None
     """A second thermometer, for `thermometer_difference`; its column in logs is `second_temperature`."""
@@ -267,13 +239,13 @@ class _Instrument(Section):
 class _Channel(UncertainSection):
     """What every channel may have beside its own terms."""
 
-    turn_on_bias: Quantity | None = None
+    turn_on_bias: q.Quantity | None = None
     """Standard deviation of the bias that is new at every power-on and not part of the map."""
     scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
     """In-run instabilities of the scale factor, which add."""
     temperature_error: TemperatureError | None = None
     """Error of the measured temperature."""
-    bias_temperature_gradient: BiasTemperatureGradient | Quantity | None = None
+    bias_temperature_gradient: BiasTemperatureGradient | q.Quantity | None = None
     """Bias in proportion to dT/dt: a table, of a coefficient that is estimated, or its standard deviation, which counts
     and is not estimated."""
 
@@ -302,19 +274,19 @@ class _Gyro(_Channel):
 
     FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk", "turn_on_bias")
 
-    angle_random_walk: AngleRandomWalk
+    angle_random_walk: q.AngleRandomWalk
     """White noise of the rate, as the angle's growth with the square root of time."""
-    rate_random_walk: RateRandomWalk | None = None
+    rate_random_walk: q.RateRandomWalk | None = None
     """Random walk of the rate."""
-    turn_on_bias: SizeOfRate | None = None
-    full_scale: PositiveRate | None = None
+    turn_on_bias: q.SizeOfRate | None = None
+    full_scale: q.PositiveRate | None = None
     """Largest rate that a gyro measures."""
-    full_scale_margin: Margin = Quantity(0.05, "5 %", "scale factor")
+    full_scale_margin: q.Margin = q.Quantity(0.05, "5 %", "scale factor")
     """Share of the full scale that plans keep away from."""
     drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
     """In-run bias instabilities, which add."""
     bias_temperature_gradient: Annotated[
-        BiasTemperatureGradient | SizeOfGradientSensitivity | None,
+        BiasTemperatureGradient | q.SizeOfGradientSensitivity | None,
         _gradient_of_bias(BiasTemperatureGradient, "bias temperature-gradient sensitivity", "0 deg/h/(K/min)"),
     ] = None
     bias: Bias | None = None
@@ -338,7 +310,7 @@ BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
 class _ErrorTerm(_Lagging):
     temperature: TemperatureBasis | None = None
     """Basis over temperature; absent: constant."""
-    prior: Quantity | None = None
+    prior: q.Quantity | None = None
     """Standard deviation before the calibration; absent: unknown."""
 
     @property
@@ -350,31 +322,31 @@ class _ErrorTerm(_Lagging):
 class Misalignment(_ErrorTerm):
     """Small angles of an input axis towards the two others."""
 
-    prior: PositiveAngle | None = None
+    prior: q.PositiveAngle | None = None
 
 
 class AccelerationSensitivity(_ErrorTerm):
     """Drift of a gyro in proportion to the specific force, three coefficients each (IEEE 528)."""
 
-    prior: PositiveAccelerationSensitivity | None = None
+    prior: q.PositiveAccelerationSensitivity | None = None
 
 
 class SquaredSensitivity(_ErrorTerm):
     """Drift of a gyro in proportion to the square of the specific force along each axis."""
 
-    prior: PositiveSquareSensitivity | None = None
+    prior: q.PositiveSquareSensitivity | None = None
 
 
 class SpecificForceDrift(_Process):
     """Instability of an accelerometer's bias: a first-order Gauss–Markov process."""
 
-    standard_deviation: PositiveSpecificForce
+    standard_deviation: q.PositiveSpecificForce
 
 
 class SpecificForceBias(_ErrorTerm):
     """An accelerometer's bias over temperature."""
 
-    prior: PositiveSpecificForce | None = None
+    prior: q.PositiveSpecificForce | None = None
     shape: Annotated[tuple[SpecificForceShape, ...], Field(max_length=600)] = ()
     """In the place of `prior`: functions that add, as `gradcal lot` finds them."""
 
@@ -385,7 +357,7 @@ class SpecificForceBias(_ErrorTerm):
 class SpecificForceScale(_ErrorTerm):
     """An accelerometer's scale factor, or its asymmetry, over temperature."""
 
-    prior: PositiveScaleFactor | None = None
+    prior: q.PositiveScaleFactor | None = None
     """Standard deviation before the calibration, a ratio; absent: unknown."""
     shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
     """In the place of `prior`: functions that add, as `gradcal lot` finds them."""
@@ -397,19 +369,19 @@ class SpecificForceScale(_ErrorTerm):
 class SecondOrder(_ErrorTerm):
     """An accelerometer's K2, or its cross-coupling of two axes, over temperature."""
 
-    prior: PositiveSecondOrder | None = None
+    prior: q.PositiveSecondOrder | None = None
 
 
 class ThirdOrder(_ErrorTerm):
     """An accelerometer's K3 over temperature."""
 
-    prior: PositiveThirdOrder | None = None
+    prior: q.PositiveThirdOrder | None = None
 
 
 class LeverArm(Section):
     """Position of an accelerometer, from the intersection of the table's axes."""
 
-    prior: PositiveLength | None = None
+    prior: q.PositiveLength | None = None
     """Standard deviation of each of three coordinates before the calibration; absent: unknown."""
 
 
@@ -443,14 +415,14 @@ class AccelerometerTriad(_Channel, TemperaturePath):
 
     axes: BodyAxes = ("x", "y", "z")
     """Which accelerometers the unit has."""
-    velocity_random_walk: VelocityRandomWalk
+    velocity_random_walk: q.VelocityRandomWalk
     """White noise of the specific force."""
     drift: Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)] = ()
     """In-run bias instabilities, which add."""
-    turn_on_bias: SizeOfSpecificForce | None = None
+    turn_on_bias: q.SizeOfSpecificForce | None = None
     temperature_error: ForceTemperatureError | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     bias_temperature_gradient: Annotated[  # pyright: ignore[reportIncompatibleVariableOverride]
-        ForceTemperatureGradient | ForceGradientSensitivity | None,
+        ForceTemperatureGradient | q.ForceGradientSensitivity | None,
         _gradient_of_bias(ForceTemperatureGradient, "acceleration temperature-gradient sensitivity", "0 ug/(K/min)"),
     ] = None
     hysteresis: Annotated[tuple[PlayOfForce, ...], Field(max_length=10)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -472,7 +444,7 @@ class AccelerometerTriad(_Channel, TemperaturePath):
     """K3, output in proportion to its cube."""
     asymmetry: SpecificForceScale | None = None
     """Scale factor of positive force less that of negative."""
-    read_on_moves_below: PositiveRate | None = None
+    read_on_moves_below: q.PositiveRate | None = None
     """Read on moves no faster than this, too; absent: at rest alone."""
     lever_arm: LeverArm | None = None
     """Positions of the accelerometers, from the intersection of the table's axes."""
@@ -503,7 +475,7 @@ class Sensor(UncertainSection, _Instrument):
 
     FIGURES: ClassVar[tuple[str, ...]] = ("sample_clock_error",)
 
-    name: Text | None = None
+    name: q.Text | None = None
     """A name for people."""
     grade: Grade | None = None
     """Class that gives typical figures for the gyros' absent terms; absent: by drift or random walk."""
@@ -527,6 +499,6 @@ class Sensor(UncertainSection, _Instrument):
         if self.gyro is None and self.accelerometer is None:
             yield Problem((), "there is nothing to calibrate; add [sensor.gyro] or [sensor.accelerometer]")
 
-    def uncertain_figures(self) -> dict[str, tuple[Quantity, Quantity]]:
+    def uncertain_figures(self) -> dict[str, tuple[q.Quantity, q.Quantity]]:
         """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
         return figures_of("sensor", self)

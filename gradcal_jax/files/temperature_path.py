@@ -4,21 +4,8 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from gradcal_jax.files import quantity as q
 from gradcal_jax.files.problems import Problem
-from gradcal_jax.files.quantity import (
-    ForceGradientSensitivity,
-    Number,
-    PositiveAccelerationSlope,
-    PositiveBiasSlope,
-    PositiveRate,
-    PositiveScaleFactorGradient,
-    PositiveScaleFactorSlope,
-    PositiveSpecificForce,
-    PositiveTemperatureDifference,
-    SizeOfGradientSensitivity,
-    Text,
-    Time,
-)
 from gradcal_jax.files.section import Section, refuse
 
 
@@ -26,55 +13,55 @@ class PlayOfBias(Section):
     """An error that depends on the path of temperature: a play, which follows the temperature with a slack of plus and
     minus `width`. Heating and cooling legs that are longer than twice the width differ by 2 × coefficient × width."""
 
-    width: PositiveTemperatureDifference
+    width: q.PositiveTemperatureDifference
     """Half-width of the play."""
-    prior: PositiveBiasSlope
+    prior: q.PositiveBiasSlope
     """Standard deviation of the coefficient before the calibration, for each K between play and temperature."""
 
 
 class PlayOfForce(PlayOfBias):
     """As of a gyro, of an accelerometer."""
 
-    prior: PositiveAccelerationSlope
+    prior: q.PositiveAccelerationSlope
 
 
 class PlayOfScaleFactor(PlayOfBias):
     """As of the bias, of the scale factor."""
 
-    prior: PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
+    prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class ScaleFactorTemperatureGradient(Section):
     """Sensitivity of the scale factor to dT/dt, which is estimated."""
 
-    prior: PositiveScaleFactorGradient
+    prior: q.PositiveScaleFactorGradient
     """Standard deviation of the coefficient before the calibration."""
 
 
 class PowerOnTransient(Section):
     """A bias that decays exponentially from power-on, which is at the beginning of the plan or the log."""
 
-    time_constant: Time
+    time_constant: q.Time
     """Its known time constant."""
-    prior: PositiveRate
+    prior: q.PositiveRate
     """Standard deviation of its value at power-on, before the calibration."""
 
 
 class PowerOnForceTransient(PowerOnTransient):
     """As of a gyro, of an accelerometer."""
 
-    prior: PositiveSpecificForce
+    prior: q.PositiveSpecificForce
 
 
 class LateGradientOfBias(Section):
     """Bias in proportion to dT/dt as a first-order lag follows it, such as of a part that heats slowly. The lag begins
     in equilibrium, as after a soak."""
 
-    time_constant: Time
+    time_constant: q.Time
     """Its time constant."""
-    prior: SizeOfGradientSensitivity
+    prior: q.SizeOfGradientSensitivity
     """Standard deviation of the coefficient before the calibration."""
-    time_constant_uncertainty: Time | None = None
+    time_constant_uncertainty: q.Time | None = None
     """Standard uncertainty of the time constant; absent: it is known. The error is then two terms, with time constants
     that are longer and shorter by it."""
 
@@ -95,49 +82,49 @@ class LateGradientOfBias(Section):
 class LateGradientOfForce(LateGradientOfBias):
     """As of a gyro, of an accelerometer."""
 
-    prior: ForceGradientSensitivity
+    prior: q.ForceGradientSensitivity
 
 
 class LateGradientOfScale(LateGradientOfBias):
     """As of the bias, of the scale factor."""
 
-    prior: PositiveScaleFactorGradient  # pyright: ignore[reportIncompatibleVariableOverride]
+    prior: q.PositiveScaleFactorGradient  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class DifferenceOfBias(Section):
     """Bias in proportion to what the second thermometer shows less the first."""
 
-    prior: PositiveBiasSlope
+    prior: q.PositiveBiasSlope
     """Standard deviation of the coefficient before the calibration."""
 
 
 class DifferenceOfForce(DifferenceOfBias):
     """As of a gyro, of an accelerometer."""
 
-    prior: PositiveAccelerationSlope
+    prior: q.PositiveAccelerationSlope
 
 
 class DifferenceOfScale(DifferenceOfBias):
     """As of the bias, of the scale factor."""
 
-    prior: PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
+    prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class SecondThermometer(Section):
     """A second thermometer, such as of the case beside that of the dies, or at another point of the block."""
 
-    lag: Time
+    lag: q.Time
     """First-order lag of its temperature behind the first one's, by which plans expect it; logs have its readings."""
 
 
 class OwnError(Section):
     """An error by a class of your own, a subclass of `gradcal_jax.model.OwnTerm`, which is estimated."""
 
-    term: Text
+    term: q.Text
     """Name of the class."""
-    prior: Annotated[Number, Field(gt=0.0)]
+    prior: Annotated[q.Number, Field(gt=0.0)]
     """Standard deviation of each of its parameters before the calibration, in the SI unit of the class."""
-    name: Text | None = None
+    name: q.Text | None = None
     """Name of its parameters; absent: that of the class."""
 
 
@@ -186,8 +173,3 @@ class TemperaturePath(Section):
             if len(set(values)) < len(values):
                 refuse(Problem((key,), f"two entries have one {of}: their coefficients cannot be separated"))
         return self
-
-    @property
-    def widths(self) -> tuple[float, ...]:
-        """The half-widths of all plays, K."""
-        return tuple(sorted({float(play.width) for play in (*self.hysteresis, *self.scale_factor_hysteresis)}))

@@ -15,12 +15,12 @@ In `line` a field in braces is a number, `{}` a number and `{:text}` a text that
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, cast
 
 from pydantic import Field
 
-from gradcal_jax import units
 from gradcal_jax.files.document import model_of
+from gradcal_jax.files.line_protocol import reply_pattern, unit_problems
 from gradcal_jax.files.problems import Problem, instead
 from gradcal_jax.files.quantity import Count, Frequency, Quantity, SizeOfTime, Text, Time
 from gradcal_jax.files.section import Section
@@ -98,31 +98,16 @@ class TextUnit(Section):
             yield Problem(("counter",), "expected with a field {count}, and only there: at how many it begins again")
         if {"count", "time"} <= set(self.fields):
             yield Problem(("line",), "expected {count} or {time}, not both: name the other one {}", self.line)
-        for name, dimension in (("gyro", "angular rate"), ("acceleration", "acceleration"), ("temperature",) * 2):
-            try:
-                units.parse(f"1 {getattr(self, name)}", dimension)
-            except ValueError as problem:
-                yield Problem((name,), str(problem), getattr(self, name))
+        kinds = {"gyro": "angular rate", "acceleration": "acceleration", "temperature": "temperature"}
+        yield from unit_problems(self, kinds)
 
     def pattern(self) -> re.Pattern[str]:
         """The pattern of a line, with the fields as named groups."""
-        pattern, place = "", 0
-        for match in _FIELD.finditer(self.line):
-            pattern += _literal(self.line[place : match.start()])
-            place = match.end()
-            ends = re.escape(self.line[place]) if place < len(self.line) else ""
-            group = (f"([^{ends}]*)" if ends else "(.*)") if match[2] else rf"[ \t]*{_NUMBER}[ \t]*"
-            pattern += group.replace("(", f"(?P<{match[1]}>", 1) if match[1] else group
-        return re.compile(pattern + _literal(self.line[place:]))
-
-
-def _literal(text: str) -> str:
-    return r"[ \t]+".join(re.escape(part) for part in text.split(" "))
+        return reply_pattern(self.line, rf"[ \t]*{_NUMBER}[ \t]*", r"[ \t]+", r"\1")
 
 
 def text_unit_of(value: object) -> TextUnit:
     """The description in a rig file. Raises `ValueError`, or (as `SpecError`) everything that is wrong with it."""
     if not isinstance(value, Mapping):
         raise ValueError(f'expected the tables of a description: format = "{FORMAT}", line = "…", rate = "…"')
-    tables: dict[str, Any] = dict(value)  # pyright: ignore[reportUnknownArgumentType]
-    return model_of(TextUnit, tables, FORMAT, "")
+    return model_of(TextUnit, cast("Mapping[str, Any]", value), FORMAT, "")

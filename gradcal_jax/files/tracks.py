@@ -18,24 +18,11 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
+from gradcal_jax.files import quantity as q
 from gradcal_jax.files.bench import Mounting, Rig
 from gradcal_jax.files.motion_plan import PlanSchedule
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.quantity import (
-    Angle,
-    Count,
-    Flag,
-    PositiveAcceleration,
-    PositiveTemperatureDifference,
-    Quantity,
-    Rate,
-    SizeOfTime,
-    Temperature,
-    TemperatureSlope,
-    Text,
-    Time,
-)
 from gradcal_jax.files.rig import Name
 from gradcal_jax.files.schedule import Stretch, TemperatureSegment
 from gradcal_jax.files.section import Section
@@ -51,86 +38,86 @@ _HAIR: Final = 1e-6  # of a step
 class Stability(Section):
     """When a temperature counts as stable."""
 
-    within: PositiveTemperatureDifference = Quantity(0.5, "0.5 K", "temperature difference")
+    within: q.PositiveTemperatureDifference = q.Quantity(0.5, "0.5 K", "temperature difference")
     """Largest deviation from its goal, and largest change."""
-    for_at_least: Time = Quantity(300.0, "5 min", "time")
+    for_at_least: q.Time = q.Quantity(300.0, "5 min", "time")
     """For how long."""
-    first_timeout: Time = Quantity(14400.0, "4 h", "time")
+    first_timeout: q.Time = q.Quantity(14400.0, "4 h", "time")
     """When to give up at the first segment, for which the chamber comes from the room's temperature."""
-    timeout: Time = Quantity(7200.0, "2 h", "time")
+    timeout: q.Time = q.Quantity(7200.0, "2 h", "time")
     """When to give up at the others."""
 
 
 class ChamberSegment(Section):
     """One line of the chamber's track."""
 
-    name: Text
+    name: q.Text
     """Its name, which blocks of motion refer to."""
     kind: Literal["soak", "ramp", "step"]
     """The action of the chamber."""
     begins: Begins
     """At its time, or when the temperature is stable."""
-    start: SizeOfTime
+    start: q.SizeOfTime
     """On the plan's clock, which does not count waiting."""
-    duration: Time
+    duration: q.Time
     """How long."""
-    temperature_start: Temperature
+    temperature_start: q.Temperature
     """As it begins."""
-    temperature_end: Temperature
+    temperature_end: q.Temperature
     """As it ends."""
-    slope: TemperatureSlope | None = None
+    slope: q.TemperatureSlope | None = None
     """Slope of a ramp, signed; absent: constant, or as fast as the chamber can."""
-    used: Flag
+    used: q.Flag
     """Whether its readings are part of the data."""
 
 
 class TrackMove(Section):
     """One line of a block of motion."""
 
-    start: SizeOfTime
+    start: q.SizeOfTime
     """From the beginning of the repetition."""
     do: Doing
     """The action of the axis; "wait": it stands while other axes turn, or idle."""
-    duration: Time
+    duration: q.Time
     """How long."""
     axis: Name = "x"
     """Axis of the table."""
-    angle: Angle | None = None
+    angle: q.Angle | None = None
     """Angle turned, signed."""
-    rate: Rate | None = None
+    rate: q.Rate | None = None
     """Largest rate."""
-    acceleration: PositiveAcceleration | None = None
+    acceleration: q.PositiveAcceleration | None = None
     """Acceleration of the trapezoid with the same angle, peak rate and duration."""
-    shape: Text | None = None
+    shape: q.Text | None = None
     """Course of the rate as planned."""
-    repeat: Count = 1
+    repeat: q.Count = 1
     """How often."""
     read: Literal["end", "none"] | None = None
     """One reading at its end, or none."""
-    read_every: Time | None = None
+    read_every: q.Time | None = None
     """Spacing of readings."""
 
 
 class MotionBlock(Section):
     """Moves that repeat. The last repetition ends before its waits."""
 
-    name: Text
+    name: q.Text
     """Of the block."""
-    begins_with: Text
+    begins_with: q.Text
     """Segment of the chamber's track with which it begins."""
-    repeat: Count
+    repeat: q.Count
     """How often."""
-    period: Time
+    period: q.Time
     """Time from one repetition to the next."""
-    standing_after: SizeOfTime
+    standing_after: q.SizeOfTime
     """How long the axis stands after the last one."""
-    read_every_after: Time | None = None
+    read_every_after: q.Time | None = None
     """Spacing of readings while it stands then."""
-    mounting: Count | None = None
+    mounting: q.Count | None = None
     """Number of the mounting, from 1, where there are several."""
-    hang: Text | None = None
+    hang: q.Text | None = None
     """How the device hangs on the table, in words, where that changes: the operator is asked to do it."""
-    start: dict[Name, Angle] = Field(default_factory=dict)
+    start: dict[Name, q.Angle] = Field(default_factory=dict)
     """Angles of the table's axes as it begins, outermost first."""
     moves: Annotated[tuple[TrackMove, ...], Field(min_length=1)]
     """One after the other."""
@@ -333,7 +320,7 @@ def _standard(plan: StandardPlan, axis: str) -> tuple[ChamberTrack, tuple[Motion
     return ChamberTrack(programme=tuple(segments)), tuple(blocks)
 
 
-def _in(unit: str, number: float) -> Quantity:
+def _in(unit: str, number: float) -> q.Quantity:
     """A computed number without its rounding errors (a billionth of the unit)."""
     text = format(Decimal(repr(round(number, 9) + 0.0)).normalize(), "f")
-    return Quantity.read(f"{text} {unit}", dimension_of(unit))
+    return q.Quantity.read(f"{text} {unit}", dimension_of(unit))

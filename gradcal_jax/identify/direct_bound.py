@@ -30,7 +30,7 @@ probability 95 %. `raise_margin=False` gives the paper's κ = k.
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,6 +51,7 @@ Times = Float[np.ndarray, " times"]
 Taus = Float[np.ndarray, " taus"]
 # Probability that a record of pure random walk shows a drift.
 _CHANCE_OF_FALSE_DRIFT = 0.05
+_SCATTER_BLOCKS = 8
 
 
 @dataclass(frozen=True)
@@ -156,41 +157,30 @@ def fit_direct_bound(
     observed: LargestDrift,
     angle_random_walk: float,
     *,
-    channel: int = 0,
     margin: float = 2.5,
     raise_margin: bool = True,
-    correlation_times_s: Sequence[float] | Taus | None = None,
     rate_in_words: Callable[[float], str] = "{:.3g} in the unit of the rates".format,
 ) -> DirectBound:
-    """The feasible boundary of one channel and the tightest pair on it.
+    """The feasible boundary of a channel and the tightest pair on it.
 
     **Arguments:** `observed` from `largest_drift`; `angle_random_walk` N, rad/√s (from an Allan fit or a data sheet;
     too large an N hides drift, too small an N appears as drift); `margin` k; `raise_margin`: whether κ is raised to the
-    largest draw of random walk in a record of this length (see the module's head); `correlation_times_s` restricts the
-    τ's; by default they extend from a third of the shortest t to ten times the longest, and the chosen one is refined
-    between its neighbours; `rate_in_words` formats a rate for the messages (the core uses SI units only).
+    largest draw of random walk in a record of this length (see the module's head); `rate_in_words` formats a rate for
+    the messages (the core uses SI units only). The τ's extend from a third of the shortest t to ten times the longest,
+    and the chosen one is refined between its neighbours.
 
-    **Raises:** `ValueError` for a channel that is not there, and for numbers that are not positive.
+    **Raises:** `ValueError` for numbers that are not positive.
     """
     t, delta = observed.integration_time_s, observed.averaging_time_s
-    channels = observed.largest_drift.shape[1]
-    if not 0 <= channel < channels:
-        raise ValueError(f"there is no channel {channel}: the record has {channels}, counted from 0")
     if not 0 < margin < np.inf:
         raise ValueError(f"the margin k must be positive, not {margin}")
     if not 0 <= angle_random_walk < np.inf:
         raise ValueError(f"the angle random walk must be zero or more, not {angle_random_walk}")
-    largest = observed.largest_drift[:, channel]
+    largest = observed.largest_drift
     if largest.min() <= 0:
         raise ValueError("the rate does not change: a sensor that shows nothing has nothing to bound")
-    if correlation_times_s is None:
-        tau = np.geomspace(t[0] / 3, 10 * t[-1], 201)
-    else:
-        tau = np.unique(np.asarray(correlation_times_s, float))
-        if len(tau) == 0 or not (tau[0] > 0 and np.isfinite(tau[-1])):
-            raise ValueError("correlation times must be positive and finite, and at least one is needed")
-
-    starts, interval = observed.start_count[:, channel], observed.sample_interval_s
+    tau = np.geomspace(t[0] / 3, 10 * t[-1], 201)
+    starts, interval = observed.start_count, observed.sample_interval_s
     # Divided among the times: maxima at times a factor √e apart are nearly independent.
     chance = _CHANCE_OF_FALSE_DRIFT / (1.0 + 2.0 * np.log(t[-1] / t[0]))
     level = largest_of_random_walk(t, delta, starts, interval, exceeded_with_probability=chance)
@@ -205,7 +195,6 @@ def fit_direct_bound(
     std, excess = boundary(tau)
     best = int(np.argmin(excess))
     chosen_tau = float(tau[best])
-    inside = 0 < best < len(tau) - 1
     shows = bool(np.any(largest > walk_limit))
     hidden, advised = 0.0, None
     messages: list[str] = []
@@ -216,7 +205,7 @@ def fit_direct_bound(
         advised = _averaging_time_that_shows(t, delta, hidden, chosen_tau, angle_random_walk)
         mean_error = rate_in_words(angle_random_walk / float(np.sqrt(delta)))
         messages.append(_no_drift_shows(delta, mean_error, hidden, rate_in_words(hidden), chosen_tau, advised))
-    elif correlation_times_s is None and inside:
+    elif 0 < best < len(tau) - 1:
         optimum: Any = optimize.minimize_scalar(
             lambda log_tau: float(boundary(np.exp(np.array([log_tau])))[1][0]),
             bounds=(np.log(tau[best - 1]), np.log(tau[best + 1])),
@@ -225,7 +214,7 @@ def fit_direct_bound(
         )
         if optimum.fun < excess[best]:
             chosen_tau = float(np.exp(optimum.x))
-    elif correlation_times_s is None:
+    else:
         messages.append(
             "the record does not determine the correlation time: the drift outlasts the longest integration; only its "
             "slope, σ²/τ, is bounded"
@@ -252,7 +241,7 @@ def fit_direct_bound(
         boundary_drift_std=std,
         boundary_excess=excess,
         deciding_time_s=float(t[decides]),
-        deciding_start_index=int(observed.start_index[decides, channel]),
+        deciding_start_index=int(observed.start_index[decides]),
         drift_shows=shows,
         hidden_drift_std=hidden,
         advised_averaging_time_s=advised,
@@ -266,7 +255,6 @@ def scatter_of_bound(
     sample_interval_s: float,
     *,
     valid: Bool[np.ndarray, " samples"] | None = None,
-    blocks: int = 8,
 ) -> tuple[float, float] | None:
     """Standard deviations of σ and of ln τ, from how the largest drift differs between blocks of the record.
 
@@ -277,7 +265,7 @@ def scatter_of_bound(
     """
     usable = np.ones(len(rate), bool) if valid is None else valid
     t, delta = bound.integration_time_s, bound.averaging_time_s
-    blocks = min(blocks, int(len(rate) * sample_interval_s / (2 * (delta + t[0]))))
+    blocks = min(_SCATTER_BLOCKS, int(len(rate) * sample_interval_s / (2 * (delta + t[0]))))
     if not bound.drift_shows or blocks < 4:
         return None
     edges = np.linspace(0, len(rate), blocks + 1).astype(np.int64)
@@ -288,7 +276,7 @@ def scatter_of_bound(
     if len(parts) < 4 or not fits.any():
         return None
     drifts = [largest_drift(values, sample_interval_s, t[fits], delta, valid=mask) for values, mask in parts]
-    each = np.stack([one.largest_drift[:, 0] for one in drifts])
+    each = np.stack([one.largest_drift for one in drifts])
     away = np.empty((len(parts), len(t)))
     away[:, fits] = each - each.mean(axis=0)
     last = int(np.flatnonzero(fits)[-1])

@@ -26,30 +26,29 @@ from jaxtyping import Bool, Float, Int
 from gradcal_jax import formulas
 
 Blocks = Float[np.ndarray, " blocks"]
+Times = Float[np.ndarray, " times"]
 _BLOCK = 64
 _BLOCKS_AT_ONCE = 1024
 
 
 @dataclass(frozen=True)
 class LargestDrift:
-    """D_θ*(t) of each channel of a record; see `largest_drift`."""
+    """D_θ*(t) of a channel; see `largest_drift`."""
 
-    integration_time_s: Float[np.ndarray, " times"]
+    integration_time_s: Times
     """t as whole samples, s, increasing."""
     averaging_time_s: float
     """Δ as whole samples, s."""
-    largest_drift: Float[np.ndarray, "times channels"]
+    largest_drift: Times
     """D_θ*(t), in the unit of the rates (rad/s in this package)."""
-    start_index: Int[np.ndarray, "times channels"]
+    start_index: Int[np.ndarray, " times"]
     """The first sample of the largest drift, after its average."""
-    start_count: Int[np.ndarray, "times channels"]
+    start_count: Int[np.ndarray, " times"]
     """Number of starts."""
     sample_interval_s: float
 
 
-def integration_times(
-    shortest_s: float, longest_s: float, sample_interval_s: float, *, count: int = 200
-) -> Float[np.ndarray, " times"]:
+def integration_times(shortest_s: float, longest_s: float, sample_interval_s: float, *, count: int = 200) -> Times:
     """At most `count` distinct whole multiples of the sample interval, evenly spread on a logarithmic scale, s."""
     if not 0 < sample_interval_s < np.inf:
         raise ValueError(f"the sample interval must be positive, not {sample_interval_s} s")
@@ -70,61 +69,54 @@ def longest_integration_time(
 
 
 def largest_drift(
-    rate: Float[np.ndarray, " samples *channels"],
+    rate: Float[np.ndarray, " samples"],
     sample_interval_s: float,
-    integration_times_s: Float[np.ndarray, " times"],
+    integration_times_s: Times,
     averaging_time_s: float,
     *,
     valid: Bool[np.ndarray, "..."] | None = None,
 ) -> LargestDrift:
-    """D_θ*(t) of the paper's eqs. 6-8: the largest drift over all starts, for each integration time and channel.
+    """D_θ*(t) of the paper's eqs. 6-8: the largest drift over all starts, for each integration time.
 
-    **Arguments:** `rate`, evenly sampled at rest, rad/s, one column a channel (one dimension: one channel);
-    `integration_times_s` t and `averaging_time_s` Δ are rounded to whole samples, and equal ones merged; `valid` is
-    false for samples that no window may contain. Gaps in time are invalid samples on the even grid.
+    **Arguments:** `rate`, evenly sampled at rest, rad/s; `integration_times_s` t and `averaging_time_s` Δ are rounded
+    to whole samples, and equal ones merged; `valid` is false for samples that no window may contain. Gaps in time are
+    invalid samples on the even grid.
 
-    **Raises:** `ValueError` where an integration time fits no unbroken stretch of some channel (it names the longest
-    that does), where a usable rate is not finite, or where a time is not positive.
+    **Raises:** `ValueError` where an integration time fits no unbroken stretch (it names the longest that does), where
+    a usable rate is not finite, or where a time is not positive.
 
-    Memory beside the record itself: 17 bytes a sample, of one channel at a time.
+    Memory beside the record itself: 17 bytes a sample.
     """
-    columns = rate[:, None] if rate.ndim == 1 else rate
-    if columns.ndim != 2:
-        raise ValueError(f"rates have one row a sample and one column a channel, not the shape {rate.shape}")
-    samples, channels = columns.shape
-    usable = np.ones((samples, 1), bool) if valid is None else valid[:, None] if valid.ndim == 1 else valid
-    if usable.shape[0] != samples or usable.shape[1] not in (1, channels):
-        raise ValueError(f"the mask of usable samples has the shape {usable.shape}, the rates {columns.shape}")
+    usable = np.ones(len(rate), bool) if valid is None else valid
+    if usable.shape != rate.shape:
+        raise ValueError(f"the mask of usable samples has the shape {usable.shape}, the rates {rate.shape}")
     before = _whole_samples(averaging_time_s, sample_interval_s)
     lengths = np.unique([_whole_samples(float(time), sample_interval_s) for time in integration_times_s])
     if len(lengths) == 0:
         raise ValueError("at least one integration time is needed")
 
-    drift = np.full((len(lengths), channels), -1.0)  # below any magnitude, so that the first start counts
-    start_index = np.zeros((len(lengths), channels), np.int64)
-    start_count = np.zeros((len(lengths), channels), np.int64)
-    for channel in range(channels):
-        mask = usable[:, channel if usable.shape[1] > 1 else 0]
-        longest = 0
-        for start, stop in formulas.runs(mask).tolist():
-            longest = max(longest, stop - start)
-            fitting = int(np.searchsorted(lengths, stop - start - before, side="right"))
-            if fitting == 0:
-                continue
-            stretch = _Stretch.of(columns[start:stop, channel], before, first_sample=start)
-            for row, length in enumerate(lengths[:fitting].tolist()):
-                value, index = stretch.largest(length, at_least=float(drift[row, channel]))
-                start_count[row, channel] += stop - start - before - length + 1
-                if value > drift[row, channel]:
-                    drift[row, channel], start_index[row, channel] = value, start + before + index
-        if start_count[-1, channel] == 0:
-            room = (longest - before) * sample_interval_s
-            raise ValueError(
-                f"an integration of {lengths[-1] * sample_interval_s:g} s after an average of "
-                f"{before * sample_interval_s:g} s fits no unbroken stretch of channel {channel}, whose longest is "
-                f"{longest * sample_interval_s:g} s: "
-                + (f"integrate for at most {room:g} s" if room > 0 else "average for less, or record for longer")
-            )
+    drift = np.full(len(lengths), -1.0)  # below any magnitude, so that the first start counts
+    start_index, start_count = np.zeros(len(lengths), np.int64), np.zeros(len(lengths), np.int64)
+    longest = 0
+    for start, stop in formulas.runs(usable).tolist():
+        longest = max(longest, stop - start)
+        fitting = int(np.searchsorted(lengths, stop - start - before, side="right"))
+        if fitting == 0:
+            continue
+        stretch = _Stretch.of(rate[start:stop], before, first_sample=start)
+        for row, length in enumerate(lengths[:fitting].tolist()):
+            value, index = stretch.largest(length, at_least=float(drift[row]))
+            start_count[row] += stop - start - before - length + 1
+            if value > drift[row]:
+                drift[row], start_index[row] = value, start + before + index
+    if start_count[-1] == 0:
+        room = (longest - before) * sample_interval_s
+        raise ValueError(
+            f"an integration of {lengths[-1] * sample_interval_s:g} s after an average of "
+            f"{before * sample_interval_s:g} s fits no unbroken stretch, the longest of which is "
+            f"{longest * sample_interval_s:g} s: "
+            + (f"integrate for at most {room:g} s" if room > 0 else "average for less, or record for longer")
+        )
     return LargestDrift(
         lengths * sample_interval_s, before * sample_interval_s, drift, start_index, start_count, sample_interval_s
     )

@@ -23,7 +23,6 @@ _TIMES: Final = {
     "soak": ("soak_s", "of it at constant temperature"),
     "motion": ("motion_s", "of it with the temperature changing"),
 }
-_CHANNELS: Final = ("x", "y", "z")
 # Quantities that have a "mean of max".
 _OVER_RATE: Final = ("scale_factor", "gyro_scale_factor")
 
@@ -56,18 +55,11 @@ def dataset_of(
             attributes["units"] = axis.unit or "1"
         coordinates[name] = ((name,) if grid else ("point",), column, attributes)
 
-    def add(name: str, column: list[Any], attributes: dict[str, str], extra: tuple[str, ...] = ()) -> None:
-        words = isinstance(np.array(column, dtype=object).flat[0], str)
-        array = np.array(column, dtype=object if words else float)
-        if array.ndim > 1 and not extra:
-            array = array[:, 0]
-        variables[name] = ((*dims, *extra), array.reshape(*shape, *array.shape[1:]), attributes)
+    def add(name: str, column: list[Any], attributes: dict[str, str]) -> None:
+        array = np.array(column, dtype=object if isinstance(column[0], str) else float)
+        variables[name] = (dims, array.reshape(shape), attributes)
 
-    channels = [c for c in _CHANNELS if any(row.channel == c for r in results for row in r.residuals)] or ["x"]
-    extra = ("sensor_axis",) if len(channels) > 1 else ()
-    if extra:
-        coordinates["sensor_axis"] = (extra, np.array(channels, dtype=object), {"long_name": "axis of the sensor"})
-    tables = [{(row.requirement, row.channel): row for row in result.residuals} for result in results]
+    tables = [{row.requirement: row for row in result.residuals} for result in results]
     taken: set[str] = set()
     for i, requirement in enumerate(job.base.requirement):
         name = variable_name(requirement.name)
@@ -78,7 +70,7 @@ def dataset_of(
         for s, statistic in enumerate(STATISTICS):
             if requirement.quantity not in _OVER_RATE and statistic == "mean of max":
                 continue
-            column = [[_number(t.get((i, c)), s) for c in channels] for t in tables]
+            column = [_number(t.get(i), s) for t in tables]
             what = f"{requirement.name}: {statistic} of the residual {requirement.quantity.replace('_', ' ')}, 1 sigma"
             decisive = "yes" if statistic == requirement.statistic else "no"
             attributes = {
@@ -89,10 +81,10 @@ def dataset_of(
                 "decisive": decisive,
                 "verdict": f"{name}_verdict",
             }
-            add(f"{name}_{variable_name(statistic)}", column, attributes, extra)
-        verdicts = [[row.verdict if (row := t.get((i, c))) else "" for c in channels] for t in tables]
+            add(f"{name}_{variable_name(statistic)}", column, attributes)
+        verdicts = [row.verdict if (row := t.get(i)) else "" for t in tables]
         what = f"{requirement.name}: against its target, if it has one"
-        add(f"{name}_verdict", verdicts, {"long_name": what}, extra)
+        add(f"{name}_verdict", verdicts, {"long_name": what})
     for name, (field, what) in _TIMES.items():
         column = [np.nan if r.failure else getattr(r, field) for r in results]
         add(name, column, {"units": "s", "long_name": what})

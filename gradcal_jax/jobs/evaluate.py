@@ -39,9 +39,7 @@ def _each(base: Mapping[str, Any], points: list[tuple[int, Changes]], do) -> lis
 def _predicted(index: int, spec: Spec) -> PointResult:
     rows = requirement_rows(spec)
     residuals = tuple(
-        # One value for all elements, stored under the first axis.
-        Residual(k, "x", (row.mean_of_max, row.max, row.mean, row.rms), row.verdict or "")
-        for k, row in enumerate(rows)
+        Residual(k, (row.mean_of_max, row.max, row.mean, row.rms), row.verdict or "") for k, row in enumerate(rows)
     )
     return PointResult(index, "", spec.schedule.duration, spec.schedule.soak, spec.schedule.motion, residuals)
 

@@ -43,7 +43,7 @@ def write_recipes(results: "xarray.Dataset", folder: str | Path) -> list[dict[st
 
 
 def _rows(results: "xarray.Dataset", folder: Path) -> Iterator[dict[str, Any]]:
-    axes = [str(name) for name in results.coords if name != "sensor_axis"]
+    axes = [str(name) for name in results.coords]
     shape = results["failure"].shape
     for at in np.ndindex(shape):
         place = dict(zip(map(str, results["failure"].dims), at, strict=True))

@@ -5,11 +5,10 @@ from typing import NamedTuple
 
 
 class Residual(NamedTuple):
-    """One requirement on one channel: the statistics (None: not defined, or not observable) in the order of
-    `information.STATISTICS` and the unit of `api.UNIT_OF`; the verdict: "met", "missed", "unobservable" or ""."""
+    """One requirement: the statistics (None: not defined, or not observable) in the order of `information.STATISTICS`
+    and the unit of `api.UNIT_OF`; the verdict: "met", "missed", "unobservable" or ""."""
 
     requirement: int
-    channel: str
     values: tuple[float | None, ...]
     verdict: str
 
@@ -36,7 +35,7 @@ def results_as_json(results: list[PointResult]) -> str:
 def results_from_json(text: str) -> list[PointResult]:
     """The results in a text of `results_as_json`."""
     rows = json.loads(text)
-    read = ([*r[:5], tuple(Residual(a, b, tuple(c), d) for a, b, c, d in r[5]), *r[6:]] for r in rows)
+    read = ([*r[:5], tuple(Residual(a, tuple(b), c) for a, b, c in r[5]), *r[6:]] for r in rows)
     return [PointResult._make(row) for row in read]
 
 

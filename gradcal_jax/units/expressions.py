@@ -6,7 +6,7 @@ from decimal import Decimal, localcontext
 from functools import lru_cache
 from typing import Final, NamedTuple
 
-from gradcal_jax.units.dimensions import FAHRENHEIT, PRECISE, SYMBOLS, Powers
+from gradcal_jax.units.symbols import FAHRENHEIT, PRECISE, SYMBOLS, Powers
 
 _TOKEN: Final = re.compile(
     r" *(?:(?P<power>(?:\^|\*\*) *(?:\( *[+-]?[0-9]/[0-9] *\)|[+-]?[0-9](?:\.[05])?(?![0-9.]))|⁻?[¹²³])"

@@ -7,8 +7,9 @@ import re
 from decimal import Context, Decimal, localcontext
 from typing import Final
 
-from gradcal_jax.units.dimensions import CELSIUS, DIMENSIONS, FAHRENHEIT, PRECISE, SYMBOLS, Dimension
+from gradcal_jax.units.dimensions import DIMENSIONS, Dimension
 from gradcal_jax.units.expressions import Refusal, Unit, read_unit
+from gradcal_jax.units.symbols import CELSIUS, FAHRENHEIT, PRECISE, SYMBOLS
 
 # Other code points of the same characters only: micro, minus, middle dots, hard spaces, one-character °C and °F.
 _SAME: Final = str.maketrans(

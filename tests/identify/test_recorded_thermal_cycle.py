@@ -70,7 +70,7 @@ def describe(log, axis, lag_time_s):
     observed = largest_drift(rate, interval, times, 60.0, valid=even.valid)
     for row, time in enumerate(times):
         values = drifts(rate, interval, float(time), 60.0, valid=even.valid)
-        assert observed.largest_drift[row, 0] == pytest.approx(np.abs(values).max(), rel=1e-9)
+        assert observed.largest_drift[row] == pytest.approx(np.abs(values).max(), rel=1e-9)
     bound = fit_direct_bound(observed, allan.angle_random_walk.value)
     assert np.all(bound.largest_drift <= bound.limit * (1 + 1e-9))
     return thermal, allan, bound
@@ -112,7 +112,7 @@ def test_the_second_half_stays_within_what_bounds_the_first(log, axis, share):
     bound = instability(half, averaging_time_s=60.0, longest_s=600.0, count=60).bound
     interval, times = rest.sample_interval_s, bound.integration_time_s
     other = largest_drift(rest.rate, interval, times, 60.0, valid=rest.valid & ~first)
-    assert np.max(other.largest_drift[:, 0] / bound.limit) == pytest.approx(share, abs=0.002)
+    assert np.max(other.largest_drift / bound.limit) == pytest.approx(share, abs=0.002)
 
 
 def test_over_a_narrow_range_of_temperature_less_drift_is_left(log):
@@ -125,7 +125,7 @@ def test_over_a_narrow_range_of_temperature_less_drift_is_left(log):
     inside = largest_drift(even.rate_rad_per_s, interval, times, 30.0, valid=warm)
     assert np.all(inside.start_count < everywhere.start_count)
     assert np.all(inside.largest_drift <= everywhere.largest_drift * (1 + 1e-9))
-    for row, start in enumerate(inside.start_index[:, 0]):
+    for row, start in enumerate(inside.start_index):
         before, after = round(30.0 / interval), round(times[row] / interval)
         assert warm[start - before : start + after].all()
 

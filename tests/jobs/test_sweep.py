@@ -82,14 +82,14 @@ def test_a_worker_predicts_as_predict_does(base, changes):
     assert found.failure == ""
     assert (found.duration_s, found.motion_s) == (expected.duration_s, expected.motion_s)
     names = {i: requirement.name for i, requirement in enumerate(spec.requirement)}
-    mine = {(names[row.requirement], row.channel): row for row in found.residuals}
+    mine = {names[row.requirement]: row for row in found.residuals}
     assert len(mine) == len(found.residuals) == len(expected.requirements)
     for row in expected.requirements:
-        values = dict(zip(STATISTICS, mine[row.name, row.axis].values, strict=True))
+        values = dict(zip(STATISTICS, mine[row.name].values, strict=True))
         for name in STATISTICS:
             said = getattr(row, name.replace(" ", "_"))
             assert values[name] == (None if said is None else pytest.approx(said, rel=1e-12))
-        assert mine[row.name, row.axis].verdict == (row.verdict or "")
+        assert mine[row.name].verdict == (row.verdict or "")
 
 
 def test_results_carry_their_units_their_file_and_their_failures(done):

@@ -21,16 +21,7 @@ from numpy.typing import NDArray
 
 from gradcal_jax import formulas
 from gradcal_jax.display import summary
-from gradcal_jax.files.bases import (
-    RateBasis,
-    RateBins,
-    RatePolynomial,
-    RateSpline,
-    TemperatureBasis,
-    TemperatureBins,
-    TemperaturePolynomial,
-    TemperatureSpline,
-)
+from gradcal_jax.files.bases import RateBins
 from gradcal_jax.files.calibration.file import (
     TEMPERATURE_RATE,
     CalibratedChannel,
@@ -84,16 +75,6 @@ class OnPath(NamedTuple):
         return OnPath(self.bias[rows], self.scale[rows], self.known[rows], late)
 
 
-def basis_values(basis: TemperatureBasis | RateBasis, x: Floats) -> Floats:
-    """Values of a basis's *reported* functions, `(n,) -> (n, size)`."""
-    if isinstance(basis, TemperaturePolynomial | RatePolynomial):
-        return formulas.monomials((x - float(basis.centre)) / float(basis.scale), basis.degree)
-    if isinstance(basis, TemperatureSpline | RateSpline):
-        return formulas.b_spline(x, tuple(float(k) for k in basis.knots), basis.degree)
-    assert isinstance(basis, TemperatureBins | RateBins)
-    return formulas.bins(x, tuple(float(e) for e in basis.edges))
-
-
 def term_values(term: CalibratedTerm, temperature_c: Floats, rate: Floats | None = None) -> Floats:
     """The map of a term, `(n,)`, in its unit; `rate` rad/s, of its channel's axis (absent: 0)."""
     return _at_rates(term, _at_temperatures(term, temperature_c), np.zeros(1) if rate is None else rate)
@@ -103,14 +84,14 @@ def _at_temperatures(term: CalibratedTerm, temperature_c: Floats) -> Floats:
     """`(n, functions of the rate)`: their coefficients, or the map itself."""
     coefficients = np.array(list(term.coefficients.values()))
     one = np.ones((len(temperature_c), 1))
-    basis = one if term.temperature is None else basis_values(term.temperature, temperature_c)
+    basis = one if term.temperature is None else term.temperature.values(temperature_c)
     return basis @ coefficients.reshape(basis.shape[1], -1)
 
 
 def _at_rates(term: CalibratedTerm, of_temperature: Floats, rate: Floats) -> Floats:
     if term.rate is None:
         return of_temperature[:, 0]
-    return (of_temperature * basis_values(term.rate, rate)).sum(axis=-1)
+    return (of_temperature * term.rate.values(rate)).sum(axis=-1)
 
 
 def channel_error(

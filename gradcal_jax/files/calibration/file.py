@@ -18,24 +18,11 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field
 
 from gradcal_jax.display import amount, columns, html
+from gradcal_jax.files import quantity as q
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis, increasing
 from gradcal_jax.files.calibration.upgrade import FORMAT, OLD_FORMAT, function_of, upgraded
 from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.problems import Problem
-from gradcal_jax.files.quantity import (
-    AngleRandomWalk,
-    Flag,
-    Frequency,
-    Number,
-    PositiveTemperatureDifference,
-    Rate,
-    RateRandomWalk,
-    Temperature,
-    Text,
-    Time,
-    VelocityRandomWalk,
-    Whole,
-)
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.writing import write_toml
 
@@ -52,19 +39,19 @@ LOG_HASH: Final = "log_sha256"
 class CalibratedTerm(Section):
     """One term of a channel, in `unit` (SI). Without `temperature` it is constant; `rate`: of its own rate."""
 
-    name: Text
+    name: q.Text
     """Name of the term, such as scale_factor."""
-    unit: Text
+    unit: q.Text
     """SI unit of its coefficients."""
-    signals: Annotated[tuple[Text, ...], Field(max_length=4)] = ()
+    signals: Annotated[tuple[q.Text, ...], Field(max_length=4)] = ()
     """Its factors, such as "rate x", "force z", "|force z|" or "temperature rate"; none: 1."""
     temperature: TemperatureBasis | None = None
     """Basis over temperature; absent: constant."""
     rate: RateBasis | None = None
     """Basis over the channel's own rate; absent: the same at every rate."""
-    lag: Time | None = None
+    lag: q.Time | None = None
     """First-order lag with which it follows the temperature of its channel; absent: at once."""
-    coefficients: Annotated[dict[str, Number], Field(min_length=1, max_length=40_000)]
+    coefficients: Annotated[dict[str, q.Number], Field(min_length=1, max_length=40_000)]
     """By name, in SI; temperature slow, rate fast."""
 
     def _problems(self) -> Iterator[Problem]:
@@ -92,32 +79,32 @@ class PathCoefficient(Section):
     """An error that depends on the path of temperature, beside the maps, which are the mean of heating and cooling:
     `apply` takes it off a log, whose temperatures it follows; exports cannot."""
 
-    channel: Text
+    channel: q.Text
     """As in gyro_x."""
-    name: Text
+    name: q.Text
     """Name of the coefficient, such as hysteresis_20K."""
-    value: Number
+    value: q.Number
     """Estimate (SI)."""
-    standard_deviation: Number
+    standard_deviation: q.Number
     """Standard deviation of the estimate (SI)."""
-    unit: Text
+    unit: q.Text
     """SI unit of both."""
-    width: PositiveTemperatureDifference | None = None
+    width: q.PositiveTemperatureDifference | None = None
     """Half-width of the play; absent: it is no hysteresis."""
-    time_constant: Time | None = None
+    time_constant: q.Time | None = None
     """Of a sensitivity to dT/dt that a first-order lag follows; absent: none."""
-    second_thermometer: Flag = False
+    second_thermometer: q.Flag = False
     """Whether it is for each K of the second thermometer's difference from the first."""
-    own: Flag = False
+    own: q.Flag = False
     """Whether it is of an error class of your own, which neither `apply` nor exports take off."""
 
 
 class Residuals(Section):
     """Whitened residuals of the fit, in standard deviations: independent and normal where the model is true."""
 
-    counts: Annotated[tuple[Whole, ...], Field(min_length=18, max_length=18)]
+    counts: Annotated[tuple[q.Whole, ...], Field(min_length=18, max_length=18)]
     """Counts below -4, in steps of one half from there to 4, and above."""
-    rms: Annotated[tuple[Number, ...], Field(max_length=10)] = ()
+    rms: Annotated[tuple[q.Number, ...], Field(max_length=10)] = ()
     """Root mean square of each tenth of them, in the order of time."""
 
 
@@ -126,13 +113,13 @@ class CalibratedChannel(Section):
 
     kind: Literal["gyro", "accelerometer"]
     """Kind of sensor."""
-    axis: Annotated[Text, Field(max_length=100)]
+    axis: Annotated[q.Text, Field(max_length=100)]
     """Its axis of the body."""
-    valid_temperature: tuple[Temperature, Temperature]
+    valid_temperature: tuple[q.Temperature, q.Temperature]
     """Temperatures that the data covered."""
-    valid_rate: tuple[Rate, Rate]
+    valid_rate: tuple[q.Rate, q.Rate]
     """Rates that the data covered."""
-    thermal_lag: Time | None = None
+    thermal_lag: q.Time | None = None
     """Time by which its maps follow the temperature; absent: none."""
     term: Annotated[tuple[CalibratedTerm, ...], Field(max_length=40)] = ()
     """Its errors, which add."""
@@ -166,9 +153,9 @@ class CalibratedChannel(Section):
 class Covariance(Section):
     """Covariance of the observable coefficients."""
 
-    names: Annotated[tuple[Text, ...], Field(max_length=5000)]
+    names: Annotated[tuple[q.Text, ...], Field(max_length=5000)]
     """Names of the coefficients, as in gyro_x.b00."""
-    matrix: tuple[tuple[Number, ...], ...]
+    matrix: tuple[tuple[q.Number, ...], ...]
     """Their covariance, row by row, in their units."""
 
     def _problems(self) -> Iterator[Problem]:
@@ -183,82 +170,82 @@ class UnseenError(Section):
     """An error that no residual of the fit shows: of a term of the spec or, with a figure typical of the class, of one
     that it omits. The covariance with all of them is `covariance` plus the sum of their squares."""
 
-    name: Annotated[Text, Field(max_length=200)]
+    name: Annotated[q.Text, Field(max_length=200)]
     """Which error."""
-    coefficients: dict[str, Number]
+    coefficients: dict[str, q.Number]
     """One standard deviation of it in each coefficient, in the coefficients' units."""
 
 
 class FitTest(Section):
     """A test of the fit."""
 
-    name: Text
+    name: q.Text
     """Which test, of which channel, as in "gyro_x: chi-squared"."""
-    statistic: Number
+    statistic: q.Number
     """Its χ²."""
-    degrees: Whole
+    degrees: q.Whole
     """Degrees of freedom."""
-    chance: Number
+    chance: q.Number
     """Chance of a value as large or larger."""
 
 
 class TableError(Section):
     """An estimated error of the *table's* installation, SI, with its prior."""
 
-    name: Text
+    name: q.Text
     """Of the error."""
-    value: Number
+    value: q.Number
     """Estimate (SI)."""
-    standard_deviation: Number
+    standard_deviation: q.Number
     """Standard deviation of the estimate (SI)."""
-    prior: Number
+    prior: q.Number
     """Standard deviation in the spec (SI)."""
-    unit: Text
+    unit: q.Text
     """SI unit of all three."""
 
 
 class Result(Section):
     """The result for a requirement of the spec, in `unit`."""
 
-    name: Text
+    name: q.Text
     """Of the requirement."""
-    axis: Text
+    axis: q.Text
     """Which axis, or how several are summed up."""
-    quantity: Text
+    quantity: q.Text
     """Which quantity."""
-    statistic: Text
+    statistic: q.Text
     """The one that decides."""
-    value: Number | None = None
+    value: q.Number | None = None
     """Its value, one sigma, with terms that the spec omits and, in any run, the turn-on bias; absent: not
     observable."""
-    named: Number | None = None
+    named: q.Number | None = None
     """Its value by the terms that the spec names, in this run, where it is another."""
-    worst: Number | None = None
+    worst: q.Number | None = None
     """The standard deviation at the worst place of the box."""
-    unit: Text
+    unit: q.Text
     """Unit of all figures."""
-    target: Number | None = None
+    target: q.Number | None = None
     """Limit on the error."""
-    verdict: Text | None = None
+    verdict: q.Text | None = None
     """Whether it is met."""
-    coverage: Number | None = None
+    coverage: q.Number | None = None
     """Standard deviations that must be within the target."""
-    risk: Annotated[Number, Field(gt=0.0, le=0.5)] | None = None
+    risk: Annotated[q.Number, Field(gt=0.0, le=0.5)] | None = None
     """Largest chance that a sensor beyond the target passes; absent: simple acceptance."""
-    rule: Text | None = None
+    rule: q.Text | None = None
     """Rule of the verdict, in words."""
 
 
 class Noise(Section):
     """The noise that the estimate assumed, for programs that filter; random walks of drifts over short times."""
 
-    angle_random_walk: AngleRandomWalk | None = None
+    angle_random_walk: q.AngleRandomWalk | None = None
     """White noise of the rate."""
-    rate_random_walk: RateRandomWalk | None = None
+    rate_random_walk: q.RateRandomWalk | None = None
     """Of the gyros' drifts, over times much shorter than their own."""
-    velocity_random_walk: VelocityRandomWalk | None = None
+    velocity_random_walk: q.VelocityRandomWalk | None = None
     """White noise of the specific force."""
-    sample_rate: Frequency | None = None
+    sample_rate: q.Frequency | None = None
     """Of the log."""
 
 
@@ -268,13 +255,13 @@ class Calibration(TitledFile):
     """
 
     format: Literal["gradcal-calibration/2"]
-    serial_number: Text
+    serial_number: q.Text
     """Of the sensor."""
-    simulated: Flag
+    simulated: q.Flag
     """Whether no real sensor made the data."""
-    frame: Text
+    frame: q.Text
     """In which frame the axes are."""
-    order: Text
+    order: q.Text
     """The meaning of the numbers, and the order of the correction."""
     channel: Annotated[tuple[CalibratedChannel, ...], Field(min_length=1, max_length=20)]
     """Gyros and accelerometers."""
@@ -288,17 +275,17 @@ class Calibration(TitledFile):
     """Estimated errors of the table."""
     fit: Annotated[tuple[FitTest, ...], Field(max_length=1000)] = ()
     """Tests of the fit."""
-    contradicted: Annotated[tuple[Text, ...], Field(max_length=1000)] = ()
+    contradicted: Annotated[tuple[q.Text, ...], Field(max_length=1000)] = ()
     """Tests of the fit that fail: the data contradict the model, and no stated uncertainty is valid."""
-    unobservable: Annotated[tuple[Text, ...], Field(max_length=5000)] = ()
+    unobservable: Annotated[tuple[q.Text, ...], Field(max_length=5000)] = ()
     """Coefficients, or combinations of them, that the data do not determine."""
     noise: Noise | None = None
     """The noise that the estimate assumed."""
-    lacks: Text | None = None
+    lacks: q.Text | None = None
     """What part of the plan the log lacks, and what the executed part alone predicts."""
     result: Annotated[tuple[Result, ...], Field(max_length=1000)] = ()
     """The results for the requirements."""
-    provenance: dict[str, Text] = Field(default_factory=dict)
+    provenance: dict[str, q.Text] = Field(default_factory=dict)
     """Texts by name: versions, sources, the log's hash."""
 
     def _problems(self) -> Iterator[Problem]:
@@ -326,13 +313,13 @@ class Calibration(TitledFile):
         return next((c for c in self.channel if (c.kind, c.axis) == (kind, axis)), None)
 
     @property
-    def valid_temperature(self) -> tuple[Temperature, Temperature]:
+    def valid_temperature(self) -> tuple[q.Temperature, q.Temperature]:
         """Temperatures that the data covered for every channel (the second may be below the first: none)."""
         lows, highs = zip(*(channel.valid_temperature for channel in self.channel), strict=True)
         return max(lows), min(highs)
 
     @property
-    def valid_rate(self) -> tuple[Rate, Rate]:
+    def valid_rate(self) -> tuple[q.Rate, q.Rate]:
         """Rates that the data covered for every channel (the second may be below the first: none)."""
         lows, highs = zip(*(channel.valid_rate for channel in self.channel), strict=True)
         return max(lows), min(highs)

@@ -243,7 +243,6 @@ def _as_samples(
         np.stack(list(rates.values()), axis=-1),
         forces,
         np.repeat(temperature[:, None], 3, axis=1),
-        np.zeros((count, 3), np.int32),
         status,
         missing,
         none,

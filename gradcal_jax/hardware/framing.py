@@ -221,5 +221,5 @@ def parse_written(modbus: Modbus, frame: bytes, sent: bytes) -> None:
 def _accepted(body: bytes) -> bytes:
     if body[0] & 0x80:
         meaning = EXCEPTIONS.get(body[1], "unknown")
-        raise Rejected(f"It refuses: exception {body[1]} ({meaning}).", code=str(body[1]), text=meaning)
+        raise Rejected(f"It refuses: exception {body[1]} ({meaning}).")
     return body

@@ -193,7 +193,7 @@ class Exchange:
                     continue
                 except Rejected as refusal:
                     what = f"{self.device} at {self.transport.url} was sent {printable(request)!r}. {refusal}"
-                    raise Rejected(what, code=refusal.code, text=refusal.text) from None
+                    raise Rejected(what) from None
                 except ChecksumError:
                     # The reply to this request is damaged: no other will come.
                     raise

@@ -87,7 +87,7 @@ def test_espec_golden_vectors() -> None:
     for refused, code in (("TEMP, S200.0", "DATA OUT OF RANGE"), ("XYZ", "CMD ERR")):
         with pytest.raises(Rejected) as caught:
             ESPEC_LINES.text(reply[refused])
-        assert caught.value.code == code
+        assert code in str(caught.value)
 
 
 @pytest.mark.parametrize(

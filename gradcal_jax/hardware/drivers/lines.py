@@ -101,9 +101,8 @@ class Codec:
         if not text.isprintable():
             raise FramingError(f"{self._protocol.title} answered {printable(frame)!r}, which is no text. Baud rate?")
         refusal = self._protocol.line.refusal
-        if refusal is not None and (match := _pattern(refusal).fullmatch(text)) is not None:
-            code = match.groupdict().get("code", text)
-            raise Rejected(f"{self._protocol.title} refuses: {text!r}. See its manual.", code=code, text=text)
+        if refusal is not None and _pattern(refusal).fullmatch(text) is not None:
+            raise Rejected(f"{self._protocol.title} refuses: {text!r}. See its manual.")
         return text
 
 

@@ -105,7 +105,7 @@ def parse_line(frame: bytes) -> str:
         raise ChecksumError(f"The reply {printable(frame)!r} fails its check sum. Check the line's shielding.")
     text = body.decode("ascii", "replace").strip()
     if text.startswith(_REFUSALS):
-        raise Rejected(f"The controller refuses: {text}.", code=text)
+        raise Rejected(f"The controller refuses: {text}.")
     return text
 
 

@@ -308,7 +308,7 @@ class Stim300Decoder:
         disturbed = np.zeros(count, np.bool_)
         disturbed[0], self._disturbed = self._disturbed, False
         times, rates = counts.astype(np.float64) / float(INTERNAL_RATE_HZ), raw.astype(np.float64) * self._gyro_scale
-        more = {"raw_gyro": raw, "status": status, "gap_before": gaps, "disturbed": disturbed, "restarted": restarted}
+        more = {"status": status, "gap_before": gaps, "disturbed": disturbed, "restarted": restarted}
         more["second_c"] = second
         return imu_batch(host_time_s, times, rates, acceleration, temperature, **more)
 
@@ -360,9 +360,7 @@ def parse_utility(frame: bytes) -> tuple[str, list[str]]:
     status = int(fields[0])
     if status not in (0, 8):
         text = _STATUS_TEXTS.get(str(status), "unknown status")
-        raise Rejected(
-            f"The unit refuses {name or 'the command'}: status {status} ({text}).", code=fields[0], text=text
-        )
+        raise Rejected(f"The unit refuses {name or 'the command'}: status {status} ({text}).")
     return name, fields[1:]
 
 
@@ -407,10 +405,10 @@ class Stim300Stream(ImuDriver[Stim300Config]):
             try:
                 registers[name] = ",".join(self._ask(name))
             except Rejected as refusal:
-                registers[name] = f"refused: {refusal.text}"
+                registers[name] = f"refused: {refusal}"
         self._registers = registers
         decoder_of(config, registers)
-        return ImuSettings(config.sample_rate_hz, round(256 * config.sample_rate_hz / INTERNAL_RATE_HZ), registers)
+        return ImuSettings(config.sample_rate_hz, registers)
 
     def start(self) -> None:
         if self._in_utility:

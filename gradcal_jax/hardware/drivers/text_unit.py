@@ -159,7 +159,7 @@ class TextUnitStream(ImuDriver[TextUnitConfig]):
 
     def configure(self) -> ImuSettings:
         self._listen()
-        return ImuSettings(float(self._unit.rate), self.decoder().round_samples, {"line": self._unit.line})
+        return ImuSettings(float(self._unit.rate), {"line": self._unit.line})
 
     def start(self) -> None: ...
 

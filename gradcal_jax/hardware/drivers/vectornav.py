@@ -79,8 +79,7 @@ def parse_line(frame: bytes) -> list[str]:
     fields = body.decode("ascii", "replace").split(",")
     if fields[0] == "VNERR":
         code = str(int(fields[1])) if len(fields) > 1 and fields[1].isdigit() else "?"
-        text = _ERRORS.get(code, "unknown error")
-        raise Rejected(f"The unit reports error {code}: {text}.", code=code, text=text)
+        raise Rejected(f"The unit reports error {code}: {_ERRORS.get(code, 'unknown error')}.")
     return fields
 
 
@@ -196,7 +195,7 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
     def configure(self) -> ImuSettings:
         self.stop()
         registers = {f"{register:02d}": self._read(register) for register in (1, 2, 3, 4, 5, 30, 6, 7, 75)}
-        return ImuSettings(self._config.sample_rate_hz, 0, registers)
+        return ImuSettings(self._config.sample_rate_hz, registers)
 
     def start(self) -> None:
         self.settings.change("75", self._binary_output(1))

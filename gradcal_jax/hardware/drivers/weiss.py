@@ -365,7 +365,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             if not text.isprintable() or "\ufffd" in text:
                 raise FramingError(f"The chamber acknowledged ${letter} by {printable(frame)!r}. Check the line.")
             if text != "0":
-                raise Rejected(f"The chamber refuses ${letter}: {text!r}.", code=text)
+                raise Rejected(f"The chamber refuses ${letter}: {text!r}.")
 
         for _ in range(_TRIES):
             try:

@@ -200,7 +200,7 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
         if not reply.accepted:
             text = f"{reply.data}, {reply.warning}" if reply.warning != "--" else reply.data
             where = f"The Zaber stage at {self._exchange.transport.url}"
-            raise Rejected(f"{where} refuses {words!r}: {text}.", code=reply.data, text=reply.warning)
+            raise Rejected(f"{where} refuses {words!r}: {text}.")
         return reply
 
     def _start(self, words: str) -> None:

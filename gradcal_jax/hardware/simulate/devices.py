@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..checksums import crc32_mpeg2_of_rows
 from ..clock import Clock
 from ..drivers.base import ChamberDriver, Unwatched
-from ..drivers.stim300 import INTERNAL_RATE_HZ, Stim300Config, Stim300Decoder, decoder_of
+from ..drivers.stim300 import Stim300Config, Stim300Decoder, decoder_of
 from ..errors import LimitExceeded
 from ..roles import (
     AxisLimits,
@@ -289,8 +289,7 @@ class SimulatedStream:
         return Identity("stim300", "simulated", self.serial)
 
     def configure(self) -> ImuSettings:
-        rate_hz = self._config.sample_rate_hz
-        return ImuSettings(rate_hz, round(256 * rate_hz / INTERNAL_RATE_HZ), self._registers)
+        return ImuSettings(self._config.sample_rate_hz, self._registers)
 
     def start(self) -> None:
         self.sensor.restart(self._clock.now(), self._config.sample_rate_hz)

@@ -31,7 +31,7 @@ from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
 from ..hardware.errors import HardwareError
 from ..hardware.journal import Event, JournalContents, records_of
-from ..hardware.roles import STANDARD_GRAVITY, ImuBatch
+from ..hardware.roles import STANDARD_GRAVITY, ImuBatch, imu_batch
 from ..hardware.run_folder import SESSION, RunFolder, exit_status, rig_as_run
 from .alignment import Alignment, AngleTrack, align
 from .clockmap import ClockMap
@@ -205,7 +205,6 @@ def _about_innermost(table: RigTable, rates_dps: Mapping[str, Floats]) -> Floats
 
 
 def _track(events: Sequence[Event], axis: str) -> AngleTrack:
-    """All readings of an axis's angle, in order."""
     rows = [
         (float(e.data["time_s"]), float(e.data["position_deg"]))
         for e in events
@@ -232,23 +231,15 @@ def _as_samples(
         temperature = np.interp(host, at_s, np.array(read_c))
     steps = np.diff(recorded.time_s, prepend=recorded.time_s[0])
     missing = np.maximum(np.round(steps / recorded.sample_interval_s).astype(np.int64) - 1, 0)
-    status = np.zeros(count, np.int64) if recorded.status is None else recorded.status[number].astype(np.int64)
-    none = np.zeros(count, bool)
     forces = np.full((count, 3), np.nan)
     if recorded.force_axes == ("x", "y", "z") and recorded.specific_force_m_per_s2 is not None:
         forces = recorded.specific_force_m_per_s2[number] / STANDARD_GRAVITY
-    return ImuBatch(
-        host,
-        recorded.time_s,
-        np.stack(list(rates.values()), axis=-1),
-        forces,
-        np.repeat(temperature[:, None], 3, axis=1),
-        status,
-        missing,
-        none,
-        none,
-        np.full(count, np.nan) if (second := recorded.bridged_temperature(number, second=True)) is None else second,
-    )
+    more = {"gap_before": missing, "second_c": recorded.bridged_temperature(number, second=True)}
+    if recorded.status is not None:
+        more["status"] = recorded.status[number].astype(np.int64)
+    gyro, temperatures = np.stack(list(rates.values()), axis=-1), np.repeat(temperature[:, None], 3, axis=1)
+    known = {name: values for name, values in more.items() if values is not None}
+    return replace(imu_batch(0.0, recorded.time_s, gyro, forces, temperatures, **known), host_time_s=host)
 
 
 def _clock_of(alignment: Alignment) -> ClockMap:
@@ -335,7 +326,6 @@ def _joined(
 def _blocks(
     placed: Sequence[PlacedPart], table: bool, forced: bool, doubly: bool
 ) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
-    """All rows, as columns of a `Log`."""
     spins = all(one.part.table.spins for one in placed)
     mounted = all(one.part.seen.mounted for one in placed)
     for one in placed:

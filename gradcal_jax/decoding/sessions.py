@@ -101,8 +101,6 @@ def _end(sessions: Sequence[Session]) -> None:
 
 
 class Stream:
-    """The samples of a unit in a session: rows of a spool."""
-
     def __init__(self, device: ImuDevice, samples: SampleSpool) -> None:
         self._device, self.samples = device, samples
         self._early: list[Chunk] = []
@@ -137,7 +135,6 @@ class Stream:
             self.flush()
 
     def flush(self) -> None:
-        """Move all samples so far to the spool."""
         batch, self._waiting, self._waiting_samples = join(self._waiting), [], 0
         rows = self.end + np.flatnonzero(batch.restarted)
         self.restarts += rows[rows > self.first].tolist()

@@ -51,8 +51,6 @@ _MOST_UNITS: Final = 8
 
 
 class Attended(TypedDict, total=False):
-    """The arguments of `run_session` for the operator's interface."""
-
     on_progress: Callable[[RunProgress], None]
     with_runner: Callable[[Runner], None]
     wait_when_paused: bool
@@ -125,20 +123,16 @@ def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack
 
 
 def _require_operator(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
+    if attended.get("terminal") is not None:
+        return
     at_terminal = rig.operator is None or rig.operator.port == TERMINAL
     by_hand = any(axis.driver == OPERATOR for axis in rig.axis)
-    hung = any(block.hang for block in recipe.motion)
-    if hung and at_terminal and not by_hand and attended.get("terminal") is None:
-        raise ValueError(
-            "in this recipe the operator hangs the units anew, asked at the terminal, and there is none: start the run "
-            "from a terminal, its output not redirected, or name a port under [operator] in the rig file"
-        )
-    names = [axis.name for axis in rig.axis if axis.port == TERMINAL]
-    if names and attended.get("terminal") is None:
-        raise ValueError(
-            f"axis {', '.join(names)} is turned by the operator at the terminal, and there is none: start the run from "
-            "a terminal, its output not redirected"
-        )
+    start = "at the terminal, and there is none: start the run from a terminal, its output not redirected"
+    if any(block.hang for block in recipe.motion) and at_terminal and not by_hand:
+        what = "in this recipe the operator hangs the units anew, asked"
+        raise ValueError(f"{what} {start}, or name a port under [operator] in the rig file")
+    if names := [axis.name for axis in rig.axis if axis.port == TERMINAL]:
+        raise ValueError(f"axis {', '.join(names)} is turned by the operator {start}")
 
 
 def _laboratory(
@@ -207,7 +201,6 @@ def run_session(
             raise HardwareError(journal.problem)
 
         def changes(device: str, name: str, value: str) -> None:
-            """Before a device's setting is changed its value goes to the guard and the journal."""
             if watched is not None:
                 watched.remember(device, name, value)
             journal.event(clock.now(), "setting changed", at_once=False, device=device, setting=name, before=value)

@@ -20,14 +20,11 @@ class NotThisReply(Exception):
 
 
 class Framer(ABC):
-    """Cuts a stream into frames."""
-
     def __init__(self) -> None:
         self._buffer: bytes = b""
 
     @abstractmethod
-    def push(self, data: bytes) -> list[bytes]:
-        """Take the next bytes; return the frames that are now complete."""
+    def push(self, data: bytes) -> list[bytes]: ...
 
     def reset(self) -> None:
         """Drop an unfinished frame, after a time-out or when a port is opened again."""
@@ -91,8 +88,6 @@ class LengthFramer(Framer):
 
 
 class ModbusTcpFramer(LengthFramer):
-    """Messages of Modbus TCP, by the length in their head."""
-
     def _length(self, head: bytes) -> int | None:
         if len(head) < 8:
             return 0
@@ -155,8 +150,6 @@ def write_body(register: int, words: tuple[int, ...]) -> bytes:
 
 @dataclass(frozen=True)
 class Rtu:
-    """Frames of a serial line."""
-
     address: int
 
     def framer(self) -> Framer:
@@ -192,7 +185,6 @@ class Tcp:
         return struct.pack(">HHHB", self._number, 0, len(body) + 1, self._address) + body
 
     def body(self, frame: bytes, sent: bytes) -> bytes:
-        """Function and data of the reply to a message. Raises for an exception; ignores replies to other messages."""
         if frame[:2] != sent[:2] or frame[6] != sent[6] or frame[7] & 0x7F != sent[7]:
             raise NotThisReply
         return _accepted(frame[7:])

@@ -165,14 +165,11 @@ RULES: Final = (
 
 @dataclass
 class Interlocks:
-    """Rules with their limits, and the time since when each has been violated."""
-
     limits: InterlockLimits = field(default_factory=InterlockLimits)
     rules: tuple[InterlockRule, ...] = RULES
     _since: dict[str, float] = field(default_factory=dict[str, float])
 
     def check(self, situation: Situation) -> tuple[InterlockRule, str] | None:
-        """The first rule that trips, with its sentence; aborts before pauses."""
         tripped: list[tuple[InterlockRule, str]] = []
         for rule in self.rules:
             text = rule.look(self.limits, situation)
@@ -183,5 +180,4 @@ class Interlocks:
         return min(tripped, key=lambda pair: pair[0].action != "abort", default=None)
 
     def forget(self) -> None:
-        """Restart the patience of every rule, after a pause."""
         self._since.clear()

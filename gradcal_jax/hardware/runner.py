@@ -128,7 +128,6 @@ class Runner:
         return beyond_limits(self.track, self.bench.chamber_limits(), axes)
 
     def run(self) -> RunResult:
-        """Check, execute, make safe."""
         helpers: list[threading.Thread] = []
         status: Literal["success", "stopped", "aborted"] = "success"
         reason = ""
@@ -221,7 +220,6 @@ class Runner:
             self.clock.sleep(_SLICE_S)
 
     def _fail(self, problem: str) -> None:
-        """Called by a helper thread: its sentence ends the run."""
         self._problem = problem
 
     def _carry_bytes(self, name: str) -> None:
@@ -275,7 +273,6 @@ class Runner:
                 again = True
 
     def _take_back(self, shortfall: StepNotDone) -> None:
-        """Repeat a step that was not executed as written, a few times; then the run ends."""
         number, why = shortfall.number, str(shortfall)
         name = self.track.steps[number].name
         self._event("not done", step=name, number=number, why=why)
@@ -455,7 +452,6 @@ class Runner:
         self._event("stable", step=step.name, temperature_c=value, waited_s=self.clock.now() - began)
 
     def _duties(self, end_s: float | None = None) -> None:
-        """Recurring work: requests, readings, interlocks."""
         self.ticked_s = time.monotonic()
         self._obey_requests()
         self._confirm_steps()
@@ -579,7 +575,6 @@ class Runner:
         return outcomes
 
     def _is_busy(self, name: str) -> bool:
-        """Whether an earlier command to a device goes on."""
         if self._chamber is not None and name == "chamber":
             return not self._chamber.end(0.5 * self.safe_deadline_s)
         return self._axes.is_homing(name)

@@ -113,8 +113,6 @@ Knows = Callable[[Path], Any]
 
 
 class StatusFile:
-    """Writes the newest status; statuses in between are dropped."""
-
     def __init__(self, folder: Path, *, simulated: bool, knows: Knows | None = None) -> None:
         self._path = folder / STATUS
         self._knows = knows

@@ -11,11 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hardware_bench import Rig, parse_journal
+from hardware_bench import Rig, fit_clock, parse_journal
 from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.files.rig import rig_of
 from gradcal_jax.hardware import journal as journal_module
 from gradcal_jax.hardware.axis_control import AxisControl

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hardware_bench import Rig
+from hardware_bench import Rig, fit_clock
 from simulated_devices.faults import Faults
 from simulated_devices.gyro import EARTH_RATE_DPS, SensorTruth
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.hardware.dry_run import beyond_limits
 from gradcal_jax.hardware.execute import signals_to
 from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation

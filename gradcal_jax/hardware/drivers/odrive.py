@@ -110,7 +110,6 @@ def parse_line(frame: bytes) -> str:
 
 
 def parse_feedback(frame: bytes) -> tuple[float, float]:
-    """Position (turns) and velocity (turns/s) of the reply to `f`."""
     match = _FEEDBACK.fullmatch(parse_line(frame))
     if match is None:
         raise FramingError(f"f was answered {printable(frame)!r}; position and velocity were expected.")
@@ -230,7 +229,6 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
             self._tell(f"u {self._config.motor}")
 
     def arm_watchdog(self) -> None:
-        """Switch the watchdog on; from now on `heartbeat` must come well within `watchdog_s`."""
         if self._config.watchdog_s > 0.0:
             self.settings.change("config.watchdog_timeout", decimal(self._config.watchdog_s))
             self._tell(f"u {self._config.motor}")
@@ -355,7 +353,6 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         )
 
     def _brake(self) -> AxisReading:
-        """Stop, and hold the axis if the motor has power."""
         closed = self._state() == CLOSED_LOOP
         if closed:
             self._velocity(0.0, self._units(self._config.max_acceleration_dps2))
@@ -375,7 +372,6 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
 
 def _spacing(value: float) -> float:
-    """Between neighbouring float32."""
     return float(np.spacing(np.float32(abs(value))))
 
 

@@ -29,7 +29,7 @@ from pydantic import Field
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
 from ..framing import LineFramer, NotThisReply
-from ..request_reply import Exchange
+from ..request_reply import TRIES, Exchange
 from ..roles import ChamberLimits, ChamberReading, Identity
 from ..transport import Transport
 from .base import ChamberDriver
@@ -38,7 +38,6 @@ _NUMBER = re.compile(r"-?\d{1,5}\.\d")
 _CHANNEL = re.compile(r"(?:CV|SV|MV|DO)\d\d")
 _DEFINITION = re.compile(r"((?:CV|SV|MV|DO)\d\d)\s+(?!(?:CV|SV|MV|DO)\d)(.*[A-Za-z].*)")
 _RANGE = re.compile(r"min\D*?(-?\d+(?:\.\d+)?)\D+?max\D*?(-?\d+(?:\.\d+)?)\s*(.*)", re.IGNORECASE)
-_TRIES = 3
 # Change of a nominal value that counts as movement, and its uncertainty by resolution and time, K.
 _MOVED_K, _HIDDEN_K = 0.25, 0.15
 
@@ -138,7 +137,6 @@ def write_body(record: Record, *, temperature_c: float, start: bool, start_chann
 
 
 def parse_record(frame: bytes, layout: Layout, digital_channels: int = 32) -> Record:
-    """Raises `FramingError` unless the numbers and the digital channels match the layout."""
     fields = frame.decode("ascii", "replace").strip().split(" ")
     *numbers, digital = fields
     if (
@@ -248,7 +246,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         order, amiss = self._orders, ""
         before = self._record()
         start_c, runs = before.nominal_c, self._runs(before)
-        for _ in range(_TRIES):
+        for _ in range(TRIES):
             with self._exchange.alone():
                 self._require_newest(order)
                 if amiss:
@@ -261,16 +259,13 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             if not amiss:
                 return rate
         raise NotVerified(
-            f"A ramp to {temperature_c:.1f} degC at {rate:g} K/min was told {_TRIES} times: {amiss}. Look at the "
+            f"A ramp to {temperature_c:.1f} degC at {rate:g} K/min was told {TRIES} times: {amiss}. Look at the "
             "chamber's display: it may be in local mode, or its gradients may be switched off."
         )
 
     def standby(self) -> None:
         self._orders += 1
         self._write(self._record().nominal_c, start=False)
-
-    def _air_c(self) -> float:
-        return self._record().actual_c
 
     def _runs(self, record: Record) -> bool:
         return record.digital[self._config.start_channel] == "1"
@@ -367,7 +362,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             if text != "0":
                 raise Rejected(f"The chamber refuses ${letter}: {text!r}.")
 
-        for _ in range(_TRIES):
+        for _ in range(TRIES):
             try:
                 self._exchange.query(
                     self._request(letter, body), parse, repeat=False, reply_timeout_s=self._config.acknowledge_timeout_s

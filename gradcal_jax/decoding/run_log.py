@@ -71,8 +71,8 @@ def log_in_blocks(
         if recording is not None:
             found = _of_recording(stack, spool, run.events(), run.recipe(), run.rig(), recording, unit)
         else:
-            begun = next((one for one in records_of(run.journal_path) if _begins(one)), None)
-            first = JournalContents([begun] if begun is not None else [])
+            events = (one for one in records_of(run.journal_path) if isinstance(one, Event) and one.name == SESSION)
+            first = JournalContents(list(itertools.islice(events, 1)))
             found = _of_unit(stack, spool, first, run.recipe(), run.rig(), unit, records_of(run.journal_path))
         provenance = {**about, **found.fields["provenance"]}
         yield replace(found, fields={**found.fields, "provenance": provenance})
@@ -82,10 +82,6 @@ def units_in(folder: str | Path) -> list[str | None]:
     """The names of the IMUs of a run that have logs; None where its only one needs no name."""
     names = [device.name for device in RunFolder(Path(folder)).rig().imu]
     return list(names) if len(names) > 1 else [None]
-
-
-def _begins(record: object) -> bool:
-    return isinstance(record, Event) and record.name == SESSION
 
 
 def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:

@@ -94,11 +94,6 @@ def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, A
     return DryRun(tuple(steps), begins_s, tuple(dict.fromkeys(rounded)), tuple(dict.fromkeys(problems)))
 
 
-def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> list[str]:
-    """Every sentence names a step and what the devices do not accept. Empty: the run may start."""
-    return list(dry_run_of(track, chamber, axes).problems)
-
-
 def _chamber_command(course: Course, limits: ChamberLimits | None) -> tuple[str, str]:
     """The command to the chamber, and a sentence where the chamber would round its rate."""
     rate = course.ramp_k_per_min
@@ -184,7 +179,7 @@ def try_for(bench: Bench, track: Track, clock: Clock, *, move: bool = False) -> 
     for name, unit in bench.imus.items():
         with _noted(name, trials):
             trials.append(_streams(name, unit))
-    trials += [Tried("recipe", problem, False) for problem in beyond_limits(track, chamber, limits)]
+    trials += [Tried("recipe", problem, False) for problem in dry_run_of(track, chamber, limits).problems]
     if move and all(entry.good for entry in trials):
         trials += try_longest_moves(bench, track, clock)
     return trials

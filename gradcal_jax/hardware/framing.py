@@ -13,6 +13,7 @@ from .errors import ChecksumError, FramingError, Rejected, printable
 
 # Unit, function and an exception's code; and the longest message.
 _SHORTEST_TCP, _LONGEST_TCP = 3, 254
+_LONGEST_LINE = 4096
 
 
 class NotThisReply(Exception):
@@ -35,14 +36,13 @@ class LineFramer(Framer):
     """Text lines that end at `terminator`, which is not part of the frame; None: at CR, LF or both, for devices where
     this is a setting. Empty lines are dropped, unless `keep_empty`.
 
-    A line longer than `longest` bytes is noise: it is dropped up to the next terminator.
+    A line of more than 4096 bytes is noise: it is dropped up to the next terminator.
     """
 
-    def __init__(self, terminator: bytes | None = None, *, longest: int = 4096, keep_empty: bool = False) -> None:
+    def __init__(self, terminator: bytes | None = None, *, keep_empty: bool = False) -> None:
         super().__init__()
         self._terminator = terminator
         self._keep_empty = keep_empty
-        self._longest = longest
         self._overlong = False
 
     def reset(self) -> None:
@@ -54,10 +54,10 @@ class LineFramer(Framer):
         *lines, self._buffer = (data.replace(b"\r", b"\n") if self._terminator is None else data).split(terminator)
         if lines and self._overlong:
             lines, self._overlong = lines[1:], False
-        if len(self._buffer) > self._longest:
+        if len(self._buffer) > _LONGEST_LINE:
             # The tail may be the first part of a terminator of several bytes.
             self._buffer, self._overlong = self._buffer[1 - len(terminator) or len(self._buffer) :], True
-        return [line for line in lines if (line or self._keep_empty) and len(line) <= self._longest]
+        return [line for line in lines if (line or self._keep_empty) and len(line) <= _LONGEST_LINE]
 
 
 class LengthFramer(Framer):

@@ -81,10 +81,6 @@ def _over_speed(bounds: InterlockLimits, now: Situation) -> str:
     )
 
 
-def _stalled(bounds: InterlockLimits, now: Situation) -> str:
-    return "; ".join(now.stalled)
-
-
 def _limit(bounds: InterlockLimits, now: Situation) -> str:
     band_k, chamber = bounds.temperature_band_k, now.chamber
     margin = band_k if math.isfinite(band_k) else 0.0
@@ -151,7 +147,7 @@ RULES: Final = (
     InterlockRule("chamber alarm", "abort", 0.0, _alarm),
     InterlockRule("axis fault", "abort", 0.0, _faults),
     InterlockRule("over-speed", "abort", 0.0, _over_speed),
-    InterlockRule("stalled axis", "abort", 0.0, _stalled),
+    InterlockRule("stalled axis", "abort", 0.0, lambda bounds, now: "; ".join(now.stalled)),
     InterlockRule("temperature limit", "abort", 0.0, _limit),
     InterlockRule("temperature in a pause", "abort", _PATIENCE_S, partial(_off_course, paused=True)),
     InterlockRule("longest pause", "abort", 0.0, _long_pause),

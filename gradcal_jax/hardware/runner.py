@@ -29,7 +29,7 @@ from ..files.rig import ImuDevice
 from .axis_control import AxisControl
 from .chamber_control import ChamberControl
 from .clock import Clock, beside
-from .dry_run import beyond_limits
+from .dry_run import dry_run_of
 from .errors import HardwareError, LimitExceeded, sentence_of
 from .guard import make_safe, put_back
 from .interlocks import Interlocks, Situation
@@ -122,11 +122,6 @@ class Runner:
         """Request a change of state; safe in a signal handler."""
         self._requests.append((what, reason))
 
-    def dry_run(self) -> list[str]:
-        """Compare the track with the limits that the devices report. Empty: the run may start. Nothing moves."""
-        axes = {name: axis.limits() for name, axis in self.bench.axes.items()}
-        return beyond_limits(self.track, self.bench.chamber_limits(), axes)
-
     def run(self) -> RunResult:
         helpers: list[threading.Thread] = []
         status: Literal["success", "stopped", "aborted"] = "success"
@@ -176,7 +171,8 @@ class Runner:
                 settings = self._settings[name] = unit.configure()
                 self._event("configuration", device=name, **event_fields(settings))
                 self._losses[name] = SampleLosses(unit.decoder(), settings.sample_rate_hz, self.track.gyros)
-        if problems := self.dry_run():
+        axes = {name: axis.limits() for name, axis in self.bench.axes.items()}
+        if problems := dry_run_of(self.track, self.bench.chamber_limits(), axes).problems:
             raise LimitExceeded("The run was not started. " + " ".join(problems))
 
         def start(failed: str, work: Callable[..., None], *arguments: Any, waits_on_clock: bool = True) -> None:
@@ -349,9 +345,7 @@ class Runner:
             end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
             while reads and motion + reads[-1] > end + 1e-6:
                 reads.pop()
-            fallen = 0
-            while fallen < len(reads) and motion + reads[fallen] <= now:
-                fallen += 1
+            fallen = sum(motion + read <= now for read in reads)
             if axes.by_hand and fallen:
                 # No readings while an axis is turned by hand: of those that fell due meanwhile only the last counts.
                 del reads[: fallen - 1]

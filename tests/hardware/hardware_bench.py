@@ -29,7 +29,7 @@ from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import lines, odrive, registers, stim300, vectornav, weiss, zaber
-from gradcal_jax.hardware.journal import JournalContents, read_journal
+from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.transport import Transport
 
@@ -263,6 +263,12 @@ class Rig:
     def __exit__(self, *_: object) -> None:
         for port in self.ports:
             port.close()
+
+
+def chunks_of(contents: JournalContents, line: str, *, received: bool = True) -> Iterator[Chunk]:
+    for record in contents.records:
+        if isinstance(record, Chunk) and record.line == line and record.received == received:
+            yield record
 
 
 def parse_journal(data: bytes) -> JournalContents:

@@ -161,25 +161,23 @@ def parse_description(text: str, temperature_channel: str = "") -> Layout:
         FramingError: no templates, or no temperature channel with its range.
     """
     lines = [line.strip() for line in re.split(r"[\r\n]+", text) if line.strip()]
-    definitions = [(index, match) for index, line in enumerate(lines) if (match := _DEFINITION.match(line))]
-    starts = {
-        kind: next((i for i, line in enumerate(lines) if re.search(rf"\b{kind}-?\s?string", line, re.I)), None)
-        for kind in "EI"
-    }
-    if starts["E"] is None or starts["I"] is None:
-        raise FramingError(
-            "The chamber's description has no E-String and I-String. Write read_layout and write_layout in the rig "
-            f"file; it said {printable(text.encode('ascii', 'replace'), 400)!r}."
-        )
+    definitions = [match for line in lines if (match := _DEFINITION.match(line))]
+    # A template goes on to the first definition after it, or to the other template.
+    marked = "\n".join("\0" if _DEFINITION.match(line) else line for line in lines)
     templates: dict[str, tuple[str, ...]] = {}
-    for kind, start in starts.items():
-        assert start is not None
-        ends = [i for i, _ in definitions if i > start] + [i for i in starts.values() if i is not None and i > start]
-        joined = re.sub(r"\s+", "", "".join(lines[start : min(ends, default=len(lines))]))
-        templates[kind] = tuple(name for name in _CHANNEL.findall(joined) if not name.startswith("DO"))
+    for kind, other in ("EI", "IE"):
+        _, *rest = re.split(rf"\b{kind}-?\s?string", marked, maxsplit=1, flags=re.I)
+        if not rest:
+            raise FramingError(
+                "The chamber's description has no E-String and I-String. Write read_layout and write_layout in the rig "
+                f"file; it said {printable(text.encode('ascii', 'replace'), 400)!r}."
+            )
+        template = re.split(rf"\0|\b{other}-?\s?string", rest[0], maxsplit=1, flags=re.I)[0]
+        channels: list[str] = _CHANNEL.findall(re.sub(r"\s+", "", template))
+        templates[kind] = tuple(name for name in channels if not name.startswith("DO"))
     names: dict[str, str] = {}
     ranges: dict[str, tuple[float, float]] = {}
-    for _, match in definitions:
+    for match in definitions:
         limits = _RANGE.search(match[2])
         names[match[1]] = (limits[3] if limits else match[2]).strip()
         if limits:

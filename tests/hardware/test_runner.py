@@ -21,9 +21,37 @@ from gradcal_jax.hardware.execute import signals_to
 from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import ChamberLimits, join
-from gradcal_jax.hardware.runner import WAYS, Runner, RunProgress, RunState
+from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
+
+WAYS = {
+    RunState.IDLE: frozenset({RunState.RUNNING, RunState.STOPPING, RunState.ABORTING}),
+    RunState.RUNNING: frozenset({RunState.PAUSING, RunState.STOPPING, RunState.ABORTING}),
+    RunState.PAUSING: frozenset({RunState.RUNNING, RunState.PAUSED, RunState.STOPPING, RunState.ABORTING}),
+    RunState.PAUSED: frozenset({RunState.RUNNING, RunState.STOPPING, RunState.ABORTING}),
+    RunState.STOPPING: frozenset({RunState.SAFE, RunState.FAILED}),
+    RunState.ABORTING: frozenset({RunState.SAFE, RunState.FAILED}),
+    RunState.SAFE: frozenset(),
+    RunState.FAILED: frozenset(),
+}
+"""The states of a run, and those that may follow each."""
+
+
+@pytest.fixture(autouse=True)
+def only_these_ways(monkeypatch: pytest.MonkeyPatch):
+    """Every change of state in these tests is one of the table."""
+    enter, others = Runner._enter, []
+
+    def checked(runner: Runner, state: RunState, **more) -> None:
+        if state not in WAYS[runner.state]:
+            others.append((runner.state, state))
+        enter(runner, state, **more)
+
+    monkeypatch.setattr(Runner, "_enter", checked)
+    yield
+    assert others == []
+
 
 TURN = AxisCommand(2.0, "table", "go", position_deg=360.0, rate_dps=120.0, acceleration_dps2=240.0)
 BACK = AxisCommand(12.0, "table", "go", position_deg=0.0, rate_dps=60.0, acceleration_dps2=240.0)

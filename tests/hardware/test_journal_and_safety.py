@@ -206,8 +206,9 @@ def test_full_disk_is_a_sentence_and_what_was_written_stays(tmp_path: Path) -> N
     assert len(list(chunks_of(contents, "unit"))) == 19
 
 
-def test_many_threads_write_whole_records(tmp_path: Path) -> None:
-    with Journal(tmp_path / "j", sync_every_s=0.01) as journal:
+def test_many_threads_write_whole_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journal_module, "_SYNC_EVERY_S", 0.01)
+    with Journal(tmp_path / "j") as journal:
 
         def write(line: str) -> None:
             for index in range(300):

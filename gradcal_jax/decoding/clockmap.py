@@ -53,23 +53,14 @@ class ClockMap:
         return self.offset_s + self.rate * device_time_s
 
 
-def fit_clock(
-    device_time_s: NDArray[np.float64], host_time_s: NDArray[np.float64], *, resolution_s: float = 0.0
-) -> ClockMap:
-    """Fit the line. Both `(n,)`, in the order of arrival; samples that came in one chunk share their host time.
+def fit_arrivals(device: Column, host: Column, *, resolution_s: float = 0.0) -> ClockMap:
+    """Fit the line to the last samples of all chunks, in the order of arrival, which are read a span at a time.
 
     `resolution_s` of the coarser of the two stamps limits `rate_std` from below, over the whole span.
     An implausible rate, from a stretch too short to show one, counts as 1, known to `_CREDIBLE`.
 
     Raises `ValueError` for fewer than three arrivals, or times that do not increase.
     """
-    # The last sample of a chunk waited least.
-    last = np.append(np.diff(host_time_s) > 0.0, True)
-    return fit_arrivals(device_time_s[last], host_time_s[last], resolution_s=resolution_s)
-
-
-def fit_arrivals(device: Column, host: Column, *, resolution_s: float = 0.0) -> ClockMap:
-    """As `fit_clock`, of the last samples of all chunks, which are read a span at a time."""
     count = len(device)
     if count < 3 or not _increasing(device):
         raise ValueError(f"A clock map needs at least three arrivals with increasing device time; there are {count}.")
@@ -129,7 +120,6 @@ def fit_arrivals(device: Column, host: Column, *, resolution_s: float = 0.0) -> 
 
 
 def _increasing(column: Column) -> bool:
-    """Whether every number is larger than the one before."""
     return all(bool(np.all(np.diff(column[first : first + _SPAN + 1]) > 0.0)) for first in range(0, len(column), _SPAN))
 
 

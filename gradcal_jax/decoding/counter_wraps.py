@@ -119,15 +119,11 @@ def _since(gaps: Whole, counted: int) -> Whole:
 
 
 def _collect(samples: SampleSpool, first: int, end: int, round_samples: int, sample_s: float, arrivals: Spool) -> None:
-    """Fill `arrivals`."""
     counted, traces, trace = -1, 0, -1
-    for begin, block in samples.blocks(first, end):
+    for begin, block, last in samples.arrivals(first, end):
         gaps = _gaps(block, begin == first, round_samples)
         since = _since(gaps, counted)
         counted = int(since[-1])
-        stop = begin + len(block)
-        after = samples.read(stop, stop + 1)["host_s"] if stop < end else np.array([np.inf])
-        last = np.flatnonzero(np.diff(block["host_s"], append=after) > 0.0)
         marks = (gaps > 0) | block["disturbed"]
         marks[0] &= begin > first
         # Traces up to a row, and the last of them, from those of the arrival that an earlier block began.

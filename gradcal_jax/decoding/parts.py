@@ -93,11 +93,7 @@ def _part(
         return None
     doubts = resolve_wraps(samples, first, end, decoder.round_samples, decoder.sample_s)
     with Spool([("device_s", np.float64), ("host_s", np.float64)], samples.folder) as arrivals:
-        for begin, block in samples.blocks(first, end):
-            stop = begin + len(block)
-            after = samples.read(stop, stop + 1)["host_s"] if stop < end else np.array([np.inf])
-            # The last sample of a chunk waited least.
-            last = np.diff(block["host_s"], append=after) > 0.0
+        for _, block, last in samples.arrivals(first, end):
             arrivals.append(device_s=block["device_s"][last], host_s=block["host_s"][last])
         if len(arrivals) < _FEWEST_ARRIVALS:
             return None
@@ -183,7 +179,6 @@ class PlacedPart:
     standing: int
 
     def stamps(self, device: Floats) -> Floats:
-        """By the log's clock."""
         return device - self.device_s + self.begins_s
 
     def blocks(self) -> Iterator[tuple[int, Floats, Floats, NDArray[Any]]]:

@@ -31,7 +31,6 @@ class RowTimes:
         return self._count
 
     def seams(self) -> list[int]:
-        """The rows at which ranges begin."""
         return self._firsts.copy()
 
     def read(self, first: int, end: int) -> tuple[Floats, NDArray[Any]]:
@@ -47,16 +46,13 @@ class RowTimes:
         return self._clock.host_time_s(rows["device_s"]), rows
 
     def blocks(self) -> Iterator[tuple[int, Floats, NDArray[Any]]]:
-        """All rows in order: number of the first, times, samples."""
         for first in range(0, self._count, spool.BLOCK):
             yield first, *self.read(first, min(first + spool.BLOCK, self._count))
 
     def host_s(self, row: int) -> float:
-        """The time of a row by the computer's clock."""
         return float(self.read(row, row + 1)[0][0])
 
     def device_s(self, row: int) -> float:
-        """The time of a row by the sensor's clock."""
         return float(self.read(row, row + 1)[1]["device_s"][0])
 
     def search(self, time_s: float, side: Any = "left") -> int:

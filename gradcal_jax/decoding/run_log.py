@@ -31,7 +31,7 @@ from ..files.recipe import Recipe
 from ..files.rig import ImuDevice, RigFile
 from ..hardware.errors import HardwareError
 from ..hardware.journal import Event, JournalContents, records_of
-from ..hardware.roles import STANDARD_GRAVITY, ImuBatch
+from ..hardware.roles import STANDARD_GRAVITY, ImuBatch, imu_batch
 from ..hardware.run_folder import SESSION, RunFolder, exit_status, rig_as_run
 from .alignment import Alignment, AngleTrack, align
 from .clockmap import ClockMap
@@ -71,8 +71,8 @@ def log_in_blocks(
         if recording is not None:
             found = _of_recording(stack, spool, run.events(), run.recipe(), run.rig(), recording, unit)
         else:
-            begun = next((one for one in records_of(run.journal_path) if _begins(one)), None)
-            first = JournalContents([begun] if begun is not None else [])
+            events = (one for one in records_of(run.journal_path) if isinstance(one, Event) and one.name == SESSION)
+            first = JournalContents(list(itertools.islice(events, 1)))
             found = _of_unit(stack, spool, first, run.recipe(), run.rig(), unit, records_of(run.journal_path))
         provenance = {**about, **found.fields["provenance"]}
         yield replace(found, fields={**found.fields, "provenance": provenance})
@@ -82,10 +82,6 @@ def units_in(folder: str | Path) -> list[str | None]:
     """The names of the IMUs of a run that have logs; None where its only one needs no name."""
     names = [device.name for device in RunFolder(Path(folder)).rig().imu]
     return list(names) if len(names) > 1 else [None]
-
-
-def _begins(record: object) -> bool:
-    return isinstance(record, Event) and record.name == SESSION
 
 
 def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:
@@ -205,7 +201,6 @@ def _about_innermost(table: RigTable, rates_dps: Mapping[str, Floats]) -> Floats
 
 
 def _track(events: Sequence[Event], axis: str) -> AngleTrack:
-    """All readings of an axis's angle, in order."""
     rows = [
         (float(e.data["time_s"]), float(e.data["position_deg"]))
         for e in events
@@ -232,24 +227,15 @@ def _as_samples(
         temperature = np.interp(host, at_s, np.array(read_c))
     steps = np.diff(recorded.time_s, prepend=recorded.time_s[0])
     missing = np.maximum(np.round(steps / recorded.sample_interval_s).astype(np.int64) - 1, 0)
-    status = np.zeros(count, np.int64) if recorded.status is None else recorded.status[number].astype(np.int64)
-    none = np.zeros(count, bool)
     forces = np.full((count, 3), np.nan)
     if recorded.force_axes == ("x", "y", "z") and recorded.specific_force_m_per_s2 is not None:
         forces = recorded.specific_force_m_per_s2[number] / STANDARD_GRAVITY
-    return ImuBatch(
-        host,
-        recorded.time_s,
-        np.stack(list(rates.values()), axis=-1),
-        forces,
-        np.repeat(temperature[:, None], 3, axis=1),
-        np.zeros((count, 3), np.int32),
-        status,
-        missing,
-        none,
-        none,
-        np.full(count, np.nan) if (second := recorded.bridged_temperature(number, second=True)) is None else second,
-    )
+    more = {"gap_before": missing, "second_c": recorded.bridged_temperature(number, second=True)}
+    if recorded.status is not None:
+        more["status"] = recorded.status[number].astype(np.int64)
+    gyro, temperatures = np.stack(list(rates.values()), axis=-1), np.repeat(temperature[:, None], 3, axis=1)
+    known = {name: values for name, values in more.items() if values is not None}
+    return replace(imu_batch(0.0, recorded.time_s, gyro, forces, temperatures, **known), host_time_s=host)
 
 
 def _clock_of(alignment: Alignment) -> ClockMap:
@@ -336,7 +322,6 @@ def _joined(
 def _blocks(
     placed: Sequence[PlacedPart], table: bool, forced: bool, doubly: bool
 ) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
-    """All rows, as columns of a `Log`."""
     spins = all(one.part.table.spins for one in placed)
     mounted = all(one.part.seen.mounted for one in placed)
     for one in placed:

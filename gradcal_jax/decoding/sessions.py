@@ -39,26 +39,20 @@ class Session:
 
     def stretches(self) -> list[tuple[float, float]]:
         """From the beginning of a step with data to its end, or to the end of the run or session."""
-        intervals: list[tuple[float, float]] = []
-        open_since: float | None = None
+        found: list[tuple[float, float]] = []
+        since: float | None = None
         latest = 0.0
         for event in self.events:
             latest = max(latest, event.time_s)
             if event.name == "step begins" and event.data.get("data"):
                 begin = float(event.data["begins_s"])
-                if open_since is None:
-                    open_since = begin
-            elif open_since is not None and (event.name == "step" or breaks_off(event)):
-                # A step that follows at once continues the stretch: its "step begins" has the same time.
-                intervals.append((open_since, event.time_s))
-                open_since = None
-        if open_since is not None:
-            intervals.append((open_since, latest))
-        merged: list[tuple[float, float]] = []
-        for start, end in intervals:
-            joins = bool(merged) and start - merged[-1][1] < 1e-3
-            merged.append((merged.pop()[0], end) if joins else (start, end))
-        return merged
+                if since is None:
+                    # A step that follows at once continues the stretch: its "step begins" has the same time.
+                    since = found.pop()[0] if found and begin - found[-1][1] < 1e-3 else begin
+            elif since is not None and (event.name == "step" or breaks_off(event)):
+                found.append((since, event.time_s))
+                since = None
+        return found if since is None else [*found, (since, latest)]
 
     def mountings(self, host: Floats) -> NDArray[np.int64]:
         """The number of the mounting at times, from 1; 0 where the operator was never asked to mount the units."""
@@ -101,8 +95,6 @@ def _end(sessions: Sequence[Session]) -> None:
 
 
 class Stream:
-    """The samples of a unit in a session: rows of a spool."""
-
     def __init__(self, device: ImuDevice, samples: SampleSpool) -> None:
         self._device, self.samples = device, samples
         self._early: list[Chunk] = []
@@ -137,7 +129,6 @@ class Stream:
             self.flush()
 
     def flush(self) -> None:
-        """Move all samples so far to the spool."""
         batch, self._waiting, self._waiting_samples = join(self._waiting), [], 0
         rows = self.end + np.flatnonzero(batch.restarted)
         self.restarts += rows[rows > self.first].tolist()

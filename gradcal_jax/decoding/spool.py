@@ -45,14 +45,12 @@ class Spool:
         self._file.close()
 
     def append(self, **columns: NDArray[Any]) -> None:
-        """Add rows, by column."""
         rows = np.empty(len(next(iter(columns.values()))), self.kind)
         for name, values in columns.items():
             rows[name] = values
         self.write(self._count, rows)
 
     def write(self, first: int, rows: Rows) -> None:
-        """Put `rows` at the place of row `first`."""
         left = memoryview(rows.tobytes())
         try:
             self._file.seek(first * self.kind.itemsize)
@@ -64,7 +62,6 @@ class Spool:
         self._count = max(self._count, first + len(rows))
 
     def read(self, first: int, end: int) -> Rows:
-        """The rows from `first` to before `end`."""
         data = bytearray(max(0, min(end, self._count) - first) * self.kind.itemsize)
         view, done = memoryview(data), 0
         self._file.seek(first * self.kind.itemsize)
@@ -114,8 +111,14 @@ class SampleSpool(Spool):
             folder,
         )
 
+    def arrivals(self, first: int, end: int) -> Iterator[tuple[int, Rows, NDArray[np.int64]]]:
+        """Blocks as of `blocks`, and the places in each of the last samples that came together, which waited least."""
+        for begin, block in self.blocks(first, end):
+            stop = begin + len(block)
+            after = self.read(stop, stop + 1)["host_s"] if stop < end else np.array([np.inf])
+            yield begin, block, np.flatnonzero(np.diff(block["host_s"], append=after) > 0.0)
+
     def push(self, batch: ImuBatch) -> None:
-        """Add the samples of a batch."""
         self.append(
             host_s=batch.host_time_s,
             device_s=batch.device_time_s,

@@ -48,7 +48,6 @@ class RunAngles:
         """Whether the rates of an axis are known: where it spins."""
 
     def known_in(self, run: int) -> bool:
-        """Whether the angles of all axes are known in the standstill of that number."""
         return all(course.known_in(run) for course in self._courses)
 
     def course_deg(self, first: int, host: Floats) -> Floats:

@@ -85,7 +85,6 @@ class AxisControl:
         self.amiss: list[str] = []
 
     def home(self, names: list[str], meanwhile: Callable[[], None]) -> None:
-        """Find the references, one axis after the other."""
         self._searching.update(names)
         for name in names:
             self._event("homing", axis=name)
@@ -119,7 +118,6 @@ class AxisControl:
 
     @property
     def look_s(self) -> list[float]:
-        """The time of the next reading of the axes."""
         return list(self._turning.values())
 
     def go_to_start(self, step: str, start_deg: Mapping[str, float], meanwhile: Callable[[], None]) -> None:
@@ -214,7 +212,6 @@ class AxisControl:
         return tuple(sentences)
 
     def settle_all(self, meanwhile: Callable[[], None]) -> None:
-        """Wait until every axis stands, except spinning ones."""
         for name in sorted(self._turning):
             self.settle(name, meanwhile)
 
@@ -311,7 +308,6 @@ class AxisControl:
         return reading
 
     def _at(self, name: str) -> float:
-        """Where an axis was read last, else where it was to go."""
         newest = self.newest.get(name)
         known = newest is not None and not math.isnan(newest.position_deg)
         return newest.position_deg if newest is not None and known else self._goal_deg.get(name, 0.0)
@@ -322,7 +318,6 @@ class AxisControl:
             self._stands[name] = reading.position_deg, reading.time_s
 
     def _stood(self, name: str, reading: AxisReading) -> None:
-        """Compare the time and angle of a standstill with the track."""
         if self._asked_dps.get(name):
             self._asks(name, 0.0)
         due_s = self._due_end_s.pop(name, None)
@@ -358,10 +353,8 @@ class AxisControl:
 
 
 def _off(asked_dps: float) -> float:
-    """The tolerance of a rate's reading."""
     return _OFF_RATE * abs(asked_dps) + _OFF_RATE_DPS
 
 
 def too_fast(rate_dps: float, allowed: tuple[float, float]) -> bool:
-    """Whether an axis turns faster than its command or the rig allows."""
     return abs(rate_dps) > min(bound + _off(bound) for bound in allowed)

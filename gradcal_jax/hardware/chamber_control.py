@@ -31,7 +31,6 @@ Tell = Callable[..., None]
 
 
 def rate_as_made(limits: ChamberLimits, rate_k_per_min: float) -> float:
-    """The rate of a ramp after rounding to the controller's steps."""
     step = limits.ramp_step_k_per_min
     return step * max(1, round(rate_k_per_min / step)) if step else rate_k_per_min
 
@@ -115,7 +114,6 @@ class ChamberControl:
 
     @property
     def conditions(self) -> bool:
-        """Whether the newest reading is of a chamber that had been commanded to condition."""
         return self.newest is not None and self.newest.time_s > self._conditions_since_s
 
     def end(self, longest_s: float) -> bool:
@@ -146,14 +144,12 @@ class ChamberControl:
                 self._event("chamber told", hold_c=temperature_c)
 
     def expect(self, course: Course, now_s: float) -> None:
-        """Set the recipe's course of the air from now on."""
         if course.ramp_k_per_min is not None:
             self.expected.ramps(now_s, course.temperature_c, course.ramp_k_per_min)
         elif self.expected.of_late(now_s, 0.0) != (course.temperature_c, course.temperature_c):
             self.approach(course.temperature_c)
 
     def approach(self, temperature_c: float) -> None:
-        """From now on the air goes to a temperature as fast as the chamber can."""
         if self.newest is not None:
             self.expected.approaches(self.newest.air_c, temperature_c)
 
@@ -205,7 +201,6 @@ class ChamberControl:
         self._next_soft_s = now + _SOFT_STEP_S
 
     def watch(self, every_s: float, watching: threading.Event, failed: Callable[[str], None]) -> None:
-        """Read the chamber while `watching`, in a separate thread."""
         failures = 0
         while watching.is_set():
             self._clock.sleep(every_s)

@@ -13,20 +13,13 @@ from numpy.typing import NDArray
 _BIT_REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 
 
-def _modbus_of(byte: int) -> int:
-    for _ in range(8):
-        byte = (byte >> 1) ^ 0xA001 if byte & 1 else byte >> 1
-    return byte
-
-
-_MODBUS = tuple(map(_modbus_of, range(256)))
-
-
 def crc16_modbus(data: bytes) -> bytes:
     """Modbus RTU check: polynomial A001 reflected, start FFFF; two bytes, low byte first."""
     register = 0xFFFF
     for byte in data:
-        register = (register >> 8) ^ _MODBUS[(register ^ byte) & 0xFF]
+        register ^= byte
+        for _ in range(8):
+            register = register >> 1 ^ 0xA001 * (register & 1)
     return register.to_bytes(2, "little")
 
 
@@ -78,7 +71,6 @@ def crc16_vectornav(data: bytes) -> int:
 
 
 def xor8(data: bytes) -> int:
-    """Exclusive or of all bytes (ODrive, VectorNav ASCII)."""
     return reduce(lambda left, right: left ^ right, data, 0)
 
 

@@ -30,8 +30,6 @@ def holding(lock: threading.RLock, clock: "Clock") -> Generator[None, None, None
 
 
 class Clock(Protocol):
-    """Monotonic time in seconds, and waiting on it."""
-
     def now(self) -> float:
         """Seconds since an arbitrary origin; never goes back."""
         ...

@@ -5,13 +5,14 @@ Nothing moves, except in `try_longest_moves`, which has to be requested.
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from .chamber_control import ramps_alone, rate_as_made
 from .clock import Clock
 from .errors import HardwareError
-from .roles import AxisLimits, ChamberLimits, ImuSettings
+from .roles import AxisLimits, ChamberLimits, ImuStream
 from .setup import Bench
 from .track import AxisCommand, Course, Track
 
@@ -93,11 +94,6 @@ def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, A
     return DryRun(tuple(steps), begins_s, tuple(dict.fromkeys(rounded)), tuple(dict.fromkeys(problems)))
 
 
-def beyond_limits(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> list[str]:
-    """Every sentence names a step and what the devices do not accept. Empty: the run may start."""
-    return list(dry_run_of(track, chamber, axes).problems)
-
-
 def _chamber_command(course: Course, limits: ChamberLimits | None) -> tuple[str, str]:
     """The command to the chamber, and a sentence where the chamber would round its rate."""
     rate = course.ramp_k_per_min
@@ -155,8 +151,6 @@ def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str
 
 @dataclass(frozen=True)
 class Tried:
-    """A requirement of a run, tried on the device."""
-
     name: str
     what: str
     good: bool = True
@@ -169,53 +163,55 @@ def try_for(bench: Bench, track: Track, clock: Clock, *, move: bool = False) -> 
     limits: dict[str, AxisLimits] = {}
     chamber = None
     if bench.chamber is not None:
-        try:
+        with _noted("chamber", trials):
             reading, chamber = bench.chamber.read(), bench.chamber_limits()
             text = f"air {reading.air_c:.1f} degC, set point {reading.setpoint_c:.1f}, mode {reading.mode}"
             alarms = ", ".join(reading.alarms)
             trials.append(Tried("chamber", f"{text}; ALARM {alarms}" if alarms else text, not alarms))
-        except HardwareError as problem:
-            trials.append(Tried("chamber", str(problem), False))
     for name, axis in bench.axes.items():
-        try:
+        with _noted(name, trials):
             place, limits[name] = axis.read(), axis.limits()
             text = "its angle is not known yet" if math.isnan(place.position_deg) else f"{place.position_deg:.3f} deg"
             faults = ", ".join(place.faults)
             # Many controllers report a missing reference as a fault: a run homes the axis first.
             unknown = bool(faults) and not place.referenced
             trials.append(Tried(name, f"{text}; {faults}" if faults else text, not faults or unknown))
-        except HardwareError as problem:
-            trials.append(Tried(name, str(problem), False))
-    trials += [_streams(bench, name) for name in bench.imus]
-    trials += [Tried("recipe", problem, False) for problem in beyond_limits(track, chamber, limits)]
+    for name, unit in bench.imus.items():
+        with _noted(name, trials):
+            trials.append(_streams(name, unit))
+    trials += [Tried("recipe", problem, False) for problem in dry_run_of(track, chamber, limits).problems]
     if move and all(entry.good for entry in trials):
         trials += try_longest_moves(bench, track, clock)
     return trials
 
 
-def _streams(bench: Bench, name: str) -> Tried:
-    unit = bench.imus[name]
+@contextmanager
+def _noted(name: str, trials: list[Tried]) -> Generator[None]:
+    """Context in which the problem of a device is a trial that failed."""
     try:
-        settings: ImuSettings = unit.configure()
-        decoder = unit.decoder()
-        unit.start()
-        count, missing, last_s = 0, 0, math.nan
-        first: tuple[int, float] | None = None
-        rate_hz, good, doubtful, began_s = math.nan, False, False, time.monotonic()
-        # The longer the measurement, the smaller the error by late readings of a busy host.
-        while (lasted_s := time.monotonic() - began_s) < (_LONGEST_S if doubtful else _STREAM_S):
-            batch = decoder.push(*unit.read_bytes(0.5))
-            if len(batch):
-                missing += int(batch.gap_before[1:].sum())
-                last_s, count = float(batch.host_time_s[-1]), count + len(batch)
-                first = first or (count, last_s)
-                # The first bytes had waited for an unknown time.
-                rate_hz = (count - first[0]) / (last_s - first[1]) if last_s > first[1] else math.nan
-                good = abs(rate_hz / settings.sample_rate_hz - 1.0) < _RATE_OFF
-                doubtful = not (good or missing)
-        unit.stop()
+        yield
     except HardwareError as problem:
-        return Tried(name, str(problem), False)
+        trials.append(Tried(name, str(problem), False))
+
+
+def _streams(name: str, unit: ImuStream) -> Tried:
+    settings, decoder = unit.configure(), unit.decoder()
+    unit.start()
+    count, missing, last_s = 0, 0, math.nan
+    first: tuple[int, float] | None = None
+    rate_hz, good, doubtful, began_s = math.nan, False, False, time.monotonic()
+    # The longer the measurement, the smaller the error by late readings of a busy host.
+    while (lasted_s := time.monotonic() - began_s) < (_LONGEST_S if doubtful else _STREAM_S):
+        batch = decoder.push(*unit.read_bytes(0.5))
+        if len(batch):
+            missing += int(batch.gap_before[1:].sum())
+            last_s, count = float(batch.host_time_s[-1]), count + len(batch)
+            first = first or (count, last_s)
+            # The first bytes had waited for an unknown time.
+            rate_hz = (count - first[0]) / (last_s - first[1]) if last_s > first[1] else math.nan
+            good = abs(rate_hz / settings.sample_rate_hz - 1.0) < _RATE_OFF
+            doubtful = not (good or missing)
+    unit.stop()
     if math.isnan(rate_hz):
         return Tried(name, f"no samples came in {lasted_s:.0f} s", False)
     text = f"{rate_hz:.1f} of {settings.sample_rate_hz:g} samples/s, {missing} missing"
@@ -223,7 +219,6 @@ def _streams(bench: Bench, name: str) -> Tried:
 
 
 def try_longest_moves(bench: Bench, track: Track, clock: Clock) -> list[Tried]:
-    """The references of the axes that the track moves, and the longest turn of each, there and back."""
     trials: list[Tried] = []
     for name in track.moved:
         turns = [m for step in track.steps for m in step.moves if m.axis == name and m.kind == "turn"]
@@ -231,7 +226,8 @@ def try_longest_moves(bench: Bench, track: Track, clock: Clock) -> list[Tried]:
         if not turns or axis.limits().by_hand:
             continue
         longest = max(turns, key=lambda turn: abs(turn.angle_deg))
-        try:
+        with _noted(name, trials), ExitStack() as stack:
+            stack.callback(axis.stop)
             axis.home()
             begins = axis.read().position_deg
             for goal in (begins + longest.angle_deg, begins):
@@ -247,8 +243,4 @@ def try_longest_moves(bench: Bench, track: Track, clock: Clock) -> list[Tried]:
                 trials.append(Tried(name, text, good))
                 if not good:
                     break
-        except HardwareError as problem:
-            trials.append(Tried(name, str(problem), False))
-        finally:
-            axis.stop()
     return trials

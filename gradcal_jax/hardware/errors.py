@@ -49,15 +49,7 @@ class ChecksumError(FramingError):
 
 
 class Rejected(HardwareError):
-    """The device refused a valid message.
-
-    `code` is the device's own code or word, `text` its meaning where known.
-    """
-
-    def __init__(self, message: str, *, code: str = "", text: str = "") -> None:
-        Exception.__init__(self, message)
-        self.code = code
-        self.text = text
+    """The device refused a valid message; its own code or word is in the sentence."""
 
 
 class DeviceFault(HardwareError):

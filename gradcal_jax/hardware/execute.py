@@ -51,8 +51,6 @@ _MOST_UNITS: Final = 8
 
 
 class Attended(TypedDict, total=False):
-    """The arguments of `run_session` for the operator's interface."""
-
     on_progress: Callable[[RunProgress], None]
     with_runner: Callable[[Runner], None]
     wait_when_paused: bool
@@ -125,20 +123,16 @@ def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack
 
 
 def _require_operator(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
+    if attended.get("terminal") is not None:
+        return
     at_terminal = rig.operator is None or rig.operator.port == TERMINAL
     by_hand = any(axis.driver == OPERATOR for axis in rig.axis)
-    hung = any(block.hang for block in recipe.motion)
-    if hung and at_terminal and not by_hand and attended.get("terminal") is None:
-        raise ValueError(
-            "in this recipe the operator hangs the units anew, asked at the terminal, and there is none: start the run "
-            "from a terminal, its output not redirected, or name a port under [operator] in the rig file"
-        )
-    names = [axis.name for axis in rig.axis if axis.port == TERMINAL]
-    if names and attended.get("terminal") is None:
-        raise ValueError(
-            f"axis {', '.join(names)} is turned by the operator at the terminal, and there is none: start the run from "
-            "a terminal, its output not redirected"
-        )
+    start = "at the terminal, and there is none: start the run from a terminal, its output not redirected"
+    if any(block.hang for block in recipe.motion) and at_terminal and not by_hand:
+        what = "in this recipe the operator hangs the units anew, asked"
+        raise ValueError(f"{what} {start}, or name a port under [operator] in the rig file")
+    if names := [axis.name for axis in rig.axis if axis.port == TERMINAL]:
+        raise ValueError(f"axis {', '.join(names)} is turned by the operator {start}")
 
 
 def _laboratory(
@@ -165,13 +159,8 @@ def run_session(
     bench: Bench | None = None,
     guard: bool = False,
     interlocks: Interlocks | None = None,
-    on_progress: Callable[[RunProgress], None] | None = None,
-    with_runner: Callable[[Runner], None] | None = None,
-    handle_signals: bool = False,
     safe_deadline_s: float = 60.0,
-    wait_when_paused: bool = False,
-    terminal: Terminal | None = None,
-    knows: Knows | None = None,
+    **attended: Unpack[Attended],
 ) -> RunResult:
     """Execute a run's recipe from `first_step` on, and leave everything safe.
 
@@ -185,6 +174,7 @@ def run_session(
     recipe = folder.recipe()
     track = track_of(recipe, [axis.name for axis in rig.axis])
     resumed = folder.events() if folder.journal_path.exists() else None
+    on_progress, with_runner = attended.get("on_progress"), attended.get("with_runner")
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(folder.journal_path))
         watched = stack.enter_context(closing(Guard(folder.path))) if guard else None
@@ -194,7 +184,7 @@ def run_session(
             # A unit's stream goes into the journal separately, under the unit's name.
             return None if url in units else journal.recorder(f"port {url}")
 
-        bench = stack.enter_context(bench or open_rig(rig, clock, recorder_of, terminal=terminal))
+        bench = stack.enter_context(bench or open_rig(rig, clock, recorder_of, terminal=attended.get("terminal")))
         number = 0 if resumed is None else sessions(resumed)
         numbers, recipes = itertools.count(number), len(folder.recipes())
 
@@ -207,7 +197,6 @@ def run_session(
             raise HardwareError(journal.problem)
 
         def changes(device: str, name: str, value: str) -> None:
-            """Before a device's setting is changed its value goes to the guard and the journal."""
             if watched is not None:
                 watched.remember(device, name, value)
             journal.event(clock.now(), "setting changed", at_once=False, device=device, setting=name, before=value)
@@ -217,7 +206,7 @@ def run_session(
         if resumed is not None and number:
             with clock.party():
                 require_same_devices(bench, resumed)
-        status = stack.enter_context(StatusFile(folder.path, simulated=simulated, knows=knows))
+        status = stack.enter_context(StatusFile(folder.path, simulated=simulated, knows=attended.get("knows")))
 
         def show(progress: RunProgress) -> None:
             status.show(progress)
@@ -233,7 +222,7 @@ def run_session(
             show,
             None if rig.alarm is None else partial(sound_alarm, rig),
             safe_deadline_s=safe_deadline_s,
-            wait_when_paused=wait_when_paused,
+            wait_when_paused=attended.get("wait_when_paused", False),
             first_step=first_step,
             mounting=0 if resumed is None else mounting_of(resumed),
             # Of a gyro along the only axis no direction across it matters, nor is it known.
@@ -242,7 +231,7 @@ def run_session(
         runner.on_new_session = new_session
         if with_runner is not None:
             with_runner(runner)
-        if handle_signals:
+        if attended.get("handle_signals"):
             stack.enter_context(signals_to(runner))
         if watched is not None:
             runner.on_begin = watched.begun

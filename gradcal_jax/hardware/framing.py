@@ -13,6 +13,7 @@ from .errors import ChecksumError, FramingError, Rejected, printable
 
 # Unit, function and an exception's code; and the longest message.
 _SHORTEST_TCP, _LONGEST_TCP = 3, 254
+_LONGEST_LINE = 4096
 
 
 class NotThisReply(Exception):
@@ -20,14 +21,11 @@ class NotThisReply(Exception):
 
 
 class Framer(ABC):
-    """Cuts a stream into frames."""
-
     def __init__(self) -> None:
         self._buffer: bytes = b""
 
     @abstractmethod
-    def push(self, data: bytes) -> list[bytes]:
-        """Take the next bytes; return the frames that are now complete."""
+    def push(self, data: bytes) -> list[bytes]: ...
 
     def reset(self) -> None:
         """Drop an unfinished frame, after a time-out or when a port is opened again."""
@@ -38,14 +36,13 @@ class LineFramer(Framer):
     """Text lines that end at `terminator`, which is not part of the frame; None: at CR, LF or both, for devices where
     this is a setting. Empty lines are dropped, unless `keep_empty`.
 
-    A line longer than `longest` bytes is noise: it is dropped up to the next terminator.
+    A line of more than 4096 bytes is noise: it is dropped up to the next terminator.
     """
 
-    def __init__(self, terminator: bytes | None = None, *, longest: int = 4096, keep_empty: bool = False) -> None:
+    def __init__(self, terminator: bytes | None = None, *, keep_empty: bool = False) -> None:
         super().__init__()
         self._terminator = terminator
         self._keep_empty = keep_empty
-        self._longest = longest
         self._overlong = False
 
     def reset(self) -> None:
@@ -57,10 +54,10 @@ class LineFramer(Framer):
         *lines, self._buffer = (data.replace(b"\r", b"\n") if self._terminator is None else data).split(terminator)
         if lines and self._overlong:
             lines, self._overlong = lines[1:], False
-        if len(self._buffer) > self._longest:
+        if len(self._buffer) > _LONGEST_LINE:
             # The tail may be the first part of a terminator of several bytes.
             self._buffer, self._overlong = self._buffer[1 - len(terminator) or len(self._buffer) :], True
-        return [line for line in lines if (line or self._keep_empty) and len(line) <= self._longest]
+        return [line for line in lines if (line or self._keep_empty) and len(line) <= _LONGEST_LINE]
 
 
 class LengthFramer(Framer):
@@ -91,8 +88,6 @@ class LengthFramer(Framer):
 
 
 class ModbusTcpFramer(LengthFramer):
-    """Messages of Modbus TCP, by the length in their head."""
-
     def _length(self, head: bytes) -> int | None:
         if len(head) < 8:
             return 0
@@ -155,8 +150,6 @@ def write_body(register: int, words: tuple[int, ...]) -> bytes:
 
 @dataclass(frozen=True)
 class Rtu:
-    """Frames of a serial line."""
-
     address: int
 
     def framer(self) -> Framer:
@@ -192,7 +185,6 @@ class Tcp:
         return struct.pack(">HHHB", self._number, 0, len(body) + 1, self._address) + body
 
     def body(self, frame: bytes, sent: bytes) -> bytes:
-        """Function and data of the reply to a message. Raises for an exception; ignores replies to other messages."""
         if frame[:2] != sent[:2] or frame[6] != sent[6] or frame[7] & 0x7F != sent[7]:
             raise NotThisReply
         return _accepted(frame[7:])
@@ -221,5 +213,5 @@ def parse_written(modbus: Modbus, frame: bytes, sent: bytes) -> None:
 def _accepted(body: bytes) -> bytes:
     if body[0] & 0x80:
         meaning = EXCEPTIONS.get(body[1], "unknown")
-        raise Rejected(f"It refuses: exception {body[1]} ({meaning}).", code=str(body[1]), text=meaning)
+        raise Rejected(f"It refuses: exception {body[1]} ({meaning}).")
     return body

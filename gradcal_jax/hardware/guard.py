@@ -26,6 +26,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -62,10 +63,16 @@ def make_safe(
     Returns after all devices are verified, or after `deadline_s` real seconds: the others then have a reason. Raises no
     error of a device.
     """
-    attempts: list[tuple[SafeOutcome, float, threading.Thread]] = []
+    acts: dict[str, tuple[str, Callable[[], SafeReport]]] = {
+        entry.name: (entry.safe, partial(bench.axes[entry.name].safe, AxisSafe(entry.safe))) for entry in bench.rig.axis
+    }
+    if bench.chamber is not None and (how := bench.rig.chamber) is not None:
+        acts["chamber"] = how.safe, partial(bench.chamber.safe, ChamberSafe(how.safe), float(how.ambient))
+    outcomes = [SafeOutcome(name, action) for name, (action, _) in acts.items()]
+    began_s = time.monotonic()
 
-    def attempt(outcome: SafeOutcome, act: Callable[[], SafeReport], began_s: float) -> None:
-        line = bench.lines.get(outcome.name)
+    def attempt(outcome: SafeOutcome) -> None:
+        line, act = bench.lines.get(outcome.name), acts[outcome.name][1]
         with clock.party():
             while True:
                 outcome.tries += 1
@@ -86,25 +93,14 @@ def make_safe(
                 with clock.aside():
                     time.sleep(_RETRY_PAUSE_S)
 
-    def begin(name: str, action: str, act: Callable[[], SafeReport]) -> None:
-        outcome, began_s = SafeOutcome(name, action), time.monotonic()
-        arguments = (outcome, act, began_s)
-        thread = threading.Thread(target=attempt, args=arguments, daemon=True, name=f"making {name} safe")
-        attempts.append((outcome, began_s, thread))
+    threads = [threading.Thread(target=attempt, args=(outcome,), daemon=True) for outcome in outcomes]
+    for thread in threads:
         thread.start()
-
-    for entry in bench.rig.axis:
-        axis, wanted = bench.axes[entry.name], AxisSafe(entry.safe)
-        begin(entry.name, entry.safe, lambda axis=axis, wanted=wanted: axis.safe(wanted))
-    if bench.chamber is not None and bench.rig.chamber is not None:
-        chamber, how = bench.chamber, bench.rig.chamber
-
-        begin("chamber", how.safe, lambda: chamber.safe(ChamberSafe(how.safe), float(how.ambient)))
     with clock.aside():
-        for _, began_s, thread in attempts:
+        for thread in threads:
             thread.join(max(0.0, began_s + deadline_s - time.monotonic()))
-    now_s = time.monotonic()
-    outcomes = [replace(outcome, took_s=outcome.took_s or now_s - began_s) for outcome, began_s, _ in attempts]
+    lasted_s = time.monotonic() - began_s
+    outcomes = [replace(outcome, took_s=outcome.took_s or lasted_s) for outcome in outcomes]
     streams = [SafeOutcome(entry.name, LEFT, True, "it cannot be unsafe") for entry in bench.rig.imu]
     return outcomes + streams
 
@@ -151,7 +147,6 @@ class Guard:
         self._say(self._before[-1])
 
     def done(self) -> None:
-        """Everything was verified safe: the guard has nothing to do."""
         self._begun, self._before = False, []
         self._say("done")
 

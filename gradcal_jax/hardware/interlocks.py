@@ -81,10 +81,6 @@ def _over_speed(bounds: InterlockLimits, now: Situation) -> str:
     )
 
 
-def _stalled(bounds: InterlockLimits, now: Situation) -> str:
-    return "; ".join(now.stalled)
-
-
 def _limit(bounds: InterlockLimits, now: Situation) -> str:
     band_k, chamber = bounds.temperature_band_k, now.chamber
     margin = band_k if math.isfinite(band_k) else 0.0
@@ -151,7 +147,7 @@ RULES: Final = (
     InterlockRule("chamber alarm", "abort", 0.0, _alarm),
     InterlockRule("axis fault", "abort", 0.0, _faults),
     InterlockRule("over-speed", "abort", 0.0, _over_speed),
-    InterlockRule("stalled axis", "abort", 0.0, _stalled),
+    InterlockRule("stalled axis", "abort", 0.0, lambda bounds, now: "; ".join(now.stalled)),
     InterlockRule("temperature limit", "abort", 0.0, _limit),
     InterlockRule("temperature in a pause", "abort", _PATIENCE_S, partial(_off_course, paused=True)),
     InterlockRule("longest pause", "abort", 0.0, _long_pause),
@@ -165,14 +161,11 @@ RULES: Final = (
 
 @dataclass
 class Interlocks:
-    """Rules with their limits, and the time since when each has been violated."""
-
     limits: InterlockLimits = field(default_factory=InterlockLimits)
     rules: tuple[InterlockRule, ...] = RULES
     _since: dict[str, float] = field(default_factory=dict[str, float])
 
     def check(self, situation: Situation) -> tuple[InterlockRule, str] | None:
-        """The first rule that trips, with its sentence; aborts before pauses."""
         tripped: list[tuple[InterlockRule, str]] = []
         for rule in self.rules:
             text = rule.look(self.limits, situation)
@@ -183,5 +176,4 @@ class Interlocks:
         return min(tripped, key=lambda pair: pair[0].action != "abort", default=None)
 
     def forget(self) -> None:
-        """Restart the patience of every rule, after a pause."""
         self._since.clear()

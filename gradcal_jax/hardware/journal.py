@@ -43,6 +43,7 @@ _LONGEST = 1 << 26
 _BLOCK = 1 << 22
 _MOST_WAITING = 1 << 28
 _LONGEST_WAIT_S = 15.0
+_SYNC_EVERY_S = 1.0
 LINE_EVENT = "line"
 _NUMBER = (int, float)
 # The fields of events that are read back, and their types.
@@ -100,18 +101,12 @@ class JournalContents:
     def events(self) -> list[Event]:
         return [record for record in self.records if isinstance(record, Event)]
 
-    def chunks(self, line: str, *, received: bool = True) -> Iterator[Chunk]:
-        for record in self.records:
-            if isinstance(record, Chunk) and record.line == line and record.received == received:
-                yield record
-
 
 class Journal(AbstractContextManager["Journal"]):
     """Append to a journal file, from any thread."""
 
-    def __init__(self, path: Path, *, sync_every_s: float = 1.0) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self._sync_every_s = sync_every_s
         self._lines: dict[str, int] = {}
         if path.exists():
             # Numbers of lines continue after the last session's: one number never means two lines.
@@ -148,7 +143,7 @@ class Journal(AbstractContextManager["Journal"]):
                 _LOG.info("run at %.3f s: %s %s", time_s, name, data)
 
     def bytes_of(self, line: str, time_s: float, data: bytes, *, received: bool) -> None:
-        """Write bytes of a line; they are on the disk within `sync_every_s`."""
+        """Write bytes of a line; they are on the disk within a second."""
         with self._change:
             number = self._lines.get(line)
             if number is None:
@@ -193,7 +188,7 @@ class Journal(AbstractContextManager["Journal"]):
         synced_s, dirty = time.monotonic(), False
         while True:
             with self._change:
-                left = self._sync_every_s - (time.monotonic() - synced_s) if dirty else None
+                left = _SYNC_EVERY_S - (time.monotonic() - synced_s) if dirty else None
                 if left is None or left > 0.0:
                     self._change.wait_for(
                         lambda: self._waiting or self._closing or self._wanted > self._on_disk, timeout=left
@@ -205,7 +200,7 @@ class Journal(AbstractContextManager["Journal"]):
                 dirty = dirty or bool(batch)
                 while batch:
                     batch = batch[os.write(self._file, batch) :]
-                if dirty and (at_once or time.monotonic() - synced_s >= self._sync_every_s):
+                if dirty and (at_once or time.monotonic() - synced_s >= _SYNC_EVERY_S):
                     os.fsync(self._file)
                     synced_s, dirty = time.monotonic(), False
             except Exception as problem:

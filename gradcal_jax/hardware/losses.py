@@ -53,7 +53,6 @@ class SampleLosses:
         self.received = self.missing = 0
 
     def begin_again(self, decoder: ImuDecoder) -> None:
-        """Forget what was before: the unit has been configured anew."""
         self._decoder = decoder
         self._arrivals.clear()
 

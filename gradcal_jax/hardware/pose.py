@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..files.places import rotation_of
 from ..files.spec_sections import Spec
 
 Numbers = NDArray[np.float64]
@@ -26,10 +27,7 @@ def drawn(spec: Spec, angles_deg: Mapping[str, float], mounting: int) -> str:
     attitude = np.eye(3)
     for axis in spec.rig.table.axis:
         attitude = attitude @ turn_about(axis.unit_vector, np.radians(angles_deg.get(axis.name, 0.0)))
-    hung = spec.rig.table.mounting[max(mounting - 1, 0)]
-    attitude = attitude @ np.array(hung.columns).T
-    if hung.rotation is not None:
-        attitude = attitude @ turn_by([float(angle) for angle in hung.rotation])
+    attitude = attitude @ rotation_of(spec.rig.table.mounting[max(mounting - 1, 0)])
     texts = {name: f"{name}: body {_seen(np.array(world) @ attitude)}" for name, world in _WORLD.items()}
     return f"  {texts['up']}\n  |  {texts['north']}\n  | /\n  o---- {texts['east']}"
 

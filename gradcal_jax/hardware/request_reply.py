@@ -43,7 +43,6 @@ class _Unanswered:
     due_s: list[float] = field(default_factory=list[float])
 
     def answered(self, now_s: float) -> None:
-        """A reply came to a later try."""
         took_s, self.late_s = now_s - self.sent_s[0], now_s - self.over_s
         self.due_s = [sent_s + took_s for sent_s in self.sent_s[1:]]
 
@@ -85,7 +84,6 @@ class Exchange:
         self._lock = threading.RLock()
 
     def alone(self) -> AbstractContextManager[None]:
-        """Context with exclusive use of this line."""
         return holding(self._lock, self.clock)
 
     def query(
@@ -193,7 +191,7 @@ class Exchange:
                     continue
                 except Rejected as refusal:
                     what = f"{self.device} at {self.transport.url} was sent {printable(request)!r}. {refusal}"
-                    raise Rejected(what, code=refusal.code, text=refusal.text) from None
+                    raise Rejected(what) from None
                 except ChecksumError:
                     # The reply to this request is damaged: no other will come.
                     raise

@@ -247,7 +247,6 @@ class ImuSettings:
     """The unit's configuration, read back, for the log."""
 
     sample_rate_hz: float
-    counter_modulus: int
     registers: dict[str, str]
 
 
@@ -255,15 +254,12 @@ class ImuSettings:
 class ImuBatch:
     """Samples decoded together. `n` of them, three axes; a quantity that the unit does not send is NaN.
 
-    Raw integers are kept beside scaled values, so that results can be recomputed.
-
     host_time_s     (n,)   clock of the run when the last byte of the sample was in hand
     device_time_s   (n,)   the unit's own time, unwrapped, from its counter or clock
     gyro_dps        (n, 3) angular rate, deg/s
     acceleration_g  (n, 3) specific force, in g0 = 9.80665 m/s²
     temperature_c   (n, 3) of the gyro axes
     second_c        (n,)   of a second thermometer, °C; of a unit that measures both, that of its accelerometers
-    raw_gyro        (n, 3) integers as sent; zeros where the unit sends floating point
     status          (n,)   status bits, 0 = good; the meaning is the driver's
     gap_before      (n,)   number of samples missing just before this one, as far as the decoder has seen
     disturbed       (n,)   whether bytes just before it belong to no sound frame; False where stamps are absolute
@@ -275,7 +271,6 @@ class ImuBatch:
     gyro_dps: NDArray[np.float64]
     acceleration_g: NDArray[np.float64]
     temperature_c: NDArray[np.float64]
-    raw_gyro: NDArray[np.int32]
     status: NDArray[np.int64]
     gap_before: NDArray[np.int64]
     disturbed: NDArray[np.bool_]
@@ -296,8 +291,7 @@ def imu_batch(
 ) -> ImuBatch:
     """Samples that came together; fields that are not given are zero, or not sent."""
     count = len(device_time_s)
-    none: dict[str, Any] = {"raw_gyro": np.zeros((count, 3), np.int32)}
-    none |= {name: np.zeros(count, np.int64) for name in ("status", "gap_before")}
+    none: dict[str, Any] = {name: np.zeros(count, np.int64) for name in ("status", "gap_before")}
     none |= {name: np.zeros(count, np.bool_) for name in ("disturbed", "restarted")}
     none["second_c"] = np.full(count, np.nan)
     host = np.full(count, float(host_time_s))

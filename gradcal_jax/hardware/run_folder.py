@@ -67,15 +67,12 @@ class RunFolder:
         return notes  # pyright: ignore[reportUnknownVariableType]
 
     def track(self, recipe: Recipe | None = None) -> Track:
-        """The track of the newest recipe, or of another one, on the run's rig."""
         return track_of(recipe or self.recipe(), [axis.name for axis in self.rig().axis])
 
     def contents(self) -> JournalContents:
-        """The journal as far as it is sound."""
         return read_journal(self.journal_path)
 
     def events(self) -> JournalContents:
-        """The events of the journal, without the bytes of lines."""
         return read_journal(self.journal_path, chunks=False)
 
 
@@ -203,7 +200,6 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
 
 
 def _differences(then: Any, now: Any, key: str = "") -> list[str]:
-    """Where two sets of tables differ, by key."""
     if isinstance(then, list) and isinstance(now, list):
         lists = cast("list[Any]", then), cast("list[Any]", now)
         then, now = ({str(number): entry for number, entry in enumerate(side, 1)} for side in lists)

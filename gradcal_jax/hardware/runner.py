@@ -1,11 +1,11 @@
 """Executes a track on a bench: one clock, everything journalled, safe at every kind of end.
 
-`states.WAYS` has the states and the transitions between them; each change is an event of the journal. Requests (pause,
-stop, abort) may come from any thread or signal handler and take effect within a quarter of a second of the run's clock,
-or when the device that has the current command has answered. Nothing turns while a run is paused; interlocks hold in
-every state, also while an axis searches its reference or the chamber acknowledges. A step that was interrupted, by a
-pause or by the end of the process, is repeated from its beginning: the chamber goes to the step's first temperature and
-is stable there, the axes go to their angles, and the journal marks the interruption.
+Each change of state is an event of the journal. Requests (pause, stop, abort) may come from any thread or signal
+handler and take effect within a quarter of a second of the run's clock, or when the device that has the current command
+has answered. Nothing turns while a run is paused; interlocks hold in every state, also while an axis searches its
+reference or the chamber acknowledges. A step that was interrupted, by a pause or by the end of the process, is repeated
+from its beginning: the chamber goes to the step's first temperature and is stable there, the axes go to their angles,
+and the journal marks the interruption.
 
 Beside the executing thread, one thread reads the chamber, one feeds the watchdogs of axes, and one for each unit writes
 its bytes to the disk: no slow device delays a move or lets a watchdog expire.
@@ -29,7 +29,7 @@ from ..files.rig import ImuDevice
 from .axis_control import AxisControl
 from .chamber_control import ChamberControl
 from .clock import Clock, beside
-from .dry_run import beyond_limits
+from .dry_run import dry_run_of
 from .errors import HardwareError, LimitExceeded, sentence_of
 from .guard import make_safe, put_back
 from .interlocks import Interlocks, Situation
@@ -37,7 +37,7 @@ from .journal import Journal, event_fields
 from .losses import ExecutedStep, SampleLosses, StepNotDone
 from .roles import ImuSettings, MotionAxis
 from .setup import Bench, require_identity
-from .supervision import WAYS, RunProgress, RunResult, RunState, SafeOutcome
+from .supervision import RunProgress, RunResult, RunState, SafeOutcome
 from .track import Course, Stable, Track, TrackStep
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
@@ -122,13 +122,7 @@ class Runner:
         """Request a change of state; safe in a signal handler."""
         self._requests.append((what, reason))
 
-    def dry_run(self) -> list[str]:
-        """Compare the track with the limits that the devices report. Empty: the run may start. Nothing moves."""
-        axes = {name: axis.limits() for name, axis in self.bench.axes.items()}
-        return beyond_limits(self.track, self.bench.chamber_limits(), axes)
-
     def run(self) -> RunResult:
-        """Check, execute, make safe."""
         helpers: list[threading.Thread] = []
         status: Literal["success", "stopped", "aborted"] = "success"
         reason = ""
@@ -177,7 +171,8 @@ class Runner:
                 settings = self._settings[name] = unit.configure()
                 self._event("configuration", device=name, **event_fields(settings))
                 self._losses[name] = SampleLosses(unit.decoder(), settings.sample_rate_hz, self.track.gyros)
-        if problems := self.dry_run():
+        axes = {name: axis.limits() for name, axis in self.bench.axes.items()}
+        if problems := dry_run_of(self.track, self.bench.chamber_limits(), axes).problems:
             raise LimitExceeded("The run was not started. " + " ".join(problems))
 
         def start(failed: str, work: Callable[..., None], *arguments: Any, waits_on_clock: bool = True) -> None:
@@ -221,7 +216,6 @@ class Runner:
             self.clock.sleep(_SLICE_S)
 
     def _fail(self, problem: str) -> None:
-        """Called by a helper thread: its sentence ends the run."""
         self._problem = problem
 
     def _carry_bytes(self, name: str) -> None:
@@ -275,7 +269,6 @@ class Runner:
                 again = True
 
     def _take_back(self, shortfall: StepNotDone) -> None:
-        """Repeat a step that was not executed as written, a few times; then the run ends."""
         number, why = shortfall.number, str(shortfall)
         name = self.track.steps[number].name
         self._event("not done", step=name, number=number, why=why)
@@ -352,9 +345,7 @@ class Runner:
             end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
             while reads and motion + reads[-1] > end + 1e-6:
                 reads.pop()
-            fallen = 0
-            while fallen < len(reads) and motion + reads[fallen] <= now:
-                fallen += 1
+            fallen = sum(motion + read <= now for read in reads)
             if axes.by_hand and fallen:
                 # No readings while an axis is turned by hand: of those that fell due meanwhile only the last counts.
                 del reads[: fallen - 1]
@@ -458,7 +449,6 @@ class Runner:
         self._event("stable", step=step.name, temperature_c=value, waited_s=self.clock.now() - began)
 
     def _duties(self, end_s: float | None = None) -> None:
-        """Recurring work: requests, readings, interlocks."""
         self.ticked_s = time.monotonic()
         self._obey_requests()
         self._confirm_steps()
@@ -582,14 +572,11 @@ class Runner:
         return outcomes
 
     def _is_busy(self, name: str) -> bool:
-        """Whether an earlier command to a device goes on."""
         if self._chamber is not None and name == "chamber":
             return not self._chamber.end(0.5 * self.safe_deadline_s)
         return self._axes.is_homing(name)
 
     def _enter(self, state: RunState, *, at_once: bool = True) -> None:
-        if state not in WAYS[self.state] and not (self.state is RunState.IDLE and state is RunState.STOPPING):
-            raise AssertionError(f"There is no way from {self.state.value} to {state.value}.")
         self.state = state
         self._shown_s = -math.inf
         self._event("state", at_once=at_once, state=state.value)

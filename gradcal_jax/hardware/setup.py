@@ -231,7 +231,6 @@ def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
 
 
 def _spelt(name: str) -> tuple[str, str, str]:
-    """A field's name in the file, its dimension and its unit (or empty texts)."""
     for ending, dimension, unit in _UNITS:
         if name.endswith(ending):
             return name.removesuffix(ending), dimension, unit
@@ -267,14 +266,15 @@ class Bench(AbstractContextManager["Bench"]):
 
     @property
     def settings(self) -> dict[str, KeptSettings]:
-        """The settings changed by the drivers of axes and units, by device."""
         return {name: device.settings for name, device in (*self.axes.items(), *self.imus.items())}
 
     def chamber_limits(self) -> ChamberLimits | None:
-        """The limits of the chamber, within those of the rig file."""
         if self.chamber is None or self.rig.chamber is None:
             return None
-        return within_rig(self.chamber.limits(), self.rig.chamber)
+        limits, below, above = self.chamber.limits(), self.rig.chamber.never_below, self.rig.chamber.never_above
+        lowest = limits.lowest_c if below is None else max(limits.lowest_c, float(below))
+        highest = limits.highest_c if above is None else min(limits.highest_c, float(above))
+        return dataclasses.replace(limits, lowest_c=lowest, highest_c=highest)
 
     def devices(self) -> list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]]:
         """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
@@ -389,23 +389,15 @@ def only_of(rig: RigFile, names: Collection[str]) -> RigFile:
     return rig.model_copy(update=chosen)
 
 
-def within_rig(limits: ChamberLimits, chamber: ChamberDevice) -> ChamberLimits:
-    """The limits of a chamber that the rig file allows."""
-    below, above = chamber.never_below, chamber.never_above
-    lowest = limits.lowest_c if below is None else max(limits.lowest_c, float(below))
-    highest = limits.highest_c if above is None else min(limits.highest_c, float(above))
-    return dataclasses.replace(limits, lowest_c=lowest, highest_c=highest)
-
-
 def lines_of(rig: RigFile) -> dict[str, tuple[str, str]]:
-    """The port and the safe state of every device, by its name."""
     return {name: (device.port, getattr(device, "safe", LEFT)) for _, _, name, device in _entries(rig)}
 
 
 def check_rig(bench: Bench) -> list[DeviceReport]:
     """Ask every device for identity, limits and a reading; compare serial numbers with the rig file. Nothing moves."""
     # The chamber first, as in the rig file.
-    reports = [_report(*device) for device in sorted(bench.devices(), key=lambda device: device[0] != "chamber")]
+    devices = sorted(bench.devices(), key=lambda device: device[0] != "chamber")
+    reports = [_report(bench, *device) for device in devices]
     late = {name: line.late for name, line in bench.lines.items()}
     return [dataclasses.replace(report, remark=late.get(report.name, "")) for report in reports]
 
@@ -423,15 +415,17 @@ def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:
     return reports
 
 
-def _report(name: str, entry: Device, device: MotionAxis | TemperatureChamber | ImuStream) -> DeviceReport:
+def _report(
+    bench: Bench, name: str, entry: Device, device: MotionAxis | TemperatureChamber | ImuStream
+) -> DeviceReport:
     identity = None
     try:
         identity = device.identify()
         require_identity(name, entry, identity)
-        limits = device.configure() if isinstance(device, ImuStream) else device.limits()
-        if isinstance(entry, ChamberDevice) and isinstance(limits, ChamberLimits):
-            limits = within_rig(limits, entry)
-        if not isinstance(device, ImuStream):
+        if isinstance(device, ImuStream):
+            limits = device.configure()
+        else:
+            limits = bench.chamber_limits() if device is bench.chamber else device.limits()
             # Identity and limits may stand in the rig file alone: at least this is asked of the device.
             device.read()
         return DeviceReport(name, entry.driver, entry.port, identity, limits)

@@ -48,18 +48,6 @@ class RunState(Enum):
     FAILED = "failed"
 
 
-WAYS: Mapping[RunState, frozenset[RunState]] = {
-    RunState.IDLE: frozenset({RunState.RUNNING, RunState.ABORTING}),
-    RunState.RUNNING: frozenset({RunState.PAUSING, RunState.STOPPING, RunState.ABORTING}),
-    RunState.PAUSING: frozenset({RunState.RUNNING, RunState.PAUSED, RunState.STOPPING, RunState.ABORTING}),
-    RunState.PAUSED: frozenset({RunState.RUNNING, RunState.STOPPING, RunState.ABORTING}),
-    RunState.STOPPING: frozenset({RunState.SAFE, RunState.FAILED}),
-    RunState.ABORTING: frozenset({RunState.SAFE, RunState.FAILED}),
-    RunState.SAFE: frozenset(),
-    RunState.FAILED: frozenset(),
-}
-
-
 @dataclass(frozen=True)
 class RunResult:
     """How a run ended: "success", "stopped" (on request) or "aborted", why, and the final state of every device."""
@@ -113,8 +101,6 @@ Knows = Callable[[Path], Any]
 
 
 class StatusFile:
-    """Writes the newest status; statuses in between are dropped."""
-
     def __init__(self, folder: Path, *, simulated: bool, knows: Knows | None = None) -> None:
         self._path = folder / STATUS
         self._knows = knows

@@ -118,7 +118,6 @@ class TrackStep:
 
     @property
     def begins_c(self) -> float | None:
-        """The chamber's temperature at the beginning of the step, where it matters."""
         return self.start_c if self.start_c is not None else self.temperature_c
 
     @property
@@ -202,10 +201,7 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
     ends = recipe.spec.rig.table.standing == "read"
     steps: list[TrackStep] = []
     for block, segments in stretches:
-        if block is None:
-            steps.append(_unused(segments[0], recipe.stability, first=not steps))
-        else:
-            steps += _stretch(block, segments, recipe.stability, names, first=not steps, ends=ends)
+        steps += _stretch(block, segments, recipe.stability, names, first=not steps, ends=ends)
     if recipe.spec.rig.chamber.control == "none":
         alone: dict[str, Any] = {"temperature_c": None, "ramp_k_per_min": None, "ready": None, "start_c": None}
         steps = [replace(step, **alone, courses=(), again=None) for step in steps]
@@ -254,23 +250,6 @@ def _course(segment: ChamberSegment, start_s: float) -> Course:
     return Course(start_s, float(segment.temperature_end), ramp)
 
 
-def _unused(segment: ChamberSegment, stability: Stability, *, first: bool) -> TrackStep:
-    course = _course(segment, 0.0)
-    waits = segment.begins == "when stable"
-    return TrackStep(
-        segment.name,
-        float(segment.duration),
-        course.temperature_c,
-        course.ramp_k_per_min,
-        ready=_stable(stability, first=first) if waits else None,
-        start_c=float(segment.temperature_start),
-        courses=(course,),
-        follows=not waits and not first,
-        again=_stable(stability, first=True),  # after a break the chamber may come from anywhere
-        read_every_s=_BETWEEN_READINGS_S,
-    )
-
-
 @dataclass
 class _Piece:
     """A step under construction, on the stretch's own clock."""
@@ -284,7 +263,7 @@ class _Piece:
 
 
 def _stretch(
-    block: MotionBlock,
+    block: MotionBlock | None,
     segments: Sequence[ChamberSegment],
     stability: Stability,
     names: dict[str, str],
@@ -292,18 +271,20 @@ def _stretch(
     first: bool,
     ends: bool,
 ) -> list[TrackStep]:
+    """The steps of a stretch of data; without a block one step, whose samples are not used and whose axes stand."""
     waits = segments[0].begins == "when stable"
     total = math.fsum(float(segment.duration) for segment in segments)
-    pieces = _pieces(block, total, names, ends=ends)
+    pieces = [_Piece(segments[0].name, 0.0, total)] if block is None else _pieces(block, total, names, ends=ends)
     ends_s = itertools.accumulate((float(segment.duration) for segment in segments), initial=0.0)
     knees = [_course(segment, begins_s) for segment, begins_s in zip(segments, ends_s, strict=False)]
-    at = dict.fromkeys(names.values(), 0.0)
-    at |= {names[name]: to_unit(float(angle), "deg") for name, angle in block.start.items()}
+    placed = {} if block is None else block.start
+    at = {} if block is None else dict.fromkeys(names.values(), 0.0)
+    at |= {names[name]: to_unit(float(angle), "deg") for name, angle in placed.items()}
     steps: list[TrackStep] = []
     for number, piece in enumerate(pieces):
         end = piece.start_s + piece.duration_s
         target = [course for course in knees if course.start_s <= piece.start_s + 1e-6][-1]
-        inside = [course for course in knees if piece.start_s - 1e-6 <= course.start_s < end - 1e-6]
+        inside = [course for course in knees if not block or piece.start_s - 1e-6 <= course.start_s < end - 1e-6]
         later = tuple(replace(course, start_s=course.start_s - piece.start_s) for course in inside)
         steps.append(
             TrackStep(
@@ -313,17 +294,18 @@ def _stretch(
                 target.ramp_k_per_min,
                 ready=_stable(stability, first=first) if waits and number == 0 else None,
                 moves=tuple(piece.moves),
-                start_c=_temperature(segments, piece.start_s),
+                read_every_s=_BETWEEN_READINGS_S if block is None else 1.0,
+                start_c=_temperature(segments, piece.start_s) if block else float(segments[0].temperature_start),
                 courses=later,
                 follows=number > 0 or (not waits and not first),
-                again=_stable(stability, first=True),
+                again=_stable(stability, first=True),  # after a break the chamber may come from anywhere
                 start_deg=dict(at),
                 read_at_s=tuple(piece.read_at_s),
                 slack_s=piece.slack_s,
-                goes_there=bool(block.start) and number == 0,
-                hang=block.hang or "",
-                mounting=block.mounting or 0,
-                used=True,
+                goes_there=bool(placed) and number == 0,
+                hang=(block and block.hang) or "",
+                mounting=(block and block.mounting) or 0,
+                used=block is not None,
             )
         )
         for move in piece.moves:
@@ -408,7 +390,6 @@ def _points(block: MotionBlock, names: dict[str, str]) -> list[_Piece]:
 
 
 def _add(piece: _Piece, move: TrackMove, names: dict[str, str], *, ends: bool) -> None:
-    """The commands and the readings of one line of the recipe."""
     duration = float(move.duration)
     for repetition in range(move.repeat):
         start = float(move.start) + repetition * duration

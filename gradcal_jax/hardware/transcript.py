@@ -23,7 +23,7 @@ from typing import TextIO
 
 from ..files.rig import RigFile
 from .clock import Clock
-from .errors import HardwareError
+from .errors import HardwareError, printable
 from .guard import put_back
 from .journal import Direction, Recorder
 from .roles import AxisSafe, ChamberSafe
@@ -31,15 +31,9 @@ from .setup import Bench, open_rig
 
 HEADER = "# gradcal-transcript/1"
 RIG = "# rig: "
-_ENCODED = [chr(b) if 32 <= b < 127 else f"\\x{b:02x}" for b in range(256)]
-_ENCODED[ord("\r")], _ENCODED[ord("\n")], _ENCODED[ord("\\")] = "\\r", "\\n", "\\\\"
 _STREAM_S = 2.0
 # Of a move that shows that commands take effect: small, slow.
 _MOVE_DEG, _MOVE_DPS, _MOVE_DPS2 = 10.0, 10.0, 20.0
-
-
-def encode(data: bytes) -> str:
-    return "".join([_ENCODED[byte] for byte in data])
 
 
 class Transcript:
@@ -59,13 +53,12 @@ class Transcript:
         return partial(self._write, line)
 
     def note(self, time_s: float, device: str, text: str) -> None:
-        """What a driver made of the bytes before."""
         self._write(device, time_s, "#", text.encode("utf-8"))
 
     def _write(self, line: str, time_s: float, direction: Direction, data: bytes) -> None:
         with self._lock:
             if not self._file.closed:
-                self._file.write(f"{time_s:.6f} {line} {direction} {encode(data)}\n")
+                self._file.write(f"{time_s:.6f} {line} {direction} {printable(data, len(data))}\n")
                 self._file.flush()
 
     def close(self) -> None:

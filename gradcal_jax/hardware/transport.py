@@ -169,11 +169,6 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
         except Exception as problem:
             raise _refused(self.url, problem) from None
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The line settings, by pyserial's names: baudrate, bytesize, parity, stopbits."""
-        return {name: getattr(self._port, name) for name in ("baudrate", "bytesize", "parity", "stopbits")}
-
     def write(self, data: bytes) -> None:
         data, now = self._ended(data), self._clock.now()
         try:
@@ -192,7 +187,6 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
         return data.rstrip(b"\r\n") + self._terminator if self._terminator else data
 
     def read(self, timeout_s: float) -> bytes:
-        """The waiting bytes, as soon as there are any; empty when nothing came in `timeout_s` real seconds."""
         return self.read_stamped(timeout_s)[0]
 
     def read_stamped(self, timeout_s: float) -> tuple[bytes, float]:
@@ -317,8 +311,7 @@ class Terminal:
             self.asking = False
         return data, now
 
-    def close(self) -> None:
-        """The terminal has no line settings to change."""
+    def close(self) -> None: ...
 
     def _record(self, direction: Any, data: bytes) -> None:
         if self.recorder is not None:

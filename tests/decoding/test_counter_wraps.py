@@ -76,7 +76,6 @@ def batch(pieces: list[Piece], clock_error: float = 0.0) -> tuple[ImuBatch, NDAr
                 gyro_dps=np.zeros((n, 3)),
                 acceleration_g=np.zeros((n, 3)),
                 temperature_c=np.zeros((n, 3)),
-                raw_gyro=np.zeros((n, 3), np.int32),
                 status=np.zeros(n, np.int64),
                 gap_before=gaps,
                 disturbed=np.arange(n) < piece.damaged,

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from simulated_devices.espec import EspecOptions, SimulatedEspec
 from simulated_devices.gyro import Mounting, SensorTruth, SimulatedSensor
 from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
@@ -20,6 +21,7 @@ from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import SimulatedWeiss, WeissOptions
 from simulated_devices.zaber import SimulatedZaber, ZaberOptions
 
+from gradcal_jax.decoding.clockmap import ClockMap, fit_arrivals
 from gradcal_jax.files import Quantity, Spec, changed, parse_spec, presets
 from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
@@ -27,9 +29,15 @@ from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import lines, odrive, registers, stim300, vectornav, weiss, zaber
-from gradcal_jax.hardware.journal import JournalContents, read_journal
+from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.transport import Transport
+
+
+def fit_clock(device_time_s: Any, host_time_s: Any, *, resolution_s: float = 0.0) -> ClockMap:
+    """The line of a stream's clocks. Samples that came in one chunk share their host time: its last waited least."""
+    last = np.append(np.diff(host_time_s) > 0.0, True)
+    return fit_arrivals(device_time_s[last], host_time_s[last], resolution_s=resolution_s)
 
 
 @contextmanager
@@ -255,6 +263,12 @@ class Rig:
     def __exit__(self, *_: object) -> None:
         for port in self.ports:
             port.close()
+
+
+def chunks_of(contents: JournalContents, line: str, *, received: bool = True) -> Iterator[Chunk]:
+    for record in contents.records:
+        if isinstance(record, Chunk) and record.line == line and record.received == received:
+            yield record
 
 
 def parse_journal(data: bytes) -> JournalContents:

@@ -87,7 +87,7 @@ def test_espec_golden_vectors() -> None:
     for refused, code in (("TEMP, S200.0", "DATA OUT OF RANGE"), ("XYZ", "CMD ERR")):
         with pytest.raises(Rejected) as caught:
             ESPEC_LINES.text(reply[refused])
-        assert caught.value.code == code
+        assert code in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -294,8 +294,10 @@ def test_vectornav_golden_vectors() -> None:
     with pytest.raises(Rejected, match="baud rate too low"):
         vectornav.parse_line(golden.VECTORNAV_ERROR.encode())
     for packet in golden.VECTORNAV_PACKETS:
-        assert vectornav.packet_length(packet) == len(packet)
-        assert vectornav.VectorNavFramer().push(packet) == [packet]
+        assert checksums.crc16_vectornav(packet[1:]) == 0
+        # Packets of outputs that the driver has not asked for are noise.
+        own = packet == golden.VECTORNAV_IMU
+        assert vectornav.VectorNavFramer().push(packet) == ([packet] if own else [])
     batch = vectornav.VectorNavDecoder(sample_rate_hz=200.0).push(golden.VECTORNAV_IMU, 0.0)
     assert batch.device_time_s.tolist() == [1.0]
     np.testing.assert_allclose(batch.gyro_dps[0], np.degrees([0.01, -0.02, 0.03]), rtol=1e-6)
@@ -444,7 +446,7 @@ def test_vectornav_frames_do_not_depend_on_cuts_and_survive_garbage(where: list[
     # Sync bytes in the noise may hide a first message until enough bytes have come: they are left out here and tested
     # with a whole stream below.
     noise = noise.replace(b"\xfa", b"").replace(b"$", b"")
-    messages = [golden.VECTORNAV_IMU, golden.VECTORNAV_LINES[2].encode() + b"\r\n", golden.VECTORNAV_YPR]
+    messages = [golden.VECTORNAV_IMU, golden.VECTORNAV_LINES[2].encode() + b"\r\n", golden.VECTORNAV_IMU]
     framer = vectornav.VectorNavFramer()
     frames = [frame for piece in pieces(noise + b"".join(messages), where) for frame in framer.push(piece)]
     assert frames == [message.removesuffix(b"\r\n") for message in messages]
@@ -478,8 +480,8 @@ def test_truncated_messages_stay_pending() -> None:
 
 
 def test_overlong_line_is_dropped_up_to_its_end() -> None:
-    framer = LineFramer(b"\r\n", longest=20)
-    assert framer.push(b"x" * 15) == []
+    framer = LineFramer(b"\r\n")
+    assert framer.push(b"x" * 4090) == []
     assert framer.push(b"x" * 15 + b"\r") == []
     assert framer.push(b"\nnext\r\n") == [b"next"]
 
@@ -550,12 +552,12 @@ def test_stim300_lost_rounds_are_counted_right_in_bursts_and_after_the_computer_
     assert after.gap_before.tolist() == [101] + [0] * 62
 
 
-def test_stim300_special_datagram_in_the_stream_is_no_damage() -> None:
+def test_stim300_special_datagram_in_the_stream_costs_its_own_bytes_alone() -> None:
     normal = stim300_stream(6)
     special = b"\xbc" + bytes(range(25))
     decoder = Stim300Decoder()
     batch = decoder.push(normal[: 3 * 42] + special + normal[4 * 42 :], 0.0)
-    assert (len(batch), decoder.special_datagrams, decoder.bad_bytes) == (5, 1, 0)
+    assert (len(batch), decoder.bad_bytes) == (5, len(special))
     assert batch.gap_before.tolist() == [0, 0, 0, 1, 0]
 
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hardware_bench import sensor_on_table
+from hardware_bench import chunks_of, sensor_on_table
 from hardware_evidence import record
 from hardware_processes import laboratory, start_run
 from imu_bench import estimated, made, short
@@ -143,9 +143,9 @@ def streamed(folder: Path, seconds: float) -> dict[str, Any]:
     for device in read_rig(folder / "rig.toml").imu:
         config = config_of(device, "imu", ())
         decoder = DRIVERS[device.driver].load().decoder_of(config, registers[device.name])
-        samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in contents.chunks(device.name)])
+        samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks_of(contents, device.name)])
         during = (samples.host_time_s >= begin) & (samples.host_time_s <= end)
-        delays = np.diff(np.array([chunk.time_s for chunk in contents.chunks(device.name)]))
+        delays = np.diff(np.array([chunk.time_s for chunk in chunks_of(contents, device.name)]))
         units[device.name] = {
             "samples": int(during.sum()),
             "missing": int(np.maximum(samples.gap_before[1:], 0).sum()),
@@ -212,7 +212,7 @@ def whole(run: Path, recipe: Recipe, hidden: dict[str, Any]) -> str:
     registers = {e.data["device"]: e.data["registers"] for e in contents.events if e.name == "configuration"}
     found, samples = [], 0
     for device in folder.rig().imu:
-        chunks = list(contents.chunks(device.name))
+        chunks = list(chunks_of(contents, device.name))
         decoder = DRIVERS[device.driver].load().decoder_of(config_of(device, "imu", ()), registers[device.name])
         read = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks])
         assert int(np.maximum(read.gap_before[1:], 0).sum()) == 0

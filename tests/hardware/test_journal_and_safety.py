@@ -11,11 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hardware_bench import Rig, parse_journal
+from hardware_bench import Rig, chunks_of, fit_clock, parse_journal
 from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.files.rig import rig_of
 from gradcal_jax.hardware import journal as journal_module
 from gradcal_jax.hardware.axis_control import AxisControl
@@ -53,8 +52,8 @@ def test_journal_gives_back_what_was_written(tmp_path: Path) -> None:
     assert contents.damaged_bytes == 0
     assert [event.name for event in contents.events] == ["start", "line", "line", "step"]
     assert contents.events[0].data == {"recipe": "abc", "note": "ünïcode"}
-    assert [chunk.data[2] for chunk in contents.chunks("unit1")] == list(range(6))
-    assert [chunk.time_s for chunk in contents.chunks("chamber", received=False)] == [i + 0.5 for i in range(6)]
+    assert [chunk.data[2] for chunk in chunks_of(contents, "unit1")] == list(range(6))
+    assert [chunk.time_s for chunk in chunks_of(contents, "chamber", received=False)] == [i + 0.5 for i in range(6)]
     assert len(records) == 4 + 12
 
 
@@ -100,7 +99,7 @@ def test_journal_goes_on_behind_a_torn_record_and_loses_only_that(tmp_path: Path
         contents = read_journal(path)
         assert contents.records[:whole] == records[:whole]
         assert contents.events[-2].name == "resume"
-        assert [chunk.data for chunk in contents.chunks("unit1")][-1] == b"more"
+        assert [chunk.data for chunk in chunks_of(contents, "unit1")][-1] == b"more"
         assert path.read_bytes()[:cut] == data[:cut]
 
 
@@ -138,7 +137,7 @@ def test_journal_of_a_killed_process_has_every_acknowledged_event(tmp_path: Path
             child.wait()
         contents = read_journal(path)
         assert acknowledged in [event.data.get("number") for event in contents.events if event.name == "step"]
-        chunks = list(contents.chunks("unit"))
+        chunks = list(chunks_of(contents, "unit"))
         assert (
             sum(chunk.time_s == float(i) for i in range(acknowledged + 1) for chunk in chunks[-10_000:]) > acknowledged
         )
@@ -204,11 +203,12 @@ def test_full_disk_is_a_sentence_and_what_was_written_stays(tmp_path: Path) -> N
     assert done.stdout.endswith("again\n")
     contents = read_journal(tmp_path / "j")
     assert contents.events[0].name == "start"
-    assert len(list(contents.chunks("unit"))) == 19
+    assert len(list(chunks_of(contents, "unit"))) == 19
 
 
-def test_many_threads_write_whole_records(tmp_path: Path) -> None:
-    with Journal(tmp_path / "j", sync_every_s=0.01) as journal:
+def test_many_threads_write_whole_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journal_module, "_SYNC_EVERY_S", 0.01)
+    with Journal(tmp_path / "j") as journal:
 
         def write(line: str) -> None:
             for index in range(300):
@@ -222,7 +222,7 @@ def test_many_threads_write_whole_records(tmp_path: Path) -> None:
     contents = read_journal(tmp_path / "j")
     assert contents.damaged_bytes == 0
     for k in range(4):
-        assert [c.data for c in contents.chunks(f"unit{k}")] == [f"unit{k}{i}".encode() * 20 for i in range(300)]
+        assert [c.data for c in chunks_of(contents, f"unit{k}")] == [f"unit{k}{i}".encode() * 20 for i in range(300)]
     with pytest.raises(HardwareError, match="cannot be read"):
         read_journal(tmp_path / "missing")
     closed = Journal(tmp_path / "closed")
@@ -240,7 +240,7 @@ def test_a_line_too_many_is_a_problem_and_what_was_written_stays(tmp_path: Path)
         assert "256 lines at most" in journal.problem
     contents = read_journal(tmp_path / "j")
     assert contents.damaged_bytes == 0
-    assert [chunk.data for chunk in contents.chunks("unit255")] == [b"x"]
+    assert [chunk.data for chunk in chunks_of(contents, "unit255")] == [b"x"]
     assert "one more" not in {event.data["name"] for event in contents.events}
 
 

@@ -56,8 +56,8 @@ def test_they_reach_the_port() -> None:
         open_rig(rig_with("espec", options, port.url), RealClock()) as bench,
     ):
         assert isinstance(bench.chamber, LinesChamber)
-        settings = bench.chamber._exchange.transport.settings
-        assert (settings["bytesize"], settings["stopbits"], settings["parity"]) == (8, 2, "N")
+        line = bench.chamber._exchange.transport._port
+        assert (line.bytesize, line.stopbits, line.parity) == (8, 2, "N")
         with pytest.raises(ReplyTimeout):
             bench.chamber.read()
     assert heard[0] == b"TEMP?\r"
@@ -72,6 +72,6 @@ def test_the_line_is_as_the_protocol_has_it_unless_the_rig_file_says_otherwise()
         for options, parity in (({}, "E"), ({"parity": "N", "baudrate": 19200}, "N")):
             with open_rig(rig_with("lines", options, port.url), RealClock()) as bench:
                 assert isinstance(bench.chamber, LinesChamber)
-                settings = bench.chamber._exchange.transport.settings
-                assert (settings["bytesize"], settings["parity"]) == (7, parity)
-                assert settings["baudrate"] == options.get("baudrate", 4800)
+                line = bench.chamber._exchange.transport._port
+                assert (line.bytesize, line.parity) == (7, parity)
+                assert line.baudrate == options.get("baudrate", 4800)

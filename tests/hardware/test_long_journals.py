@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "benchmarks"))
+from hardware_bench import fit_clock
 from journal_memory import made
 
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import clockmap, row_times, spool
-from gradcal_jax.decoding.clockmap import fit_clock
 from gradcal_jax.decoding.run_log import log, log_in_blocks
 from gradcal_jax.files.log_file import write_log
 from gradcal_jax.hardware.journal import Journal, read_journal

@@ -32,7 +32,7 @@ from gradcal_jax.files.writing import to_toml, write_toml
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
 from gradcal_jax.hardware.drivers import operator, zaber
-from gradcal_jax.hardware.dry_run import beyond_limits
+from gradcal_jax.hardware.dry_run import dry_run_of
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded
 from gradcal_jax.hardware.execute import run, run_session
 from gradcal_jax.hardware.journal import Chunk, read_journal
@@ -279,7 +279,7 @@ def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
         with pytest.raises(HardwareError, match="no terminal at which to ask the operator"):
             axis.home()
         spin = AxisCommand(0.0, "x", "spin", rate_dps=10.0, acceleration_dps2=10.0)
-        (problem,) = beyond_limits(Track((TrackStep("rates", 5.0, moves=(spin,)),)), None, {"x": axis.limits()})
+        (problem,) = dry_run_of(Track((TrackStep("rates", 5.0, moves=(spin,)),)), None, {"x": axis.limits()}).problems
     assert "it is turned by hand" in problem
 
 
@@ -373,8 +373,8 @@ def test_an_axis_whose_angle_is_typed_is_not_read_at_rest() -> None:
     )
     chamber = ChamberLimits(-50.0, 90.0, 0.1, hardware_ramp=True)
     for track, limits in ((typed_plan, typed), (typed_plan, encoder), (read_plan, encoder)):
-        assert not beyond_limits(track, chamber, {"x": limits})
-    (problem,) = beyond_limits(read_plan, chamber, {"x": typed})
+        assert not dry_run_of(track, chamber, {"x": limits}).problems
+    (problem,) = dry_run_of(read_plan, chamber, {"x": typed}).problems
     assert "its angle is typed, once in each rest: give it an [axis.encoder]" in problem
 
 

@@ -11,20 +11,47 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hardware_bench import Rig
+from hardware_bench import Rig, chunks_of, fit_clock
 from simulated_devices.faults import Faults
 from simulated_devices.gyro import EARTH_RATE_DPS, SensorTruth
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.decoding.clockmap import fit_clock
-from gradcal_jax.hardware.dry_run import beyond_limits
+from gradcal_jax.hardware.dry_run import dry_run_of
 from gradcal_jax.hardware.execute import signals_to
 from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import ChamberLimits, join
-from gradcal_jax.hardware.runner import WAYS, Runner, RunProgress, RunState
+from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
+
+WAYS = {
+    RunState.IDLE: frozenset({RunState.RUNNING, RunState.STOPPING, RunState.ABORTING}),
+    RunState.RUNNING: frozenset({RunState.PAUSING, RunState.STOPPING, RunState.ABORTING}),
+    RunState.PAUSING: frozenset({RunState.RUNNING, RunState.PAUSED, RunState.STOPPING, RunState.ABORTING}),
+    RunState.PAUSED: frozenset({RunState.RUNNING, RunState.STOPPING, RunState.ABORTING}),
+    RunState.STOPPING: frozenset({RunState.SAFE, RunState.FAILED}),
+    RunState.ABORTING: frozenset({RunState.SAFE, RunState.FAILED}),
+    RunState.SAFE: frozenset(),
+    RunState.FAILED: frozenset(),
+}
+"""The states of a run, and those that may follow each."""
+
+
+@pytest.fixture(autouse=True)
+def only_these_ways(monkeypatch: pytest.MonkeyPatch):
+    """Every change of state in these tests is one of the table."""
+    enter, others = Runner._enter, []
+
+    def checked(runner: Runner, state: RunState, **more) -> None:
+        if state not in WAYS[runner.state]:
+            others.append((runner.state, state))
+        enter(runner, state, **more)
+
+    monkeypatch.setattr(Runner, "_enter", checked)
+    yield
+    assert others == []
+
 
 TURN = AxisCommand(2.0, "table", "go", position_deg=360.0, rate_dps=120.0, acceleration_dps2=240.0)
 BACK = AxisCommand(12.0, "table", "go", position_deg=0.0, rate_dps=60.0, acceleration_dps2=240.0)
@@ -96,7 +123,7 @@ def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path
     air = [event.data["air_c"] for event in by_name["chamber"]]
     assert 25.1 < max(air) < 26.0
     # What the unit measured between two standstills is the angle between the encoder's readings, but for its error.
-    samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in contents.chunks("unit1")])
+    samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks_of(contents, "unit1")])
     assert np.all(samples.gap_before[1:] == 0)
     clock_map = fit_clock(samples.device_time_s, samples.host_time_s)
     assert clock_map.rate_error == pytest.approx(-80e-6, abs=3e-5)
@@ -139,11 +166,11 @@ def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
     chamber = ChamberLimits(-40.0, 85.0, 0.1, True, 0.1, 3.0)
     good = AxisCommand(0.0, "a", "go", position_deg=170.0, rate_dps=50.0, acceleration_dps2=50.0)
     track = Track((TrackStep("one", 5.0, temperature_c=20.0, ramp_k_per_min=1.0, moves=(good,)),))
-    assert beyond_limits(track, chamber, {"a": axis}) == []
+    assert dry_run_of(track, chamber, {"a": axis}).problems == ()
     far = dataclasses.replace(good, position_deg=200.0)
     spin = dataclasses.replace(good, kind="spin")
     steep = Track((TrackStep("one", 5.0, temperature_c=20.0, ramp_k_per_min=5.0, moves=(far, spin)),))
-    found = " ".join(beyond_limits(steep, chamber, {"a": axis}))
+    found = " ".join(dry_run_of(steep, chamber, {"a": axis}).problems)
     assert "ramps at 5 K/min" in found
     assert "its travel is -180 to 180" in found
     assert "spins, and its travel is limited" in found

@@ -286,13 +286,13 @@ def test_a_reply_that_comes_after_its_time_out_is_said_to_be_late(delay_s: float
     with espec_bench(RealClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
         port.faults = Slow(port, delay_s)
         if delay_s < 0.9:
-            chamber._air_c()
+            chamber._read("air")
             time.sleep(0.5)
             port.faults = None
-            chamber._air_c()
+            chamber._read("air")
         else:
             with pytest.raises(ReplyTimeout, match="raise reply_timeout"):
-                chamber._air_c()
+                chamber._read("air")
         late = port_of(chamber).late
         assert f"ESPEC at {port.url} was sent 'TEMP?" in late
         assert "s late: raise reply_timeout" in late
@@ -305,7 +305,7 @@ def test_an_acknowledgement_that_comes_too_late_is_said() -> None:
         port.faults = lambda message: slow(message) if message.startswith(b"OK:TEMP") else [message]
         chamber.hold(40.0)
         time.sleep(0.5)
-        chamber._air_c()
+        chamber._read("air")
         assert "was sent 'TEMP, S40.0" in port_of(chamber).late
 
 
@@ -313,7 +313,7 @@ def test_replies_in_time_are_not_called_late_though_some_are_lost() -> None:
     with espec_bench(RealClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
         port.faults = Faults(probability={"drop": 0.3}, seed=3)
         for _ in range(20):
-            chamber._air_c()
+            chamber._read("air")
         assert port_of(chamber).late == ""
 
 

@@ -46,8 +46,6 @@ def codes_of(driver: str) -> Mapping[str, Any]:
 
 
 class ExchangeDriver(Generic[Config]):
-    """A device of a configuration, on an exchange that several devices may share."""
-
     def __init__(self, exchange: Exchange, config: Config) -> None:
         self._exchange, self._config, self._clock = exchange, config, exchange.clock
         self._title = exchange.device
@@ -91,13 +89,8 @@ class ImuDriver(ExchangeDriver[Config]):
 
 
 class ChamberDriver(ExchangeDriver[Config], TemperatureChamber, ABC):
-    """A chamber, whose safe state is verified by its read-back."""
-
     _BOUNDS: str
     """What the limits `low` and `high` of a set point are, and what to do about them."""
-
-    @abstractmethod
-    def _air_c(self) -> float: ...
 
     def _plausible(self, temperature_c: float) -> float:
         if not _LOWEST_PLAUSIBLE_C <= temperature_c <= _HIGHEST_PLAUSIBLE_C:
@@ -111,19 +104,16 @@ class ChamberDriver(ExchangeDriver[Config], TemperatureChamber, ABC):
             bounds = self._BOUNDS.format(low=limits.lowest_c, high=limits.highest_c, device=self._title)
             raise LimitExceeded(f"{temperature_c:.1f} degC lies outside {bounds}")
 
-    def _evidence(self, reading: ChamberReading) -> str:
-        return f"mode {reading.mode}, set point {reading.setpoint_c} degC"
-
     def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
         if policy is ChamberSafe.STANDBY:
             self.standby()
         else:
             limits = self.limits()
-            wanted_c = self._air_c() if policy is ChamberSafe.HOLD else ambient_c
+            wanted_c = self.read().air_c if policy is ChamberSafe.HOLD else ambient_c
             self.hold(min(max(wanted_c, limits.lowest_c), limits.highest_c))
         reading = self.read()
         verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, self._evidence(reading))
+        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
 
 
 class Unwatched:
@@ -162,11 +152,9 @@ class AxisDriver(ExchangeDriver[Options], Unwatched, MotionAxis, ABC):
         return angle_deg / 360.0 * self._per_turn()
 
     def _own(self, position_deg: float) -> float:
-        """The device's position at an angle of the rig."""
         return self._units((position_deg - self._config.zero_deg) * self._config.direction)
 
     def _degrees(self, own: float) -> float:
-        """The rig's angle at a position of the device."""
         return self._config.zero_deg + self._config.direction * (own * 360.0 / self._per_turn())
 
     def _require_travel(self, position_deg: float, travel_deg: tuple[float, float]) -> None:
@@ -180,7 +168,6 @@ class AxisDriver(ExchangeDriver[Options], Unwatched, MotionAxis, ABC):
                 raise LimitExceeded(f"{value:g} {unit} lies outside 0 to {most:g} {unit}.")
 
     def _require_ready(self, *, referenced: bool) -> None:
-        """Raise where the axis has a fault, or no reference though a move needs it."""
         reading = self.read()
         if reading.faults or (referenced and not reading.referenced):
             raise DeviceFault(
@@ -259,13 +246,17 @@ class DescribedOptions(ABC):
     @abstractmethod
     def described(self) -> Description: ...
 
+    @property
+    def line_settings(self) -> dict[str, Any]:
+        line = self.described.line
+        names = {"bytesize", "parity", "stopbits"} & type(line).model_fields.keys()
+        return {name: getattr(line, name) for name in names}
+
 
 Described = TypeVar("Described", bound=DescribedOptions)
 
 
 class DescribedDevice(ExchangeDriver[Described], ABC):
-    """Common to all roles: fields, commands, states."""
-
     _DRIVER: str
 
     @abstractmethod
@@ -311,13 +302,10 @@ class DescribedDevice(ExchangeDriver[Described], ABC):
 
 
 class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
-    """Role `Chamber`."""
-
     _BOUNDS = "{low:g} to {high:g} degC, the limits in the protocol of {device}. Change the plan."
 
     @abstractmethod
-    def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:
-        """Send a set point until the device shows it."""
+    def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None: ...
 
     @abstractmethod
     def _resolution_k(self) -> float: ...
@@ -327,8 +315,7 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
         """Send a ramp's rate, in the device's unit, until the device shows it; returns the rate shown."""
 
     @abstractmethod
-    def _ramp_step(self) -> float:
-        """The resolution of a ramp, K/min."""
+    def _ramp_step(self) -> float: ...
 
     @abstractmethod
     def _free_ramp(self) -> None:
@@ -385,9 +372,6 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
             raise Rejected(f"{self._title} cannot be put into standby: its description has no [tell] off.")
         self._condition(False)
         self._free_ramp()
-
-    def _air_c(self) -> float:
-        return self._celsius(self._read("air")["air"])
 
     def _condition(self, on: bool) -> None:
         if "on" in self._config.described.tell:

@@ -37,8 +37,6 @@ _pattern = cache(reply_pattern)
 
 @dataclass(frozen=True)
 class LinesConfig(DescribedOptions, AxisOptions):
-    """Options of the rig file; absent: the protocol's value."""
-
     max_rate_dps: float | None = None
     max_acceleration_dps2: float | None = None
     lowest_deg: float | None = None
@@ -53,15 +51,9 @@ class LinesConfig(DescribedOptions, AxisOptions):
         return self.described.role
 
     def lacks_for(self, safe: str) -> str:
-        """What a safe state needs and this protocol lacks, empty where nothing."""
         if safe != AxisSafe.UNPOWER.value or {"off", "powered"} <= {*self.described.tell, *self.described.state}:
             return ""
         return 'its protocol has no [tell.off] with a [state.powered] that shows it: add both, or choose "hold"'
-
-    @property
-    def line_settings(self) -> dict[str, Any]:
-        line = self.described.line
-        return {"bytesize": line.bytesize, "parity": line.parity, "stopbits": line.stopbits}
 
 
 @dataclass(frozen=True)
@@ -72,8 +64,6 @@ class EspecConfig(LinesConfig):
 
 
 class Codec:
-    """Codec between lines of one protocol and bytes: pure."""
-
     def __init__(self, protocol: LineProtocol) -> None:
         self._protocol = protocol
         self._framed = protocol.line.frame == "stx-etx-xor8"
@@ -101,9 +91,8 @@ class Codec:
         if not text.isprintable():
             raise FramingError(f"{self._protocol.title} answered {printable(frame)!r}, which is no text. Baud rate?")
         refusal = self._protocol.line.refusal
-        if refusal is not None and (match := _pattern(refusal).fullmatch(text)) is not None:
-            code = match.groupdict().get("code", text)
-            raise Rejected(f"{self._protocol.title} refuses: {text!r}. See its manual.", code=code, text=text)
+        if refusal is not None and _pattern(refusal).fullmatch(text) is not None:
+            raise Rejected(f"{self._protocol.title} refuses: {text!r}. See its manual.")
         return text
 
 
@@ -115,13 +104,10 @@ def open_exchange(transport: Transport, clock: Clock, config: LinesConfig) -> Ex
 
 
 def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | LinesAxis":
-    """The device of the role that the protocol has."""
     return (LinesChamber if config.role == "chamber" else LinesAxis)(exchange, config)
 
 
 class _Spoken(DescribedDevice[LinesConfig]):
-    """Common to both roles: questions and commands in lines."""
-
     _DRIVER = "lines"
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
@@ -137,7 +123,6 @@ class _Spoken(DescribedDevice[LinesConfig]):
             raise ReplyTimeout(f"{silence} {self._protocol.line.hint or ''}".strip()) from None
 
     def _read(self, *names: str) -> Texts:
-        """The fields of these names, each query sent once, in this order; fields without a query are absent."""
         fields: Texts = {}
         where = self._protocol.fields
         for question in dict.fromkeys(where[name] for name in names if name in where):
@@ -172,7 +157,6 @@ class _Spoken(DescribedDevice[LinesConfig]):
         return self._exchange.query(self._codec.message(question.send, bare=question.bare), parse)
 
     def _tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
-        """Send the lines of a command; returns its values as text."""
         command = self._protocol.tell[name]
         written: Texts = {}
         for number, send in enumerate(command.send):
@@ -209,8 +193,6 @@ class _Spoken(DescribedDevice[LinesConfig]):
 
 
 class LinesChamber(_Spoken, DescribedChamber[LinesConfig]):
-    """Role `Chamber`."""
-
     def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:
         value = {"setpoint": units.convert(temperature_c, "degC", self._protocol.units.temperature)}
         self._tell_shown("setpoint", value, ("target" if "target" in self._protocol.fields else "setpoint",))

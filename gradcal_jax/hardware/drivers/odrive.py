@@ -54,6 +54,8 @@ _NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 _FEEDBACK = re.compile(rf"({_NUMBER}) ({_NUMBER})")
 _STANDING_TURNS_PER_S = 1e-3
 _SYNCHRONISED_DEG = 0.2
+# Where a generation shows errors, and whether the encoder is valid (in 0.6 an error); the bit of an expired watchdog.
+_GENERATIONS = {"0.5": ("error", "encoder.is_ready", 0x800), "0.6": ("active_errors", "", 0x01000000)}
 _CONTROL_MODE, _INPUT_MODE = "controller.config.control_mode", "controller.config.input_mode"
 
 
@@ -80,19 +82,6 @@ class ODriveConfig(AxisOptions):
     input_position_property: str = "controller.input_pos"
     setpoint_property: str = "controller.pos_setpoint"
 
-    @property
-    def errors_in(self) -> str:
-        return self.error_property or ("error" if self.generation == "0.5" else "active_errors")
-
-    @property
-    def ready_in(self) -> str:
-        """Empty: generation 0.6 has no such property; an invalid encoder is one of its errors."""
-        return self.ready_property or ("encoder.is_ready" if self.generation == "0.5" else "")
-
-    @property
-    def watchdog_bit(self) -> int:
-        return 0x800 if self.generation == "0.5" else 0x01000000
-
 
 def request(words: str) -> bytes:
     return f"{words}*{xor8(words.encode())}\n".encode("ascii")
@@ -105,12 +94,11 @@ def parse_line(frame: bytes) -> str:
         raise ChecksumError(f"The reply {printable(frame)!r} fails its check sum. Check the line's shielding.")
     text = body.decode("ascii", "replace").strip()
     if text.startswith(_REFUSALS):
-        raise Rejected(f"The controller refuses: {text}.", code=text)
+        raise Rejected(f"The controller refuses: {text}.")
     return text
 
 
 def parse_feedback(frame: bytes) -> tuple[float, float]:
-    """Position (turns) and velocity (turns/s) of the reply to `f`."""
     match = _FEEDBACK.fullmatch(parse_line(frame))
     if match is None:
         raise FramingError(f"f was answered {printable(frame)!r}; position and velocity were expected.")
@@ -139,6 +127,8 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
     def __init__(self, exchange: Exchange, config: ODriveConfig) -> None:
         super().__init__(exchange, config)
+        errors_in, ready_in, self._watchdog_bit = _GENERATIONS[config.generation]
+        self._errors_in, self._ready_in = config.error_property or errors_in, config.ready_property or ready_in
         self._target_turns: float | None = None
         self._spinning = False
         self._powered = False
@@ -177,7 +167,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         turns, turns_per_s = self._feedback()
         time_s = self._clock.now()
         errors = self._faults()
-        ready = self._property(config.ready_in) != 0.0 if config.ready_in else True
+        ready = self._property(self._ready_in) != 0.0 if self._ready_in else True
         slow = abs(turns_per_s) < _STANDING_TURNS_PER_S
         arrived = self._target_turns is None or abs(turns - self._target_turns) < self._units(config.in_position_deg)
         moving = not slow or self._spinning or not arrived
@@ -230,7 +220,6 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
             self._tell(f"u {self._config.motor}")
 
     def arm_watchdog(self) -> None:
-        """Switch the watchdog on; from now on `heartbeat` must come well within `watchdog_s`."""
         if self._config.watchdog_s > 0.0:
             self.settings.change("config.watchdog_timeout", decimal(self._config.watchdog_s))
             self._tell(f"u {self._config.motor}")
@@ -238,7 +227,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self._disarm_watchdog()
-        expired = self._error_code() == self._config.watchdog_bit
+        expired = self._error_code() == self._watchdog_bit
         if expired:
             self._clear_errors()
         if policy is AxisSafe.UNPOWER:
@@ -281,7 +270,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         self._verify(f"{words!r}", lambda: self._tell(words), read, lambda shown: _near(shown, value))
 
     def _error_code(self) -> int:
-        return int(self._property(self._config.errors_in))
+        return int(self._property(self._errors_in))
 
     def _faults(self) -> tuple[str, ...]:
         code = self._error_code()
@@ -355,7 +344,6 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         )
 
     def _brake(self) -> AxisReading:
-        """Stop, and hold the axis if the motor has power."""
         closed = self._state() == CLOSED_LOOP
         if closed:
             self._velocity(0.0, self._units(self._config.max_acceleration_dps2))
@@ -375,7 +363,6 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
 
 def _spacing(value: float) -> float:
-    """Between neighbouring float32."""
     return float(np.spacing(np.float32(abs(value))))
 
 

@@ -90,7 +90,6 @@ class Console:
         self._line.write(_BELL.encode())
 
     def answer(self) -> tuple[str, float] | None:
-        """The typed line and the time of its end; None until there is one."""
         if self._problem:
             raise Disconnected(self._problem)
         if not (self._open and self._answers):
@@ -181,7 +180,6 @@ class OperatorAxis(Unwatched):
         self._ask(f"{self._name}: turn {how}")
 
     def draw(self, drawing: str) -> None:
-        """The text before the next question: the unit's attitude after the turn."""
         self._drawing = drawing
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
@@ -207,7 +205,6 @@ class OperatorAxis(Unwatched):
         self._console.ask(f"\r\n{drawing}\r\n{self._question}" if drawing else self._question)
 
     def _hear(self) -> None:
-        """Take the answer, if there is a valid one."""
         answer = self._console.answer()
         if answer is None:
             if self._clock.now() >= self._ring_s:

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
@@ -32,8 +32,6 @@ _FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float
 
 @dataclass(frozen=True)
 class RegistersConfig(DescribedOptions):
-    """Options of the rig file."""
-
     address: Annotated[int, Field(ge=0, le=255)] = 1
 
     @cached_property
@@ -45,14 +43,9 @@ class RegistersConfig(DescribedOptions):
         return (Tcp if self.described.line.transport == "tcp" else Rtu)(self.address)
 
     def lacks_for(self, safe: str) -> str:
-        """What a safe state needs and this protocol lacks, empty where nothing."""
         if safe != ChamberSafe.STANDBY.value or "off" in self.described.tell:
             return ""
         return 'its description has no [tell] on and off: add them by `changes`, or choose "ambient" or "hold"'
-
-    @property
-    def line_settings(self) -> dict[str, Any]:
-        return {"parity": self.described.line.parity, "stopbits": self.described.line.stopbits}
 
 
 def open_exchange(transport: Transport, clock: Clock, config: RegistersConfig) -> Exchange:
@@ -62,8 +55,6 @@ def open_exchange(transport: Transport, clock: Clock, config: RegistersConfig) -
 
 
 class RegistersChamber(DescribedChamber[RegistersConfig]):
-    """Role `Chamber`."""
-
     _DRIVER = "registers"
 
     def __init__(self, exchange: Exchange, config: RegistersConfig) -> None:

@@ -49,7 +49,6 @@ CONTENTS = (
     ((False, True, True), 0xA6, 0xF6, 0xAE),
     ((True, True, True), 0xA7, 0xF7, 0xAF),
 )
-SPECIAL_LENGTHS = {0xB1: 20, 0xB3: 22, 0xB5: 20, 0xB7: 22, 0xBC: 26, 0xBD: 28, 0xD1: 40, 0xD2: 42, 0xBE: 21, 0xBF: 23}
 _ARRIVALS = 256  # remembered, for the quickest of them
 START_UP = 0x40  # status bit of a cluster that is not valid yet
 _ACCELERATION_BITS = {2: 21, 5: 20, 10: 19, 30: 18, 80: 16}
@@ -88,7 +87,6 @@ def _sound(frame: bytes, layout: DatagramLayout) -> bool:
 
 
 def _temperatures(block: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """(n, 6) bytes -> (n, 3) °C."""
     return np.ascontiguousarray(block).view(">i2").astype(np.float64) / 256.0
 
 
@@ -141,8 +139,8 @@ class Stim300Decoder:
 
     A start-up bit within a stream means that the unit restarted: power was cut, or it was reset.
 
-    Special datagrams between normal ones are skipped and counted; before the first lock, as after power-on, they look
-    like noise and count as `bad_bytes`. A datagram that comes twice, at once or later, counts once.
+    Special datagrams, which come after power-on and are never asked for, count as `bad_bytes`. A datagram that comes
+    twice, at once or later, counts once.
     """
 
     resolution_s = 1.0 / INTERNAL_RATE_HZ
@@ -169,7 +167,6 @@ class Stim300Decoder:
         self._before = b""
         self._starting_up = True
         self.bad_bytes = 0
-        self.special_datagrams = 0
         self.repeated_datagrams = 0
 
     def push(self, data: bytes, host_time_s: float) -> ImuBatch:
@@ -200,9 +197,7 @@ class Stim300Decoder:
                     continue
             # The remaining bytes may already be known not to be a datagram of this kind.
             astray = good < whole or (bool(self._buffer) and self._buffer[0] != self._locked)
-            if astray and not self._skip_special(stride):
-                if self._buffer[0] in SPECIAL_LENGTHS and len(self._buffer) < 48 + stride:
-                    break
+            if astray:
                 self._locked = None
                 self._drop(1)
             elif good == whole and len(self._buffer) < stride:
@@ -239,18 +234,6 @@ class Stim300Decoder:
         if self._line_end:
             sound &= (rows[:, layout.length :] == np.frombuffer(b"\r\n", np.uint8)).all(axis=1)
         return whole if sound.all() else int(np.argmin(sound))
-
-    def _skip_special(self, stride: int) -> bool:
-        """Skip a special datagram that is followed by a sound normal one."""
-        length = SPECIAL_LENGTHS.get(self._buffer[0])
-        if length is None or self._locked is None:
-            return False
-        follower = self._buffer[length : length + stride]
-        if len(follower) < stride or follower[0] != self._locked or not _sound(follower, LAYOUTS[self._locked]):
-            return False
-        self._buffer = self._buffer[length:]
-        self.special_datagrams += 1
-        return True
 
     def _first_comers(self, block: NDArray[np.uint8], layout: DatagramLayout) -> NDArray[np.uint8]:
         """Remove repeated datagrams. A late repetition may have the count that is due, and later ones may follow it, so
@@ -308,7 +291,7 @@ class Stim300Decoder:
         disturbed = np.zeros(count, np.bool_)
         disturbed[0], self._disturbed = self._disturbed, False
         times, rates = counts.astype(np.float64) / float(INTERNAL_RATE_HZ), raw.astype(np.float64) * self._gyro_scale
-        more = {"raw_gyro": raw, "status": status, "gap_before": gaps, "disturbed": disturbed, "restarted": restarted}
+        more = {"status": status, "gap_before": gaps, "disturbed": disturbed, "restarted": restarted}
         more["second_c"] = second
         return imu_batch(host_time_s, times, rates, acceleration, temperature, **more)
 
@@ -360,9 +343,7 @@ def parse_utility(frame: bytes) -> tuple[str, list[str]]:
     status = int(fields[0])
     if status not in (0, 8):
         text = _STATUS_TEXTS.get(str(status), "unknown status")
-        raise Rejected(
-            f"The unit refuses {name or 'the command'}: status {status} ({text}).", code=fields[0], text=text
-        )
+        raise Rejected(f"The unit refuses {name or 'the command'}: status {status} ({text}).")
     return name, fields[1:]
 
 
@@ -382,8 +363,6 @@ def decoder_of(config: Stim300Config, registers: Mapping[str, str]) -> Stim300De
 
 
 class Stim300Stream(ImuDriver[Stim300Config]):
-    """Role `ImuStream`."""
-
     def __init__(self, transport: Transport, clock: Clock, config: Stim300Config) -> None:
         super().__init__(Exchange(transport, LineFramer(b"\r"), clock, "The STIM300", config.reply_timeout_s), config)
         # Settings last until the unit is switched off, and are never saved.
@@ -407,10 +386,10 @@ class Stim300Stream(ImuDriver[Stim300Config]):
             try:
                 registers[name] = ",".join(self._ask(name))
             except Rejected as refusal:
-                registers[name] = f"refused: {refusal.text}"
+                registers[name] = f"refused: {refusal}"
         self._registers = registers
         decoder_of(config, registers)
-        return ImuSettings(config.sample_rate_hz, round(256 * config.sample_rate_hz / INTERNAL_RATE_HZ), registers)
+        return ImuSettings(config.sample_rate_hz, registers)
 
     def start(self) -> None:
         if self._in_utility:

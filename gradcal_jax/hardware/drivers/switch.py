@@ -37,7 +37,6 @@ class SwitchConfig:
             raise ValueError("rate is above zero, coast not below.")
 
     def lacks_for(self, safe: str) -> str:
-        """A motor that is switched off holds nothing."""
         return 'it is switched off and holds nothing; expected "unpower"' if safe != AxisSafe.UNPOWER.value else ""
 
 
@@ -46,8 +45,6 @@ def open_exchange(transport: Transport, clock: Clock, config: SwitchConfig) -> E
 
 
 class SwitchAxis(ExchangeDriver[SwitchConfig], Unwatched):
-    """Role `MotionAxis`."""
-
     def __init__(self, exchange: Exchange, config: SwitchConfig) -> None:
         super().__init__(exchange, config)
         self.settings = KeptSettings()

@@ -74,7 +74,6 @@ class TextUnitDecoder:
         self.repeated_datagrams = 0
 
     def matches(self, frame: bytes) -> re.Match[str] | None:
-        """The fields of a sound line."""
         if self._unit.checksum == "xor8":
             body, star, check = frame.rstrip().rpartition(b"*")
             if not star or body[:1] != b"$" or check.upper() != b"%02X" % xor8(body[1:]):
@@ -135,7 +134,6 @@ class TextUnitDecoder:
 
 
 def _line_of(unit: str, wanted: str, factor: float = 1.0) -> tuple[float, float]:
-    """Slope and offset from one unit of measurement to another."""
     zero = units.convert(0.0, unit, wanted) * factor
     return units.convert(1.0, unit, wanted) * factor - zero, zero
 
@@ -145,8 +143,6 @@ def decoder_of(config: TextUnitConfig, registers: Mapping[str, str]) -> TextUnit
 
 
 class TextUnitStream(ImuDriver[TextUnitConfig]):
-    """Role `ImuStream`."""
-
     def __init__(self, transport: Transport, clock: Clock, config: TextUnitConfig) -> None:
         unit = config.described
         super().__init__(Exchange(transport, LineFramer(), clock, unit.title, float(unit.timeout)), config)
@@ -159,7 +155,7 @@ class TextUnitStream(ImuDriver[TextUnitConfig]):
 
     def configure(self) -> ImuSettings:
         self._listen()
-        return ImuSettings(float(self._unit.rate), self.decoder().round_samples, {"line": self._unit.line})
+        return ImuSettings(float(self._unit.rate), {"line": self._unit.line})
 
     def start(self) -> None: ...
 

@@ -32,24 +32,17 @@ from ..transport import Transport
 from .base import ImuDriver, codes_of
 
 _ERRORS = codes_of("vectornav")
-_SYNC, _DOLLAR = 0xFA, 0x24
-_LONGEST_PACKET = 600
+_DOLLAR = 0x24
 _LONGEST_LINE = 256
 _REMEMBERED = 16
-_FIELD_LENGTHS = (
-    (8, 8, 8, 12, 16, 12, 24, 12, 12, 24, 20, 28, 2, 4, 8),
-    (8, 8, 8, 2, 8, 8, 8, 4, 4, 1),
-    (2, 12, 12, 12, 4, 4, 16, 12, 12, 12, 12, 2, 40),
-)
 # Group 1 bit 0: time since start-up; group 3 bits 2, 3, 4: uncompensated acceleration and rate, temperature.
 _HEADER = bytes.fromhex("FA0501001C00")
 _PAYLOAD = struct.Struct("<Q3f3ff")
+_PACKET = len(_HEADER) + _PAYLOAD.size + 2
 
 
 @dataclass(frozen=True)
 class VectorNavConfig:
-    """Options of the rig file."""
-
     baudrate: int = 115200
     sample_rate_hz: float = 200.0
     base_rate_hz: float = 800.0
@@ -59,10 +52,9 @@ class VectorNavConfig:
         divisor = self.base_rate_hz / self.sample_rate_hz
         if abs(divisor - round(divisor)) > 1e-9:
             raise ValueError(f"sample_rate {self.sample_rate_hz:g} /s does not divide {self.base_rate_hz:g} /s.")
-        length = len(_HEADER) + _PAYLOAD.size + 2
-        if 10 * length * self.sample_rate_hz > self.baudrate:
+        if 10 * _PACKET * self.sample_rate_hz > self.baudrate:
             raise ValueError(
-                f"{self.sample_rate_hz:g} samples/s of {length} bytes do not fit {self.baudrate} baud. Raise baudrate "
+                f"{self.sample_rate_hz:g} samples/s of {_PACKET} bytes do not fit {self.baudrate} baud. Raise baudrate "
                 "(also in the unit) or lower sample_rate."
             )
 
@@ -79,32 +71,13 @@ def parse_line(frame: bytes) -> list[str]:
     fields = body.decode("ascii", "replace").split(",")
     if fields[0] == "VNERR":
         code = str(int(fields[1])) if len(fields) > 1 and fields[1].isdigit() else "?"
-        text = _ERRORS.get(code, "unknown error")
-        raise Rejected(f"The unit reports error {code}: {text}.", code=code, text=text)
+        raise Rejected(f"The unit reports error {code}: {_ERRORS.get(code, 'unknown error')}.")
     return fields
 
 
-def packet_length(head: bytes) -> int | None:
-    """Length of the binary packet that begins with `head`; 0 when more bytes are needed, None when it is none."""
-    if len(head) < 2:
-        return 0
-    groups = [bit for bit in range(8) if head[1] >> bit & 1]
-    if not groups or any(group >= len(_FIELD_LENGTHS) for group in groups):
-        return None
-    if len(head) < 2 + 2 * len(groups):
-        return 0
-    length = 2 + 2 * len(groups) + 2
-    for index, group in enumerate(groups):
-        mask = int.from_bytes(head[2 + 2 * index : 4 + 2 * index], "little")
-        lengths = _FIELD_LENGTHS[group]
-        if not mask or mask >> len(lengths):
-            return None
-        length += sum(size for bit, size in enumerate(lengths) if mask >> bit & 1)
-    return length if length <= _LONGEST_PACKET else None
-
-
 class VectorNavFramer(LengthFramer):
-    """ASCII lines (`$…`, without the line end) and sound binary packets (FA…) from one stream, in order."""
+    """ASCII lines (`$…`, without the line end) and sound packets of the driver's own output, in order; those of other
+    outputs are noise."""
 
     def push(self, data: bytes) -> list[bytes]:
         return [frame[:-2] if frame[0] == _DOLLAR else frame for frame in super().push(data)]
@@ -116,12 +89,14 @@ class VectorNavFramer(LengthFramer):
             if len(text) > _LONGEST_LINE or not all(32 <= byte < 127 for byte in text):
                 return None
             return end + 2 if end >= 0 else 0
-        length = packet_length(head) if head[0] == _SYNC else None
-        return None if length and len(head) >= length and crc16_vectornav(head[1:length]) else length
+        if head[: len(_HEADER)] != _HEADER[: len(head)]:
+            return None
+        sound = len(head) >= _PACKET and not crc16_vectornav(head[1:_PACKET])
+        return _PACKET if sound else None if len(head) >= _PACKET else 0
 
 
 class VectorNavDecoder:
-    """Bytes -> samples. Only packets of the configured output count; others are ignored.
+    """Bytes -> samples.
 
     A binary packet that comes twice counts once: no two have the same time. If the time goes back, the unit restarted.
     """
@@ -163,7 +138,7 @@ class VectorNavDecoder:
 
     def _row(self, frame: bytes) -> tuple[list[float], int] | None:
         """Time, three accelerations (m/s²), three rates (rad/s), temperature (°C); status 1 where not finite."""
-        if frame[: len(_HEADER)] != _HEADER:
+        if frame[0] == _DOLLAR:
             return None
         if frame in self._recent:
             self.repeated_datagrams += 1
@@ -179,8 +154,6 @@ def decoder_of(config: VectorNavConfig, registers: Mapping[str, str]) -> VectorN
 
 
 class VectorNavStream(ImuDriver[VectorNavConfig]):
-    """Role `ImuStream`."""
-
     def __init__(self, transport: Transport, clock: Clock, config: VectorNavConfig) -> None:
         super().__init__(
             Exchange(transport, VectorNavFramer(), clock, "The VectorNav unit", config.reply_timeout_s), config
@@ -196,7 +169,7 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
     def configure(self) -> ImuSettings:
         self.stop()
         registers = {f"{register:02d}": self._read(register) for register in (1, 2, 3, 4, 5, 30, 6, 7, 75)}
-        return ImuSettings(self._config.sample_rate_hz, 0, registers)
+        return ImuSettings(self._config.sample_rate_hz, registers)
 
     def start(self) -> None:
         self.settings.change("75", self._binary_output(1))
@@ -218,7 +191,7 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
 
     def _ask(self, words: str, header: list[str]) -> str:
         def parse(frame: bytes) -> str:
-            if frame[0] == _SYNC:
+            if frame[0] != _DOLLAR:
                 raise NotThisReply
             fields = parse_line(frame)
             if [fields[0], *(field.lstrip("0") for field in fields[1 : len(header)])] != header:

@@ -29,7 +29,7 @@ from pydantic import Field
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
 from ..framing import LineFramer, NotThisReply
-from ..request_reply import Exchange
+from ..request_reply import TRIES, Exchange
 from ..roles import ChamberLimits, ChamberReading, Identity
 from ..transport import Transport
 from .base import ChamberDriver
@@ -38,7 +38,6 @@ _NUMBER = re.compile(r"-?\d{1,5}\.\d")
 _CHANNEL = re.compile(r"(?:CV|SV|MV|DO)\d\d")
 _DEFINITION = re.compile(r"((?:CV|SV|MV|DO)\d\d)\s+(?!(?:CV|SV|MV|DO)\d)(.*[A-Za-z].*)")
 _RANGE = re.compile(r"min\D*?(-?\d+(?:\.\d+)?)\D+?max\D*?(-?\d+(?:\.\d+)?)\s*(.*)", re.IGNORECASE)
-_TRIES = 3
 # Change of a nominal value that counts as movement, and its uncertainty by resolution and time, K.
 _MOVED_K, _HIDDEN_K = 0.25, 0.15
 
@@ -138,7 +137,6 @@ def write_body(record: Record, *, temperature_c: float, start: bool, start_chann
 
 
 def parse_record(frame: bytes, layout: Layout, digital_channels: int = 32) -> Record:
-    """Raises `FramingError` unless the numbers and the digital channels match the layout."""
     fields = frame.decode("ascii", "replace").strip().split(" ")
     *numbers, digital = fields
     if (
@@ -163,25 +161,23 @@ def parse_description(text: str, temperature_channel: str = "") -> Layout:
         FramingError: no templates, or no temperature channel with its range.
     """
     lines = [line.strip() for line in re.split(r"[\r\n]+", text) if line.strip()]
-    definitions = [(index, match) for index, line in enumerate(lines) if (match := _DEFINITION.match(line))]
-    starts = {
-        kind: next((i for i, line in enumerate(lines) if re.search(rf"\b{kind}-?\s?string", line, re.I)), None)
-        for kind in "EI"
-    }
-    if starts["E"] is None or starts["I"] is None:
-        raise FramingError(
-            "The chamber's description has no E-String and I-String. Write read_layout and write_layout in the rig "
-            f"file; it said {printable(text.encode('ascii', 'replace'), 400)!r}."
-        )
+    definitions = [match for line in lines if (match := _DEFINITION.match(line))]
+    # A template goes on to the first definition after it, or to the other template.
+    marked = "\n".join("\0" if _DEFINITION.match(line) else line for line in lines)
     templates: dict[str, tuple[str, ...]] = {}
-    for kind, start in starts.items():
-        assert start is not None
-        ends = [i for i, _ in definitions if i > start] + [i for i in starts.values() if i is not None and i > start]
-        joined = re.sub(r"\s+", "", "".join(lines[start : min(ends, default=len(lines))]))
-        templates[kind] = tuple(name for name in _CHANNEL.findall(joined) if not name.startswith("DO"))
+    for kind, other in ("EI", "IE"):
+        _, *rest = re.split(rf"\b{kind}-?\s?string", marked, maxsplit=1, flags=re.I)
+        if not rest:
+            raise FramingError(
+                "The chamber's description has no E-String and I-String. Write read_layout and write_layout in the rig "
+                f"file; it said {printable(text.encode('ascii', 'replace'), 400)!r}."
+            )
+        template = re.split(rf"\0|\b{other}-?\s?string", rest[0], maxsplit=1, flags=re.I)[0]
+        channels: list[str] = _CHANNEL.findall(re.sub(r"\s+", "", template))
+        templates[kind] = tuple(name for name in channels if not name.startswith("DO"))
     names: dict[str, str] = {}
     ranges: dict[str, tuple[float, float]] = {}
-    for _, match in definitions:
+    for match in definitions:
         limits = _RANGE.search(match[2])
         names[match[1]] = (limits[3] if limits else match[2]).strip()
         if limits:
@@ -248,7 +244,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         order, amiss = self._orders, ""
         before = self._record()
         start_c, runs = before.nominal_c, self._runs(before)
-        for _ in range(_TRIES):
+        for _ in range(TRIES):
             with self._exchange.alone():
                 self._require_newest(order)
                 if amiss:
@@ -261,16 +257,13 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             if not amiss:
                 return rate
         raise NotVerified(
-            f"A ramp to {temperature_c:.1f} degC at {rate:g} K/min was told {_TRIES} times: {amiss}. Look at the "
+            f"A ramp to {temperature_c:.1f} degC at {rate:g} K/min was told {TRIES} times: {amiss}. Look at the "
             "chamber's display: it may be in local mode, or its gradients may be switched off."
         )
 
     def standby(self) -> None:
         self._orders += 1
         self._write(self._record().nominal_c, start=False)
-
-    def _air_c(self) -> float:
-        return self._record().actual_c
 
     def _runs(self, record: Record) -> bool:
         return record.digital[self._config.start_channel] == "1"
@@ -365,9 +358,9 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             if not text.isprintable() or "\ufffd" in text:
                 raise FramingError(f"The chamber acknowledged ${letter} by {printable(frame)!r}. Check the line.")
             if text != "0":
-                raise Rejected(f"The chamber refuses ${letter}: {text!r}.", code=text)
+                raise Rejected(f"The chamber refuses ${letter}: {text!r}.")
 
-        for _ in range(_TRIES):
+        for _ in range(TRIES):
             try:
                 self._exchange.query(
                     self._request(letter, body), parse, repeat=False, reply_timeout_s=self._config.acknowledge_timeout_s

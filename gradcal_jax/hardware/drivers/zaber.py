@@ -39,8 +39,6 @@ _REPLY = re.compile(r"@(\d{1,2}) (\d) (?:(\d{1,2}) )?(OK|RJ) (BUSY|IDLE) (--|[A-
 
 @dataclass(frozen=True)
 class ZaberConfig(AxisOptions):
-    """Options of the rig file."""
-
     device: Annotated[int, Field(ge=1, le=99)] = 1
     axis: Annotated[int, Field(ge=1, le=9)] = 1
     baudrate: int = 115200
@@ -53,7 +51,6 @@ class ZaberConfig(AxisOptions):
     unpower_command: str = ""
 
     def lacks_for(self, safe: str) -> str:
-        """What a safe state needs and these options lack, empty where nothing."""
         if safe != AxisSafe.UNPOWER.value or self.unpower_command:
             return ""
         return 'stages differ in the command that unpowers them: name unpower_command, or choose "hold"'
@@ -200,7 +197,7 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
         if not reply.accepted:
             text = f"{reply.data}, {reply.warning}" if reply.warning != "--" else reply.data
             where = f"The Zaber stage at {self._exchange.transport.url}"
-            raise Rejected(f"{where} refuses {words!r}: {text}.", code=reply.data, text=reply.warning)
+            raise Rejected(f"{where} refuses {words!r}: {text}.")
         return reply
 
     def _start(self, words: str) -> None:
@@ -239,7 +236,6 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
         return self._steps_per_turn
 
     def _velocity_data(self) -> float:
-        """Data value of 1 deg/s."""
         return self._units(1.0) * self._config.velocity_factor
 
 

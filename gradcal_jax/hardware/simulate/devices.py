@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from ..checksums import crc32_mpeg2_of_rows
 from ..clock import Clock
-from ..drivers.base import ChamberDriver, Unwatched
-from ..drivers.stim300 import INTERNAL_RATE_HZ, Stim300Config, Stim300Decoder, decoder_of
-from ..errors import LimitExceeded
+from ..drivers.base import AxisDriver, AxisOptions, ChamberDriver
+from ..drivers.stim300 import Stim300Config, Stim300Decoder, decoder_of
 from ..roles import (
     AxisLimits,
     AxisReading,
@@ -109,8 +108,8 @@ class SimulatedChamber(ChamberDriver[ChamberPlant]):
 
     def read(self) -> ChamberReading:
         now, plant = self._clock.now(), self.plant
-        mode = "CONSTANT" if plant.conditioning else "STANDBY"
-        return ChamberReading(now, self._air_c(), None, plant.set_point_c(now), mode, plant.conditioning, self.alarms)
+        mode, air_c = "CONSTANT" if plant.conditioning else "STANDBY", round(plant.air_c(now), 1)
+        return ChamberReading(now, air_c, None, plant.set_point_c(now), mode, plant.conditioning, self.alarms)
 
     def hold(self, temperature_c: float) -> None:
         self._check(temperature_c)
@@ -130,15 +129,10 @@ class SimulatedChamber(ChamberDriver[ChamberPlant]):
     def standby(self) -> None:
         self.plant.switch(self._clock.now(), False)
 
-    def _air_c(self) -> float:
-        return round(self.plant.air_c(self._clock.now()), 1)
 
-
-class SimulatedAxis(Unwatched):
-    """Role `MotionAxis`, on a plant, driven by a motor."""
-
+class SimulatedAxis(AxisDriver[AxisOptions]):
     def __init__(self, plant: AxisPlant, clock: Clock, limits: AxisLimits) -> None:
-        self.plant, self._clock, self._limits = plant, clock, limits
+        self.plant, self._clock, self._title, self._limits = plant, clock, "The simulated axis", limits
         self.settings = KeptSettings()
         self._referenced = False
         self._off_deg, self._random = 0.0, np.random.default_rng([plant.truth.seed, 5])
@@ -183,23 +177,20 @@ class SimulatedAxis(Unwatched):
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
-        reading = self.read()
-        return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg")
+        return self._left_safe(policy, "", self.read)
 
     def _on_grid(self, angle_deg: float) -> float:
         step = self._limits.resolution_deg
         return step * round(angle_deg / step)
 
     def _require(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        lowest, highest = self._limits.travel_deg
-        within = rate_dps <= self._limits.max_rate_dps * (1.0 + 1e-9)
-        within = within and acceleration_dps2 <= self._limits.max_acceleration_dps2 * (1.0 + 1e-9)
-        if not (within and lowest - 1e-9 <= position_deg <= highest + 1e-9):
-            raise LimitExceeded(
-                f"{position_deg:g} deg at {rate_dps:g} deg/s and {acceleration_dps2:g} deg/s² lie outside the limits "
-                "of the simulated axis."
-            )
+        limits = self._limits
+        self._require_travel(position_deg, limits.travel_deg)
+        self._require_motion(rate_dps, limits.max_rate_dps, acceleration_dps2, limits.max_acceleration_dps2)
         self._acceleration_dps2 = acceleration_dps2
+
+    def _per_turn(self) -> float:
+        return 360.0
 
 
 @dataclass(frozen=True)
@@ -289,8 +280,7 @@ class SimulatedStream:
         return Identity("stim300", "simulated", self.serial)
 
     def configure(self) -> ImuSettings:
-        rate_hz = self._config.sample_rate_hz
-        return ImuSettings(rate_hz, round(256 * rate_hz / INTERNAL_RATE_HZ), self._registers)
+        return ImuSettings(self._config.sample_rate_hz, self._registers)
 
     def start(self) -> None:
         self.sensor.restart(self._clock.now(), self._config.sample_rate_hz)
@@ -298,7 +288,6 @@ class SimulatedStream:
     def stop(self) -> None: ...
 
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
-        """The next burst, however long that takes."""
         ahead = max(1, round(self._burst_s / self.sensor.true_period_s))
         self._clock.sleep_until(self.sensor.next_time_s(ahead))
         now = self._clock.now()

@@ -98,13 +98,10 @@ def basis_truth(section: Any, unit: str = "") -> TruthBasis:
 
 
 def ordinal(basis: TruthBasis, number: int) -> str:
-    """The number of a basis function in the calibration's names."""
     return {"polynomial": "", "b-spline": "_spline", "bins": "_bin"}[basis.kind] + str(number)
 
 
 class _Draws:
-    """Draws coefficients and keeps them by their names in the calibration."""
-
     def __init__(self, random: np.random.Generator) -> None:
         self.random = random
         self.values: dict[str, float] = {}
@@ -260,18 +257,15 @@ def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> Im
     sensor = spec.sensor
     both: dict[Kind, Any] = {"gyro": sensor.gyro, "accelerometer": sensor.accelerometer}
     triads: dict[Kind, TriadTruth] = {k: draws.triad(k, triad) for k, triad in both.items() if triad is not None}
-    path = np.random.default_rng([seed, number, 20265])
-    triads = {kind: _draw_path(spec, kind, truth, path, law) for kind, truth in triads.items()}
-    hidden = np.random.default_rng([seed, number, 20267])
-    for kind, truth in triads.items():
-        triads[kind] = replace(truth, errors=(*truth.errors, *_draw_hidden(both[kind], hidden)))
-    random = np.random.default_rng([seed, number, 20266])
+    path, hidden, random = (np.random.default_rng([seed, number, of]) for of in (20265, 20267, 20266))
     second, second_lag_s = sensor.second_thermometer, 0.0
     if second is not None:
         second_lag_s = float(second.lag) * (1.0 + _LAG_SPREAD * float(random.uniform(-1.0, 1.0)))
     for kind, truth in triads.items():
         differences = _draw_differences(sensor, kind, second_lag_s, random, draws.values)
-        triads[kind] = replace(truth, differences=differences)
+        errors = *truth.errors, *_draw_hidden(both[kind], hidden)
+        walked = _draw_path(spec, kind, truth, path, law)
+        triads[kind] = replace(walked, errors=errors, differences=differences)
     lever = _LEVER_M * draws.random.standard_normal(3)
     clock = 0.0
     if sensor.sample_clock_error:

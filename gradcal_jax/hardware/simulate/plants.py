@@ -53,7 +53,6 @@ class ChamberPlant:
                 self._set_point_c = target_c
 
     def move_set_point(self, now_s: float, set_point_c: float) -> None:
-        """The set point at which a following gradient starts."""
         with self._lock:
             self.advance(now_s)
             self._set_point_c = set_point_c
@@ -155,7 +154,6 @@ class UncontrolledRoom:
         self._times += start_s
 
     def load_at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Temperature of the device, °C: `(n,) -> (n,)`."""
         return np.interp(times_s, self._times, self._values)
 
 
@@ -191,7 +189,6 @@ class AxisPlant:
         return row[:, 1] + row[:, 2] * after + 0.5 * row[:, 3] * after**2
 
     def state(self, now_s: float) -> tuple[float, float]:
-        """True angle (deg) and rate (deg/s)."""
         with self._lock:
             phase = next((p for p in reversed(self._phases) if p.start_s <= now_s), self._phases[0])
         after = max(0.0, now_s - phase.start_s)
@@ -202,7 +199,6 @@ class AxisPlant:
         return now_s < self._phases[-1].start_s or self._phases[-1].rate_dps != 0.0
 
     def reading(self, now_s: float) -> float:
-        """The encoder's reading, deg."""
         truth = self.truth
         late_s = truth.timing_error_s * float(self._random.standard_normal()) if truth.timing_error_s else 0.0
         position, _ = self.state(now_s - late_s)

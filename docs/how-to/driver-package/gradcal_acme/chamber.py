@@ -51,9 +51,6 @@ class AcmeChamber(ChamberDriver[AcmeConfig]):
     def standby(self) -> None:
         self._until("OFF", "ON?", 0.0)
 
-    def _air_c(self) -> float:
-        return self._number("T?")
-
     def _until(self, command: str, question: str, value: float) -> None:
         """Command until the chamber shows it."""
         words = command.encode() + b"\n"

@@ -85,7 +85,7 @@ def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[S
 
     def move(of: ResolvedMove) -> Move:
         spacing = every if of.reads_as_table else of.read_every
-        return move_of(replace(of, axis="x", read_every=spacing), None, longest)
+        return move_of(replace(of, read_every=spacing), None, longest)
 
     # (Steps behind the cycle are made once.)
     moves, after = (tuple(move(s.move) for s in part) for part in (plan.every_step, plan.after))

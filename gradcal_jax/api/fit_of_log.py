@@ -210,7 +210,7 @@ def planned_moves(built: BuiltImu) -> list[list[PlannedMove]]:
             if step.axis < 0:
                 groups.append([])
                 continue
-            turn = move_of(replace(step.move, axis="x"), None, np.inf)
+            turn = move_of(step.move, None, np.inf)
             line = trajectory.gradient_plan(trajectory.programme(0.0, [(turn.duration, 0.0)]), (turn,)).trajectory()
             begun = np.cumsum(line.turned()) - line.turned()
             piece = np.clip(np.searchsorted(line.start, places * turn.duration, side="right") - 1, 0, len(begun) - 1)

@@ -15,28 +15,19 @@ integrated noise. Estimated by generalised least squares with all priors.
 
 from typing import Literal
 
-from gradcal_jax.files.contracts import (
-    CourseRow,
-    Finite,
-    GradientSensitivityRow,
-    HarmonicRow,
-    MapRow,
-    ProcessRow,
-    Size,
-    TemperatureErrorRow,
-)
+from gradcal_jax.files import contracts as rows
 from gradcal_jax.files.section import Section
 
-Vector3 = tuple[Finite, Finite, Finite]
+Vector3 = tuple[rows.Finite, rows.Finite, rows.Finite]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 
 
 class SiteRow(Section):
     """Where the rig stands."""
 
-    latitude: Finite
+    latitude: rows.Finite
     """North positive (rad)."""
-    gravity: Size
+    gravity: rows.Size
     """As it is used (m/s²)."""
     earth_rate: Vector3
     """East, North, up (rad/s)."""
@@ -50,13 +41,13 @@ class TableAxisRow(Section):
     """Of the axis."""
     direction: Vector3
     """While all stand at zero, in the frame that the axis outside carries (outermost: East, North, up)."""
-    reading_noise: Size
+    reading_noise: rows.Size
     """Standard deviation of a reading (rad)."""
-    standstill_offset: Size
+    standstill_offset: rows.Size
     """Standard deviation of what a standstill's readings share (rad)."""
-    read_every: Size | None = None
+    read_every: rows.Size | None = None
     """Spacing of readings (s); absent: one reading in each standstill."""
-    harmonics: tuple[HarmonicRow, ...] = ()
+    harmonics: tuple[rows.HarmonicRow, ...] = ()
     """Errors that repeat with the angle."""
 
 
@@ -69,7 +60,7 @@ class MountingRow(Section):
     """Matrix from the body to the innermost axis's frame."""
 
 
-class ImuTermRow(MapRow):
+class ImuTermRow(rows.MapRow):
     """One term of a channel: a function of temperature (and the channel's own rate) times the product of `signals`."""
 
     name: str
@@ -81,7 +72,7 @@ class ImuTermRow(MapRow):
     """Names of the coefficients in a prediction."""
     unit: str
     """Of each coefficient, in SI."""
-    lag: Size | None = None
+    lag: rows.Size | None = None
     """Time constant (s) of a first-order lag of the temperature, which the function follows in its place; L = T at the
     begin of the plan."""
 
@@ -101,13 +92,13 @@ class PathTermRow(Section):
     """Its factors; none: 1."""
     parameters: tuple[str, ...]
     """Names of the coefficients in a prediction."""
-    stds: tuple[Size, ...]
+    stds: tuple[rows.Size, ...]
     """Prior standard deviation of each."""
     unit: str
     """Of the first coefficient, in SI."""
-    width: Size | None = None
+    width: rows.Size | None = None
     """Half-width of the play (K)."""
-    time_constant: Size | None = None
+    time_constant: rows.Size | None = None
     """Of the transient, or of the lag (s)."""
     gain: float | None = None
     """Of the temperature difference (1, or 1/s)."""
@@ -122,19 +113,19 @@ class ChannelRow(Section):
     """Gyro or accelerometer."""
     axis: Literal["x", "y", "z"]
     """Axis of the body."""
-    white: Size
+    white: rows.Size
     """White noise of the integral, for √s (rad or m/s)."""
-    rate_random_walk: Size = 0.0
+    rate_random_walk: rows.Size = 0.0
     """For s√s (rad or m/s)."""
-    drift: tuple[ProcessRow, ...] = ()
+    drift: tuple[rows.ProcessRow, ...] = ()
     """In rad/s or m/s², stationary at the first used segment."""
-    scale_factor_instability: tuple[ProcessRow, ...] = ()
+    scale_factor_instability: tuple[rows.ProcessRow, ...] = ()
     """Multiplied by the rate, or the force, along the axis."""
-    turn_on_bias: Size | None = None
+    turn_on_bias: rows.Size | None = None
     """Of a run (rad/s or m/s²): adds to the prior of the bias's constant, or acts alone where no bias is estimated."""
-    temperature_error: TemperatureErrorRow | None = None
+    temperature_error: rows.TemperatureErrorRow | None = None
     """Error of the measured temperature."""
-    bias_temperature_gradient: GradientSensitivityRow | None = None
+    bias_temperature_gradient: rows.GradientSensitivityRow | None = None
     """Bias in proportion to dT/dt, estimated."""
     terms: tuple[ImuTermRow, ...]
     """What is estimated."""
@@ -157,7 +148,7 @@ class InstallationRow(Section):
     """Which error."""
     parameters: tuple[str, ...]
     """Names of the parameters in a prediction."""
-    stds: tuple[Size, ...]
+    stds: tuple[rows.Size, ...]
     """Prior standard deviation of each."""
     unit: str
     """Of the parameters, in SI."""
@@ -169,14 +160,14 @@ class InstallationRow(Section):
     """Of "sample_clock": whether accelerometers see it, too."""
 
 
-class ImuSegmentRow(CourseRow):
+class ImuSegmentRow(rows.CourseRow):
     """A rest, or the move of one axis."""
 
     axis: str | None = None
     """The axis that moves; null: all stand."""
-    angles_before: tuple[Finite, ...]
+    angles_before: tuple[rows.Finite, ...]
     """Angles of all axes as it begins, outermost first (rad)."""
-    angles_after: tuple[Finite, ...]
+    angles_after: tuple[rows.Finite, ...]
     """Angles of all axes as it ends (rad)."""
     attitude: Matrix3
     """Matrix from the body to East, North, up as it begins."""
@@ -211,7 +202,7 @@ class ImuTimeline(Section):
     """The model of axes at rest: see above."""
     mountings: tuple[MountingRow, ...]
     """How the unit hangs on the innermost axis."""
-    thermal_lag: Size | None = None
+    thermal_lag: rows.Size | None = None
     """Time constant (s), first order, between the chamber and what all terms see; equilibrium at the start."""
     channels: tuple[ChannelRow, ...]
     """Gyros and accelerometers."""

@@ -6,18 +6,11 @@ from typing import Annotated, ClassVar, Final, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax.files import quantity as q
+from gradcal_jax.files import temperature_path as path_terms
 from gradcal_jax.files.bases import Degree, RateBasis, TemperatureBasis
 from gradcal_jax.files.prior_shapes import BiasShape, ScaleFactorShape, SpecificForceShape, shape_problems
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.section import Section, refuse
-from gradcal_jax.files.temperature_path import (
-    DifferenceOfForce,
-    LateGradientOfForce,
-    PlayOfForce,
-    PowerOnForceTransient,
-    SecondThermometer,
-    TemperaturePath,
-)
 from gradcal_jax.files.uncertain import UncertainSection, figures_of
 
 
@@ -208,7 +201,7 @@ class _Instrument(Section):
     """Standard deviation of the constant difference between the dies' temperature and the measured one."""
     temperature_lag: q.SizeOfTime | None = None
     """Standard deviation of the time by which the dies' temperature follows the measured one."""
-    second_thermometer: SecondThermometer | None = None
+    second_thermometer: path_terms.SecondThermometer | None = None
     """A second thermometer, for `thermometer_difference`; its column in logs is `second_temperature`."""
 
     @property
@@ -385,7 +378,7 @@ class LeverArm(Section):
     """Standard deviation of each of three coordinates before the calibration; absent: unknown."""
 
 
-class GyroTriad(_Gyro, TemperaturePath):
+class GyroTriad(_Gyro, path_terms.TemperaturePath):
     """`[sensor.gyro]`: common properties of the IMU's gyros. An absent table is not estimated: known."""
 
     axes: BodyAxes = ("x", "y", "z")
@@ -407,7 +400,7 @@ class GyroTriad(_Gyro, TemperaturePath):
         return self
 
 
-class AccelerometerTriad(_Channel, TemperaturePath):
+class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     """`[sensor.accelerometer]`: common properties of the unit's accelerometers. Read where the table stands, and on
     moves no faster than `read_on_moves_below`."""
 
@@ -425,10 +418,10 @@ class AccelerometerTriad(_Channel, TemperaturePath):
         ForceTemperatureGradient | q.ForceGradientSensitivity | None,
         _gradient_of_bias(ForceTemperatureGradient, "acceleration temperature-gradient sensitivity", "0 ug/(K/min)"),
     ] = None
-    hysteresis: Annotated[tuple[PlayOfForce, ...], Field(max_length=10)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
-    turn_on_transient: Annotated[tuple[PowerOnForceTransient, ...], Field(max_length=5)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
-    late_temperature_gradient: Annotated[tuple[LateGradientOfForce, ...], Field(max_length=5)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
-    thermometer_difference: DifferenceOfForce | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    hysteresis: Annotated[tuple[path_terms.PlayOfForce, ...], Field(max_length=10)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    turn_on_transient: Annotated[tuple[path_terms.PowerOnForceTransient, ...], Field(max_length=5)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    late_temperature_gradient: Annotated[tuple[path_terms.LateGradientOfForce, ...], Field(max_length=5)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    thermometer_difference: path_terms.DifferenceOfForce | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     velocity_increments: bool = False
     """Whether the output is an increment of velocity for each sample, so that the sample clock acts as a scale factor;
     a specific force does not depend on the clock."""

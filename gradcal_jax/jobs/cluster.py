@@ -10,13 +10,11 @@ from typing import Any
 from gradcal_jax.jobs.pool import Task, TaskRunner
 from gradcal_jax.jobs.worker import do
 
-_TIMEOUT_S = 20.0
-
 
 class Cluster(TaskRunner):
     """A `pool.TaskRunner` on a Dask cluster. Errors: `ValueError` without the extra, or where no scheduler answers."""
 
-    def __init__(self, address: str):
+    def __init__(self, address: str, *, timeout_s: float = 20.0):
         try:
             from distributed import Client
         except ImportError:
@@ -24,7 +22,7 @@ class Cluster(TaskRunner):
                 "a cluster needs Dask: install gradcal_jax[cluster], here and on the cluster's workers"
             ) from None
         try:
-            self._client = Client(address, timeout=_TIMEOUT_S, set_as_default=False)
+            self._client = Client(address, timeout=timeout_s, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise ValueError(
                 f"no Dask scheduler answers at {address} ({error}); start one with `dask scheduler` and "

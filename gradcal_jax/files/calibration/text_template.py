@@ -6,7 +6,7 @@ from typing import Any
 from gradcal_jax import units
 
 
-def rendered(template: str, values: Mapping[str, Any], source: str = "the template") -> str:
+def rendered(template: str, values: Mapping[str, Any]) -> str:
     """The template's text, with `values` by name and the filter `unit`: a number in SI in another unit. Names that have
     no value are errors, and nothing but the values can be reached. Errors: `ValueError` that says where."""
     # Imported where it is used: few commands fill in a template.
@@ -20,7 +20,7 @@ def rendered(template: str, values: Mapping[str, Any], source: str = "the templa
     try:
         return room.from_string(template).render(values)
     except TemplateSyntaxError as problem:
-        raise ValueError(f"{source}, line {problem.lineno}: {problem.message}") from None
+        raise ValueError(f"the template, line {problem.lineno}: {problem.message}") from None
     except (TemplateError, units.UnitError, TypeError, ArithmeticError, LookupError) as problem:
         known = ", ".join(sorted(values))
-        raise ValueError(f"{source}: {problem}; the names with values are {known}") from None
+        raise ValueError(f"the template: {problem}; the names with values are {known}") from None

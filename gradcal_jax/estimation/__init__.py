@@ -28,7 +28,7 @@ from gradcal_jax.estimation.plateaus import Plateaus, TablePoints, plateaus
 from gradcal_jax.estimation.read_motion import motion_at_points, motion_by_readings
 from gradcal_jax.estimation.robust import HUBER
 from gradcal_jax.estimation.settling import settling as settling
-from gradcal_jax.estimation.several_imus import SeveralImus, posteriors_together, solve_together
+from gradcal_jax.estimation.several_imus import SeveralImus, posteriors_together, shared_parameters, solve_together
 from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
 from gradcal_jax.estimation.solve import Estimate, Whitened, solve
 from gradcal_jax.estimation.standstill import find_standstills

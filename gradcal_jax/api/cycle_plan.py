@@ -118,14 +118,12 @@ class CyclePlan:
         # Where one requirement is minimised, the targets of the others are limits.
         single = not self.worst and name != ALL
         self._limiting = tuple(single and r.name != name and r.target is not None for r in spec.requirement)
-        minimised, limiting = (
-            [
-                _statistics_of(quantity_of(self.built, r, None if len(r.grid) == 1 else _SEARCH_GRID), aim)
-                for r, aim, own in zip(spec.requirement, self._aims, chosen, strict=True)
-                if own
-            ]
-            for chosen in (self._counted, self._limiting)
-        )
+        minimised: list[Statistics | Unnoticed] = []
+        limiting: list[Statistics | Unnoticed] = []
+        for r, aim, counted, limits in zip(spec.requirement, self._aims, self._counted, self._limiting, strict=True):
+            if counted or limits:
+                quantity = quantity_of(self.built, r, None if len(r.grid) == 1 else _SEARCH_GRID)
+                (minimised if counted else limiting).append(_statistics_of(quantity, aim))
         self._names = tuple(r.name for r in spec.requirement)
         believed, self._points = np.arange(plain.size), self.built.points
         if notice is not None:
@@ -133,8 +131,8 @@ class CyclePlan:
             tests = tuple(hidden_test(model, notice, begin) for model, begin in begins)
             allowed = 1.0 - float(notice.power)
             (minimised if timed else limiting).append(Unnoticed(tests, believed, allowed))
-            own: tuple[Statistic, float] = "max", allowed
-            self._aims, self._names = (*self._aims, own), (*self._names, MISSED)
+            goal: tuple[Statistic, float] = "max", allowed
+            self._aims, self._names = (*self._aims, goal), (*self._names, MISSED)
             self._counted, self._limiting = (*self._counted, timed), (*self._limiting, not timed)
             self._points = max(self._points, tested_maps(spec)[SCALE_FACTOR].temperature_degree + 1)
         self.turns_free = "cycle" in self.design.free or not self.design.free

@@ -128,7 +128,13 @@ PLANS = {
         0.15,
     ),
     "a discrepancy": (
-        {"sensor.gyro.scale_factor.discrepancy": {"standard_deviation": "20 ppm", "rate_degree": 3}},
+        {
+            "sensor.gyro.scale_factor.discrepancy": {
+                "standard_deviation": "20 ppm",
+                "temperature_degree": 2,
+                "rate_degree": 2,
+            }
+        },
         4e-3,
     ),
     "a lag": ({"sensor.thermal_lag": "2 min"}, 0.01),

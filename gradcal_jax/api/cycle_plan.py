@@ -9,12 +9,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gradcal_jax.api.cycle_rounding import CycleRounding
+from gradcal_jax.api.fixture import hung_alike, known_together
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, course_before, executed_motion, geometry, waves_of
 from gradcal_jax.api.imu_residual import ImuResidual, RequiredQuantity, quantity_of
-from gradcal_jax.api.plan_information import gram_of, prior_gram, residuals_of
+from gradcal_jax.api.measure import MISSED
+from gradcal_jax.api.plan_information import gram_of, posterior_of_plan, prior_gram
 from gradcal_jax.api.plan_to_spec import programme_keys
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.search_results import MARGIN
+from gradcal_jax.api.tested_maps import hidden_test, imu_with_hidden, noticing, tested_maps
 from gradcal_jax.api.verdicts import UNIT_OF, limit_of
 from gradcal_jax.design import ProgrammeCoordinates
 from gradcal_jax.design.cycle_moves import Cycle
@@ -22,8 +26,6 @@ from gradcal_jax.design.descent import Descent
 from gradcal_jax.design.free_course import FreeCourse, behind_on_leg, legs_of
 from gradcal_jax.design.pose_cycle import (
     EXCESS,
-    SHAPE,
-    STEEPNESS,
     WINDOW,
     CycleCoordinates,
     CycleObjective,
@@ -33,6 +35,8 @@ from gradcal_jax.design.pose_cycle import (
     Ramp,
     Statistics,
     TableLimits,
+    Together,
+    Unnoticed,
     further,
     largest_alike,
     structure_of,
@@ -40,14 +44,13 @@ from gradcal_jax.design.pose_cycle import (
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.design import ALL, TIMES, WORST, Design
 from gradcal_jax.files.motion_plan import MotionPlan, PlanSchedule
-from gradcal_jax.files.places import specs_at_places
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.rounding import steps_of
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.tracks import makeable_acceleration
 from gradcal_jax.information.residual import Statistic
-from gradcal_jax.model import Hysteresis, ImuModel, TemperatureDifference
+from gradcal_jax.model import SCALE_FACTOR, Hysteresis, ImuModel, SensorModel, TemperatureDifference
 
 # Points of a requirement's grid on each side that a search evaluates: of a mean over one side those of the file.
 _SEARCH_GRID = 31
@@ -68,12 +71,8 @@ _STANDING, _OF_MEMORY = 48, 0.5
 # What is left of the time for rounding, s: of a course of the file, and of a free one.
 _LEFT, _LEFT_OF_COURSE = 1e-3, 0.2
 _SLACK = 1e-9
-# A smaller turn, deg, says nothing of a sensor, and is lost among the readings about it.
-_SHOWS = 0.5
-# Resolution of turns (deg), rates (deg/s) and rests (s) in a plan.
-_ANGLE, _RATE, _FINE_RATE, _REST = 0.01, 0.1, 0.01, 0.1
-# Share of the largest rate beyond which a turn keeps its rate when it is rounded.
-_FASTEST = 0.98
+# The smallest chance that counts.
+_NEVER = 1e-12
 # Shortest soak that a programme may begin with, s.
 _BRIEF = 1.0
 NO_COURSE = (
@@ -96,18 +95,21 @@ class CyclePlan:
 
     def __init__(self, spec: Spec) -> None:
         self.spec, self.design = spec, spec.design or Design()
+        # Why places are judged as those of an IMU alone, in a sentence.
+        self.apart = ""
         cases = cases_of(spec)
-        self._cases = [build_imu(one) for one, _ in cases]
-        self.built, models = self._cases[0], [built.model for built in self._cases]
+        self._cases = [build_imu(case.spec) for case in cases]
+        self.built, notice = self._cases[0], self.design.notice
+        plain = self.built.model
+        models = [b.model if notice is None else imu_with_hidden(b.spec, b.model) for b in self._cases]
         if len({model.size for model in models}) > 1:
             raise ValueError("a design.scenario changes which parameters there are: all must have those of the spec")
-        self._grid = float(steps_of(spec).time)
         self._fine = [tuple(quantity_of(built, r) for r in spec.requirement) for built in self._cases]
-        self._aims = tuple(_aim_of(r, self.design) for r in spec.requirement)
-        weights = np.array([weight for _, weight in cases])
+        self._aims: tuple[tuple[Statistic, float], ...] = tuple(_aim_of(r, self.design) for r in spec.requirement)
+        weights = np.array([case.weight for case in cases])
         self._weights = weights / np.sum(weights)
         self._executed = executed_motion(self.built)
-        known = [prior_gram(built.model) + self._past(built) for built in self._cases]
+        known = [prior_gram(m) + self._past(b._replace(model=m)) for b, m in zip(self._cases, models, strict=True)]
         timed, name = self.design.minimise in TIMES, self.design.minimise
         self.worst = timed or name == WORST
         self._counted = tuple(
@@ -116,14 +118,23 @@ class CyclePlan:
         # Where one requirement is minimised, the targets of the others are limits.
         single = not self.worst and name != ALL
         self._limiting = tuple(single and r.name != name and r.target is not None for r in spec.requirement)
-        minimised, limiting = (
-            [
-                _statistics_of(quantity_of(self.built, r, None if len(r.grid) == 1 else _SEARCH_GRID), aim)
-                for r, aim, own in zip(spec.requirement, self._aims, chosen, strict=True)
-                if own
-            ]
-            for chosen in (self._counted, self._limiting)
-        )
+        minimised: list[Statistics | Unnoticed] = []
+        limiting: list[Statistics | Unnoticed] = []
+        for r, aim, counted, limits in zip(spec.requirement, self._aims, self._counted, self._limiting, strict=True):
+            if counted or limits:
+                quantity = quantity_of(self.built, r, None if len(r.grid) == 1 else _SEARCH_GRID)
+                (minimised if counted else limiting).append(_statistics_of(quantity, aim))
+        self._names = tuple(r.name for r in spec.requirement)
+        believed, self._points = np.arange(plain.size), self.built.points
+        if notice is not None:
+            believed, begins = _believed(plain, models[0])
+            tests = tuple(hidden_test(model, notice, begin) for model, begin in begins)
+            allowed = 1.0 - float(notice.power)
+            (minimised if timed else limiting).append(Unnoticed(tests, believed, allowed))
+            goal: tuple[Statistic, float] = "max", allowed
+            self._aims, self._names = (*self._aims, goal), (*self._names, MISSED)
+            self._counted, self._limiting = (*self._counted, timed), (*self._limiting, not timed)
+            self._points = max(self._points, tested_maps(spec)[SCALE_FACTOR].temperature_degree + 1)
         self.turns_free = "cycle" in self.design.free or not self.design.free
         self._stands = isinstance(spec.plan, MotionPlan) and spec.plan.cycle is None
         self._schedule = spec.executable_schedule if self._stands else spec.plain_schedule
@@ -142,8 +153,16 @@ class CyclePlan:
         spare = math.ceil(len(turns) * (1.0 + _SPARE) / _SLOTS) * _SLOTS
         self.slots = max(min(spare, self.design.moves or _MOST_TURNS), len(turns))
         self.coordinates = CycleCoordinates(self.limits, self.slots)
+        step = self.design.angle_step
+        self.rounding = CycleRounding(
+            self.limits,
+            tuple(axis.name for axis in spec.rig.table.axis),
+            float(steps_of(spec).time),
+            None if step is None else float(step),
+            self.closed,
+        )
         self._courses: dict[int, CycleCourse] = {}
-        self._window = self._cycles_together(models)
+        self._window, self._model = self._cycles_together(models), models[0]
         self.objective = CycleObjective(
             self.coordinates,
             [geometry(built.spec.rig) for built in self._cases],
@@ -151,20 +170,33 @@ class CyclePlan:
             known,
             minimised,
             limiting,
+            believed=believed,
+            together=self._joint(cases, models[0]),
             weights=self._weights,
             window=self._window,
-            points=self.built.points,
+            points=self._points,
             waves=waves_of(spec),
             worst=self.worst,
             worst_model=self.design.robust == "worst",
         )
-        self._course = self._free_course()
-        if self._course is not None:
-            own = self._course.coordinates.vector(*_own_course(self._schedule))
+        self.free_course = self._free_course()
+        if self.free_course is not None:
+            own = self.free_course.coordinates.vector(*_own_course(self._schedule))
             self.start = self.start._replace(course=tuple(own.tolist()))
         elif not self.turns_free:
             raise ValueError(f"nothing of the plan is free: the table stands, and {NO_COURSE}")
         self.descent = Descent(self._value)
+
+    def _joint(self, cases: "Sequence[PlanCase]", model: ImuModel) -> Together | None:
+        """What all IMUs of a fixture estimate together; None for one IMU."""
+        if not (groups := _together(cases)):
+            return None
+        # Imported where it is used: estimates import SciPy's larger rooms.
+        from gradcal_jax.estimation import shared_parameters
+
+        shared = shared_parameters(model, clock=self.spec.sensor.takes_host_clock)
+        stds = np.concatenate([np.ones(model.calibrated), *(np.asarray(t.stds) for t in model.installation)])
+        return Together(np.flatnonzero(shared), stds[shared] ** -2.0, tuple(c.imus for c in cases), tuple(groups))
 
     def _past(self, built: BuiltImu) -> np.ndarray:
         """The information of what was executed before; a search takes its drifts as independent of the plan's."""
@@ -176,12 +208,18 @@ class CyclePlan:
     def _value(self, z: Any, args: tuple[CycleStructure, Ramp | None, Any]) -> Any:
         of, ramps, sharpness = args
         count = 3 * self.slots
-        ramps = self._free_ramps(z[count:], of) if ramps is None else ramps
+        ramps = self.free_ramps(z[count:], of) if ramps is None else ramps
         return self.objective.value(jnp.reshape(z[:count], (3, self.slots)), of, ramps, sharpness)
 
-    def _free_ramps(self, course: Any, of: CycleStructure) -> Ramp:
-        assert self._course is not None
-        return self._course.ramps(course, of.period)
+    def free_ramps(self, z: Any, of: CycleStructure) -> Ramp:
+        """The ramps of a free course."""
+        assert self.free_course is not None
+        return self.free_course.ramps(z, of.period)
+
+    @property
+    def motion(self) -> float:
+        """The time of all cycles, s."""
+        return math.fsum(s.duration for s in self._schedule.stretches)
 
     def _free_course(self) -> FreeCourse | None:
         """The chamber's courses of the search; None where that of the file is fixed."""
@@ -206,14 +244,14 @@ class CyclePlan:
         )
         before = course_before(spec)
         past = np.zeros(0) if before is None else before
-        model, lag = self.built.model, float(spec.sensor.lag or 0.0)
+        model, lag = self._model, float(spec.sensor.lag or 0.0)
         return FreeCourse(coordinates, past, lag, self._window, model.size, tuple(of.lag for of in model.others))
 
     def starts(self) -> list[RepeatedCycle]:
         """What a search begins with: the file's plan and, of a free course, others of the chamber."""
-        if self._course is None:
+        if self.free_course is None:
             return [self.start]
-        courses = self._course.starts(np.array(self.start.course))
+        courses = self.free_course.starts(np.array(self.start.course))
         return [self.start._replace(course=tuple(course.tolist())) for course in courses]
 
     def point(self, cycle: RepeatedCycle, of: CycleStructure) -> np.ndarray:
@@ -229,9 +267,9 @@ class CyclePlan:
     def in_words(self, cycle: RepeatedCycle) -> str:
         """The structure of a cycle and its course."""
         words = f"{len(cycle.turns)} turns in each of {cycle.cycles} cycles"
-        if self._course is None:
+        if self.free_course is None:
             return words
-        of = self._course.coordinates.programme(np.array(cycle.course))
+        of = self.free_course.coordinates.programme(np.array(cycle.course))
         knots = [float(of.start), *of.chamber()[1].tolist()]
         turning = [b for a, b, c in zip(knots, knots[1:], knots[2:], strict=False) if (b - a) * (c - b) <= 0.0]
         course = " \u2192 ".join(f"{t:.3g}" for t in (knots[0], *turning, knots[-1]))
@@ -250,12 +288,12 @@ class CyclePlan:
         """The course of the plan where its first stretch has `count` cycles."""
         if count not in self._courses:
             stretches = self._schedule.stretches
-            left = _LEFT if self._course is None else _LEFT_OF_COURSE
+            left = _LEFT if self.free_course is None else _LEFT_OF_COURSE
             period = min(stretches[0].duration / count, *(s.duration for s in stretches)) - left / count
             counts = tuple(max(1, int(s.duration / period)) for s in stretches)
             # They are kept, and so must be no tracers of a program that happens to ask first.
             with jax.ensure_compile_time_eval():
-                ramps = self._ramps(counts, period) if self._course is None else None
+                ramps = self._ramps(counts, period) if self.free_course is None else None
             self._courses[count] = CycleCourse(period, ramps)
         return self._courses[count]
 
@@ -266,7 +304,7 @@ class CyclePlan:
 
     def _ramps(self, counts: Sequence[int], period: float) -> Ramp:
         """All parts of the plan with one slope: see `Ramp`."""
-        model, lag = self.built.model, self.spec.sensor.lag or 0.0
+        model, lag = self._model, self.spec.sensor.lag or 0.0
         mountings = len(self.spec.rig.table.mounting)
         polynomials, ramps = model.shifts(np.zeros(1)) is not None, []
         of_path, lags = model.knows_path, tuple(of.lag for of in model.others)
@@ -307,31 +345,42 @@ class CyclePlan:
         if longest := max(len(r.history) for r in ramps):
             padded = (np.pad(r.history, (longest - len(r.history), 0), mode="edge") for r in ramps)
             ramps = [r._replace(history=history) for r, history in zip(ramps, padded, strict=True)]
-        most = self.built.points if polynomials else 1
+        most = self._points if polynomials else 1
         ramps = [r._replace(further=np.pad(r.further, ((0, most - len(r.further)), (0, 0), (0, 0)))) for r in ramps]
         return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
 
-    def residuals(self, spec: Spec) -> list[list[ImuResidual]]:
-        """What a spec's plan leaves at each place in each scenario, in the order of its requirements."""
-        every = (build_imu(one) for one, _ in cases_of(spec))
-        return [
-            residuals_of(prior_gram(built.model) + gram_of(built), fine)
-            for built, fine in zip(every, self._fine, strict=True)
-        ]
+    def residuals(self, spec: Spec) -> list[list["ImuResidual | _Chance"]]:
+        """What a spec's plan leaves at each place in each scenario, by an estimate of all IMUs together, in the order
+        of its requirements; then the chance to miss a hidden map, where one must be noticed."""
+        cases = cases_of(spec)
+        builts = [build_imu(case.spec) for case in cases]
+        known = [posterior_of_plan(built) for built in builts]
+        for group in _together(cases):
+            own, alone, counts = zip(*((builts[k], known[k], cases[k].imus) for k in group), strict=True)
+            joint, self.apart = known_together(own, alone, counts)
+            for k, of in zip(group, joint, strict=True):
+                known[k] = of
+        left: list[list[ImuResidual | _Chance]] = []
+        for built, of, fine in zip(builts, known, self._fine, strict=True):
+            left.append([q.residual(of) for q in fine])
+            if self.design.notice is not None:
+                rows = [row.power for row in noticing(built) if row.quantity == SCALE_FACTOR]
+                left[-1].append(_Chance(max(1.0 - min(power or 0.0 for power in rows), _NEVER)))
+        return left
 
     def left_by(self, angle: Any, rate: Any, rest: Any) -> dict[str, Any]:
         """What the spec's own cycle with other numbers (see `CycleCoordinates.plain`) leaves of every requirement, in
         the unit of `shown`, of the first scenario."""
         of, ramps = jax.tree.map(jnp.asarray, self.structure(self.start)), self.course(self.start.cycles).ramps
-        ramps = self._free_ramps(jnp.asarray(self.start.course), of) if ramps is None else ramps
+        ramps = self.free_ramps(jnp.asarray(self.start.course), of) if ramps is None else ramps
         logs = self.objective.logs(self.coordinates.plain(angle, rate, rest, of), of, ramps, math.inf)[0]
         return {r.name: jnp.exp(x) * aim[1] for r, x, aim in zip(self.spec.requirement, logs, self._aims, strict=True)}
 
-    def value_of(self, residuals: Sequence[Sequence[ImuResidual]]) -> float:
+    def value_of(self, residuals: Sequence[Sequence["ImuResidual | _Chance"]]) -> float:
         """What a search minimises: the objective of a plan that leaves these residuals, and the cost of its excess."""
         return self.without_limits(residuals) + EXCESS * sum(self.exceeded(residuals).values())
 
-    def without_limits(self, residuals: Sequence[Sequence[ImuResidual]]) -> float:
+    def without_limits(self, residuals: Sequence[Sequence["ImuResidual | _Chance"]]) -> float:
         """The objective alone."""
         together, over_cases = max if self.worst else fmean, self.design.robust == "worst"
         counted = [
@@ -340,18 +389,18 @@ class CyclePlan:
         each = [together(logs) for logs in counted]
         return max(each) if over_cases else float(self._weights @ each)
 
-    def exceeded(self, residuals: Sequence[Sequence[ImuResidual]]) -> dict[str, float]:
+    def exceeded(self, residuals: Sequence[Sequence["ImuResidual | _Chance"]]) -> dict[str, float]:
         """By how much (natural logarithm) targets that are limits are exceeded, summed over the cases, by name."""
         logs = {
-            r.name: [_log(of[k], self._aims[k]) for of in residuals]
-            for k, r in enumerate(self.spec.requirement)
+            name: [_log(of[k], self._aims[k]) for of in residuals]
+            for k, name in enumerate(self._names)
             if self._limiting[k]
         }
         return {name: sum(max(x, 0.0) for x in of) for name, of in logs.items() if max(of) > 0.0}
 
     def shown(self) -> tuple[str, str, float]:
         """Name and unit of the objective for people, and how many of the unit are one of `value_of`, exponentiated."""
-        counted = [r for r, own in zip(self.spec.requirement, self._counted, strict=True) if own]
+        counted = [r for r, own in zip(self.spec.requirement, self._counted, strict=False) if own]
         if self.worst or len(counted) > 1:
             name = "residual over target" if self.worst else "residual over target, geometric mean"
             return name, "of the target" if all(r.target is not None for r in counted) else "", 1.0
@@ -359,105 +408,49 @@ class CyclePlan:
         name, limit = _aim_of(r, self.design)
         return f"{r.name} ({name})", UNIT_OF[r.quantity][0], limit
 
-    def met(self, residuals: Sequence[Sequence[ImuResidual]]) -> bool:
-        """Whether every target is met by its rule with `MARGIN`, by every model."""
-        limited = [_log(r, aim) for of in residuals for r in of if (aim := limit_of(r.requirement)) is not None]
-        return max(limited) <= math.log(1.0 - MARGIN)
-
-    def on_steps(self, cycle: Cycle) -> Cycle:
-        """The cycle with its turns rounded to whole angle steps, without turns of none."""
-        step, turned, result = float(self.design.angle_step or 1.0), {}, []
-        for t in cycle:
-            if t.axis >= 0:
-                goal = turned.get(t.axis, (0.0, 0.0))[0] + t.angle
-                count = round((goal - turned.get(t.axis, (0.0, 0.0))[1]) / step)
-                turned[t.axis] = goal, turned.get(t.axis, (0.0, 0.0))[1] + count * step
-                t = t._replace(angle=count * step)
-            if t.angle or t.rest or t.axis < 0:
-                result.append(t)
-        return tuple(result)
+    def met(self, residuals: Sequence[Sequence["ImuResidual | _Chance"]]) -> bool:
+        """Whether every target is met by its rule with `MARGIN`, and a hidden map noticed, by every model."""
+        aims = [limit_of(r) for r in self.spec.requirement]
+        limited = [_log(r, aim) for of in residuals for r, aim in zip(of, aims, strict=False) if aim is not None]
+        return max(limited) <= math.log(1.0 - MARGIN) and MISSED not in self.exceeded(residuals)
 
     def spec_of(self, cycle: RepeatedCycle) -> Spec:
         """The spec with a cycle's moves, in numbers that a controller takes."""
         if self.design.angle_step is not None:
-            cycle = cycle._replace(turns=self.on_steps(cycle.turns))
+            cycle = cycle._replace(turns=self.rounding.on_steps(cycle.turns))
         spec = self.spec
-        if self._course is not None:
-            spec = changed(spec, programme_keys(spec, self._course.coordinates, np.array(cycle.course)))
+        if self.free_course is not None:
+            spec = changed(spec, programme_keys(spec, self.free_course.coordinates, np.array(cycle.course)))
         if self._stands:
             return spec
         tables = spec.model_dump(mode="json", exclude_unset=True)
-        tables["plan"]["cycle"]["moves"] = self._moves(self._rounded(cycle))
+        period, whole = self.course(cycle.cycles).period, self.structure(cycle).whole
+        tables["plan"]["cycle"]["moves"] = self.rounding.moves(self.rounding.rounded(cycle.turns, period, whole))
         return spec_of(tables)
 
-    def _rounded(self, cycle: RepeatedCycle) -> Cycle:
-        """Rounded turns, rates and rests that fit into the period and close as the cycle does."""
-        period, whole = self.course(cycle.cycles).period, self.structure(cycle).whole
-        step = _ANGLE if self.design.angle_step is None else 0.0
-        items, net = [], {}
-        for t in cycle.turns:
-            degrees, rate = math.degrees(t.angle), math.degrees(t.rate)
-            degrees = round(degrees / step) * step if step else degrees
-            if t.axis >= 0:
-                most = math.floor(math.degrees(float(self.limits.rates[t.axis])) / _RATE + _SLACK) * _RATE
-                rate = min(math.ceil(rate / _RATE - _SLACK) * _RATE, most)
-                net[t.axis] = net.get(t.axis, 0.0) + degrees
-            rest = max(round(t.rest / _REST) * _REST, self.limits.shortest) if t.rest > 0.0 else 0.0
-            items.append([t.axis, round(degrees, 6), round(rate, 6), round(rest, 6)])
-        for axis, total in net.items() if self.closed else ():
-            last = max(k for k, item in enumerate(items) if item[0] == axis)
-            items[last][1] = round(items[last][1] - total + math.degrees(float(whole[axis])), 6)
-        for item in items:
-            # A turn that shows nothing: another one of its axis takes it along.
-            if item[0] >= 0 and 0.0 < abs(item[1]) < _SHOWS:
-                largest = max((of for of in items if of[0] == item[0]), key=lambda of: abs(of[1]))
-                if largest is not item:
-                    largest[1], item[1] = round(largest[1] + item[1], 6), 0.0
-        items = [item for item in items if item[1] or item[3]]
 
-        # The longest rests share what the controllers' steps of time cost, or leave.
-        turning = (self._made(l, a, w)[1] for l, a, w, _ in items if l >= 0 and a)
-        rests = sorted((item for item in items if item[3]), key=lambda item: -item[3])
-        change = math.floor((period - math.fsum([*turning, *(item[3] for item in items)])) / _REST + _SLACK)
-        for k in range(abs(change)) if rests else ():
-            item = rests[k % len(rests)]
-            item[3] = max(round(item[3] + math.copysign(_REST, change), 6), self.limits.shortest)
-        return tuple(PoseTurn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
+class PlanCase(NamedTuple):
+    """A `scenario` (by number) at a place, with its weight, and how many `imus` hang so."""
 
-    def _made(self, axis: int, degrees: float, rate: float) -> tuple[float, float]:
-        """Peak rate (deg/s) and duration (s) of a turn in whole steps of the controllers' time: steepest, in the
-        nearest number of steps that its limits allow; one near its largest rate, which says most, keeps it."""
-        size, grid, slow = math.radians(abs(degrees)), self._grid, self.limits.slow
-        most = min(float(self.limits.rates[axis]), slow if math.radians(rate) <= slow else math.inf)
-        # θ = A·(duration − ramp), with ramp = steep·A and no flat part at the least.
-        steep = STEEPNESS / float(self.limits.accelerations[axis])
-        peaks = (min(w, math.sqrt(size / steep)) for w in (math.radians(rate), most))
-        planned, quickest = ((size / w + steep * w) / grid for w in peaks)
-        duration = max(round(planned), math.ceil(quickest - _SLACK)) * grid
-        if math.radians(rate) >= _FASTEST * most:
-            duration = math.ceil(planned - _SLACK) * grid
-            return min(rate, math.degrees(min(most, 2.0 * size / duration))), duration
-        peak = 2.0 * size / (duration + math.sqrt(max(duration**2 - 4.0 * steep * size, 0.0)))
-        peak = math.ceil(math.degrees(peak) / _FINE_RATE - _SLACK) * _FINE_RATE
-        return min(peak, math.degrees(most), math.degrees(2.0 * size / duration)), duration
-
-    def _moves(self, cycle: Cycle) -> list[dict[str, str]]:
-        """A cycle as a list of moves for a spec."""
-        axes, moves = self.spec.rig.table.axis, []
-        for t in cycle:
-            if t.axis >= 0 and t.angle:
-                rate, duration = self._made(t.axis, math.degrees(t.angle), math.degrees(t.rate))
-                turn = {"turn": f"{math.degrees(t.angle):.10g} deg", "axis": axes[t.axis].name}
-                turn |= {"peak_rate": f"{rate:.8g} deg/s", "duration": f"{duration:.8g} s", "shape": SHAPE}
-                moves.append(turn)
-            if t.rest:
-                moves.append({"rest": f"{t.rest:.6g} s"})
-        return moves
+    spec: Spec
+    weight: float
+    scenario: int
+    imus: int
 
 
-def cases_of(spec: Spec) -> list[tuple[Spec, float]]:
-    """The spec at each place in each scenario, with its weight."""
-    return [case for at in specs_at_places(spec).values() for case in scenario_specs(at)]
+def cases_of(spec: Spec) -> list[PlanCase]:
+    """The spec at each place that hangs differently, in each scenario."""
+    return [
+        PlanCase(one, weight * len(names), k, len(names))
+        for at, names in hung_alike(spec)
+        for k, (one, weight) in enumerate(scenario_specs(at))
+    ]
+
+
+def _together(cases: Sequence[PlanCase]) -> list[list[int]]:
+    """The cases of each scenario, where there are several IMUs."""
+    groups = [[k for k, c in enumerate(cases) if c.scenario == s] for s in range(1 + max(c.scenario for c in cases))]
+    return groups if sum(cases[k].imus for k in groups[0]) > 1 else []
 
 
 class CycleCourse(NamedTuple):
@@ -465,6 +458,17 @@ class CycleCourse(NamedTuple):
 
     period: float
     ramps: Ramp | None
+
+
+class _Chance(NamedTuple):
+    """A chance, in the place of a residual."""
+
+    chance: float
+
+    def statistic(self, name: Statistic | None = None) -> float:
+        """The chance itself."""
+        del name
+        return self.chance
 
 
 class _Part(NamedTuple):
@@ -568,7 +572,17 @@ def _statistics_of(quantity: RequiredQuantity, aim: tuple[Statistic, float]) -> 
     return Statistics(tuple(elements), shape, aim[0], requirement.axis == "all", factor)
 
 
-def _log(residual: ImuResidual, aim: tuple[Statistic, float]) -> float:
+def _believed(plain: ImuModel, hidden: ImuModel) -> tuple[np.ndarray, list[tuple[SensorModel, int]]]:
+    """Where a model's own parameters are in that with hidden maps, and where those of each gyro begin there."""
+    own, gyros, begin = [], [], 0
+    for one, other in zip(plain.channels, hidden.channels, strict=True):
+        own.append(begin + np.arange(one.model.size))
+        gyros += [(other.model, begin)] if one.kind == "gyro" else []
+        begin += other.model.size
+    return np.concatenate([*own, np.arange(begin, hidden.size)]), gyros
+
+
+def _log(residual: "ImuResidual | _Chance", aim: tuple[Statistic, float]) -> float:
     """The logarithm of a statistic over its limit."""
     value = residual.statistic(aim[0])
     return math.log(value / aim[1]) if value else math.inf

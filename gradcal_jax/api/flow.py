@@ -45,7 +45,7 @@ def optimise(
     margin of 10 %. `watch` is called with progress (`api.search_results.SearchStep`: `best` in `unit`, `share` of the
     work). Returns `api.search_results.Optimised`: the rounded `spec`, `now` its residual and `before` the first plan's,
     in `unit` (ppm or deg/h; minutes, where time is minimised), all requirements in `rows`, `converged` and a `sentence`
-    with the reason; of an axis also the limits that bind and their shadow prices. It is the best of several local
+    with the reason, and the limits that bind with their shadow prices. It is the best of several local
     optima: `limit` bounds what another plan could still gain.
 
     Errors: `ValueError` without a [design] for an axis, where limits exclude each other, where nothing can be observed,

@@ -10,20 +10,21 @@ from gradcal_jax.api.criteria import criterion_of
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.structures import gyro_of
 from gradcal_jax.api.systematic import counted_criterion
-from gradcal_jax.api.tested_maps import tested_maps, with_hidden
+from gradcal_jax.api.tested_maps import hidden_test, with_hidden
 from gradcal_jax.api.verdicts import UNIT_OF, limit_of
-from gradcal_jax.design import AnyCoordinates, Case, Compiled, Coordinates, Criterion, Missed, Objective, Optimality
+from gradcal_jax.design import KEPT, AnyCoordinates, Case, Compiled, Coordinates, Criterion, Objective, Optimality
 from gradcal_jax.files import changed
 from gradcal_jax.files.design import ALL, OPTIMALITIES, TIMES, Design, Notice
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.information import begin_filter, noise_states, quantiles, where_hidden
+from gradcal_jax.information import begin_filter, noise_states, where_hidden
 from gradcal_jax.model import BIAS, SCALE_FACTOR
 from gradcal_jax.trajectory import Schedule, rule_of
 
 # The search sees a requirement's box on a grid of at most this many temperatures and rates.
 _GRID = 41
+MISSED = "the chance to miss a hidden map"
 
 
 class Measure(NamedTuple):
@@ -57,8 +58,14 @@ class Measure(NamedTuple):
 
     def exact(self, schedule: Schedule) -> float:
         """The exact value of one plan, in the unit."""
-        objective = Objective(None, self.cases, self.factors, self.targets, self.robust)
-        return float(objective.of_schedule(schedule)[0])
+        return float(self._of(schedule)[0])
+
+    def notices(self, schedule: Schedule) -> bool:
+        """Whether a plan notices a hidden map as probably as it must."""
+        return MISSED not in self.limits or float(self._of(schedule)[1][-1]) <= KEPT
+
+    def _of(self, schedule: Schedule) -> tuple[Any, Any]:
+        return Objective(None, self.cases, self.factors, self.targets, self.robust).of_schedule(schedule)
 
 
 def design_of(spec: Spec) -> Design:
@@ -113,10 +120,15 @@ def measure(spec: Spec) -> Measure:
     believed = None
     if design.notice is not None:
         models, noticing, believed = _noticing(scenarios, design.notice)
-        limits = [[*limit, one] for limit, one in zip(limits, noticing, strict=True)]
         # The chance of missing a hidden map has a target like any residual.
-        targets = np.append(targets, 1.0 - float(design.notice.power))
-        names += ("the chance to miss a hidden map",)
+        allowed = 1.0 - float(design.notice.power)
+        of_time = design.minimise in TIMES
+        for every, one in zip(mains if of_time else limits, noticing, strict=True):
+            every.append(one)
+        if of_time:
+            factors.append(1.0 / allowed)
+        else:
+            targets, names = np.append(targets, allowed), (*names, MISSED)
     cases = tuple(
         Case(
             model,
@@ -138,15 +150,11 @@ def _noticing(scenarios: list[tuple[Spec, Assembled, float]], notice: Notice):
     the believed model (None: all, where the sensor has a discrepancy of its own)."""
     models, missing, believed = [], [], None
     for spec, built, _ in scenarios:
-        tested = tested_maps(spec)[SCALE_FACTOR]
         model = built.model
         if where_hidden(model, SCALE_FACTOR) is None:
             believed = model.size
             model = with_hidden(spec, model, SCALE_FACTOR)
-        term, where = cast("Any", where_hidden(model, SCALE_FACTOR))
-        below = quantiles(term.size, float(notice.false_alarm))
-        assert tested.std is not None
-        missing.append(Missed(term.std, np.asarray(tested.std), below, (where.start, where.stop)))
+        missing.append(hidden_test(model, notice, 0))
         models.append(model)
     return models, missing, believed
 

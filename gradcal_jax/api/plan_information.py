@@ -1,9 +1,8 @@
-"""The information of a plan as a Gram matrix, and what it leaves of requirements, for searches."""
+"""The information of a plan as a Gram matrix, for searches."""
 
 import numpy as np
 
 from gradcal_jax.api.imu_build import BuiltImu
-from gradcal_jax.api.imu_residual import ImuResidual, RequiredQuantity
 from gradcal_jax.information import Posterior, imu_system, whiten
 from gradcal_jax.model import ImuModel
 
@@ -20,11 +19,11 @@ def gram_of(built: BuiltImu) -> np.ndarray:
     return rows.T @ rows
 
 
-def residuals_of(gram: np.ndarray, quantities: tuple[RequiredQuantity, ...]) -> list[ImuResidual]:
-    """Every requirement's residual from the Gram matrix: its scaled columns are far from parallel where everything is
+def posterior_of_plan(built: BuiltImu) -> Posterior:
+    """The posterior of a plan from its Gram matrix, whose scaled columns are far from parallel where everything is
     observable."""
+    gram = prior_gram(built.model) + gram_of(built)
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(gram / (scale[:, None] * scale[None, :]))
     seen = values > 1e-13 * values[-1]
-    known = Posterior(vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None], vectors[:, ~seen] / scale[:, None])
-    return [q.residual(known) for q in quantities]
+    return Posterior(vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None], vectors[:, ~seen] / scale[:, None])

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.api.cycle_plan import CyclePlan, RepeatedCycle
+from gradcal_jax.api.cycle_prices import active_limits, shadow_prices
 from gradcal_jax.api.search_results import MET, NO_TARGET, Optimised, SearchStep
 from gradcal_jax.api.turn_search import requirement_changes
 from gradcal_jax.design.cycle_moves import Neighbourhood
@@ -104,11 +105,15 @@ def search_poses(
     result = Optimised(
         best, name, unit, _finite(start), now, now, not missed, "", changes, words, kept, evaluations=used
     )  # fmt: skip
+    if cycle is not None and not met and not stop():
+        result = result._replace(active=active_limits(plan, cycle), prices=shadow_prices(plan, cycle, now))
     how = f"after {used} gradients" if used else "without a search"
     sentence = f"{result.gain:.2f} times better in the geometric mean of all requirements, {how}"
     if kept:
         sentence = f"the plan as it was, which is kept {how}"
         sentence = sentence if met else f"nothing better than {sentence}"
+    if len(spec.rig.table.place) > 1:
+        sentence += f"; {plan.apart}" if plan.apart else ", of all IMUs estimated together"
     if missed:
         sentence += f"; no plan was found that meets the target of {', '.join(missed)}"
     yield result._replace(sentence=f"{MET}: {sentence}" if met else sentence)
@@ -152,7 +157,7 @@ class _Search:
             yield self._share()
         ((_, self.best),) = self._descents([self.best], _LAST[0], last)
         if plan.design.angle_step is not None:
-            snapped = self.best._replace(turns=plan.on_steps(self.best.turns))
+            snapped = self.best._replace(turns=plan.rounding.on_steps(self.best.turns))
             ((_, self.best),) = self._descents([snapped], _LAST[0], last, turnable=False)
         yield 1.0
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.error_budget import ErrorBudget, limited_by
+from gradcal_jax.api.fixture import hung_alike, known_together
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, unweighted_estimator
 from gradcal_jax.api.imu_residual import (
     ImuResidual,
@@ -26,7 +27,6 @@ from gradcal_jax.display import summary
 from gradcal_jax.files import Prediction
 from gradcal_jax.files.absent import absent_terms, with_typical
 from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, PlaceRow, RequirementRow
-from gradcal_jax.files.places import specs_at_places
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
@@ -111,25 +111,18 @@ def _at_places(spec: Spec, place: str | None, **options: bool) -> Prediction:
     """The prediction of a fixture, whose IMUs are estimated together: of a place, or of the worst by the residual over
     the target or else over that of the others, with the values of all places and the IMUs of a shift. Places that hang
     alike are computed once."""
-    at = specs_at_places(spec)
-    alike: dict[str, list[str]] = {}
-    for name, one in at.items():
-        hung = [m.model_dump(exclude={"name"}) for m in one.rig.table.mounting]
-        alike.setdefault(repr((hung, one.sensor.model_dump())), []).append(name)
-    builts = [build_imu(at[names[0]]) for names in alike.values()]
+    hung = hung_alike(spec)
+    alike, order = [names for _, names in hung], [place.name for place in spec.rig.table.place]
+    builts = [build_imu(at) for at, _ in hung]
     full = [_complete(built) for built in builts]
     alone = [imu_posterior(built) for built in builts]
     own = [budget_of_imu(*of) for of in zip(builts, alone, full, strict=True)]
-    counts, warnings = [len(names) for names in alike.values()], []
-    known, budgets = alone, own
-    try:
-        known = _together(builts, alone, counts)
-        fits = known
-        if any(one is not other for one, other in zip(builts, full, strict=True)):
-            fits = _together(full, [budget.fit for budget in own], counts)
-        budgets = [budget_of_imu(*of) for of in zip(builts, known, full, fits, strict=True)]
-    except MemoryError as error:
-        warnings = [f"{error}: each place is that of an IMU alone"]
+    counts = [len(names) for names in alike]
+    known, apart = known_together(builts, alone, counts)
+    fits = [budget.fit for budget in own] if apart else known
+    if not apart and any(one is not other for one, other in zip(builts, full, strict=True)):
+        fits, _ = known_together(full, [budget.fit for budget in own], counts)
+    budgets = [budget_of_imu(*of) for of in zip(builts, known, full, fits, strict=True)]
     rows = [
         [requirement_row(built, budget, requirement) for requirement in spec.requirement]
         for built, budget in zip(builts, budgets, strict=True)
@@ -148,7 +141,7 @@ def _at_places(spec: Spec, place: str | None, **options: bool) -> Prediction:
         ]
         return max(ratios, default=0.0)
 
-    named = [k for k, names in enumerate(alike.values()) if place in names]
+    named = [k for k, names in enumerate(alike) if place in names]
     shown = named[0] if named else max(range(len(rows)), key=excess)
     whole = _prediction(builts[shown], known[shown], budgets[shown], own[shown], **options)
     values = {
@@ -157,28 +150,19 @@ def _at_places(spec: Spec, place: str | None, **options: bool) -> Prediction:
             values={row.name: row.judged for row in rows[k]},
             alone={row.name: value for row, value in zip(rows[k], single[k], strict=True)},
         )
-        for k, names in enumerate(alike.values())
+        for k, names in enumerate(alike)
         for name in names
     }
     runs = float(spec.rig.shift) / whole.duration_s
     return whole.model_copy(
         update={
-            "places": tuple(values[name] for name in at),
-            "place": place if named else list(alike.values())[shown][0],
-            "minutes_per_imu": whole.duration_s / 60.0 / len(at),
-            "imus_per_shift": len(at) * (float(np.floor(runs)) if runs >= 1.0 else runs),
-            "warnings": (*whole.warnings, *warnings),
+            "places": tuple(values[name] for name in order),
+            "place": place if named else alike[shown][0],
+            "minutes_per_imu": whole.duration_s / 60.0 / len(order),
+            "imus_per_shift": len(order) * (float(np.floor(runs)) if runs >= 1.0 else runs),
+            "warnings": (*whole.warnings, *([apart] if apart else [])),
         }
     )
-
-
-def _together(builts: Sequence[BuiltImu], alone: Sequence[Posterior], counts: Sequence[int]) -> list[Posterior]:
-    """The posteriors of IMUs at places that hang differently, estimated together with all others of the fixture."""
-    # Imported where it is used: estimates import SciPy's larger rooms.
-    from gradcal_jax.estimation import posteriors_together
-
-    plans = [(b.model, b.motion, b.body_nodes(), one) for b, one in zip(builts, alone, strict=True)]
-    return posteriors_together(plans, counts, clock=builts[0].spec.sensor.takes_host_clock)
 
 
 def requirement_rows(spec: Spec, until_s: float = np.inf) -> list[RequirementRow]:

@@ -1,6 +1,7 @@
 """What a search yields: its progress, and at the end the optimised plan with the record of the search."""
 
 import math
+from collections.abc import Callable, Sequence
 from statistics import fmean
 from typing import Any, Final, NamedTuple
 
@@ -41,6 +42,32 @@ class Price(NamedTuple):
     per: str
     change: float
     linear: float | None = None
+
+
+# Easings at which a price is compared with the objective itself, and the relative error up to which it is linear.
+_LINEAR_STEPS: Final = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01)
+_LINEAR: Final = 0.2
+
+
+def priced(
+    value: float,
+    limits: Sequence[tuple[str, str, float]],
+    slopes: Sequence[float],
+    change: Callable[[int, float], float],
+) -> tuple[Price, ...]:
+    """The prices of `limits` (name, the unit in which it is eased, that unit in SI) at an optimum: from the `slopes` of
+    the objective's logarithm, and its `change` where limit k is eased by a step, SI.
+
+    A plan within a limit is within an eased one, so that no price is positive: where a slope is, the point is not
+    quite an optimum, or the limit does not bind.
+    """
+    prices = []
+    for k, (name, per, size) in enumerate(limits):
+        price = min(value * slopes[k], 0.0) * size
+        steps = _LINEAR_STEPS if price else ()
+        bent = (abs(change(k, s * size) / (slopes[k] * s * size) - 1.0) for s in steps)
+        prices.append(Price(name, per, price, next((s for s, b in zip(steps, bent, strict=True) if b < _LINEAR), None)))
+    return tuple(prices)
 
 
 class RequirementChange(NamedTuple):

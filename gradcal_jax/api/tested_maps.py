@@ -10,8 +10,10 @@ import numpy as np
 from gradcal_jax.api.build import basis
 from gradcal_jax.api.imu_build import BuiltImu
 from gradcal_jax.api.verdicts import UNIT_OF
+from gradcal_jax.design import Missed
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.contracts import NoticeRow
+from gradcal_jax.files.design import Notice
 from gradcal_jax.files.sensor import GyroTriad, ScaleFactor
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import (
@@ -21,6 +23,7 @@ from gradcal_jax.information import (
     kept,
     noticed_from,
     power,
+    quantiles,
     square_root,
     where_hidden,
 )
@@ -103,6 +106,22 @@ def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
     ).beyond
     assert beyond is not None
     return eqx.tree_at(lambda m: m.terms, model, (*model.terms, beyond))
+
+
+def imu_with_hidden(spec: Spec, model: ImuModel) -> ImuModel:
+    """The IMU with the hidden scale-factor map of each gyro."""
+    hidden = (with_hidden(spec, c.model, SCALE_FACTOR) if c.kind == "gyro" else c.model for c in model.channels)
+    channels = tuple(replace(c, model=of) for c, of in zip(model.channels, hidden, strict=True))
+    return ImuModel(channels, model.installation, model.encoder)
+
+
+def hidden_test(model: SensorModel, notice: Notice, begin: int) -> Missed:
+    """The test of a `model` for its hidden scale-factor map; its parameters begin at `begin`."""
+    term, where = cast("Any", where_hidden(model, SCALE_FACTOR))
+    below = quantiles(term.size, float(notice.false_alarm))
+    return Missed(
+        term.std, np.asarray(float(notice.standard_deviation)), below, (begin + where.start, begin + where.stop)
+    )
 
 
 def hidden_maps(spec: Spec, model: SensorModel) -> list[tuple[Discrepancy, float]]:

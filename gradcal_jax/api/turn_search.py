@@ -9,12 +9,22 @@ import numpy as np
 
 from gradcal_jax.api.build import assemble
 from gradcal_jax.api.contract_rows import finite
+from gradcal_jax.api.fixture import hung_alike, known_together
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.imu_residual import ImuResidual, imu_residual
 from gradcal_jax.api.measure import Measure, design_of, measure
 from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.scenarios import scenario_specs
-from gradcal_jax.api.search_results import MARGIN, MET, NO_TARGET, Optimised, Price, RequirementChange, SearchStep
+from gradcal_jax.api.search_results import (
+    MARGIN,
+    MET,
+    NO_TARGET,
+    Optimised,
+    Price,
+    RequirementChange,
+    SearchStep,
+    priced,
+)
 from gradcal_jax.api.structures import Structure, structures
 from gradcal_jax.api.systematic import own_of_imu
 from gradcal_jax.api.verdicts import UNIT_OF, limit_of
@@ -49,9 +59,6 @@ _BRIEF_POLISH: Final = 40
 _NO_WORSE: Final = 1e-3
 # A larger relative cost of rounding is reported.
 _DEAR: Final = 0.05
-# Easings at which a price is compared with the objective itself, and the relative error up to which it is linear.
-_LINEAR_STEPS: Final = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01)
-_LINEAR: Final = 0.2
 # Number of random steps from the best programme, and their sizes (shares of the time, of the chamber's range).
 _HOPS: Final = 80
 _HOP_STEPS: Final = (0.05, 0.1, 0.2, 0.4)
@@ -107,10 +114,16 @@ def exact(spec: Spec, of: Measure) -> float:
 
 
 def residuals_of_plan(spec: Spec) -> dict[str, ImuResidual]:
-    """What a spec's own plan leaves of every requirement, by the terms that the spec names."""
-    built = build_imu(spec)
-    known = own_of_imu(built, imu_posterior(built))
-    return {r.name: imu_residual(built, known, r) for r in spec.requirement}
+    """What a spec's own plan leaves of every requirement, by the terms that the spec names; of a fixture by an estimate
+    of all IMUs together, where that is worst."""
+    hung = hung_alike(spec)
+    builts = [build_imu(at) for at, _ in hung]
+    known, _ = known_together(builts, [imu_posterior(b) for b in builts], [len(names) for _, names in hung])
+    own = [own_of_imu(*of) for of in zip(builts, known, strict=True)]
+    return {
+        r.name: max((imu_residual(*of, r) for of in zip(builts, own, strict=True)), key=ImuResidual.finite_statistic)
+        for r in spec.requirement
+    }
 
 
 def requirement_changes(spec: Spec, plan: Spec) -> tuple[RequirementChange, ...]:
@@ -332,7 +345,7 @@ def polished(
 def _within_limits(spec: Spec, of: Measure) -> bool:
     """Whether the prediction of the spec's own plan meets the targets that limit the search."""
     limits = {r.name: limit for r in spec.requirement if r.name in of.limits and (limit := limit_of(r)) is not None}
-    return not of.limits or _within(spec, limits, 1.0)
+    return (not limits or _within(spec, limits, 1.0)) and of.notices(assemble(spec).schedule)
 
 
 def best_programme(
@@ -399,26 +412,16 @@ PRICED: Final = (
 
 def shadow_prices(of: Measure, coordinates: Coordinates, optimum: Optimum) -> tuple[Price, ...]:
     """The objective's derivatives in the limits. At an optimum the derivative through the free numbers vanishes
-    (envelope theorem); the multipliers count that easing a limit also changes the binding targets.
-
-    A plan within a limit is within an eased one, so that no price is positive: where a derivative is, the point is not
-    quite an optimum, or the limit does not bind.
-    """
+    (envelope theorem); the multipliers count that easing a limit also changes the binding targets."""
     compiled = of.compiled(coordinates)
     slopes, costs = compiled(optimum.point), multipliers(compiled, optimum.point)
     derivatives = slopes.of_eased[0] + costs @ slopes.of_eased[1:]
     bound = (True, True, True, coordinates.travels, "gradient" in coordinates.free)
-    value, start = float(np.exp(slopes.logs[0])), slopes.logs[0] + costs @ slopes.logs[1:]
+    start, places = slopes.logs[0] + costs @ slopes.logs[1:], np.flatnonzero(bound)
 
-    def bent(k: int, step: float) -> float:
-        """The relative error of the derivative over a step, SI."""
-        logs = compiled(optimum.point, by=step * np.eye(len(derivatives))[k]).logs
-        return abs((logs[0] + costs @ logs[1:] - start) / (derivatives[k] * step) - 1.0)
+    def change(k: int, step: float) -> float:
+        logs = compiled(optimum.point, by=step * np.eye(len(derivatives))[places[k]]).logs
+        return logs[0] + costs @ logs[1:] - start
 
-    prices = []
-    for k, (name, per, size) in enumerate(PRICED):
-        if bound[k]:
-            price = min(value * float(derivatives[k]), 0.0) * size
-            steps = _LINEAR_STEPS if price else ()
-            prices.append(Price(name, per, price, next((s for s in steps if bent(k, s * size) < _LINEAR), None)))
-    return tuple(prices)
+    limits = [PRICED[k] for k in places]
+    return priced(float(np.exp(slopes.logs[0])), limits, derivatives[places].tolist(), change)

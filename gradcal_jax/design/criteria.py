@@ -58,15 +58,7 @@ class Criterion(eqx.Module):
 
     def __call__(self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT):
         """The statistic: exact for an infinite sharpness, from above otherwise."""
-        values = self.map(info)
-        xp = namespace(values)
-        if self.statistic == "mean":
-            return xp.mean(values)
-        if self.statistic == "rms":
-            return xp.sqrt(xp.mean(values**2))
-        if self.statistic == "max":
-            return largest(xp.reshape(values, (-1, 1)), sharpness)[0]
-        return xp.mean(largest(values, sharpness))
+        return smooth_statistic(self.statistic, self.map(info), sharpness)
 
 
 class Optimality(eqx.Module):
@@ -103,7 +95,10 @@ class Missed(eqx.Module):
     def __call__(self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT):
         """In (0, 1)."""
         del sharpness
-        share = kept(info, slice(*self.where), self.prior_std)
+        return self.chance(kept(info, slice(*self.where), self.prior_std))
+
+    def chance(self, share: Float[AnyArray, " k"]):
+        """The same from the shares that are `kept` of the prior variance."""
         ratio = (self.std / self.prior_std) ** 2
         return missed(share / (share + ratio * (1.0 - share)), self.below)
 
@@ -133,6 +128,18 @@ def criterion(
     rows, alone, beyond = contrasts(model, quantity, grid_t.ravel(), grid_w.ravel())
     shape = (len(temperature), len(rate))
     return Criterion(rows, alone if np.any(alone) else None, beyond, shape, statistic)
+
+
+def smooth_statistic(name: Statistic, values: Float[AnyArray, "n_T n_w"], sharpness):
+    """A statistic of a map: exact for an infinite sharpness, from above otherwise."""
+    xp = namespace(values)
+    if name == "mean":
+        return xp.mean(values)
+    if name == "rms":
+        return xp.sqrt(xp.mean(values**2))
+    if name == "max":
+        return largest(xp.reshape(values, (-1, 1)), sharpness)[0]
+    return xp.mean(largest(values, sharpness))
 
 
 def largest(values: Float[AnyArray, "n m"], sharpness) -> Float[AnyArray, " m"]:

@@ -31,7 +31,7 @@ class Case(eqx.Module):
 
     model: SensorModel
     thermal_lag: Float[AnyArray, ""] | None
-    minimised: tuple[Criterion | Optimality, ...]
+    minimised: tuple[Criterion | Optimality | Missed, ...]
     limited: tuple[Criterion | Missed, ...]
     weight: Float[AnyArray, ""]
     rule: Rule | None = eqx.field(static=True, default=None)

@@ -26,11 +26,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray
-from gradcal_jax.design.criteria import largest
-from gradcal_jax.information import imu_system, segments_of
+from gradcal_jax.design.criteria import Missed, largest, smooth_statistic
+from gradcal_jax.information import imu_system, kept_of, segments_of
 from gradcal_jax.information.adjoint import gram
 from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.information.noise_steps import NoiseSteps
+from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import ImuModel
 from gradcal_jax.trajectory import Geometry, Schedule, TableMotion, body_nodes, gradient_plan, programme
 from gradcal_jax.trajectory.motion import rest, turn
@@ -273,11 +274,12 @@ class Statistics(NamedTuple):
 
     elements: tuple[GridElement, ...]
     shape: tuple[int, int]
-    kind: str
+    kind: Statistic
     together: bool
     factor: float
 
-    def __call__(self, covariance: AnyArray, sharpness) -> AnyArray:
+    def __call__(self, info: AnyArray, covariance: AnyArray, sharpness) -> AnyArray:
+        del info
         each = []
         for e in self.elements:
             c = covariance[e.where, e.where]
@@ -287,23 +289,62 @@ class Statistics(NamedTuple):
             variance = variance + e.added
             if e.alone is not None:
                 variance = variance - jnp.sum((e.alone @ c) * e.alone, axis=1)
-            values = jnp.reshape(jnp.sqrt(variance), self.shape)
-            if self.kind == "mean":
-                each.append(jnp.mean(values))
-            elif self.kind == "rms":
-                each.append(jnp.sqrt(jnp.mean(values**2)))
-            elif self.kind == "max":
-                each.append(_largest(jnp.ravel(values), sharpness))
-            else:
-                each.append(jnp.mean(largest(values, sharpness)))
+            each.append(smooth_statistic(self.kind, jnp.reshape(jnp.sqrt(variance), self.shape), sharpness))
         together = jnp.stack(each)
         return self.factor * (jnp.sqrt(jnp.mean(together**2)) if self.together else _largest(together, sharpness))
+
+
+class Unnoticed(NamedTuple):
+    """The largest chance that a test misses a hidden map, over the `allowed` one; each map is tested with the
+    parameters `believed` and its own."""
+
+    tests: tuple[Missed, ...]
+    believed: Int[np.ndarray, " b"]
+    allowed: float
+
+    def __call__(self, info: AnyArray, covariance: AnyArray, sharpness) -> AnyArray:
+        del covariance
+        chances = []
+        for test in self.tests:
+            own = np.arange(*test.where)
+            every = np.union1d(self.believed, own)
+            at = np.searchsorted(every, own)
+            covariance = inverse(info[every[:, None], every])[at[:, None], at]
+            chances.append(test.chance(kept_of(covariance / test.prior_std**2)))
+        return _largest(jnp.stack(chances), sharpness) / self.allowed
+
+
+class Together(NamedTuple):
+    """IMUs on one table: the parameters of the table, which are `shared`, with their `prior` information; of each model
+    the number of IMUs (`counts`), and the `groups` of models that are estimated together."""
+
+    shared: Int[np.ndarray, " s"]
+    prior: Float[np.ndarray, " s"]
+    counts: tuple[int, ...]
+    groups: tuple[list[int], ...]
+
+    def joined(self, each: Sequence[AnyArray]) -> list[AnyArray]:
+        """The information of each model, with what all other IMUs say of the table. The encoders' errors, which are
+        common too, count as every IMU's own."""
+        shared, result = self.shared, list(each)
+        own = np.setdiff1d(np.arange(len(each[0])), shared)
+        left = []
+        for info in each:
+            across = info[own[:, None], shared]
+            of_table = info[shared[:, None], shared] - across.T @ inverse(info[own[:, None], own]) @ across
+            left.append(of_table - jnp.diag(self.prior))
+        for group in self.groups:
+            whole = sum(self.counts[k] * left[k] for k in group)
+            for k in group:
+                result[k] = each[k].at[shared[:, None], shared].add(whole - left[k])
+        return result
 
 
 class CycleObjective:
     """The logarithm of a cycle's residuals over their targets: their mean or the worst, over `models` of the noise
     likewise, in a mean with their `weights`; and `EXCESS` times what the `limiting` ones exceed. `known`: for each
-    model, the information before the plan begins; `geometries`: its table and mountings."""
+    model, the information before the plan begins; `geometries`: its table and mountings. `believed`: the parameters
+    that the residuals count, others being zero; `together`: of a fixture of several IMUs."""
 
     def __init__(
         self,
@@ -311,9 +352,11 @@ class CycleObjective:
         geometries: Sequence[Geometry],
         models: Sequence[ImuModel],
         known: Sequence[Float[np.ndarray, "p p"]],
-        statistics: Sequence[Statistics],
-        limiting: Sequence[Statistics] = (),
+        statistics: Sequence[Statistics | Unnoticed],
+        limiting: Sequence[Statistics | Unnoticed],
         *,
+        believed: Int[np.ndarray, " b"],
+        together: Together | None,
         weights: Float[np.ndarray, " s"],
         window: int,
         points: int,
@@ -325,27 +368,39 @@ class CycleObjective:
         self.geometries = [jax.tree.map(jnp.asarray, geometry) for geometry in geometries]
         self.statistics, self.window, self.points = (*statistics, *limiting), window, points
         self.minimised, self.weights = len(statistics), weights
+        self._believed, self._together = believed, together
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
 
-    def value(self, z: Float[AnyArray, "3 K"], of: CycleStructure, ramps: Ramp, sharpness) -> Float[AnyArray, ""]:
-        """The objective of a cycle on stacked `ramps`; where it has no value, a large one."""
-        decoded = self.coordinates.decode(z, of)
+    def value(
+        self,
+        z: Float[AnyArray, "3 K"],
+        of: CycleStructure,
+        ramps: Ramp,
+        sharpness,
+        coordinates: CycleCoordinates | None = None,
+    ) -> Float[AnyArray, ""]:
+        """The objective of a cycle on stacked `ramps`; where it has no value, a large one. `coordinates`: of other
+        limits than those of the search."""
+        coordinates = coordinates or self.coordinates
+        decoded = coordinates.decode(z, of)
         logs = self.logs(decoded, of, ramps, sharpness)
         logs, beyond = logs[:, : self.minimised], logs[:, self.minimised :]
         each = largest_log(logs, sharpness, axis=1) if self.worst else jnp.mean(logs, axis=1)
         total = largest_log(each, sharpness, axis=0) if self.worst_model else jnp.dot(self.weights, each)
         # From above, as all that is sharp: a limit is kept with a little room.
         total = total + EXCESS * jnp.sum(largest_log(jnp.stack([beyond, jnp.zeros_like(beyond)]), sharpness, axis=0))
-        total = total + self.coordinates.penalty(decoded, of.period)
+        total = total + coordinates.penalty(decoded, of.period)
         return jnp.where(jnp.isfinite(total), total, _NOWHERE)
 
     def logs(self, decoded: Decoded, of: CycleStructure, ramps: Ramp, sharpness) -> Float[AnyArray, "s m"]:
         """The logarithm of every statistic in every model of the noise."""
-        all_logs = []
+        all_logs, each, own = [], [], self._believed
         for model, geometry, known in zip(self.models, self.geometries, self.known, strict=True):
             on_ramp = partial(self.information, model, geometry, decoded, of)
-            covariance = inverse(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
-            all_logs.append(jnp.log(jnp.stack([s(covariance, sharpness) for s in self.statistics])))
+            each.append(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
+        for info in each if self._together is None else self._together.joined(each):
+            covariance = inverse(info if len(own) == len(info) else info[own[:, None], own])
+            all_logs.append(jnp.log(jnp.stack([s(info, covariance, sharpness) for s in self.statistics])))
         return jnp.stack(all_logs)
 
     def information(

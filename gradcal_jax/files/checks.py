@@ -399,8 +399,9 @@ def _design(spec: "Spec") -> Iterator[Problem]:
     assert spec.design is not None
     names = [requirement.name for requirement in spec.requirement]
     problems = [*design_problems(spec.design, names, of_axis=spec.turns_one_gyro)]
-    if (gyro := spec.sensor.gyro) is not None and spec.design.notice is not None:
-        problems += [p.under("notice") for p in notice_problems(spec.design.notice, gyro.scale_factor)]
+    if spec.design.notice is not None:
+        scale = None if spec.sensor.gyro is None else spec.sensor.gyro.scale_factor
+        problems += [p.under("notice") for p in notice_problems(spec.design.notice, scale)]
     yield from (p.under("design") for p in problems)
 
 

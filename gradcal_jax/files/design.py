@@ -86,7 +86,7 @@ class Design(Section):
     seed: q.Whole = 0
     """Seed of the search."""
     notice: Notice | None = None
-    """What the design must notice."""
+    """What the design must notice; of an IMU, in the scale factor of each gyro."""
     whole_turns: q.Flag = False
     """Whether every turn must be a whole number of revolutions, where encoder errors repeat."""
     robust: Literal["mean", "worst"] = "mean"
@@ -114,7 +114,7 @@ class Design(Section):
 
 
 # Keys that one of the two kinds of search alone reads.
-_OF_AXIS: Final = ("cycles", "starts", "notice", "whole_turns")
+_OF_AXIS: Final = ("cycles", "starts", "whole_turns")
 _OF_POSES: Final = ("angle_step", "shortest_rest", "longest_rest")
 _MOVES_OF_AXIS: Final = 40
 _FREE_OF_POSES: Final = ("cycle", "programme")

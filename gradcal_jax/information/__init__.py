@@ -23,6 +23,7 @@ from gradcal_jax.information.noise_steps import NoiseSteps, noise_states, noise_
 from gradcal_jax.information.noticing import (
     gains_of_shares,
     kept,
+    kept_of,
     missed,
     not_negligible,
     noticed_from,

@@ -43,7 +43,12 @@ def kept(info: SquareRootInformation, where: slice, std) -> Float[AnyArray, " k"
     xp, count = namespace(info.factor), where.stop - where.start
     rows = put(xp.zeros((count, info.scale.shape[0])), (np.arange(count), np.arange(where.start, where.stop)), 1.0)
     half = solve_transposed(info.factor, (rows / info.scale[None, :]).T) / std
-    covariance = half.T @ half
+    return kept_of(half.T @ half)
+
+
+def kept_of(covariance: Float[AnyArray, "k k"]) -> Float[AnyArray, " k"]:
+    """The same from the coefficients' posterior covariance over their prior variance."""
+    xp = namespace(covariance)
     vectors = fixed(xp.linalg.eigh(fixed(covariance))[1])
     return xp.clip(xp.sum(vectors * (covariance @ vectors), axis=0), 0.0, 1.0)
 

@@ -23,7 +23,7 @@ from gradcal_jax.model.installation import InstallationTerm
 from gradcal_jax.model.nodes import AXIS_NAMES, BodyNodes, OtherTemperature
 from gradcal_jax.model.path import PathTerm, TemperatureDifference
 from gradcal_jax.model.sensor import SensorModel
-from gradcal_jax.model.terms import GradientOfBias, Map, SignalMap, Term, block_diagonal
+from gradcal_jax.model.terms import DISCREPANCY, Discrepancy, GradientOfBias, Map, SignalMap, Term, block_diagonal
 
 ChannelKind = Literal["gyro", "accelerometer"]
 KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
@@ -186,7 +186,7 @@ class ImuModel(PytreeModule):
         """S with `columns at T + by = (columns at T) S` for each `by` (K); None unless all are polynomials of T."""
         result, known = np.tile(np.eye(self.size), (len(by), 1, 1)), {}
         begin = 0
-        for term in self.terms:
+        for channel, term in ((c, term) for c in self.channels for term in c.model.terms):
             if isinstance(term, Map | SignalMap):
                 basis, count = term.temperature, term.size // term.temperature.size
                 if not isinstance(basis, Polynomial) or term.late is not None:
@@ -195,6 +195,14 @@ class ImuModel(PytreeModule):
                 if (key := (basis.degree, basis.centre, basis.scale, basis.internal)) not in known:
                     known[key] = basis.shifts(by)[:, None]
                 result[:, places[:, :, None], places[:, None, :]] = known[key]
+            elif isinstance(term, Discrepancy) and term.late is None:
+                of = channel.model
+                own = term.name.removesuffix(DISCREPANCY.format(""))
+                first = begin - of.where(term.name).start
+                places = np.append(first + np.arange(of.size)[of.where(own)], begin + np.arange(term.size))
+                function = of.map(own)
+                assert function is not None
+                result[:, places[:, None], places] = term.shifts(function, by)
             elif not isinstance(term, GradientOfBias):
                 return None
             begin += term.size

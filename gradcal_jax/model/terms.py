@@ -112,6 +112,18 @@ class Discrepancy(Term):
         factors = [tensor(*pair) for pair in self._factors(temperature, rate)]
         return namespace(temperature).concatenate(factors, axis=-1)
 
+    def shifts(self, own: "Map", by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k s s"]:
+        """S with `f(T + by) = f(T) S` for all T (°C), f the functions of the map and then its own."""
+        axes = [
+            np.zeros(1)
+            if basis is None
+            else basis.centre + basis.scale * np.linspace(-1.0, 1.0, basis.lowest + basis.size)
+            for basis in (self.temperature, self.rate)
+        ]
+        t, w = (x.ravel() for x in np.meshgrid(*axes, indexing="ij"))
+        at = lambda t: np.concatenate([own.values(t, w), self.values(t, w)], axis=-1)  # noqa: E731
+        return np.linalg.solve(at(t)[None], np.stack([at(t + b) for b in by]))
+
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
         def of_group(group: NodeGroup):
             drive = 1.0 if self.rate is None else group.rate[..., None]

@@ -1,16 +1,22 @@
 """Places of a fixture: the spec of the IMU at one, predictions of all, and one motion for all."""
 
+import json
 import tomllib
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 import gradcal_jax as gj
-from gradcal_jax.api.imu_build import build_imu, geometry
+from gradcal_jax.api.imu_build import build_imu, geometry, imu_posterior
+from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.api.pose_search import CyclePlan
-from gradcal_jax.files import presets, spec_of
+from gradcal_jax.api.verdicts import UNIT_OF
+from gradcal_jax.cli import main
+from gradcal_jax.estimation import posteriors_together
+from gradcal_jax.files import presets, spec_of, tables_of
 from gradcal_jax.files.bench import Place
 from gradcal_jax.files.places import places_of, rotation_of, specs_at_places
 
@@ -140,30 +146,79 @@ def test_what_is_of_one_imu_refuses_a_fixture():
         build_imu(fixture([{"name": "a"}]))
 
 
-def searched(places, robust):
-    tables = tomllib.loads(presets.text("two-axis-table"))
-    tables["rig"]["table"] |= {"place": places}
-    tables["design"] = tables.get("design", {}) | {"robust": robust}
-    return spec_of(tables)
+SLANT = {"name": "slant", "matrix": [[1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]]}
+PLACES = [{"name": "one"}, {"name": "another"}, SLANT]
 
 
-def test_a_search_serves_all_places():
-    """The value of a plan is the mean or the worst over places, and the objective that descends has those of each."""
-    places = [{"name": "flat"}, {"name": "slant", "matrix": [[1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]]}]
+def searched(places, robust="mean"):
+    spec = fixture(places, "accelerometer-six-positions-toured")
+    return spec_of(tables_of(spec) | {"design": {"minimise": "all requirements", "robust": robust}})
 
-    def at_start(spec):
-        plan = CyclePlan(spec)
-        structure = plan.structure(plan.start)
-        z = plan.coordinates.encode(plan.start.turns, structure)
-        arguments = z, structure, plan.course(plan.start.cycles).ramps
-        logs = jax.jit(lambda z, of, ramps: plan.objective.logs(plan.coordinates.decode(z, of), of, ramps, np.inf))(
-            *arguments
+
+def logs_of(spec, posteriors):
+    """The logarithm of what each place leaves over the targets, `(places, requirements)`."""
+    builts = [build_imu(at) for at in specs_at_places(spec).values()]
+    return [
+        [
+            np.log(imu_residual(b, known, r).statistic() / float(r.target) / UNIT_OF[r.quantity][1])
+            for r in spec.requirement
+        ]
+        for b, known in zip(builts, posteriors(builts), strict=True)
+    ]
+
+
+def joint(builts):
+    alone = [imu_posterior(b) for b in builts]
+    plans = [(b.model, b.motion, b.body_nodes(), known) for b, known in zip(builts, alone, strict=True)]
+    return posteriors_together(plans, [1] * len(plans))
+
+
+def test_a_search_serves_all_places_by_the_joint_estimate():
+    """The value of a plan is the mean or the worst over places, each estimated with all others; and the objective that
+    descends, for which encoders' errors are every IMU's own, is near it."""
+    spec = searched(PLACES)
+    expected = np.array(logs_of(spec, joint))
+    alone = np.array(logs_of(spec, lambda builts: [imu_posterior(b) for b in builts]))
+    assert np.max(alone - expected) > 0.2
+    for robust, over in (("mean", np.mean), ("worst", np.max)):
+        plan = CyclePlan(searched(PLACES, robust))
+        assert plan.value_of(plan.residuals(spec)) == pytest.approx(over(np.mean(expected, axis=1)), abs=1e-7)
+    one = CyclePlan(searched(PLACES[:1]))
+    assert one.value_of(one.residuals(one.spec)) == pytest.approx(np.mean(alone[0]), abs=1e-7)
+    plan = CyclePlan(spec)
+    of = jax.tree.map(jnp.asarray, plan.structure(plan.start))
+    decoded = plan.coordinates.decode(plan.coordinates.encode(plan.start.turns, of), of)
+    ramps = plan.course(plan.start.cycles).ramps
+    logs = np.asarray(jax.jit(lambda d: plan.objective.logs(d, of, ramps, np.inf))(decoded))
+    apart, apart_alone = logs - expected[[0, 2]], alone[[0, 2]] - expected[[0, 2]]
+    assert np.max(np.abs(apart)) < 0.15
+    assert np.sum(np.abs(apart)) < 0.4 * np.sum(np.abs(apart_alone))
+
+
+def test_the_command_finds_a_plan_that_is_better_for_all_together(tmp_path, capsys):
+    source, goal = tmp_path / "fixture.toml", tmp_path / "better.toml"
+    rests = {f"plan.cycle.moves[{k}].rest": f"{rest} s" for k, rest in enumerate((120, 16, 16, 16, 16, 16))}
+    spec = gj.changed(searched(PLACES), rests)
+    gj.write_toml(spec, source)
+    assert main(["optimise", str(source), "-o", str(goal), "--steps", "60", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert "of all IMUs estimated together" in found["sentence"]
+    made = gj.read_recipe(goal).spec
+    assert [place.name for place in made.rig.table.place] == ["one", "another", "slant"]
+    logs = [np.array(logs_of(of, joint)) for of in (spec, made)]
+    assert [found["before"], found["now"]] == pytest.approx([np.exp(np.mean(of)) for of in logs], rel=1e-6)
+    assert found["now"] < 0.99 * found["before"]
+    worst = np.exp(np.max(logs[1], axis=0))
+    for row, requirement, value in zip(found["requirements"], made.requirement, worst, strict=True):
+        assert row["now"] == pytest.approx(
+            value * float(requirement.target) * UNIT_OF[requirement.quantity][1], rel=1e-6
         )
-        return plan.value_of(plan.residuals(spec)), np.asarray(logs)
 
-    each = [at_start(searched([place], "mean")) for place in places]
-    mean, logs = at_start(searched(places, "mean"))
-    assert mean == pytest.approx(np.mean([value for value, _ in each]), abs=1e-9)
-    assert at_start(searched(places, "worst"))[0] == pytest.approx(max(value for value, _ in each), abs=1e-9)
-    assert logs == pytest.approx(np.concatenate([own for _, own in each]), abs=1e-9)
-    assert not np.allclose(logs[0], logs[1], atol=1e-4)
+
+def test_a_plan_too_large_to_be_estimated_together_is_judged_alone_and_it_is_said(monkeypatch):
+    monkeypatch.setattr("gradcal_jax.estimation.several_imus._MOST", 1.0)
+    spec = searched(PLACES)
+    plan = CyclePlan(spec)
+    alone = logs_of(spec, lambda builts: [imu_posterior(b) for b in builts])
+    assert plan.value_of(plan.residuals(spec)) == pytest.approx(np.mean(alone), abs=1e-7)
+    assert "each place is that of an IMU alone" in plan.apart

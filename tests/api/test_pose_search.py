@@ -127,6 +127,16 @@ PLANS = {
         },
         0.15,
     ),
+    "a discrepancy": (
+        {
+            "sensor.gyro.scale_factor.discrepancy": {
+                "standard_deviation": "20 ppm",
+                "temperature_degree": 2,
+                "rate_degree": 2,
+            }
+        },
+        4e-3,
+    ),
     "a lag": ({"sensor.thermal_lag": "2 min"}, 0.01),
     "slow moves": ({"sensor.accelerometer.read_on_moves_below": "250 deg/s"}, 3e-3),
     "limited travel": ({"rig.table.axis[0].travel": "520 deg"}, 4e-3),

@@ -8,12 +8,13 @@ import pytest
 from search_problem import SPEC
 
 from gradcal_jax.api import predict
+from gradcal_jax.api.build import assemble
 from gradcal_jax.api.measure import measure
 from gradcal_jax.api.optimise import optimise
 from gradcal_jax.api.scenarios import extremes, scenario_specs
 from gradcal_jax.api.search_results import Optimised
 from gradcal_jax.api.structures import structures
-from gradcal_jax.api.turn_search import belief_of
+from gradcal_jax.api.turn_search import _within_limits, belief_of
 from gradcal_jax.files import SpecError, changed, parse_spec, spec_of, to_toml
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.units import format_quantity, unit_of
@@ -91,6 +92,22 @@ def test_a_design_notices_what_it_must_and_pays_for_it(spec):
     # Both are local optima of a few steps: to a per cent.
     assert best.now >= 0.99 * free.now
     assert best.now == pytest.approx(predict(best.spec).requirements[0].decisive)
+
+
+def test_the_plan_as_it_was_counts_only_where_it_notices(spec):
+    (row,) = predict(changed(spec, {"design.notice": HIDDEN}), notices=True).notices
+    for share, keeps in ((2.0, True), (0.5, False)):
+        notice = HIDDEN | {"standard_deviation": f"{share * row.sure_from:.6g} ppm"}
+        must = changed(spec, {"design.notice": notice})
+        assert _within_limits(must, measure(must)) == keeps
+        # Where a time is minimised, a plan that misses it is none.
+        target = {"requirement[0].target": "1000000 ppm", "design.minimise": "motion time"}
+        of = measure(changed(must, target))
+        (own,) = predict(must, notices=True).notices
+        assert of.limits == ()
+        assert (of.exact(assemble(must).schedule) <= 1.0) == keeps
+        # The test that is reported leaves out what the plan does not show.
+        assert of.exact(assemble(must).schedule) >= (1.0 - own.power) / 0.1
 
 
 def test_the_probability_to_miss_has_a_gradient_in_the_plan(spec):

@@ -22,7 +22,7 @@ from gradcal_jax.api.prediction import counted_shares
 from gradcal_jax.files.absent import with_typical
 from gradcal_jax.files.calibration import LOG_HASH, CalibratedChannel, Calibration, Result
 from gradcal_jax.files.log import SERIAL_NUMBER
-from gradcal_jax.files.rig import RigFile
+from gradcal_jax.files.rig import Laboratory, RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.information.conformity import specific_risk
 from gradcal_jax.pages.numbers import figures, one_sign
@@ -91,6 +91,7 @@ class Certificate(NamedTuple):
     """The contents of the two parts."""
 
     heading: tuple[tuple[str, str], ...]
+    laboratory: Laboratory | None
     method: str
     traceability: tuple[tuple[str, str, str, str], ...]
     conditions: tuple[tuple[str, str], ...]
@@ -107,18 +108,20 @@ class Certificate(NamedTuple):
 def certificate_of(
     sources: Sources,
     rig: RigFile | None = None,
+    own: Laboratory | None = None,
     *,
     number: str = "",
     customer: str = "",
     operator: str = "",
     performed: str = "",
 ) -> Certificate:
-    """The contents of a certificate. `performed`: a date, or the first and the last as "2026-11-21..2026-11-22"; by
-    default that of the run. Errors: `ValueError` without a calibration, or for an invalid date."""
+    """The contents of a certificate. `own`: the laboratory, if the rig file names none. `performed`: a date, or the
+    first and the last as "2026-11-21..2026-11-22"; by default that of the run. Errors: `ValueError` without a
+    calibration, or for an invalid date."""
     calibration = sources.calibration
     if calibration is None:
         raise ValueError("a certificate needs a calibration: name its file, or the folder of a run that has one")
-    laboratory = None if rig is None else rig.laboratory
+    laboratory = own if rig is None else rig.laboratory or own
     who = operator or ("" if laboratory is None or laboratory.operator is None else laboratory.operator)
     where = "" if laboratory is None else ", ".join(filter(None, (laboratory.name, laboratory.address)))
     number_of_unit = calibration.provenance.get(SERIAL_NUMBER, NOT_STATED)
@@ -135,6 +138,7 @@ def certificate_of(
     )
     return Certificate(
         heading=heading,
+        laboratory=laboratory,
         method=_method(sources, calibration),
         traceability=tuple(
             (r.device, r.identity, r.certificate or NOT_STATED, r.due or NOT_STATED)
@@ -288,6 +292,7 @@ def certificate_tables(certificate: Certificate) -> dict[str, Any]:
     """The certificate as plain numbers and texts, for `--json`."""
     return certificate._asdict() | {
         "heading": dict(certificate.heading),
+        "laboratory": certificate.laboratory and certificate.laboratory.model_dump(),
         "conditions": dict(certificate.conditions),
         "traceability": [
             dict(zip(("device", "identity", "certificate", "due"), r, strict=True)) for r in certificate.traceability

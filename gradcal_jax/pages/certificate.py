@@ -25,7 +25,7 @@ from gradcal_jax.files.log import SERIAL_NUMBER
 from gradcal_jax.files.rig import Laboratory, RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.information.conformity import specific_risk
-from gradcal_jax.pages.numbers import figures, one_sign
+from gradcal_jax.pages.numbers import figures, one_sign, percent
 from gradcal_jax.pages.provenance import stated_figures
 from gradcal_jax.pages.requirements import SUMMED
 from gradcal_jax.pages.sources import Sources
@@ -218,7 +218,7 @@ def _result(row: Result) -> ResultRow:
         row = row.model_copy(update={"value": None, "worst": None})
     expanded = None if row.value is None else k * row.value
     risk = None
-    if row.target is not None and row.worst is not None:
+    if row.verdict in ("met", "missed") and row.target is not None and row.worst is not None:
         risk = specific_risk(0.0, row.worst, row.target)
     verdict, rule = row.verdict or "no limit stated", row.rule or ""
     return ResultRow(
@@ -315,7 +315,7 @@ def write_certificate(certificate: Certificate, output: str | Path) -> None:
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["figures"] = _shown
+    environment.filters |= {"figures": _shown, "percent": percent}
     room = resources.files(__name__.rsplit(".", 1)[0])
     template = environment.from_string((room / "certificate.html").read_text(encoding="utf-8"))
     css = (room / "style.css").read_text(encoding="utf-8")

@@ -56,7 +56,7 @@ def executed(
     at = [np.flatnonzero(reading[a:b]) + a for a, b in runs(standing | reading)]
     at = [rows.tolist() for rows in at if len(rows)]
     if sum(map(len, at)) < 2:
-        raise ValueError("the log never stands still for two readings, so nothing can be read from it")
+        raise ValueError("nothing can be estimated: in this log the table never stands still for two readings")
     rows, flags = [at[0][0]], list[tuple[bool, ...]]()
 
     def add(row: int, *, reads: bool, stands: bool, is_gap: bool = False, moves: bool = False, lost: bool = False):

@@ -33,13 +33,13 @@ class PlayOfBias(Section):
 
 
 class PlayOfForce(PlayOfBias):
-    """As of a gyro, of an accelerometer."""
+    """The same table, for an accelerometer."""
 
     prior: PositiveAccelerationSlope
 
 
 class PlayOfScaleFactor(PlayOfBias):
-    """As of the bias, of the scale factor."""
+    """The same table, for the scale factor."""
 
     prior: PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -61,7 +61,7 @@ class PowerOnTransient(Section):
 
 
 class PowerOnForceTransient(PowerOnTransient):
-    """As of a gyro, of an accelerometer."""
+    """The same table, for an accelerometer."""
 
     prior: PositiveSpecificForce
 
@@ -93,13 +93,13 @@ class LateGradientOfBias(Section):
 
 
 class LateGradientOfForce(LateGradientOfBias):
-    """As of a gyro, of an accelerometer."""
+    """The same table, for an accelerometer."""
 
     prior: ForceGradientSensitivity
 
 
 class LateGradientOfScale(LateGradientOfBias):
-    """As of the bias, of the scale factor."""
+    """The same table, for the scale factor."""
 
     prior: PositiveScaleFactorGradient  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -112,13 +112,13 @@ class DifferenceOfBias(Section):
 
 
 class DifferenceOfForce(DifferenceOfBias):
-    """As of a gyro, of an accelerometer."""
+    """The same table, for an accelerometer."""
 
     prior: PositiveAccelerationSlope
 
 
 class DifferenceOfScale(DifferenceOfBias):
-    """As of the bias, of the scale factor."""
+    """The same table, for the scale factor."""
 
     prior: PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 

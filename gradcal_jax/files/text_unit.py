@@ -43,7 +43,7 @@ class UnitTime(Section):
     unit: Literal["s", "ms", "us"] = "s"
     """What it is in."""
     modulus: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
-    """The number at which it begins at 0 again; absent: never."""
+    """The number at which the count starts at 0 again; absent: never."""
 
 
 class TextUnit(Section):

@@ -74,7 +74,7 @@ class TextUnit(Section):
     boot: SizeOfTime = Quantity(0.0, "0 s", "time")
     """Time that the unit is given after its port was opened, which restarts many boards."""
     timeout: Time = Quantity(3.0, "3 s", "time")
-    """How long its first lines are waited for."""
+    """How long to wait for its first lines."""
 
     @property
     def fields(self) -> tuple[str, ...]:

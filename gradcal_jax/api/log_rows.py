@@ -114,7 +114,7 @@ class ClockFit(NamedTuple):
         known = (
             f"1σ {self.std * 1e6:.2g} ppm" if self.std is not None else "how well that is known the log does not say"
         )
-        return f"a second of the sensor is {self.slope:.9f} s of the computer ({known}{self.since})"
+        return f"one second of the sensor's clock is {self.slope:.9f} s of the computer's ({known}{self.since})"
 
 
 def time_of(log: Log, options: Options) -> tuple[np.ndarray, list[str]]:

@@ -138,7 +138,7 @@ def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimi
         before=spec.gradient_schedule.motion / 60.0 if not isinstance(spec.schedule, StandardSchedule) else None,
         optimum=minutes,
         now=minutes,
-        sentence=f"{best.sentence}; at {best.now:.3g} of the target, of {longest / 60.0:.4g} min allowed",
+        sentence=f"{best.sentence}; {best.now:.3g} times the target; {longest / 60.0:.4g} min were allowed",
         starts=(),
         active=(*best.active, bound),
         prices=prices,

@@ -265,7 +265,7 @@ def finished(
         hint = "give finer ones"
         if any(r.name == design_of(spec).minimise and r.quantity in ("heading", "north") for r in spec.requirement):
             hint = "give the maps priors, or other requirements targets: a mission alone constrains little else"
-        sentence = f"rounded to the controllers' steps the plan observes too little, {hint}; {sentence}"
+        sentence = f"rounded to the controllers' steps, the plan does not observe enough: {hint}; {sentence}"
     elif now > (1.0 + _DEAR) * optimum.value:
         more = 100.0 * (now / optimum.value - 1.0)
         sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"

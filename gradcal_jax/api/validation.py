@@ -178,7 +178,7 @@ def _axis(
     stops = [np.flatnonzero(reading[a:b]) + a for a, b in formulas.runs(standing | reading)]
     stops = [rows for rows in stops if len(rows)]
     if sum(map(len, stops)) < 2:
-        raise LogError("the log never stands still for two readings, so nothing can be read from it")
+        raise LogError("nothing can be estimated: in this log the table never stands still for two readings")
     unusable, time = np.cumsum(~usable), log.time_s
 
     def whole(spans: Iterable[tuple[int, int]]) -> np.ndarray:

@@ -28,6 +28,7 @@ from gradcal_jax.cli.rig import rig_app
 from gradcal_jax.cli.run import run as run_command
 from gradcal_jax.cli.start import start
 from gradcal_jax.cli.status import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG_INPUT
+from gradcal_jax.cli.user_config import own_defaults
 
 _HELP: Final = """Calibration plans for gyros, with their residual errors predicted beforehand.
 
@@ -107,6 +108,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
             reconfigure(errors="replace")
     try:
         app = build()
+        app.config = own_defaults(app)
         tokens = _today(sys.argv[1:] if arguments is None else list(arguments))
         command, bound, _ = app.parse_args(tokens, console=_wide(tokens), exit_on_error=False, print_error=False)
         status = command(*bound.args, **bound.kwargs)

@@ -235,7 +235,7 @@ def _unit(log, serial_number: str, unit: str | None) -> str | int:
 
 def _acceptance_text(row: "Acceptance") -> str:
     """A verdict, with its rule and the measured error."""
-    from gradcal_jax.cli.predict import percent
+    from gradcal_jax.pages.numbers import percent
 
     limit = "none is accepted" if row.acceptance is None else f"at most {row.acceptance:.4g} {row.unit} is accepted"
     return (

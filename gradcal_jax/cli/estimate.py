@@ -78,10 +78,10 @@ def estimate(
     recipe
         The recipe that was run, in the place of its spec.
     output
-        Write the calibration here; with several units, one file each, with the unit's name in the file's.
+        Write the calibration here; with several units, a file for each, named after the unit.
     axis
-        Which axis the table turned, of a spec with one gyro on a table of one axis; without it that of the spec, or
-        the log's only one. Without a spec: which axes; may be repeated.
+        The sensor's axis that the table turned, if the spec has one gyro on a table of one axis; by default that of the
+        spec, or the log's only one. Without a spec: which axes; may be repeated.
     unit
         Which unit; may be repeated. All, without it.
     table_axis

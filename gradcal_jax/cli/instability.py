@@ -72,7 +72,8 @@ def instability(
 ) -> int:
     """Find the smallest drift that bounds a record at rest: the paper's Direct Bound, as a block for a spec.
 
-    The exit status is 1 where no drift shows above the angle random walk, or where that is more than any gyro has.
+    The exit status is 1 if no drift is visible above the angle random walk, or if the angle random walk is larger than
+    that of any gyro.
 
     Parameters
     ----------
@@ -93,7 +94,7 @@ def instability(
     bins
         Also for each range of temperature of this width, such as "2 K".
     branches
-        Also for heating and cooling apart, as a whole and in each range.
+        Fit heating and cooling separately, too: each as a whole, and each in the temperature ranges.
     plot
         Draw the largest drifts with their bound into this file (.png, .svg, .pdf).
     """
@@ -329,7 +330,7 @@ def allan(
     bins
         Also for each range of temperature of this width, such as "2 K".
     branches
-        Also for heating and cooling apart, as a whole and in each range.
+        Fit heating and cooling separately, too: each as a whole, and each in the temperature ranges.
     plot
         Draw the deviation, its fit and the Direct Bound's curve into this file.
     """

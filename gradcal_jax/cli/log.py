@@ -87,7 +87,7 @@ def log(
     ----------
     output
         The log file (netCDF); absent: log.nc in the folder. An older log is replaced. With several units, one file
-        each, with the unit's name in the file's.
+        each, named after the unit.
     unit
         The unit whose log to write, where several were on the table; without it, the logs of all.
     recording

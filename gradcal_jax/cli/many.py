@@ -91,7 +91,7 @@ def sweep(
         Write a recipe of each optimised plan, summary.csv and summary.md into this folder; it is made where there is
         none.
     dry_run
-        Print the size of the sweep and the time that it will take, by one chunk; write nothing.
+        Print the size of the sweep and how long it will take, extrapolated from one chunk; write nothing.
     json
         Print the summary as JSON.
     plot

@@ -10,6 +10,7 @@ from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Json, Plot, as_json, drawable, save_figure
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.pages.numbers import percent
 from gradcal_jax.pages.plain_text import amount, columns, times_text
 from gradcal_jax.units import time_text
 
@@ -149,6 +150,7 @@ def _fixture(prediction: "Prediction") -> list[str]:
 
 def prediction_text(prediction: "Prediction", name: str) -> str:
     """A prediction as text: ppm, deg/h, hours."""
+    from gradcal_jax.files.contracts import notice_sentences
     from gradcal_jax.files.requirement_table import requirement_table
     from gradcal_jax.pages.coefficients import coefficient_table, parameters
 
@@ -164,8 +166,7 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
         lines.append("the spec has no [[requirement]]; the parameters' standard deviations are:")
     table, right = coefficient_table(parameters(prediction, None, {}))
     lines += ["", columns(table, indent="", right=right)]
-    several = len({row.axis for row in prediction.notices}) > 1
-    lines += [(f"axis {row.axis}: " if several else "") + row.sentence for row in prediction.notices]
+    lines += notice_sentences(prediction.notices)
     lines += [f"note: {warning}" for warning in prediction.warnings]
     return "\n".join(lines)
 
@@ -262,13 +263,6 @@ def own_noise_lines(row: "RequirementRow", name: str) -> list[str]:
         ]
         lines.append(columns([head, *rows]))
     return lines
-
-
-def percent(chance: float, least: float = 1e-4) -> str:
-    """A chance in per cent; within `least` of zero or one, only as a bound."""
-    if chance < least:
-        return f"< {100.0 * least:g} %"
-    return f"> {100.0 * (1.0 - least):g} %" if chance > 1.0 - least else f"{100.0 * chance:.3g} %"
 
 
 def _simulated(rows, tests, runs: int, seed: int) -> str:

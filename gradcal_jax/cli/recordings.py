@@ -33,8 +33,8 @@ class Recording:
     rows
         Only these rows of the source, counted from 0: "1000..250000", or open as in "1000..".
     sensor_rate
-        Rate of the sensor's own samples, such as "400 Hz", where rows are single ones of them; "means" where they are
-        their means.
+        Rate of the sensor's own samples, such as "400 Hz", if each row is one of them; "means" if each row is the
+        mean of several.
     """
 
     columns: Annotated[Path | None, Parameter(name="--columns")] = None

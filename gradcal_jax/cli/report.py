@@ -9,6 +9,7 @@ from cyclopts import Parameter
 from gradcal_jax.cli.output import Flag, Force, Json, Output, as_json, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.status import DONE
+from gradcal_jax.cli.user_config import read_user_config
 
 if TYPE_CHECKING:
     from gradcal_jax.pages.sources import Sources
@@ -101,10 +102,10 @@ def _certificate(documents: "Sources", page: Path, xml: Path | None, rig: Path |
     from gradcal_jax.pages import certificate as room
 
     read = None if rig is None else read_rig(rig)
-    document = room.certificate_of(documents, read, **words)
+    document = room.certificate_of(documents, read, read_user_config().laboratory, **words)
     if xml is not None:
         from gradcal_jax.pages.dcc import write_dcc
 
-        write_dcc(document, read, xml)
+        write_dcc(document, xml)
     room.write_certificate(document, page)
     return room.certificate_tables(document)

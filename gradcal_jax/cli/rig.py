@@ -10,6 +10,7 @@ from cyclopts import App
 from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import Flag, Force, Json, Output, OutputOrPrint, as_json, writable
 from gradcal_jax.cli.status import DONE, FAILED
+from gradcal_jax.cli.user_config import rig_or_own
 from gradcal_jax.cli.watch import watch
 from gradcal_jax.pages.plain_text import columns
 
@@ -70,7 +71,7 @@ def protocols(name: str | None = None, /) -> int:
 
 
 @rig_app.command
-def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json: Json = False) -> int:
+def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag = False, json: Json = False) -> int:
     """Read the identity and the limits of every device of a rig. Nothing moves, unless --move is given.
 
     With --recipe everything is tried that its run needs: a reading of each device, the rate of each unit's samples, the
@@ -80,7 +81,7 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
     Parameters
     ----------
     rig
-        The rig file.
+        The rig file; without it, that of the user's configuration.
     recipe
         Try what the run of this recipe needs.
     move
@@ -95,6 +96,7 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
 
     if move and recipe is None:
         raise ValueError("--move makes a recipe's longest moves: which recipe? Give --recipe")
+    rig = rig_or_own(rig)
     description = read_rig(rig)
     reports = check_each(description, RealClock())
     tried = _tried(description, recipe, move) if recipe is not None and all(report.good for report in reports) else []
@@ -116,7 +118,7 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
 
 
 @rig_app.command
-def record(rig: Path, /, *, output: Output, move: Flag = False, force: Force = False) -> int:
+def record(rig: Path | None = None, /, *, output: Output, move: Flag = False, force: Force = False) -> int:
     """Talk to every device of a rig, and keep all bytes both ways in one file, which shows whether a driver fits it.
 
     Send that file with a report: it is replayed as the device. Nothing moves, unless --move is given. The exit status
@@ -125,7 +127,7 @@ def record(rig: Path, /, *, output: Output, move: Flag = False, force: Force = F
     Parameters
     ----------
     rig
-        The rig file.
+        The rig file; without it, that of the user's configuration.
     output
         The transcript to write.
     move
@@ -136,7 +138,7 @@ def record(rig: Path, /, *, output: Output, move: Flag = False, force: Force = F
     from gradcal_jax.hardware.clock import RealClock
     from gradcal_jax.hardware.transcript import record_bench
 
-    description = read_rig(rig)
+    description = read_rig(rig_or_own(rig))
     writable(output, force)
     output.unlink(missing_ok=True)
     said = record_bench(description, output, RealClock(), move=move)

@@ -13,6 +13,7 @@ from gradcal_jax.cli.console import complain
 from gradcal_jax.cli.output import Flag, Json, OptionalOutput, as_json
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED
+from gradcal_jax.cli.user_config import rig_or_own
 from gradcal_jax.units import parse, time_text
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def run(
     recipe
         The recipe file.
     rig
-        The rig file.
+        The rig file; without it, that of the user's configuration.
     output
         The folder of the run; it is made.
     resume
@@ -88,19 +89,18 @@ def run(
         if output is not None or simulate:
             raise ValueError("--resume takes nothing but the folder: rig and simulation are those of its run")
         return _resume(resume, recipe, rig, json)
-    if dry_run:
-        if recipe is None or rig is None:
-            raise ValueError("a dry run asks the devices of a rig: gradcal run RECIPE --rig RIG --dry-run")
-        return _dry_run(recipe, rig, json)
+    if recipe is not None and dry_run:
+        return _dry_run(recipe, rig_or_own(rig), json)
     if recipe is None or output is None:
         raise ValueError("what to run, and where to? gradcal run RECIPE --rig RIG -o RUN/, or --simulate for --rig")
-    if simulate == (rig is not None):
-        raise ValueError("on what? Give either --rig RIG, or --simulate")
+    either = "on what? Give either --rig RIG, or --simulate"
+    if simulate and rig is not None:
+        raise ValueError(either)
     from gradcal_jax.files.recipe import read_recipe
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.execute import run as execute
 
-    executable, bench = read_recipe(recipe), None if rig is None else read_rig(rig)
+    executable, bench = read_recipe(recipe), None if simulate else read_rig(rig_or_own(rig, either))
     rate = parse(sample_rate, "frequency")
     if simulate and not json:
         print(_REHEARSAL)

@@ -27,7 +27,7 @@ def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Jso
     once
         Show it once, and do not wait for the end.
     known
-        Print only the residuals after the part that was done by the journal, and after the whole run.
+        Print only the residuals: after the part that was executed (by the journal), and after the whole run.
     json
         Print the status as JSON, once.
     """

@@ -112,7 +112,7 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
         if name in rates_dps and len(track.time_s) > 2 and float(np.ptp(track.angle_deg)) > 1.0
     ]
     if not pairs:
-        raise NoAlignment("the run turned no axis that the recording has, so nothing tells when it was made")
+        raise NoAlignment("the run turned none of the recording's axes, so their times cannot be aligned")
     middle_s = float(0.5 * (time_s[0] + time_s[-1]))
     places = [_refined(pairs, middle_s, lag_s + middle_s, outside) for lag_s, outside in _places(pairs)]
     if not places:

@@ -4,6 +4,8 @@ Other programs read them, so every number is plain. An unobservable value is nul
 infinite.
 """
 
+from collections.abc import Sequence
+from itertools import groupby
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -419,21 +421,34 @@ class NoticeRow(Section):
     sure_from: Size | None = None
     """Size from which on the probability is reached; null: never."""
 
-    @property
-    def sentence(self) -> str:
-        """In words."""
-        shape = f"up to degree {self.temperature_degree}"
-        shape += " in temperature" if self.rate_degree is None else f" in temperature by {self.rate_degree} in rate"
-        hidden = f"structure of the {self.quantity.replace('_', ' ')} that the model lacks (polynomials {shape})"
-        if self.sure_from is None:
-            words = "goes unnoticed, whatever its size"
-        else:
-            words = f"with a probability of {self.sure_power:.0%} from {self.sure_from:.3g} {self.unit} each on"
-            if self.power is not None:
-                size = f"{self.standard_deviation:.4g} {self.unit}"
-                words = f"with a probability of {self.power:.0%} where each has {size}, and {words}"
-            words = f"is noticed {words}"
-        return f"{hidden} {words}; false alarms: {self.false_alarm:.2g}"
+
+def _shape(row: NoticeRow) -> tuple[str, int, int]:
+    return row.quantity, row.temperature_degree, -1 if row.rate_degree is None else row.rate_degree
+
+
+def notice_sentences(rows: Sequence[NoticeRow]) -> list[str]:
+    """In words, what tests of a log detect: one sentence for each map, with the sizes of all axes."""
+
+    def sizes(of: Sequence[NoticeRow], attribute: str) -> str:
+        values = [f"{getattr(row, attribute):.4g} {row.unit}" for row in of]
+        return ", ".join(f"{v} ({row.axis})" if len(rows) > 1 else v for v, row in zip(values, of, strict=True))
+
+    sentences: list[str] = []
+    for (what, degree, rate), group in groupby(sorted(rows, key=_shape), _shape):
+        of = list(group)
+        hidden = f"structure of the {what.replace('_', ' ')} that the model lacks (polynomials up to degree {degree}"
+        hidden += " in temperature)" if rate < 0 else f" in temperature and {rate} in rate)"
+        if seen := [row for row in of if row.sure_from is not None]:
+            words = f"{hidden}: a test of the log detects it with {seen[0].sure_power:.0%} probability if each "
+            words += f"coefficient is at least {sizes(seen, 'sure_from')}"
+            if stated := [row for row in seen if row.power is not None]:
+                powers = ", ".join(f"{row.power:.0%}" for row in stated)
+                words += f", with {powers} if it is {sizes(stated, 'standard_deviation')}"
+            sentences.append(f"{words}; false alarms: {of[0].false_alarm:.2g}")
+        if len(seen) < len(of):
+            where = ", ".join(row.axis for row in of if row.sure_from is None)
+            sentences.append(f"{hidden}: no test of the log detects it" + f" (axis {where})" * (len(of) > 1))
+    return sentences
 
 
 class PlaceRow(Section):

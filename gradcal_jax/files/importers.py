@@ -79,8 +79,8 @@ class ColumnMap(SensorColumns):
     sample_rate: Frequency | None = None
     """As stated; needed where there is no time."""
     sensor_rate: Frequency | None = None
-    """Rate of the sensor's own samples, where rows are single ones of them, such as every 400th; leave it out where
-    rows are their means."""
+    """Rate of the sensor's own samples, if each row is one of them, such as every 400th; leave it out if each row is
+    the mean of several."""
     full_scale: PositiveRate | None = None
     """Rate at which the sensor saturates."""
     skip_first: Whole = 0

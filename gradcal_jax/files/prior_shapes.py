@@ -24,13 +24,13 @@ class BiasShape(Section):
 
 
 class ScaleFactorShape(BiasShape):
-    """As of the bias, of the scale factor."""
+    """The same table, for the scale factor."""
 
     coefficients: Annotated[tuple[Annotated[Quantity, Of("scale factor")], ...], Field(min_length=1, max_length=40_000)]
 
 
 class SpecificForceShape(BiasShape):
-    """As of a gyro, of an accelerometer."""
+    """The same table, for an accelerometer."""
 
     coefficients: Annotated[tuple[Annotated[Quantity, Of("acceleration")], ...], Field(min_length=1, max_length=40_000)]
 

@@ -83,7 +83,7 @@ class RegisterProtocol(Section):
     tell: dict[str, dict[str, int | float | Text]]
     """What can be told, by name: the registers that are written and their values."""
     state: dict[str, Condition] = Field(default_factory=dict[str, Condition])
-    """What registers say of the device, by name: conditioning, program, ramps."""
+    """States of the device that registers report, by name: conditioning, program, ramps."""
     alarm: dict[str, Condition] = Field(default_factory=dict[str, Condition])
     """Its alarms, by name."""
     require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()

@@ -59,7 +59,7 @@ class ChamberDevice(Section):
     ambient: Temperature = Quantity(23.0, "23 degC", "temperature")
     """Temperature to which "ambient" goes."""
     lag: Time = Quantity(300.0, "5 min", "time")
-    """How far the air may be behind its course in time before a run pauses."""
+    """By how long the air may lag behind its set point's ramp before a run pauses."""
     band: PositiveTemperatureDifference = Quantity(3.0, "3 K", "temperature difference")
     """How far the air may be beside its course before a run pauses."""
     never_above: Temperature | None = None

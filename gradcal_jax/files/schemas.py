@@ -26,6 +26,7 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "calibration": ("calibration", "Calibration"),
     "recipe": ("recipe", "Recipe"),
     "sweep": ("sweep", "SweepFile"),
+    "config": ("user_config", "UserConfig"),
 }
 # Versions other than 1.
 _VERSIONS: Final[Mapping[str, str]] = {"timeline": "2", "calibration": "2"}

@@ -68,13 +68,13 @@ class BiasTemperatureGradient(Section):
 
 
 class ForceTemperatureError(TemperatureError):
-    """As of a gyro, of an accelerometer."""
+    """The same table, for an accelerometer."""
 
     bias_slope: q.AccelerationSlope | None = None
 
 
 class ForceTemperatureGradient(BiasTemperatureGradient):
-    """As of a gyro, of an accelerometer."""
+    """The same table, for an accelerometer."""
 
     prior: q.ForceGradientSensitivity | None = None
 

@@ -62,7 +62,7 @@ class Axis(Section):
     section: Literal["sensor", "rig", "plan"] | None = None
     """In place of a key, a whole section, which is taken from other specs."""
     values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100_000)] | None = None
-    """List of values; of a section, presets or paths of specs, seen from this file."""
+    """List of values. If `section` is set: presets, or paths of specs relative to this file."""
     start: End | None = None
     """First value, with its unit."""
     stop: End | None = None
@@ -240,7 +240,7 @@ class SweepFile(TitledFile):
 
     format: Literal["gradcal-sweep/1"]
     base: Text
-    """A preset, or the path of a spec or recipe, seen from this file."""
+    """A preset, or the path of a spec or recipe relative to this file."""
     do: Literal["predict", "optimise"] = "predict"
     """What to do at each point."""
     change: dict[str, Any] = Field(default_factory=dict)

@@ -367,7 +367,7 @@ def _values(
             if way.fullmatch(text) and (place not in readable or way in _CERTAIN):
                 raise LogError(f"column {names[place]} holds {meaning}: '{shown}'")
         if place not in readable:
-            raise LogError(f"column {names[place]} holds no numbers, but such as '{shown}'")
+            raise LogError(f"column {names[place]} holds no numbers, but texts such as '{shown}'")
         if unread[place] > max(_MANY_UNREAD, _SHARE_UNREAD * len(values)):
             raise LogError(
                 f"column {names[place]}: in {unread[place]} of {len(values)} rows stands no number, but such as "

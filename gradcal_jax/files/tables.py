@@ -44,7 +44,7 @@ class Where(Source):
     """Of several sensors in the same columns, the rows of one."""
 
     equals: Text | Number
-    """What stands in the column in the rows that are taken."""
+    """Value of the column in the rows to read."""
 
     def means(self, value: object) -> bool:
         """Whether this is the value of the rows that are taken."""
@@ -59,7 +59,7 @@ class Where(Source):
         """The error where no row has the value, but these."""
         equals = f'"{self.equals}"' if isinstance(self.equals, str) else f"{self.equals:g}"
         some = ", ".join(str(value) for value in itertools.islice(values, 8))
-        return LogError(f"where: no row has {equals} in {self.words()}, but such as {some}")
+        return LogError(f"where: no row has {equals} in {self.words()}; there are {some}")
 
     def chosen(self, values: Array) -> NDArray[np.bool_]:
         """The rows that are taken. Raises `LogError` where there are none."""

@@ -20,13 +20,13 @@ class PlayOfBias(Section):
 
 
 class PlayOfForce(PlayOfBias):
-    """As of a gyro, of an accelerometer."""
+    """The same table, for an accelerometer."""
 
     prior: q.PositiveAccelerationSlope
 
 
 class PlayOfScaleFactor(PlayOfBias):
-    """As of the bias, of the scale factor."""
+    """The same table, for the scale factor."""
 
     prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -48,7 +48,7 @@ class PowerOnTransient(Section):
 
 
 class PowerOnForceTransient(PowerOnTransient):
-    """As of a gyro, of an accelerometer."""
+    """The same table, for an accelerometer."""
 
     prior: q.PositiveSpecificForce
 
@@ -80,13 +80,13 @@ class LateGradientOfBias(Section):
 
 
 class LateGradientOfForce(LateGradientOfBias):
-    """As of a gyro, of an accelerometer."""
+    """The same table, for an accelerometer."""
 
     prior: q.ForceGradientSensitivity
 
 
 class LateGradientOfScale(LateGradientOfBias):
-    """As of the bias, of the scale factor."""
+    """The same table, for the scale factor."""
 
     prior: q.PositiveScaleFactorGradient  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -99,13 +99,13 @@ class DifferenceOfBias(Section):
 
 
 class DifferenceOfForce(DifferenceOfBias):
-    """As of a gyro, of an accelerometer."""
+    """The same table, for an accelerometer."""
 
     prior: q.PositiveAccelerationSlope
 
 
 class DifferenceOfScale(DifferenceOfBias):
-    """As of the bias, of the scale factor."""
+    """The same table, for the scale factor."""
 
     prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 

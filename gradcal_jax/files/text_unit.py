@@ -43,7 +43,7 @@ class UnitTime(Section):
     unit: Literal["s", "ms", "us"] = "s"
     """What it is in."""
     modulus: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
-    """The number at which it begins at 0 again; absent: never."""
+    """The number at which the count starts at 0 again; absent: never."""
 
 
 class TextUnit(Section):
@@ -74,7 +74,7 @@ class TextUnit(Section):
     boot: SizeOfTime = Quantity(0.0, "0 s", "time")
     """Time that the unit is given after its port was opened, which restarts many boards."""
     timeout: Time = Quantity(3.0, "3 s", "time")
-    """How long its first lines are waited for."""
+    """How long to wait for its first lines."""
 
     @property
     def fields(self) -> tuple[str, ...]:

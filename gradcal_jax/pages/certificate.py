@@ -22,10 +22,10 @@ from gradcal_jax.api.prediction import counted_shares
 from gradcal_jax.files.absent import with_typical
 from gradcal_jax.files.calibration import LOG_HASH, CalibratedChannel, Calibration, Result
 from gradcal_jax.files.log import SERIAL_NUMBER
-from gradcal_jax.files.rig import RigFile
+from gradcal_jax.files.rig import Laboratory, RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.information.conformity import specific_risk
-from gradcal_jax.pages.numbers import figures, one_sign
+from gradcal_jax.pages.numbers import figures, one_sign, percent
 from gradcal_jax.pages.provenance import stated_figures
 from gradcal_jax.pages.requirements import SUMMED
 from gradcal_jax.pages.sources import Sources
@@ -91,6 +91,7 @@ class Certificate(NamedTuple):
     """The contents of the two parts."""
 
     heading: tuple[tuple[str, str], ...]
+    laboratory: Laboratory | None
     method: str
     traceability: tuple[tuple[str, str, str, str], ...]
     conditions: tuple[tuple[str, str], ...]
@@ -107,18 +108,20 @@ class Certificate(NamedTuple):
 def certificate_of(
     sources: Sources,
     rig: RigFile | None = None,
+    own: Laboratory | None = None,
     *,
     number: str = "",
     customer: str = "",
     operator: str = "",
     performed: str = "",
 ) -> Certificate:
-    """The contents of a certificate. `performed`: a date, or the first and the last as "2026-11-21..2026-11-22"; by
-    default that of the run. Errors: `ValueError` without a calibration, or for an invalid date."""
+    """The contents of a certificate. `own`: the laboratory, if the rig file names none. `performed`: a date, or the
+    first and the last as "2026-11-21..2026-11-22"; by default that of the run. Errors: `ValueError` without a
+    calibration, or for an invalid date."""
     calibration = sources.calibration
     if calibration is None:
         raise ValueError("a certificate needs a calibration: name its file, or the folder of a run that has one")
-    laboratory = None if rig is None else rig.laboratory
+    laboratory = own if rig is None else rig.laboratory or own
     who = operator or ("" if laboratory is None or laboratory.operator is None else laboratory.operator)
     where = "" if laboratory is None else ", ".join(filter(None, (laboratory.name, laboratory.address)))
     number_of_unit = calibration.provenance.get(SERIAL_NUMBER, NOT_STATED)
@@ -135,6 +138,7 @@ def certificate_of(
     )
     return Certificate(
         heading=heading,
+        laboratory=laboratory,
         method=_method(sources, calibration),
         traceability=tuple(
             (r.device, r.identity, r.certificate or NOT_STATED, r.due or NOT_STATED)
@@ -214,7 +218,7 @@ def _result(row: Result) -> ResultRow:
         row = row.model_copy(update={"value": None, "worst": None})
     expanded = None if row.value is None else k * row.value
     risk = None
-    if row.target is not None and row.worst is not None:
+    if row.verdict in ("met", "missed") and row.target is not None and row.worst is not None:
         risk = specific_risk(0.0, row.worst, row.target)
     verdict, rule = row.verdict or "no limit stated", row.rule or ""
     return ResultRow(
@@ -288,6 +292,7 @@ def certificate_tables(certificate: Certificate) -> dict[str, Any]:
     """The certificate as plain numbers and texts, for `--json`."""
     return certificate._asdict() | {
         "heading": dict(certificate.heading),
+        "laboratory": certificate.laboratory and certificate.laboratory.model_dump(),
         "conditions": dict(certificate.conditions),
         "traceability": [
             dict(zip(("device", "identity", "certificate", "due"), r, strict=True)) for r in certificate.traceability
@@ -310,7 +315,7 @@ def write_certificate(certificate: Certificate, output: str | Path) -> None:
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["figures"] = _shown
+    environment.filters |= {"figures": _shown, "percent": percent}
     room = resources.files(__name__.rsplit(".", 1)[0])
     template = environment.from_string((room / "certificate.html").read_text(encoding="utf-8"))
     css = (room / "style.css").read_text(encoding="utf-8")

@@ -12,7 +12,6 @@ from typing import Final
 
 import gradcal_jax
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.files.rig import RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.pages.certificate import NOT_STATED, Certificate, Correction, ResultRow
 
@@ -47,20 +46,19 @@ _IN_SI: Final = {shown: (1.0 / factor, _D_SI[si]) for si, (shown, factor) in UNI
 }
 
 
-def write_dcc(certificate: Certificate, rig: RigFile | None, path: str | Path) -> None:
+def write_dcc(certificate: Certificate, path: str | Path) -> None:
     """Write a certificate as a DCC. Errors: `ValueError` where a required entry is missing; `OSError`."""
     for prefix, space in (("dcc", _DCC), ("si", _SI), ("xsi", _XSI)):
         ET.register_namespace(prefix, space)
-    root = _document(certificate, rig)
+    root = _document(certificate)
     ET.indent(root)
     text = ET.tostring(root, encoding="unicode")
     write_whole(path, f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n')
 
 
-def _document(certificate: Certificate, rig: RigFile | None) -> ET.Element:
+def _document(certificate: Certificate) -> ET.Element:
     stated = dict(certificate.heading)
-    laboratory = None if rig is None else rig.laboratory
-    if laboratory is None or laboratory.country is None:
+    if (laboratory := certificate.laboratory) is None or laboratory.country is None:
         raise ValueError('a DCC names the laboratory and its country: [laboratory] name = "…", country = "DE" in --rig')
     for key, option in (("certificate number", "--number"), ("performed", "--performed 2026-11-22")):
         if stated[key] == NOT_STATED:

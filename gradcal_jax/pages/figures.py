@@ -30,7 +30,14 @@ from gradcal_jax.plots.calibration_maps import (
     panels_of,
 )
 from gradcal_jax.plots.residual import LOGARITHMIC, tick_text
-from gradcal_jax.plots.tracks import draw_against_time, draw_planned_rate, draw_planned_temperature, turned_axes
+from gradcal_jax.plots.style import style_of
+from gradcal_jax.plots.tracks import (
+    draw_against_time,
+    draw_planned_temperature,
+    planned_cycle,
+    planned_rate,
+    turned_axes,
+)
 
 # Inches. A column is about 370 px wide on a telephone and 500 px on a desk: text of 10 points stays legible on both.
 _WIDE, _HIGH, _LOW = 5.2, 3.7, 2.9
@@ -121,18 +128,9 @@ def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Pi
         if recipe is not None:
             draw_planned_temperature(recipe, ax=ax)
         if history is not None and len(history.chamber_s):
-            draw_done(ax, history.chamber_s, history.chamber_c, "chamber, °C")
-
-    def rates(ax: Axes, axis: str) -> None:
+            index = 0 if recipe is None else 1
+            draw_against_time(history.chamber_s, history.chamber_c, "chamber, °C", "done", index, ax)
         if recipe is not None:
-            draw_planned_rate(recipe, axis, label="planned", ax=ax)
-        if history is not None and axis in history.rates:
-            draw_done(ax, *history.rates[axis], "rate, deg/s", linewidth=0.8)
-
-    def draw_done(ax: Axes, time_s: np.ndarray, values: np.ndarray, what: str, **more: Any) -> None:
-        draw_against_time(time_s, values, what, "done", 0 if recipe is None else 1, ax, **more)
-        if recipe is not None:
-            # Above the frame: cycles fill all of it.
             ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
 
     words = "Temperature of the chamber on the plan's clock"
@@ -142,14 +140,28 @@ def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Pi
     known = recipe is not None or (history is not None and len(history.chamber_s))
     pictures = [picture("temperature", words, temperatures, _LOW)] if known else []
     done = {} if history is None else history.rates
-    for axis in done if recipe is None else turned_axes(recipe):
-        how = " as planned."
-        if axis in done:
-            how = (", as" if recipe is None else ": planned, and as") + " turned by its executed commands."
-        pictures.append(
-            picture(f"rate-{axis}", f"Rate of table axis {axis}{how}", lambda ax, a=axis: rates(ax, a), _LOW)
-        )
-    return pictures
+    return pictures + [_rate_picture(axis, recipe, done) for axis in (turned_axes(recipe) if recipe else done)]
+
+
+def _rate_picture(axis: str, recipe: Recipe | None, done: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Picture:
+    """The rate of an axis: in one cycle as planned, and below as executed; without a recipe, in the whole run."""
+    curves = {} if recipe is None else {"planned": planned_rate(recipe, axis)}
+    curves |= {"done": done[axis]} if axis in done else {}
+    begin, end, which = (0.0, float(done[axis][0][-1]), "") if recipe is None else planned_cycle(recipe, axis)
+
+    def draw(*several: Axes) -> None:
+        for index, (ax, (label, (time_s, rate))) in enumerate(zip(several, curves.items(), strict=True)):
+            inside = (time_s > begin) & (time_s < end)
+            shown = np.concatenate([[begin], time_s[inside], [end]])
+            # (Of rates that step, the values at the step itself.)
+            values = np.concatenate([np.interp([begin], time_s, rate), rate[inside], np.interp([end], time_s, rate)])
+            ax.plot((shown - begin) / 60.0, values, label=label, **style_of(index))
+            ax.set(ylabel="deg/s", title=label if len(curves) > 1 else "")
+        several[-1].set_xlabel("time, min")
+
+    how = f" in {which}: " if which else ", "
+    words = f"Rate of table axis {axis}{how}{' and '.join(curves)}" + (" by its executed commands." if done else ".")
+    return picture(f"rate-{axis}", words, draw, _LOW if len(curves) < 2 else _HIGH, rows=len(curves))
 
 
 def calibration_pictures(calibration: Calibration) -> list[Picture]:
@@ -278,12 +290,13 @@ def picture_key(name: str) -> str:
 
 
 def picture(
-    key: str, caption: str, draw: Callable[[Axes], object], height: float, *, projection: str | None = None
+    key: str, caption: str, draw: Callable[..., object], height: float, *, projection: str | None = None, rows: int = 1
 ) -> Picture:
-    """The drawing of `draw`, of a column's width and `height` inches."""
+    """The drawing of `draw`, of a column's width and `height` inches; of several `rows`, it takes the axes of each."""
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(_WIDE, height), layout="constrained")
-        draw(figure.add_subplot(projection=projection))
+        several = figure.subplots(rows, sharex=True, sharey=True, squeeze=False, subplot_kw={"projection": projection})
+        draw(*several.ravel())
         return Picture(key, caption, svg_of(figure, key))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from gradcal_jax.api.estimate import EstimateReport
 from gradcal_jax.files.bench_tables import CHAMBER_HEAD, chamber_rows
 from gradcal_jax.files.calibration import Calibration
-from gradcal_jax.files.contracts import Prediction
+from gradcal_jax.files.contracts import Prediction, notice_sentences
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.requirement_table import requirement_table
@@ -46,7 +46,7 @@ def _prediction(prediction: Prediction) -> Iterator[str | _Table]:
         yield _Table(requirement_table(prediction.requirements), (2, 3, 4, 5))
         yield from _shares(prediction)
     yield _Table(*coefficient_table(parameters(prediction, None, {})))
-    yield _list([row.sentence for row in prediction.notices] + list(prediction.warnings))
+    yield _list([*notice_sentences(prediction.notices), *prediction.warnings])
 
 
 def _shares(prediction: Prediction) -> Iterator[str]:

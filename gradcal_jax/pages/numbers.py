@@ -13,6 +13,13 @@ def figures(value: float, digits: int = 4) -> str:
     return text.replace("-", "−")
 
 
+def percent(chance: float, least: float = 1e-4) -> str:
+    """A chance in per cent; within `least` of zero or one, only as a bound."""
+    if chance < least:
+        return f"< {100.0 * least:g} %"
+    return f"> {100.0 * (1.0 - least):g} %" if chance > 1.0 - least else f"{100.0 * chance:.3g} %"
+
+
 def one_sign(html: str) -> str:
     """The page with typographic minus and degree signs in its prose, where files and commands have `-25 degC`."""
     parts = _NOT_PROSE.split(html)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from gradcal_jax.api.ieee_terms import IeeeTerm, standard_terms
 from gradcal_jax.display import summary
 from gradcal_jax.files.calibration import Calibration
+from gradcal_jax.files.contracts import notice_sentences
 from gradcal_jax.pages.applying import ExampleFact, ExportFact, examples_of, exports_of
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_values, parameters
 from gradcal_jax.pages.provenance import assumptions, provenance_rows
@@ -67,9 +68,7 @@ def report_data_of(sources: Sources) -> ReportData:
     left = requirements_of(sources)
     notes = [*sources.notes]
     if prediction is not None:
-        several = len({row.axis for row in prediction.notices}) > 1
-        notes += [f"gyro {row.axis}: " * several + row.sentence for row in prediction.notices]
-        notes += prediction.warnings
+        notes += [*notice_sentences(prediction.notices), *prediction.warnings]
     notes += [] if recipe is None else recipe.notes
     if left.differing:
         notes.append(

@@ -82,8 +82,8 @@ def draw_by_hand(report: HandReport) -> Figure:
 
 
 def draw_loop(curve: BiasCurve, *, ax: Axes | None = None) -> tuple[Axes, list[Line2D]]:
-    """The bias of a channel beyond its map over temperature, on every leg: measured, and the model with ± 2 standard
-    deviations of it."""
+    """The difference between a channel's bias and its map, over temperature, on every leg: as measured, and as modelled
+    with ± 2 standard deviations."""
     ax = new_axes(ax)
     unit, factor = UNITS_OF_TERMS[curve.si_unit]
     lines: list[Line2D] = []

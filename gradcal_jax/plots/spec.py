@@ -72,7 +72,7 @@ def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> 
 
 
 def draw_requirement(spec: Spec, name: str = "", *, ax: Axes | None = None) -> Axes:
-    """The residual of one requirement, by its name; the first, without it. Errors: `ValueError` where there is none."""
+    """The residual of the requirement `name`, by default of the first. Errors: `ValueError` where there is none."""
     named = [r for r in expect_spec(spec).requirement if name in ("", r.name)]
     if not named:
         raise ValueError(f"the spec has no [[requirement]]{f' named {name!r}' if name else ''}")

@@ -56,6 +56,17 @@ def turned_axes(recipe: Recipe) -> tuple[str, ...]:
     return tuple(sorted({m.axis for b in recipe.motion for m in b.moves if m.do not in ("rest", "wait")}))
 
 
+def planned_cycle(recipe: Recipe, axis: str) -> tuple[float, float, str]:
+    """Begin and end of one cycle that turns an axis (s, on the plan's clock), and its words: the middle one of the
+    block with the most cycles."""
+    turning = [b for b in recipe.motion if any(m.axis == axis and m.do not in ("rest", "wait") for m in b.moves)]
+    block = max(turning, key=lambda b: b.repeat)
+    begins = next(float(s.start) for s in recipe.chamber.programme if s.name == block.begins_with)
+    begins += block.repeat // 2 * float(block.period)
+    which = f"cycle {block.repeat // 2 + 1} of {block.repeat}" if block.repeat > 1 else "the moves"
+    return begins, begins + float(block.period), f"{which} of {block.begins_with}"
+
+
 def planned_rate(recipe: Recipe, axis: str) -> tuple[np.ndarray, np.ndarray]:
     """Times (s) on the plan's clock and rates (deg/s) between which the rate is linear."""
     begins = {segment.name: float(segment.start) for segment in recipe.chamber.programme}

@@ -213,7 +213,7 @@ def test_an_optimum_that_rounds_to_nothing_observed_is_a_sentence(spec):
     *_, best = optimise(coarse, steps=20)
     assert isinstance(best, Optimised)
     assert not best.converged
-    assert "observes too little" in best.sentence or "cannot be rounded" in best.sentence
+    assert "does not observe enough" in best.sentence or "cannot be rounded" in best.sentence
 
 
 def paper(name: str) -> Spec:

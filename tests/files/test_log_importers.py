@@ -82,7 +82,7 @@ encoding = "latin-1"
         ("t,gx\n12:00:00.1,1\n12:00:00.2,2\n", "'t' holds dates or times of day"),
         ("t,gx\n0,0x1F\n10,0x20\n", "'gx' holds hexadecimal counts"),
         ("t,gx\n0,FF1F\n10,FE20\n", "'gx' holds hexadecimal counts"),
-        ("t,gx\n0,fast\n10,slow\n", "'gx' holds no numbers, but such as 'slow'"),
+        ("t,gx\n0,fast\n10,slow\n", "'gx' holds no numbers, but texts such as 'slow'"),
         ("t,gx,gx\n0,1,2\n10,3,4\n", "several columns are named 'gx': say which by its number, 1 or 2, from 0"),
         ("t;gx\n0;1\n10;3\n", 'or is it delimiter = ";", under'),
     ],

@@ -11,6 +11,7 @@ from gradcal_jax.api.fit_of_log import fitted_twice
 from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.log_rows import clock_fit, imu_rows, with_options
 from gradcal_jax.files import changed
+from gradcal_jax.files.changes import tables_of
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.spec import parse_spec, read_spec
@@ -67,6 +68,13 @@ def short(cycles: int = 1) -> Spec:
     }
     text = HAND.read_text(encoding="utf-8").replace('["-30 degC", "70 degC"]', '["20 degC", "30 degC"]')
     return changed(parse_spec(text), keys | {"rig.chamber.max_heating": "60 K/min"})
+
+
+def triad() -> Spec:
+    """The short plan of a unit of three gyros alone."""
+    spec = short()
+    kept = [r for r in tables_of(spec)["requirement"] if r["quantity"].startswith("gyro_")]
+    return changed(spec, {"sensor.accelerometer": None, "sensor.gyro.g_sensitivity": None, "requirement": kept})
 
 
 def made(spec: Spec) -> Recipe:

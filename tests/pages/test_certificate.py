@@ -148,6 +148,18 @@ def test_the_serial_number_is_what_the_device_said(folder, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["heading"]["serial number"] == "N2558"
 
 
+@pytest.mark.parametrize(("verdict", "shown"), [("met", "is beyond the limit: < 0.01 %."), ("not covered", None)])
+def test_a_risk_is_a_bound_if_it_is_minute_and_is_stated_only_with_a_decision(verdict, shown, folder, tmp_path):
+    kept = gj.read_calibration(folder / "cal.toml")
+    row = kept.result[0].model_copy(update={"worst": 100.0, "verdict": verdict})
+    gj.write_calibration(kept.model_copy(update={"result": (row,)}), tmp_path / "cal.toml")
+    words = ["report", folder / "recipe.toml", tmp_path / "cal.toml", "--certificate", "-o", tmp_path / "c.html"]
+    assert main([str(word) for word in words]) == 0
+    text = (tmp_path / "c.html").read_text(encoding="utf-8")
+    assert "Decision rule" in text
+    assert ("Specific risk" in text, shown is None or shown.replace("<", "&lt;") in text) == (shown is not None, True)
+
+
 @pytest.mark.browser
 @pytest.mark.skipif(browser() is None, reason="there is no Chromium on the path")
 def test_it_prints_on_two_pages_and_fits_narrow_and_wide(made, folder, tmp_path):

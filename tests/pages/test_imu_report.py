@@ -16,6 +16,7 @@ from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets
 from gradcal_jax.files.calibration import Covariance, UnseenError
+from gradcal_jax.files.contracts import notice_sentences
 from gradcal_jax.information import posterior
 from gradcal_jax.information.posterior import square_root
 from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, parameters
@@ -60,7 +61,7 @@ def test_every_number_is_the_prediction_s_and_every_warning_is_on_the_page(writt
     assert shown.unit == "ug"
     for words in ("accelerometer z never points down: add a pose", "add 180 deg of spin", "k2"):
         assert words in html
-    for said in (*predicted.warnings, *(row.sentence for row in predicted.notices)):
+    for said in (*predicted.warnings, *notice_sentences(predicted.notices)):
         assert said in unescape(html)
 
 

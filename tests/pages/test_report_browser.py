@@ -1,15 +1,17 @@
 """Pages in a real browser, at the width of a telephone and of a desk."""
 
+import re
+
 import pytest
 from headless_chromium import BOXES, Chromium, browser, overlaps
-from imu_bench import short
+from imu_bench import short, triad
 from report_samples import calibration, recipe, rehearse
 
 from gradcal_jax import api
 from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
-from gradcal_jax.files.calibration import write_calibration
+from gradcal_jax.files.calibration import read_calibration, write_calibration
 from gradcal_jax.hardware import execute
 from gradcal_jax.pages.report import write_page
 from gradcal_jax.pages.sources import read_sources
@@ -22,12 +24,12 @@ pytestmark = [
 ]
 
 
-@pytest.fixture(scope="module", params=["a gyro's axis", "an IMU"])
+@pytest.fixture(scope="module", params=["a gyro's axis", "three gyros", "an IMU"])
 def html(request, tmp_path_factory):
     """The page of a simulated run and of its calibration."""
     folder = tmp_path_factory.mktemp("browser")
-    if request.param == "an IMU":
-        plan = api.recipe(short())
+    if request.param != "a gyro's axis":
+        plan = api.recipe(short() if request.param == "an IMU" else triad())
         execute.run(plan, folder / "run", simulate=True, seed=3)
         (found,) = estimate_sensors(plan.spec, [run_log.log(folder / "run")])
         write_calibration(found.calibration, folder / "run" / "calibration.toml")
@@ -82,6 +84,16 @@ def test_a_certificate_fits_and_no_text_lies_on_another(html, chromium, width):
     assert overlaps(boxes) == []
     assert max(box[3] for box in boxes) <= width
     assert chromium.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_a_certificate_prints_on_few_sheets(html, chromium, tmp_path):
+    words = ["report", html.parent / "run", "--certificate", "-o", tmp_path / "certificate.html"]
+    assert main([str(word) for word in words]) == 0
+    chromium.open(tmp_path / "certificate.html", 1400)
+    chromium.print_pdf(tmp_path / "certificate.pdf")
+    data = (tmp_path / "certificate.pdf").read_bytes()
+    channels = len(read_calibration(html.parent / "run" / "calibration.toml").channel)
+    assert len(re.findall(rb"/Type\s*/Page\b", data)) == {1: 2, 3: 3, 6: 4}[channels]
 
 
 def test_the_check_of_overlaps_finds_one(tmp_path, chromium):

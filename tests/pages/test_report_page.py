@@ -26,7 +26,7 @@ from gradcal_jax.pages.report_data import as_tables, report_data_of
 from gradcal_jax.pages.run_history import history_of, rates_of
 from gradcal_jax.pages.sources import read_sources
 from gradcal_jax.plots import draw_curves
-from gradcal_jax.plots.tracks import planned_rate
+from gradcal_jax.plots.tracks import planned_cycle, planned_rate
 
 DEG_PER_H = float(np.degrees(1.0)) * 3600.0
 
@@ -233,6 +233,26 @@ def test_planned_motion_turns_by_the_planned_angles(made):
     assert angles[:2] == pytest.approx([720.0, -720.0], abs=1.0)
     assert turned[-1] == pytest.approx(sum(angles) * plan.motion[0].repeat, abs=1e-3)
     assert turned.max() == pytest.approx(angles[0], abs=1e-3)
+
+
+def test_a_page_shows_one_cycle_as_planned_and_as_done(made, whole):
+    plan, block = made[1], made[1].motion[0]
+    begin, end, words = planned_cycle(plan, "x")
+    assert (words, block.repeat) == ("cycle 9 of 16 of ramp 1", 16)
+    assert end - begin == pytest.approx(float(block.period))
+    time, rate = planned_rate(plan, "x")
+    inside = (time >= begin) & (time <= end)
+    turns = [abs(np.degrees(float(m.angle))) for m in block.moves if m.angle is not None]
+    assert np.trapezoid(np.abs(rate[inside]), time[inside]) == pytest.approx(sum(turns), abs=1e-3)
+    html = whole[2]
+    at = html.index('aria-labelledby="rate-x-caption"')
+    svg = html[at : html.index("</figure>", at)]
+    assert "in cycle 9 of 16 of ramp 1: planned and done by its executed commands." in svg
+    assert re.findall(r">(planned|done)</text>", svg) == ["planned", "done"]
+    # A curve of each, of two turns: not of all cycles.
+    curves = [path.count("L ") for path in re.findall(r'<path d="([^"]*)" clip-path', svg)]
+    assert len(curves) == 2
+    assert all(5 < count < 20 for count in curves)
 
 
 def test_the_example_of_a_page_is_undone_by_the_calibration_itself(made, whole):

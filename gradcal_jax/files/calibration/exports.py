@@ -517,11 +517,12 @@ def _csv(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     known = calibration.covariance
     std = {} if known is None else {n: repr(float(np.sqrt(known.matrix[k][k]))) for k, n in enumerate(known.names)}
     rows: list[Sequence[str]] = [
-        ("channel", "term", "signals", "name", "value", "std", "unit", "temperature_basis", "rate_basis")
+        ("channel", "term", "signals", "name", "value", "std", "unit", "temperature_basis", "rate_basis", "lag_s")
     ]
     for channel in calibration.channel:
         for term in channel.term:
-            bases = (_basis_words(term.temperature), _basis_words(term.rate))
+            lag = float(channel.thermal_lag or 0.0) + float(term.lag or 0.0) if term.temperature is not None else 0.0
+            bases = (_basis_words(term.temperature), _basis_words(term.rate), repr(lag))
             where = (channel.name, term.name, " * ".join(term.signals))
             for name, value in term.coefficients.items():
                 rows.append((*where, name, repr(value), std.get(f"{channel.name}.{name}", ""), term.unit, *bases))

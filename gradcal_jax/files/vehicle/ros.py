@@ -59,7 +59,7 @@ def gyros(path: Path) -> Sequence[GyroStream]:
 def _stream(topic: _Topic, temperatures: Sequence[_Topic]) -> GyroStream:
     stamps, values = _decoded(topic, first=13, count=3)
     received = np.array(topic.received_ns, np.int64)
-    notes = [f"{topic.name}: whether the driver has taken a bias off, a ROS message does not say"]
+    notes = [f"{topic.name}: a ROS message does not say whether the driver has subtracted a bias"]
     if not stamps.any():
         stamps = received
         notes.append(f"{topic.name} carries no stamps: the receiver's are taken")

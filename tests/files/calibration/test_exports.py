@@ -210,6 +210,18 @@ def test_csv_loses_nothing(calibration):
     assert done.losses == ()
 
 
+def test_csv_has_the_lag_with_which_each_term_follows_the_temperature():
+    channel = CALIBRATION.channel[0]
+    terms = tuple(t.model_copy(update={"lag": 30.0} if t.name == "bias" else {}) for t in channel.term)
+    late = channel.model_copy(update={"thermal_lag": 60.0, "term": terms})
+    text = export(CALIBRATION.model_copy(update={"channel": (late, *CALIBRATION.channel[1:])}), "csv").text
+    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    lags = {(row["channel"], row["term"]): row["lag_s"] for row in rows}
+    others = {lag for (name, _), lag in lags.items() if name != channel.name}
+    assert lags[channel.name, "bias"] == "90.0"
+    assert (lags[channel.name, "scale_factor"], others) == ("60.0", {"0.0"})
+
+
 SPLINES = parse_calibration(HEAD + axis_text("x", SPLINE_T, POLYNOMIAL_W, n_t=6))
 
 

@@ -1,0 +1,25 @@
+"""`gradcal-config/1`: what a user sets once for all commands: laboratory, rig, and defaults of options."""
+
+from collections.abc import Mapping
+from typing import Any, Final, Literal
+
+from pydantic import Field
+
+from gradcal_jax.files.quantity import Text
+from gradcal_jax.files.rig import Laboratory
+from gradcal_jax.files.section import Section
+
+FORMAT: Final = "gradcal-config/1"
+
+
+class UserConfig(Section):
+    """The configuration of a user. What a command line or a rig file states takes precedence."""
+
+    format: Literal["gradcal-config/1"] = FORMAT
+    """Name and version of this file format."""
+    laboratory: Laboratory | None = None
+    """Who signs a certificate, if the rig file has no `[laboratory]`."""
+    rig: Text | None = None
+    """The rig file of `gradcal run`, `rig check` and `rig record` if they are given none; relative to this file."""
+    defaults: Mapping[str, Any] = Field(default_factory=dict[str, Any])
+    """Options by command, such as `run = { operator = "A. Person" }`; the command line takes precedence."""

@@ -181,5 +181,6 @@ def column_readings(
 def within(spans: np.ndarray, count: int) -> np.ndarray:
     """`(count,)`: whether a row is one of `first + 1 … last` of any of the `spans` `(k, 2)`."""
     change = np.zeros(count + 1, np.int64)
-    np.add.at(change, spans + 1, [1, -1])
+    np.add.at(change, spans[:, 0] + 1, 1)
+    np.add.at(change, spans[:, 1] + 1, -1)
     return np.cumsum(change[:-1]) > 0

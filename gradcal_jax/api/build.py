@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax import model, trajectory
-from gradcal_jax.files.bases import Polynomial, Spline
+from gradcal_jax.files.bases import PolynomialKeys, SplineKeys
 from gradcal_jax.files.motion_plan import PlanSchedule, plan_schedule
 from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.schedule import StandardSchedule
@@ -162,9 +162,9 @@ def gyro_channel(
 
 def basis(section) -> model.Basis:
     """A basis of the core from its section of a spec."""
-    if isinstance(section, Polynomial):
+    if isinstance(section, PolynomialKeys):
         return model.Polynomial(section.degree, float(section.centre), float(section.scale), section.internal)
-    if isinstance(section, Spline):
+    if isinstance(section, SplineKeys):
         return model.BSpline(tuple(float(k) for k in section.knots), section.degree)
     return model.Bins(tuple(float(e) for e in section.edges))
 

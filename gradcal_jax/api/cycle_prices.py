@@ -53,7 +53,10 @@ def _limits_of(plan: CyclePlan) -> list[tuple[str, str, float, float]]:
             (f"largest acceleration of {n}", "deg/s^2", _DEGREE, turns * a)
             for n, a in zip(axes, limits.accelerations, strict=True)
         ),
-        *((f"travel of {n}, at each end", "deg", _DEGREE, turns * s) for n, s in zip(axes, spans, strict=True)),
+        *(
+            (f"travel of {n}, at each end", "deg", _DEGREE, s if turns else 0.0)
+            for n, s in zip(axes, spans, strict=True)
+        ),
         ("shortest rest", "s", 1.0, rests),
         ("chamber slope", "K/min", 1.0 / 60.0, slope),
     ]

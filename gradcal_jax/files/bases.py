@@ -24,7 +24,7 @@ def increasing(values: Sequence[float], key: str) -> list[Problem]:
     return []
 
 
-class Polynomial(Section):
+class PolynomialKeys(Section):
     """Powers of (x − centre)/scale."""
 
     basis: Literal["polynomial"]
@@ -51,7 +51,7 @@ class Polynomial(Section):
         return formulas.monomials((x - float(self.centre)) / float(self.scale), self.degree)
 
 
-class TemperaturePolynomial(Polynomial):
+class TemperaturePolynomial(PolynomialKeys):
     """Powers of (T − centre)/scale."""
 
     centre: q.Temperature = q.Quantity(20.0, "20 degC", "temperature")
@@ -60,7 +60,7 @@ class TemperaturePolynomial(Polynomial):
     """Temperature difference at which x is 1."""
 
 
-class RatePolynomial(Polynomial):
+class RatePolynomial(PolynomialKeys):
     """Powers of (ω − centre)/scale."""
 
     centre: q.Rate = q.Quantity(0.0, "0 deg/s", "angular rate")
@@ -69,7 +69,7 @@ class RatePolynomial(Polynomial):
     """Rate at which x is 1."""
 
 
-class Spline(Section):
+class SplineKeys(Section):
     """B-splines of `degree` on increasing knots, both ends included."""
 
     basis: Literal["b-spline"]
@@ -96,21 +96,21 @@ class Spline(Section):
         return formulas.b_spline(x, tuple(float(k) for k in self.knots), self.degree)
 
 
-class TemperatureSpline(Spline):
+class TemperatureSpline(SplineKeys):
     """B-splines of `degree` on increasing knots, both ends included."""
 
     knots: Annotated[tuple[q.Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
     """Temperatures at which pieces meet, both ends included, rising."""
 
 
-class RateSpline(Spline):
+class RateSpline(SplineKeys):
     """B-splines of `degree` on increasing knots, both ends included."""
 
     knots: Annotated[tuple[q.Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
     """Rates at which pieces meet, both ends included, rising."""
 
 
-class Bins(Section):
+class BinsKeys(Section):
     """One constant between each two neighbouring edges."""
 
     basis: Literal["bins"]
@@ -135,14 +135,14 @@ class Bins(Section):
         return formulas.bins(x, tuple(float(e) for e in self.edges))
 
 
-class TemperatureBins(Bins):
+class TemperatureBins(BinsKeys):
     """One constant between each two neighbouring edges."""
 
     edges: Annotated[tuple[q.Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
     """Temperatures between which the value is constant, rising."""
 
 
-class RateBins(Bins):
+class RateBins(BinsKeys):
     """One constant between each two neighbouring edges."""
 
     edges: Annotated[tuple[q.Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]

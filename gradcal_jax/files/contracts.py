@@ -421,6 +421,11 @@ class NoticeRow(Section):
     sure_from: Size | None = None
     """Size from which on the probability is reached; null: never."""
 
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        return notice_sentences([self])[0]
+
 
 def _shape(row: NoticeRow) -> tuple[str, int, int]:
     return row.quantity, row.temperature_degree, -1 if row.rate_degree is None else row.rate_degree

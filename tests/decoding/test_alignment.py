@@ -68,7 +68,7 @@ def test_another_run_or_another_axis_is_refused() -> None:
         align(unit.time_s, {"x": 0.5 * unit.rate_dps}, {"x": track})
     with pytest.raises(NoAlignment, match="other sign"):
         align(unit.time_s, {"x": -unit.rate_dps}, {"x": track})
-    with pytest.raises(NoAlignment, match="no axis"):
+    with pytest.raises(NoAlignment, match="turned none of the recording's axes"):
         align(unit.time_s, {"y": unit.rate_dps}, {"x": track})
 
 

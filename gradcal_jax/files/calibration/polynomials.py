@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev, polynomial
 
-from gradcal_jax.files.bases import Polynomial
+from gradcal_jax.files.bases import PolynomialKeys
 from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.calibration.file import CalibratedChannel, CalibratedTerm
 from gradcal_jax.files.log import Floats
@@ -31,7 +31,7 @@ def bias_polynomial(channel: CalibratedChannel, about_c: float, degree: int) -> 
     if term is None:
         return result
     basis = term.temperature
-    if basis is None or (isinstance(basis, Polynomial) and basis.degree <= degree):
+    if basis is None or (isinstance(basis, PolynomialKeys) and basis.degree <= degree):
         centre, scale = (0.0, 1.0) if basis is None else (float(basis.centre), float(basis.scale))
         moved = _moved(np.array(list(term.coefficients.values())), centre, scale, about_c)
         result[: len(moved)] = moved
@@ -59,7 +59,7 @@ def in_powers(channel: CalibratedChannel, term: CalibratedTerm) -> PowerForm:
     sides, degrees, exact = [(0.0, 1.0), (0.0, 1.0)], [0, 0], True
     spans = (channel.valid_temperature, channel.valid_rate)
     for k, (basis, span) in enumerate(zip((of_t, of_w), spans, strict=True)):
-        if isinstance(basis, Polynomial):
+        if isinstance(basis, PolynomialKeys):
             sides[k], degrees[k] = (float(basis.centre), float(basis.scale)), basis.degree
         elif basis is not None:
             sides[k], degrees[k], exact = _side(span), _FIT_DEGREE, False

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...files.bases import Polynomial, Spline
+from ...files.bases import PolynomialKeys, SplineKeys
 from ...files.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureError
 from ...files.spec_sections import Spec
 from ...units import to_unit
@@ -89,10 +89,10 @@ def basis_truth(section: Any, unit: str = "") -> TruthBasis:
     def numbers(*values: Any) -> tuple[float, ...]:
         return tuple(to_unit(float(value), unit) if unit else float(value) for value in values)
 
-    if isinstance(section, Polynomial):
+    if isinstance(section, PolynomialKeys):
         centre, scale = numbers(section.centre, section.scale)
         return TruthBasis("polynomial", section.degree, centre, scale)
-    if isinstance(section, Spline):
+    if isinstance(section, SplineKeys):
         return TruthBasis("b-spline", section.degree, knots=numbers(*section.knots))
     return TruthBasis("bins", knots=numbers(*section.edges))
 

@@ -127,9 +127,7 @@ DEVICES = (
         "An ICM-42688 that logs by itself, on a GRBL stepper",
         "drone-imu",
         "The flight controller keeps its own log; the run turns the table and holds the chamber. Its recording is\n"
-        "laid on the run's clock by the motion. In this rehearsal the tests of the fit contradict the model, so the\n"
-        "calibration is not valid: channels across the table's axis see errors of its angle by their misalignments\n"
-        "(some 40 mrad here), which the estimate's noise leaves out.",
+        "laid on the run's clock by the motion.",
         True,
     ),
     (

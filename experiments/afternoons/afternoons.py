@@ -127,8 +127,8 @@ DEVICES = (
         "An ICM-42688 that logs by itself, on a GRBL stepper",
         "drone-imu",
         "The flight controller keeps its own log; the run turns the table and holds the chamber. Its recording is\n"
-        "laid on the run's clock by the motion. In this rehearsal parts of the data disagree (heating against cooling,\n"
-        "one half against the other), so the calibration is not valid; why is not known yet.",
+        "laid on the run's clock by the motion. In this rehearsal parts of the data disagree (heating against\n"
+        "cooling, half against half), so the calibration is not valid; why is not known yet.",
         True,
     ),
     (

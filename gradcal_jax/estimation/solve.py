@@ -41,7 +41,7 @@ class Whitened(NamedTuple):
         return Whitened(np.delete(self.rows, own, axis=1), self.data, np.delete(self.prior[kept], own, axis=1))
 
     def condensed(self) -> "Whitened":
-        """p + 1 rows (p + U of U sensors) with the same least squares and χ², also joined with a subset's complement."""
+        """p + 1 rows (of U sensors p + U) with the same least squares and χ², also joined with a complement's."""
         triangle = np.asarray(np.linalg.qr(np.column_stack([self.rows, self.data]), mode="r"))
         count = self.rows.shape[1]
         data = triangle[:, count:].reshape(len(triangle), *self.data.shape[1:])

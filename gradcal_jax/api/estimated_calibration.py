@@ -37,6 +37,7 @@ from gradcal_jax.model import (
     Map,
     OwnTerm,
     PathTerm,
+    RotationSensitivity,
     SignalMap,
     TemperatureDifference,
 )
@@ -157,7 +158,7 @@ def _terms(spec: Spec, channel: Channel, values: np.ndarray) -> Iterator[Calibra
     triad = getattr(spec.sensor, channel.kind)
     for term in channel.model.terms:
         # A sensitivity to dT/dt and what else depends on the path of temperature are estimated beside the calibration.
-        if isinstance(term, Discrepancy | GradientOfBias | PathTerm | OwnTerm):
+        if isinstance(term, Discrepancy | GradientOfBias | PathTerm | OwnTerm | RotationSensitivity):
             continue
         own = values[channel.model.where(term.name)]
         coefficients = {name: float(v) for name, v in zip(term.names(), own, strict=True)}

@@ -33,6 +33,7 @@ from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.formulas import followed
+from gradcal_jax.model import AXIS_NAMES
 
 
 def fitted_lag(chi_squared: Callable[[float], float], degrees: int | None = None) -> Lag:
@@ -126,6 +127,8 @@ def fitted_twice(
     first, rows = fit.solution, rows._replace(angles=fit.readings.log.angles)
     held = tuple(calibrated_channels(built, built.model.to_reported @ first.parameters, _EVERYWHERE))
     rates, felt = correct_triads(held, rows.rates, rows.force, temperature)
+    # Where no accelerometer is, nothing tells what a move adds to gravity.
+    felt = np.where([any(c.input == f"force {a}" for c in held) for a in AXIS_NAMES], felt, np.nan)
     # Data that hardly determine a map give one that no gyro has, which corrects nothing.
     far = np.nanmax(np.abs(rates - rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))
     fastest = np.nanmax(np.abs(rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))

@@ -1,8 +1,8 @@
 """A unit's spec in the core's terms: its channels, its installation, and the motion of the table."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +47,7 @@ from gradcal_jax.model import (
     OwnTerm,
     PathTerm,
     Polynomial,
+    RotationSensitivity,
     SignalMap,
     TemperatureDifference,
     Term,
@@ -193,7 +194,11 @@ def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str
         channels += [
             Channel(
                 gyro_channel(
-                    gyro, axis, processes, signals=_signal_maps(gyro, axis), path=_path_terms(sensor, gyro, axis)
+                    gyro,
+                    axis,
+                    processes,
+                    signals=[*_signal_maps(gyro, axis), *_rotation_terms(gyro)],
+                    path=_path_terms(sensor, gyro, axis),
                 ),
                 "gyro",
                 AXIS_NAMES.index(axis),
@@ -289,6 +294,15 @@ def _signal_maps(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[Signa
         if (section := getattr(triad, key)) is not None
         for of in _OVER[over](axis)
     ]
+
+
+def _rotation_terms(gyro: GyroTriad) -> Iterator[RotationSensitivity]:
+    """What a gyro that is sensitive to acceleration feels of rotation: six products of two rates."""
+    if gyro.g_sensitivity is not None and (std := gyro.g_sensitivity.of_rotation):
+        for of in combinations_with_replacement(AXIS_NAMES, 2):
+            pair, signals = "".join(of), tuple(f"rate {a}" for a in of)
+            named = {"name": f"rotation_{pair}", "symbol": f"ww_{pair}", "si_unit": "s"}
+            yield RotationSensitivity(temperature=_CONSTANT, std=np.asarray(std), signals=signals, **named)
 
 
 def _path_terms(

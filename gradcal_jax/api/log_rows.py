@@ -13,7 +13,9 @@ from gradcal_jax import estimation
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.imu_build import BuiltImu
 from gradcal_jax.estimation import ImuRows
+from gradcal_jax.files.absent import absent_lever_arm
 from gradcal_jax.files.calibration.correction import temperature_slope
+from gradcal_jax.files.changes import changed
 from gradcal_jax.files.log import Log, LogError, ReadingKind
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import Quantity
@@ -173,7 +175,7 @@ def clock_fit(log: Log) -> ClockFit:
 
 def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spec, Options, list[str]]:
     """The spec and the options of an estimate, each with what the other says of the clock; and sentences on a clock
-    that contradicts the computer's.
+    that contradicts the computer's. A lever arm of gyros that matters and is not in the spec is estimated, too.
 
     Where rates are integrated over the computer's time, the clock's error is that of the comparison and of the
     computer's own clock. A rate of the Earth that an option gives is no omitted term of the spec.
@@ -206,6 +208,12 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
         said.append(
             f"the log's two clocks contradict each other by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more than "
             f"{_APART:g} times what the sensor's clock is good to: {used}"
+        )
+    if (arm := absent_lever_arm(spec)) is not None:
+        spec = changed(spec, {arm.key: arm.value})
+        said.append(
+            f"rotation acts through the gyros' g-sensitivity at a place that the spec does not state: estimated with "
+            f"{arm.key} = {arm.value} (1σ; {arm.source})"
         )
     return spec, replace(options, clock=clock), said
 

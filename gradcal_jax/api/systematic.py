@@ -48,7 +48,7 @@ _MINUTES: Final = 300.0
 # Last parts of the keys of omitted terms that are no noise: columns of `columns_of`, or terms with parameters.
 _NO_NOISE: Final = frozenset({
     "thermal_lag", "bias_temperature_gradient", "temperature_offset", "temperature_lag", "mounting_accuracy",
-    "scale_error", "turn_on_bias", "hysteresis", "scale_factor_hysteresis",
+    "scale_error", "turn_on_bias", "hysteresis", "scale_factor_hysteresis", "lever_arm",
 })  # fmt: skip
 
 

@@ -15,6 +15,8 @@ from gradcal_jax import units
 from gradcal_jax.files.bench import RigTable
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.plan import StandardPlan
+from gradcal_jax.files.quantity import Quantity
+from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.sensor import HOST_CLOCK, GyroTriad, Sensor
 from gradcal_jax.files.spec_sections import Spec
@@ -57,6 +59,42 @@ class AbsentTerm(NamedTuple):
 _NORMAL_GRAVITY: Final = AbsentTerm(
     "gravity_accuracy", "250 ug", "gravity is not stated: normal gravity at sea level, for heights of up to 1000 m"
 )
+
+
+# Where rotation adds to the specific force that a gyro is sensitive to.
+BESIDE_ACCELEROMETERS: Final = AbsentTerm(
+    "g_sensitivity.lever_arm", "3 mm", "estimate, of gyros beside the accelerometers of a board"
+)
+_OFF_THE_AXES: Final = AbsentTerm(
+    "g_sensitivity.lever_arm", "3 cm", "estimate, of a sensor on a table, without accelerometers to measure it"
+)
+
+# By how much rotation may raise χ² of a gyro that has some thousands of readings.
+_NOTICED: Final = 10.0
+
+
+def absent_lever_arm(spec: Spec) -> AbsentTerm | None:
+    """The lever arm of gyros that are sensitive to acceleration, its key in the spec, where the spec leaves it out and
+    tests of the fit would notice it."""
+    gyro = spec.sensor.gyro
+    if gyro is None or gyro.g_sensitivity is None or gyro.g_sensitivity.prior is None:
+        return None
+    if "lever_arm" in gyro.g_sensitivity.model_fields_set:
+        return None
+    term = _OFF_THE_AXES if spec.sensor.accelerometer is None else BESIDE_ACCELEROMETERS
+    arm = Quantity.of(units.parse(term.value, "length"), "m")
+    felt = gyro.g_sensitivity.model_copy(update={"lever_arm": arm}).of_rotation
+    more = felt**2 * _fourth_power_of_rates(spec) / float(gyro.angle_random_walk) ** 2
+    return term._replace(key=f"sensor.gyro.{term.key}") if more > _NOTICED else None
+
+
+def _fourth_power_of_rates(spec: Spec) -> float:
+    """The integral of the fourth power of the plan's rates over time, (rad/s)⁴s, with the mean rate of each turn."""
+    if isinstance(schedule := spec.schedule, StandardSchedule):
+        return sum(point.rate**4 * point.integration for point in schedule.points)
+    cycles = sum(stretch.cycles for stretch in schedule.stretches)
+    turns = [s.move for s in schedule.every_step if not s.move.is_rest and s.move.duration]
+    return cycles * sum(abs(move.angle) ** 4 / move.duration**3 for move in turns)
 
 
 def absent_terms(spec: Spec) -> list[AbsentTerm]:
@@ -111,6 +149,8 @@ def _of_imu(spec: Spec) -> Iterator[AbsentTerm]:
         own |= {"scale_factor_instability"} if scaled else set[str]()
         for term in _unnamed(gyro, "sensor.gyro", [t for t in terms if t.key in own]):
             yield term._replace(value=term.value["prior"] if term.key.endswith("gradient") else term.value)
+        if (arm := absent_lever_arm(spec)) is not None:
+            yield arm
     if force is not None:
         terms = terms_of("accelerometer", accelerometer_grade(sensor).name)
         yield from _unnamed(force, "sensor.accelerometer", terms)

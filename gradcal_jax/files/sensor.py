@@ -322,6 +322,19 @@ class AccelerationSensitivity(_ErrorTerm):
     """Drift of a gyro in proportion to the specific force, three coefficients each (IEEE 528)."""
 
     prior: q.PositiveAccelerationSensitivity | None = None
+    lever_arm: q.PositiveLength | None = None
+    """Standard deviation of each coordinate of the gyros' position, from the accelerometers, or without any from the
+    intersection of the table's axes: rotation adds a specific force there that nothing measures."""
+
+    def _problems(self) -> Iterable[Problem]:
+        if self.lever_arm is not None and self.prior is None:
+            yield Problem(("lever_arm",), "is felt as far as the sensitivity is large: give its prior, too")
+
+    @property
+    def of_rotation(self) -> float:
+        """Standard deviation of the bias for each product of two rates (s): of `g_j d_k + g_k d_j`, as of
+        `g_y d_y + g_z d_z`, with the sensitivity g and the lever arm d."""
+        return 2.0**0.5 * float(self.prior or 0.0) * float(self.lever_arm or 0.0)
 
 
 class SquaredSensitivity(_ErrorTerm):

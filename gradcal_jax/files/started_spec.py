@@ -9,7 +9,7 @@ from typing import Any, Final, cast
 
 from gradcal_jax import units
 from gradcal_jax.files import presets
-from gradcal_jax.files.absent import terms_of
+from gradcal_jax.files.absent import BESIDE_ACCELEROMETERS, terms_of
 from gradcal_jax.files.calibration.text_template import rendered
 
 Answers = Mapping[str, str]
@@ -67,6 +67,7 @@ def spec_text(answers: Answers, known: Known) -> tuple[str, tuple[str, ...]]:
         "terms": terms,
         "table": {term.key: term for term in terms_of("table", table)},
         "priors": {"misalignment": misalignment, "g_sensitivity": of_force},
+        "lever_arm": BESIDE_ACCELEROMETERS[1:],
         "bias_shapes": _shapes(answers["sheet"], "deg/s", half, 4) if known["sheet"] else [],
         "targets": [*_parts(answers["targets"]), *(_parts(answers["force_targets"]) if kind == "imu" else ())],
     }

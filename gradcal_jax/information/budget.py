@@ -65,10 +65,13 @@ def information_lost(
     readings = filter_readings(start, steps.initial, steps, columns)
     lost = {name: np.zeros((columns.shape[1],) * 2) for name in sources}
     for at, us, rhos in adjoint_parts(steps, readings):
-        flat = rhos.reshape(-1, rhos.shape[-1])
         for name, part in sources.items():
-            if np.any(covariance := part.covariance[at]):
-                lost[name] += flat.T @ (covariance @ rhos).reshape(flat.shape)
+            # A source acts on few of the states.
+            driven = np.flatnonzero(np.any(part.covariance[at], axis=(0, 1)))
+            if len(driven):
+                own = np.ascontiguousarray(rhos[:, driven])
+                flat, covariance = own.reshape(-1, own.shape[-1]), part.covariance[at][:, driven[:, None], driven]
+                lost[name] += flat.T @ (covariance @ own).reshape(flat.shape)
             if np.any(variance := part.reading_variance[at]):
                 lost[name] += (us.T * variance) @ us
             if at.start == 0:

@@ -48,6 +48,7 @@ from gradcal_jax.model.terms import (
     EncoderHarmonics,
     GradientOfBias,
     Map,
+    RotationSensitivity,
     SignalMap,
     Term,
     make_map,

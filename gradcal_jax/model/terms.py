@@ -346,6 +346,12 @@ class SignalMap(Term):
         return group.product(self.signals)
 
 
+class RotationSensitivity(SignalMap):
+    """Bias of a gyro by a product of two rates: its sensitivity to acceleration, times the centripetal acceleration at
+    its place, from where the specific force is known. It belongs to the rig, or is too small to correct: no calibration
+    has it."""
+
+
 class GradientOfBias(Term):
     """Sensitivity of the bias to dT/dt, (rad/s)/(K/s) or (m/s²)/(K/s): its column is the change of temperature.
 

@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 from hardware_evidence import record
-from imu_bench import estimated, hand, made, short, stopped_in_its_second_cycle
+from imu_bench import estimated, hand, made, short, stopped_in_its_second_cycle, triad
 from scipy.stats import chi2
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.log_rows import imu_rows
+from gradcal_jax.api.log_rows import imu_rows, with_options
 from gradcal_jax.decoding import run_log
 from gradcal_jax.estimation.imu_executed import executed_imu
 from gradcal_jax.files import changed, presets
+from gradcal_jax.files.absent import absent_terms
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.rig import RigFile, parse_rig
 from gradcal_jax.files.spec import parse_spec
@@ -248,6 +249,28 @@ def test_gyros_across_an_axis_see_the_errors_of_its_angle_by_their_misalignments
     squares, degrees, nees, count = estimated(run_log.log(run), spec, hidden["units"]["unit1"] | hidden["installation"])
     assert chi2.ppf(1e-4, degrees) < squares < chi2.ppf(1.0 - 1e-4, degrees)
     assert chi2.ppf(1e-4, count) < nees < chi2.ppf(1.0 - 1e-4, count)
+
+
+@pytest.mark.parametrize("measured", [True, False], ids=["accelerometers", "gyros alone"])
+def test_gyros_feel_rotation_by_their_g_sensitivity(tmp_path: Path, measured: bool) -> None:
+    """The simulated gyros lie 3 mm beside the accelerometers, and 3 cm off the axes: a spec that does not say so is
+    estimated with the lever arm of its class, and its errors are as stated."""
+    sensitive = {"sensor.gyro.g_sensitivity": {"prior": "2000 deg/h/g"}}
+    changes = sensitive if measured else {**sensitive, "sensor.gyro.angle_random_walk": "0.3 deg/sqrt(h)"}
+    spec, run = changed(short(4) if measured else triad(), changes), tmp_path / "run"
+    assert execute.run(made(spec), run, simulate=True, seed=3).exit_status == "success"
+    hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
+    log = run_log.log(run)
+    squares, degrees, nees, count = estimated(log, spec, hidden["units"]["unit1"] | hidden["installation"])
+    assert chi2.ppf(1e-4, degrees) < squares < chi2.ppf(1.0 - 1e-4, degrees)
+    assert chi2.ppf(1e-4, count) < nees < chi2.ppf(1.0 - 1e-4, count)
+    counted, _, said = with_options(spec, [log], Options())
+    arm = "3 mm" if measured else "3 cm"
+    assert counted.sensor.gyro is not None
+    assert counted.sensor.gyro.g_sensitivity is not None
+    assert str(counted.sensor.gyro.g_sensitivity.lever_arm) == arm
+    assert any(f"lever_arm = {arm}" in sentence for sentence in said)
+    assert [t.typical for t in absent_terms(spec) if t.key.endswith("lever_arm")] == [arm]
 
 
 def one_axis_rig() -> RigFile:

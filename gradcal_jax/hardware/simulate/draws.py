@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from ...files.absent import absent_lever_arm
 from ...files.bases import PolynomialKeys, SplineKeys
 from ...files.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureError
 from ...files.spec_sections import Spec
@@ -270,9 +271,30 @@ def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> Im
     clock = 0.0
     if sensor.sample_clock_error:
         clock = draws.values["sample_clock"] = float(sensor.sample_clock_error) * float(draws.random.standard_normal())
-    of_gyros = lever + _APART_M * draws.random.standard_normal(3)
+    apart = draws.random.standard_normal(3)
+    felt = None if sensor.gyro is None else sensor.gyro.g_sensitivity
+    if felt is not None and felt.lever_arm is not None and sensor.accelerometer is None:
+        lever *= float(felt.lever_arm) / _LEVER_M
+    apart *= _APART_M if felt is None or felt.lever_arm is None else float(felt.lever_arm)
+    of_gyros = lever + apart
+    if sensor.gyro is not None and felt is not None and (felt.lever_arm or absent_lever_arm(spec)):
+        unmeasured = of_gyros if sensor.accelerometer is None else apart
+        draws.values |= _rotation(draws.values, unmeasured, sensor.gyro.axes)
     levers = tuple(lever.tolist()), tuple(of_gyros.tolist())
     return ImuTruth(triads, *levers, clock, draws.values, second_lag_s)
+
+
+def _rotation(values: dict[str, float], lever: Vectors, axes: Sequence[str]) -> dict[str, float]:
+    """What gyros feel of rotation at a lever arm (m), where the specific force is known at its other end: coefficients
+    of products of two rates in g · (ω(ω·d) − ω²d)."""
+    found: dict[str, float] = {}
+    for axis in axes:
+        own = np.array([values.get(f"gyro_{axis}.g_{b}", values.get(f"gyro_{axis}.g_{b}0", 0.0)) for b in _XYZ])
+        both = np.outer(own, lever) + np.outer(lever, own)
+        for j, k in itertools.combinations_with_replacement(range(3), 2):
+            value = both[j, k] if j != k else 0.5 * both[j, j] - own @ lever
+            found[f"gyro_{axis}.ww_{_XYZ[j]}{_XYZ[k]}"] = float(value)
+    return found
 
 
 def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:

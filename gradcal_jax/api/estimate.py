@@ -63,7 +63,7 @@ from gradcal_jax.estimation import (
     StructureTest,
     Test,
 )
-from gradcal_jax.files.absent import branch_sentences
+from gradcal_jax.files.absent import attitude_sentences, branch_sentences
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.calibration.correction import correct_triads
 from gradcal_jax.files.changes import along_axis
@@ -388,6 +388,7 @@ def report_of(
     lesser = counting_less(solution.weights, of_segment[at.row_segment][used], names)
     of_path = () if path is None else path.sentences
     of_path = *of_path, *one_way_sentences(built, solution.known, done.motion.line), *branch_sentences(built.spec)
+    of_path = *of_path, *attitude_sentences(built.spec)
     beside = *of_path, *omitted_sentences(built.spec, temperature[record], lag.std is not None), *beyond
     looks = diagnosis_sentences(solution.estimate.residuals, of_segment[at.row_segment][used], moved)
     told = _words(report, solution), looks if contradicted else []

@@ -177,12 +177,13 @@ def omitted_lines(spec: "Spec") -> list[str]:
         EARTH,
         EARTH_IS_UNKNOWN,
         absent_terms,
+        attitude_sentences,
         branch_sentences,
         sensor_grade,
         table_grade,
     )
 
-    absent, of_branches = absent_terms(spec), branch_sentences(spec)
+    absent, of_branches = absent_terms(spec), [*branch_sentences(spec), *attitude_sentences(spec)]
     if not absent:
         return of_branches
     sensor, table = sensor_grade(spec.sensor), table_grade(spec)

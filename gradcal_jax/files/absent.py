@@ -215,6 +215,20 @@ def branch_sentences(spec: Spec) -> list[str]:
     return sentences
 
 
+def attitude_sentences(spec: Spec) -> list[str]:
+    """What requirements on the bias of gyros leave out where the spec has no sensitivity to acceleration."""
+    gyro = spec.sensor.gyro
+    names = [r.name for r in spec.requirement if r.quantity == "gyro_bias"]
+    if gyro is None or gyro.g_sensitivity is not None or not names:
+        return []
+    size = typical_g_sensitivity(sensor_grade(spec.sensor).name).removesuffix("/g")
+    words = ", ".join(f"'{name}'" for name in names)
+    return [
+        f"{words}: holds in the attitudes of the calibration; in another, g-sensitivity changes a gyro's bias by "
+        f"±{size} for each g in this class, which is not counted: [sensor.gyro.g_sensitivity] estimates it"
+    ]
+
+
 def _goes_one_way(spec: Spec) -> bool:
     """Whether the plan's temperature changes in one direction alone."""
     if isinstance(spec.plan, StandardPlan):
@@ -310,6 +324,11 @@ def grades() -> tuple[str, ...]:
 def terms_of(kind: str, grade: str) -> list[AbsentTerm]:
     """Every term of a class's typical error budget, its key within `kind`: "sensor" or "table"."""
     return [AbsentTerm(term["key"], term["value"], term["source"]) for term in _row(kind, grade)["term"]]
+
+
+def typical_g_sensitivity(grade: str) -> str:
+    """A typical sensitivity of a class's gyros to acceleration, 1σ."""
+    return _row("sensor", grade)["g_sensitivity"]["value"]
 
 
 def _matters_of_sensor(gyro: GyroTriad, clock: str | None, plan: object) -> set[str]:

@@ -9,7 +9,7 @@ from typing import Any, Final, cast
 
 from gradcal_jax import units
 from gradcal_jax.files import presets
-from gradcal_jax.files.absent import BESIDE_ACCELEROMETERS, terms_of
+from gradcal_jax.files.absent import BESIDE_ACCELEROMETERS, terms_of, typical_g_sensitivity
 from gradcal_jax.files.calibration.text_template import rendered
 
 Answers = Mapping[str, str]
@@ -23,9 +23,9 @@ _TERMS_OF_GYRO: Final = (
 )  # fmt: skip
 # Before the calibration, by grade: misalignment, g-sensitivity, the accelerometers' scale factor and its slope.
 _PRIORS: Final = {
-    "consumer": ("20 mrad", "360 deg/h/g", "1 %, 50 ppm/K"),
-    "tactical": ("10 mrad", "50 deg/h/g", "3000 ppm, 10 ppm/K"),
-    "navigation": ("1 mrad", "0.1 deg/h/g", "500 ppm, 20 ppm/K"),
+    "consumer": ("20 mrad", "1 %, 50 ppm/K"),
+    "tactical": ("10 mrad", "3000 ppm, 10 ppm/K"),
+    "navigation": ("1 mrad", "500 ppm, 20 ppm/K"),
 }
 _FACES: Final = ((135, 225), (180, 225), (225, 225), (225, 45), (45, 45), (45, 135))
 
@@ -46,7 +46,7 @@ def spec_text(answers: Answers, known: Known) -> tuple[str, tuple[str, ...]]:
         usable, known["acceleration"][0], known["travel"][0], axes, hand=hand
     )
     half = round(0.5 * (warm - cold))
-    misalignment, of_force, scale = _PRIORS[grade]
+    misalignment, scale = _PRIORS[grade]
     table = "coarse" if known["angle"][0] > units.parse("50 arcsec", "angle") else "middle"
     values: dict[str, Any] = {
         "of": answers,
@@ -66,7 +66,7 @@ def spec_text(answers: Answers, known: Known) -> tuple[str, tuple[str, ...]]:
         "terms_of_gyro": _TERMS_OF_GYRO,
         "terms": terms,
         "table": {term.key: term for term in terms_of("table", table)},
-        "priors": {"misalignment": misalignment, "g_sensitivity": of_force},
+        "priors": {"misalignment": misalignment, "g_sensitivity": typical_g_sensitivity(grade)},
         "lever_arm": BESIDE_ACCELEROMETERS[1:],
         "bias_shapes": _shapes(answers["sheet"], "deg/s", half, 4) if known["sheet"] else [],
         "targets": [*_parts(answers["targets"]), *(_parts(answers["force_targets"]) if kind == "imu" else ())],

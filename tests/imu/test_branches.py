@@ -10,7 +10,7 @@ from gradcal_jax.api.flow import check
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.cli.predict import omitted_lines
 from gradcal_jax.files import presets
-from gradcal_jax.files.absent import branch_sentences
+from gradcal_jax.files.absent import attitude_sentences, branch_sentences
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.requirement import GyroBiasRequirement
 from gradcal_jax.files.spec import spec_of
@@ -132,7 +132,7 @@ def test_a_branch_counts_the_hysteresis_of_the_class_where_the_spec_names_none()
     assert row.with_typical is None
     note, *_ = omitted_lines(silent)
     assert "±3 deg/h in this class, is not counted" in note
-    assert not omitted_lines(zero)
+    assert omitted_lines(zero) == attitude_sentences(zero)
 
 
 def test_a_one_way_ramp_says_what_remains_and_the_cure():
@@ -172,3 +172,10 @@ def test_a_one_way_plan_says_the_cure_with_its_minutes():
     assert branch_sentences(gj.parse_spec(presets.text("tactical-mems")))[-1] == f"{cure}in)"
     assert not any("one-way" in s for s in branch_sentences(gj.parse_spec(presets.text("heat-and-cool"))))
     assert not any("one-way" in s for s in branch_sentences(gj.parse_spec(presets.text("paper-static-standard"))))
+
+
+def test_a_bias_holds_in_the_attitudes_of_its_calibration_where_no_sensitivity_to_acceleration_is_estimated():
+    (said,) = attitude_sentences(gj.parse_spec(presets.text("tactical-mems")))
+    assert said.startswith("'bias': holds in the attitudes of the calibration")
+    assert "±50 deg/h for each g" in said
+    assert attitude_sentences(gj.parse_spec(presets.text("heat-and-cool"))) == []

@@ -44,14 +44,14 @@ _SURE = (
     "plots",
 )
 """Rooms whose tests use the core by ways that its own tests, and the recorded numbers, have checked."""
-_ESTIMATES = ("estimate", "recording", "logs", "read_tables")
-"""The same of files in `unit`."""
+_ESTIMATES = ("estimate", "recording", "logs", "read_tables", "several", "late_terms", "without_encoder")
+"""The same of files in `imu`."""
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _annotations(request):
     parts = request.path.relative_to(Path(__file__).parent).parts
-    sure = parts[0] in _SURE or (parts[0] == "unit" and any(word in parts[-1] for word in _ESTIMATES))
+    sure = parts[0] in _SURE or (parts[0] == "imu" and any(word in parts[-1] for word in _ESTIMATES))
     jaxtyping.config.update("jaxtyping_disable", sure)
 
 

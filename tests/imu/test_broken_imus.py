@@ -57,6 +57,8 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     ("sensor.gyro.misalignment.temperature.degree", 1.5, "sensor.gyro.misalignment.temperature.degree", "whole"),
     ("sensor.gyro.misalignment.std", "1 mrad", "sensor.gyro.misalignment.std", "unknown"),
     ("sensor.gyro.g_sensitivity.prior", "50 deg/h", "sensor.gyro.g_sensitivity.prior", "acceleration"),
+    ("sensor.gyro.g_sensitivity", {"lever_arm": "3 mm"}, "sensor.gyro.g_sensitivity.lever_arm", "give its prior"),
+    ("sensor.gyro.g_sensitivity.lever_arm", "3 mrad", "sensor.gyro.g_sensitivity.lever_arm", "length"),
     ("sensor.gyro.g_squared", {"prior": "1 deg/h/g"}, "sensor.gyro.g_squared.prior", "deg/h/g^2"),
     ("sensor.accelerometer.velocity_random_walk", GONE, "sensor.accelerometer.velocity_random_walk", "missing"),
     ("sensor.accelerometer.velocity_random_walk", "1 ug", "sensor.accelerometer.velocity_random_walk", "velocity"),

@@ -4,7 +4,10 @@
 
 The plans are one of a whole IMU (`experiments/imu/descended.toml`) with other numbers of its cycle; of each the
 eight residuals, and their geometric mean with its gradient in all numbers. It runs on whatever device JAX finds: on a
-GPU it counts, too, how many steps a program makes one after the other.
+GPU it counts, too, how many steps a program makes one after the other. There most of the time to compile goes into the
+choice of kernels, which is left out by
+
+    XLA_FLAGS="--xla_gpu_autotune_level=0 --xla_gpu_experimental_enable_fusion_autotuner=false"
 """
 
 import argparse

@@ -75,7 +75,7 @@ def priced(value: float, limits: Sequence[PricedLimit], log: Callable[[np.ndarra
             continue
         step = _STEP * size
         slope = (log(step * by) - log(-step * by)) / (2.0 * step)
-        price = min(value * slope, 0.0) * unit
+        price = float(min(value * slope, 0.0) * unit)
         steps = _LINEAR_STEPS if price else ()
         bent = (abs((log(s * unit * by) - start) / (slope * s * unit) - 1.0) for s in steps)
         prices.append(Price(name, per, price, next((s for s, b in zip(steps, bent, strict=True) if b < _LINEAR), None)))

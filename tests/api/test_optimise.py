@@ -88,7 +88,7 @@ def test_prices_of_a_residual_that_falls_with_the_root_of_the_time():
     # ln(1 + x) falls behind x by a fifth at x = 0.5.
     assert time.linear == 10.0
     (brief,) = priced(10.0, [hour._replace(unit=600.0)], lambda by: -0.5 * np.log(1.0 + by[0] / 3600.0))
-    assert brief.linear == 1.0
+    assert brief.linear == 3.0
     assert (rate.change, rate.linear) == (0.0, None)
 
 

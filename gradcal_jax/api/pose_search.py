@@ -17,7 +17,7 @@ import numpy as np
 from gradcal_jax.api.cycle_plan import CyclePlan, RepeatedCycle
 from gradcal_jax.api.cycle_prices import active_limits, shadow_prices
 from gradcal_jax.api.search_results import Optimised
-from gradcal_jax.api.searching import Tried
+from gradcal_jax.api.searching import PlanOutcome
 from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.design.pose_cycle import PoseTurn
 from gradcal_jax.files.spec_sections import Spec
@@ -56,7 +56,7 @@ class PoseSearch:
         """The plan of a cycle, and its structure in words."""
         return self._plan.spec_of(point), self._plan.in_words(point)
 
-    def record(self, best: Optimised, point: RepeatedCycle | None, last: Tried) -> dict[str, Any]:
+    def record(self, best: Optimised, point: RepeatedCycle | None, last: PlanOutcome) -> dict[str, Any]:
         """What the search took, and the limits that bind the cycle of the best plan."""
         del last
         plan, of = self._plan, {"evaluations": self.used}

@@ -40,13 +40,13 @@ class PlanSearch(Protocol):
         """Continue from such arrays; returns that point."""
         ...
 
-    def record(self, best: Optimised, point: Any, last: "Tried") -> dict[str, Any]:
+    def record(self, best: Optimised, point: Any, last: "PlanOutcome") -> dict[str, Any]:
         """What the search knows of its result (fields of it), which is the plan of `point` (None: no optimum), after
         the `last` plan that was tried."""
         ...
 
 
-class Tried(NamedTuple):
+class PlanOutcome(NamedTuple):
     """What became of a point: the value of its rounded plan in the objective's unit, or why it has no plan."""
 
     value: float = math.inf
@@ -69,7 +69,7 @@ def search_plans(
     """As `optimise`, by one search: a step whenever it proposes a point. The result is never worse than the spec's own
     plan, where that counts."""
     objective, own = search.objective, search.own_counts
-    spec, (name, unit, _), last = objective.spec, objective.name_and_unit(), Tried()
+    spec, (name, unit, _), last = objective.spec, objective.name_and_unit(), PlanOutcome()
     before = objective.residuals(spec)
     start = finite(objective.shown(before))
     best = _Best(spec, before, objective.value_of(before) if own else math.inf)
@@ -82,10 +82,10 @@ def search_plans(
             found, words = search.plan_of(point)
             plan = rounded(found).spec
         except SpecError as error:
-            last = Tried(trouble=str(error))
+            last = PlanOutcome(trouble=str(error))
             return
         left = objective.residuals(plan)
-        last, value = Tried(objective.shown(left)), objective.value_of(left)
+        last, value = PlanOutcome(objective.shown(left)), objective.value_of(left)
         if value < best.value:
             best = _Best(plan, left, value, point, words)
 

@@ -10,7 +10,7 @@ from gradcal_jax.api.measure import Measure, design_of, measure
 from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.search_results import Optimised, Price, PricedLimit, priced
-from gradcal_jax.api.searching import Tried
+from gradcal_jax.api.searching import PlanOutcome
 from gradcal_jax.api.structures import structures
 from gradcal_jax.design import (
     KEPT,
@@ -27,6 +27,8 @@ from gradcal_jax.design import (
 from gradcal_jax.files.spec_sections import Spec
 
 STEPS: Final = 240
+# A point is proposed once it is better than the last one by this factor: its plan takes longer to judge than a value.
+_NEWS: Final = 0.95
 # A turn within this share of its limit counts as limited.
 _AT_LIMIT: Final = 1e-3
 _FIRST: Final = 100
@@ -91,25 +93,27 @@ class TurnSearch:
         self._optimum: tuple[AnyCoordinates, Optimum] | None = None
 
     def run(self) -> Iterator[tuple[float, TurnPoint]]:
-        """A point after every descent."""
+        """The best point after every descent, or one that is not much worse."""
         design, stop = design_of(self.objective.spec), self._options["stop"]
         first, state = self._now or (0, None)
-        point = None if self._best is None else self._point(self._best)
+        point, proposed = None if self._best is None else self._point(self._best), np.inf
         for k in range(first, len(self._choices)):
             choice = self._choices[k]
             options = {"starts": design.starts, "seed": design.seed, "begin": choice.start, "alone": choice.alone}
             for progress in search(self._of.compiled(choice.coordinates), state=state, **options, **self._options):
                 self._now = _At(k, progress.state)
-                if self._best is None or point is None or progress.best < self._best.state.best:
-                    self._best, point = self._now, self._point(self._now)
+                if self._best is None or progress.best < self._best.state.best:
+                    self._best = self._now
+                if point is None or self._best.state.best < _NEWS * proposed:
+                    point, proposed = self._point(self._best), self._best.state.best
                 yield 0.95 * (k + progress.step / progress.steps) / len(self._choices), point
                 if stop():
                     break
             state = None
             if stop():
                 break
-        assert point is not None
-        quick = self._options["quick"]
+        assert self._best is not None
+        point, quick = self._point(self._best), self._options["quick"]
         coordinates, optimum = self._optimum = polished(self._of, *point[:2], design.seed, stop, quick=quick)
         yield 1.0, TurnPoint(*_pruned(self._of, coordinates, optimum.point), point.words)
 
@@ -142,7 +146,7 @@ class TurnSearch:
         self._now, self._best = _At(now, state("state")), _At(best, state("best"))
         return self._point(self._best)
 
-    def record(self, best: Optimised, point: TurnPoint | None, last: Tried) -> dict[str, Any]:
+    def record(self, best: Optimised, point: TurnPoint | None, last: PlanOutcome) -> dict[str, Any]:
         """The optimum before rounding, and what rounding made of it."""
         if self._optimum is None or self._best is None:
             return {"converged": True}

@@ -127,11 +127,11 @@ def criterion_of(
     """A gyro's requirement, by its own statistic or that of a `name`, as a criterion of its model's parameters (SI).
     `most`: see `box`; for a search, which interpolates a polynomial map between few places."""
     name, at, between = name or requirement.statistic, box(requirement, most), None
-    shape, missions = (len(at[0]), len(at[1])), isinstance(requirement, MissionHeadingRequirement)
+    shape = len(at[0]), len(at[1])
     quantity = SCALE_FACTOR if requirement.quantity.endswith("scale_factor") else BIAS
-    if most is not None and not missions:
+    if most is not None and not isinstance(requirement, MissionHeadingRequirement):
         at, between = _few_places(map_of(model, quantity), *at)
-    if missions or isinstance(requirement, NorthRequirement):
+    if isinstance(requirement, MissionHeadingRequirement | NorthRequirement):
         of = heading_contrasts(model, requirement, at[0])
     else:
         of = contrasts(model, quantity, *(g.ravel() for g in np.meshgrid(*at, indexing="ij")))

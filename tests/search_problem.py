@@ -1,5 +1,27 @@
 """A small problem for the search: two turns a visit, four coefficients, one ramp of 50 minutes."""
 
+from gradcal_jax.api.exact_objective import ExactObjective
+from gradcal_jax.files.spec_sections import Spec
+
+
+def exact(spec: Spec) -> float:
+    """The objective of the spec's own plan."""
+    of = ExactObjective(spec)
+    return of.shown(of.residuals(spec))
+
+
+def keeps_limits(spec: Spec) -> bool:
+    """Whether the spec's own plan meets the targets that limit the search."""
+    of = ExactObjective(spec)
+    return not of.exceeded(of.residuals(spec))
+
+
+def targets_met(spec: Spec) -> bool:
+    """Whether the spec's own plan meets every target with the margin of `--until-met`."""
+    of = ExactObjective(spec)
+    return of.met(of.residuals(spec))
+
+
 SPEC = """
 format = "gradcal-spec/1"
 [sensor]

@@ -83,7 +83,7 @@ def slsqp(seconds: float) -> dict:
     from scipy.optimize import minimize
 
     from gradcal_jax.api import assemble
-    from gradcal_jax.api.criteria import box
+    from gradcal_jax.api.imu_residual import box
     from gradcal_jax.design import coordinates as room
     from gradcal_jax.design import criterion
     from gradcal_jax.information import at_readings, noise_steps

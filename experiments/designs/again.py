@@ -23,7 +23,7 @@ from gradcal_jax.api.scenarios import scenario_specs
 from gradcal_jax.api.search_results import SearchStep
 from gradcal_jax.api.structures import structures
 from gradcal_jax.api.turn_search import PRICED, polished, shadow_prices
-from gradcal_jax.design import Coordinates, Optimum, ProgrammeKnots, polish
+from gradcal_jax.design import Coordinates, Optimum, polish
 
 HERE = Path(__file__).parent
 STEPS = (0.05, 0.1, 0.2, 0.4, 0.8)
@@ -39,24 +39,21 @@ def tried(name: str, count: int) -> dict[str, Any]:
     kept = [e.checkpoint for e in optimise(spec) if isinstance(e, SearchStep)][-1]
     structure = structures(spec, [s for s, _ in scenario_specs(spec)])[kept["at"][1]]
     of = measure(spec)
+    unit = of.objective.name_and_unit()[1]
     coordinates, found = polished(of, structure.coordinates, kept["best_best_point"])
     objective = of.compiled(coordinates)
-    knots = coordinates if isinstance(coordinates, ProgrammeKnots) else None
-    linear = None if knots is None else knots.limits
     begun, generator = time.perf_counter(), np.random.default_rng(0)
     values: dict[str, list[float]] = {}
     for k in range(count):
         step = STEPS[k % len(STEPS)]
         point = found.point + step * generator.standard_normal(found.point.shape)
-        if knots is not None:
-            point = knots.near(point)
-        other = polish(objective, point, steps=150, linear=linear)
+        other = polish(objective, point, steps=150)
         values.setdefault(str(step), []).append(other.value if other.held else np.inf)
         if (k + 1) % 20 == 0:
-            print(f"  {k + 1} of {count}: best {min(min(v) for v in values.values()):.5g} {of.unit}", flush=True)
+            print(f"  {k + 1} of {count}: best {min(min(v) for v in values.values()):.5g} {unit}", flush=True)
     every = np.concatenate([np.array(v) for v in values.values()])
     return {
-        "unit": of.unit,
+        "unit": unit,
         "optimum": found.value,
         "gradient": found.gradient_norm,
         "count": count,

@@ -26,8 +26,9 @@ use_float64()
 import numpy as np  # noqa: E402
 
 import gradcal_jax as gj  # noqa: E402
+from gradcal_jax.api.cycle_plan import CyclePlan  # noqa: E402
 from gradcal_jax.api.optimise import optimise  # noqa: E402
-from gradcal_jax.api.pose_search import EVALUATIONS, CyclePlan  # noqa: E402
+from gradcal_jax.api.pose_search import EVALUATIONS  # noqa: E402
 from gradcal_jax.api.search_results import Optimised  # noqa: E402
 from gradcal_jax.design.cycle_moves import Neighbourhood  # noqa: E402
 from gradcal_jax.files import write_toml  # noqa: E402

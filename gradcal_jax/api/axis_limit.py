@@ -10,9 +10,8 @@ import numpy as np
 
 from gradcal_jax import trajectory
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.criteria import criterion_of
 from gradcal_jax.api.imu_residual import box
-from gradcal_jax.api.measure import design_of
+from gradcal_jax.api.measure import criterion_of, design_of
 from gradcal_jax.api.structures import LEAST_TURN, ResolvedCycle, cycle_of, largest_rate, motion_time, ramp_ends
 from gradcal_jax.design import (
     PRIOR_OF_WALK,

@@ -1,8 +1,7 @@
 """A spec's plan as a search of cycles sees it: what is free of it, its objective, and the plan of a point as a spec."""
 
 import math
-from collections.abc import Sequence
-from statistics import fmean
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -10,22 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.api.cycle_rounding import CycleRounding
-from gradcal_jax.api.fixture import hung_alike, known_together
-from gradcal_jax.api.imu_build import BuiltImu, build_imu, course_before, executed_motion, geometry, waves_of
-from gradcal_jax.api.imu_residual import ImuResidual, RequiredQuantity, quantity_of
-from gradcal_jax.api.measure import MISSED
-from gradcal_jax.api.plan_information import gram_of, posterior_of_plan, prior_gram
+from gradcal_jax.api.exact_objective import Aim, ExactObjective, PlanCase, estimated_together
+from gradcal_jax.api.imu_build import BuiltImu, course_before, executed_motion, geometry, waves_of
+from gradcal_jax.api.imu_residual import RequiredQuantity, quantity_of
 from gradcal_jax.api.plan_to_spec import programme_keys
-from gradcal_jax.api.scenarios import scenario_specs
-from gradcal_jax.api.search_results import MARGIN
-from gradcal_jax.api.tested_maps import hidden_test, imu_with_hidden, noticing, tested_maps
-from gradcal_jax.api.verdicts import UNIT_OF, limit_of
+from gradcal_jax.api.systematic import columns_of_imu
+from gradcal_jax.api.tested_maps import hidden_test, imu_with_hidden, tested_maps
 from gradcal_jax.design import ProgrammeCoordinates
 from gradcal_jax.design.cycle_moves import Cycle
 from gradcal_jax.design.descent import Descent
 from gradcal_jax.design.free_course import FreeCourse, behind_on_leg, legs_of
 from gradcal_jax.design.pose_cycle import (
-    EXCESS,
     WINDOW,
     CycleCoordinates,
     CycleObjective,
@@ -42,14 +36,13 @@ from gradcal_jax.design.pose_cycle import (
     structure_of,
 )
 from gradcal_jax.files.changes import changed
-from gradcal_jax.files.design import ALL, TIMES, WORST, Design
+from gradcal_jax.files.design import Design
 from gradcal_jax.files.motion_plan import MotionPlan, PlanSchedule
-from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.rounding import steps_of
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.tracks import makeable_acceleration
-from gradcal_jax.information.residual import Statistic
+from gradcal_jax.information import imu_system, whiten
 from gradcal_jax.model import SCALE_FACTOR, Hysteresis, ImuModel, SensorModel, TemperatureDifference
 
 # Points of a requirement's grid on each side that a search evaluates: of a mean over one side those of the file.
@@ -71,8 +64,6 @@ _STANDING, _OF_MEMORY = 48, 0.5
 # What is left of the time for rounding, s: of a course of the file, and of a free one.
 _LEFT, _LEFT_OF_COURSE = 1e-3, 0.2
 _SLACK = 1e-9
-# The smallest chance that counts.
-_NEVER = 1e-12
 # Shortest soak that a programme may begin with, s.
 _BRIEF = 1.0
 NO_COURSE = (
@@ -94,46 +85,26 @@ class CyclePlan:
     """A spec's plan as the search sees it: the objective of a cycle, its start, and what a cycle's plan leaves."""
 
     def __init__(self, spec: Spec) -> None:
-        self.spec, self.design = spec, spec.design or Design()
-        # Why places are judged as those of an IMU alone, in a sentence.
-        self.apart = ""
-        cases = cases_of(spec)
-        self._cases = [build_imu(case.spec) for case in cases]
-        self.built, notice = self._cases[0], self.design.notice
+        self.exact = exact = ExactObjective(spec)
+        self.spec, self.design, builts = spec, exact.design, exact.builts
+        self.built, notice = builts[0], self.design.notice
         plain = self.built.model
-        models = [b.model if notice is None else imu_with_hidden(b.spec, b.model) for b in self._cases]
+        models = [b.model if notice is None else imu_with_hidden(b.spec, b.model) for b in builts]
         if len({model.size for model in models}) > 1:
             raise ValueError("a design.scenario changes which parameters there are: all must have those of the spec")
-        self._fine = [tuple(quantity_of(built, r) for r in spec.requirement) for built in self._cases]
-        self._aims: tuple[tuple[Statistic, float], ...] = tuple(_aim_of(r, self.design) for r in spec.requirement)
-        weights = np.array([case.weight for case in cases])
-        self._weights = weights / np.sum(weights)
         self._executed = executed_motion(self.built)
-        known = [prior_gram(m) + self._past(b._replace(model=m)) for b, m in zip(self._cases, models, strict=True)]
-        timed, name = self.design.minimise in TIMES, self.design.minimise
-        self.worst = timed or name == WORST
-        self._counted = tuple(
-            (self.worst or name in (ALL, r.name)) and not (timed and r.target is None) for r in spec.requirement
-        )
-        # Where one requirement is minimised, the targets of the others are limits.
-        single = not self.worst and name != ALL
-        self._limiting = tuple(single and r.name != name and r.target is not None for r in spec.requirement)
-        minimised: list[Statistics | Unnoticed] = []
-        limiting: list[Statistics | Unnoticed] = []
-        for r, aim, counted, limits in zip(spec.requirement, self._aims, self._counted, self._limiting, strict=True):
-            if counted or limits:
-                quantity = quantity_of(self.built, r, None if len(r.grid) == 1 else _SEARCH_GRID)
-                (minimised if counted else limiting).append(_statistics_of(quantity, aim))
-        self._names = tuple(r.name for r in spec.requirement)
+        known = [_gram(m.prior_rows()) + _past(b._replace(model=m)) for b, m in zip(builts, models, strict=True)]
         believed, self._points = np.arange(plain.size), self.built.points
+        aims: list[tuple[Aim, Statistics | Unnoticed]] = []
+        unseen = columns_of_imu(self.built)
+        for r, aim in zip(spec.requirement, exact.aims, strict=False):
+            if aim.counted or aim.limiting:
+                quantity = quantity_of(self.built, r, None if len(r.grid) == 1 else _SEARCH_GRID)
+                aims.append((aim, _statistics_of(quantity, aim, unseen)))
         if notice is not None:
             believed, begins = _believed(plain, models[0])
             tests = tuple(hidden_test(model, notice, begin) for model, begin in begins)
-            allowed = 1.0 - float(notice.power)
-            (minimised if timed else limiting).append(Unnoticed(tests, believed, allowed))
-            goal: tuple[Statistic, float] = "max", allowed
-            self._aims, self._names = (*self._aims, goal), (*self._names, MISSED)
-            self._counted, self._limiting = (*self._counted, timed), (*self._limiting, not timed)
+            aims.append((exact.aims[-1], Unnoticed(tests, believed, exact.aims[-1].limit)))
             self._points = max(self._points, tested_maps(spec)[SCALE_FACTOR].temperature_degree + 1)
         self.turns_free = "cycle" in self.design.free or not self.design.free
         self._stands = isinstance(spec.plan, MotionPlan) and spec.plan.cycle is None
@@ -165,18 +136,19 @@ class CyclePlan:
         self._window, self._model = self._cycles_together(models), models[0]
         self.objective = CycleObjective(
             self.coordinates,
-            [geometry(built.spec.rig) for built in self._cases],
+            [geometry(built.spec.rig) for built in builts],
             models,
             known,
-            minimised,
-            limiting,
+            [statistic for aim, statistic in aims if aim.counted],
+            [statistic for aim, statistic in aims if aim.limiting],
             believed=believed,
-            together=self._joint(cases, models[0]),
-            weights=self._weights,
+            together=self._joint(exact.cases, models[0]),
+            weights=exact.weights,
+            of_logs=exact.of_logs,
             window=self._window,
             points=self._points,
             waves=waves_of(spec),
-            worst=self.worst,
+            worst=exact.worst,
             worst_model=self.design.robust == "worst",
         )
         self.free_course = self._free_course()
@@ -187,9 +159,9 @@ class CyclePlan:
             raise ValueError(f"nothing of the plan is free: the table stands, and {NO_COURSE}")
         self.descent = Descent(self._value)
 
-    def _joint(self, cases: "Sequence[PlanCase]", model: ImuModel) -> Together | None:
+    def _joint(self, cases: Sequence[PlanCase], model: ImuModel) -> Together | None:
         """What all IMUs of a fixture estimate together; None for one IMU."""
-        if not (groups := _together(cases)):
+        if not (groups := estimated_together(cases)):
             return None
         # Imported where it is used: estimates import SciPy's larger rooms.
         from gradcal_jax.estimation import shared_parameters
@@ -197,13 +169,6 @@ class CyclePlan:
         shared = shared_parameters(model, clock=self.spec.sensor.takes_host_clock)
         stds = np.concatenate([np.ones(model.calibrated), *(np.asarray(t.stds) for t in model.installation)])
         return Together(np.flatnonzero(shared), stds[shared] ** -2.0, tuple(c.imus for c in cases), tuple(groups))
-
-    def _past(self, built: BuiltImu) -> np.ndarray:
-        """The information of what was executed before; a search takes its drifts as independent of the plan's."""
-        executed = executed_motion(built)
-        if executed is None:
-            return np.zeros((built.model.size, built.model.size))
-        return gram_of(built._replace(motion=executed))
 
     def _value(self, z: Any, args: tuple[CycleStructure, Ramp | None, Any]) -> Any:
         of, ramps, sharpness = args
@@ -349,70 +314,13 @@ class CyclePlan:
         ramps = [r._replace(further=np.pad(r.further, ((0, most - len(r.further)), (0, 0), (0, 0)))) for r in ramps]
         return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
 
-    def residuals(self, spec: Spec) -> list[list["ImuResidual | _Chance"]]:
-        """What a spec's plan leaves at each place in each scenario, by an estimate of all IMUs together, in the order
-        of its requirements; then the chance to miss a hidden map, where one must be noticed."""
-        cases = cases_of(spec)
-        builts = [build_imu(case.spec) for case in cases]
-        known = [posterior_of_plan(built) for built in builts]
-        for group in _together(cases):
-            own, alone, counts = zip(*((builts[k], known[k], cases[k].imus) for k in group), strict=True)
-            joint, self.apart = known_together(own, alone, counts)
-            for k, of in zip(group, joint, strict=True):
-                known[k] = of
-        left: list[list[ImuResidual | _Chance]] = []
-        for built, of, fine in zip(builts, known, self._fine, strict=True):
-            left.append([q.residual(of) for q in fine])
-            if self.design.notice is not None:
-                rows = [row.power for row in noticing(built) if row.quantity == SCALE_FACTOR]
-                left[-1].append(_Chance(max(1.0 - min(power or 0.0 for power in rows), _NEVER)))
-        return left
-
     def left_by(self, angle: Any, rate: Any, rest: Any) -> dict[str, Any]:
         """What the spec's own cycle with other numbers (see `CycleCoordinates.plain`) leaves of every requirement, in
         the unit of `shown`, of the first scenario."""
         of, ramps = jax.tree.map(jnp.asarray, self.structure(self.start)), self.course(self.start.cycles).ramps
         ramps = self.free_ramps(jnp.asarray(self.start.course), of) if ramps is None else ramps
         logs = self.objective.logs(self.coordinates.plain(angle, rate, rest, of), of, ramps, math.inf)[0]
-        return {r.name: jnp.exp(x) * aim[1] for r, x, aim in zip(self.spec.requirement, logs, self._aims, strict=True)}
-
-    def value_of(self, residuals: Sequence[Sequence["ImuResidual | _Chance"]]) -> float:
-        """What a search minimises: the objective of a plan that leaves these residuals, and the cost of its excess."""
-        return self.without_limits(residuals) + EXCESS * sum(self.exceeded(residuals).values())
-
-    def without_limits(self, residuals: Sequence[Sequence["ImuResidual | _Chance"]]) -> float:
-        """The objective alone."""
-        together, over_cases = max if self.worst else fmean, self.design.robust == "worst"
-        counted = [
-            [_log(r, aim) for r, aim, own in zip(of, self._aims, self._counted, strict=True) if own] for of in residuals
-        ]
-        each = [together(logs) for logs in counted]
-        return max(each) if over_cases else float(self._weights @ each)
-
-    def exceeded(self, residuals: Sequence[Sequence["ImuResidual | _Chance"]]) -> dict[str, float]:
-        """By how much (natural logarithm) targets that are limits are exceeded, summed over the cases, by name."""
-        logs = {
-            name: [_log(of[k], self._aims[k]) for of in residuals]
-            for k, name in enumerate(self._names)
-            if self._limiting[k]
-        }
-        return {name: sum(max(x, 0.0) for x in of) for name, of in logs.items() if max(of) > 0.0}
-
-    def shown(self) -> tuple[str, str, float]:
-        """Name and unit of the objective for people, and how many of the unit are one of `value_of`, exponentiated."""
-        counted = [r for r, own in zip(self.spec.requirement, self._counted, strict=False) if own]
-        if self.worst or len(counted) > 1:
-            name = "residual over target" if self.worst else "residual over target, geometric mean"
-            return name, "of the target" if all(r.target is not None for r in counted) else "", 1.0
-        (r,) = counted
-        name, limit = _aim_of(r, self.design)
-        return f"{r.name} ({name})", UNIT_OF[r.quantity][0], limit
-
-    def met(self, residuals: Sequence[Sequence["ImuResidual | _Chance"]]) -> bool:
-        """Whether every target is met by its rule with `MARGIN`, and a hidden map noticed, by every model."""
-        aims = [limit_of(r) for r in self.spec.requirement]
-        limited = [_log(r, aim) for of in residuals for r, aim in zip(of, aims, strict=False) if aim is not None]
-        return max(limited) <= math.log(1.0 - MARGIN) and MISSED not in self.exceeded(residuals)
+        return {aim.name: jnp.exp(x) * aim.limit for x, aim in zip(logs, self.exact.aims, strict=True)}
 
     def spec_of(self, cycle: RepeatedCycle) -> Spec:
         """The spec with a cycle's moves, in numbers that a controller takes."""
@@ -429,46 +337,11 @@ class CyclePlan:
         return spec_of(tables)
 
 
-class PlanCase(NamedTuple):
-    """A `scenario` (by number) at a place, with its weight, and how many `imus` hang so."""
-
-    spec: Spec
-    weight: float
-    scenario: int
-    imus: int
-
-
-def cases_of(spec: Spec) -> list[PlanCase]:
-    """The spec at each place that hangs differently, in each scenario."""
-    return [
-        PlanCase(one, weight * len(names), k, len(names))
-        for at, names in hung_alike(spec)
-        for k, (one, weight) in enumerate(scenario_specs(at))
-    ]
-
-
-def _together(cases: Sequence[PlanCase]) -> list[list[int]]:
-    """The cases of each scenario, where there are several IMUs."""
-    groups = [[k for k, c in enumerate(cases) if c.scenario == s] for s in range(1 + max(c.scenario for c in cases))]
-    return groups if sum(cases[k].imus for k in groups[0]) > 1 else []
-
-
 class CycleCourse(NamedTuple):
     """The `period` (s) of a number of cycles, and their ramps; None where the course is free."""
 
     period: float
     ramps: Ramp | None
-
-
-class _Chance(NamedTuple):
-    """A chance, in the place of a residual."""
-
-    chance: float
-
-    def statistic(self, name: Statistic | None = None) -> float:
-        """The chance itself."""
-        del name
-        return self.chance
 
 
 class _Part(NamedTuple):
@@ -553,23 +426,28 @@ def _limits(spec: Spec, design: Design, start: Cycle) -> TableLimits:
     )
 
 
-def _aim_of(requirement: Requirement, design: Design) -> tuple[Statistic, float]:
-    """The statistic of a requirement that counts, and what it is divided by (`UNIT_OF`): its target by its rule, or 1.
-    Of a requirement that alone is minimised its own statistic counts."""
-    limit = None if requirement.name == design.minimise else limit_of(requirement)
-    return (requirement.statistic, 1.0) if limit is None else limit
-
-
-def _statistics_of(quantity: RequiredQuantity, aim: tuple[Statistic, float]) -> Statistics:
-    """A requirement's statistic over its limit, for the objective."""
+def _statistics_of(quantity: RequiredQuantity, aim: Aim, unseen: Mapping[str, np.ndarray]) -> Statistics:
+    """A requirement's statistic over its limit, for the objective, with the `unseen` errors that no plan shows."""
     requirement, elements = quantity.requirement, []
     for e in quantity.elements:
         rows, alone, added = e.contrasts()
-        alone = alone if np.any(alone) else None
-        elements.append(GridElement(e.where, np.asarray(rows), alone, added + quantity.beside**2, e.path))
+        alone, added = alone if np.any(alone) else None, added + quantity.beside**2
+        added = added + sum(np.sum((rows @ columns[e.where]) ** 2, axis=1) for columns in unseen.values())
+        elements.append(GridElement(e.where, np.asarray(rows), alone, added, e.path))
     shape = len(quantity.temperatures), len(quantity.rates)
-    factor = UNIT_OF[requirement.quantity][1] / aim[1]
-    return Statistics(tuple(elements), shape, aim[0], requirement.axis == "all", factor)
+    return Statistics(tuple(elements), shape, aim.statistic, requirement.axis == "all", aim.per_si / aim.limit)
+
+
+def _gram(rows: np.ndarray) -> np.ndarray:
+    return rows.T @ rows
+
+
+def _past(built: BuiltImu) -> np.ndarray:
+    """The information of what was executed before; a search takes its drifts as independent of the plan's."""
+    done = executed_motion(built)
+    if done is None:
+        return np.zeros((built.model.size, built.model.size))
+    return _gram(whiten(*imu_system(done, built.model, built._replace(motion=done).body_nodes())))
 
 
 def _believed(plain: ImuModel, hidden: ImuModel) -> tuple[np.ndarray, list[tuple[SensorModel, int]]]:
@@ -580,9 +458,3 @@ def _believed(plain: ImuModel, hidden: ImuModel) -> tuple[np.ndarray, list[tuple
         gyros += [(other.model, begin)] if one.kind == "gyro" else []
         begin += other.model.size
     return np.concatenate([*own, np.arange(begin, hidden.size)]), gyros
-
-
-def _log(residual: "ImuResidual | _Chance", aim: tuple[Statistic, float]) -> float:
-    """The logarithm of a statistic over its limit."""
-    value = residual.statistic(aim[0])
-    return math.log(value / aim[1]) if value else math.inf

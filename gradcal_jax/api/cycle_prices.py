@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from gradcal_jax.api.cycle_plan import CyclePlan, RepeatedCycle
-from gradcal_jax.api.search_results import Price, priced
+from gradcal_jax.api.search_results import Price, PricedLimit, priced
 from gradcal_jax.design.pose_cycle import CycleCoordinates, CycleStructure, Ramp
 
 # A rate, pose, rest or slope within this share of its limit counts as limited.
 _AT_LIMIT = 0.01
-# Sharpness of the maxima of an optimum, and the step of a derivative as a share of the limit.
-_SHARPNESS, _STEP = 100.0, 1e-4
+# Sharpness of the maxima of an optimum.
+_SHARPNESS = 100.0
 _DEGREE = np.pi / 180.0
 
 
@@ -23,24 +23,12 @@ def shadow_prices(plan: CyclePlan, cycle: RepeatedCycle, value: float) -> tuple[
     vanishes (envelope theorem), with the cost of exceeded targets; by central differences of a compiled value."""
     of = plan.structure(cycle)
     args = plan.point(cycle, of), jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps
-    rows = _limits_of(plan)
     log = jax.jit(lambda by: _eased(plan, *args, by), compiler_options={"xla_backend_optimization_level": 0})
-
-    def at(k: int, step: float) -> float:
-        by = np.zeros(len(rows))
-        by[k] = step
-        return float(log(by))
-
-    there = [k for k, (*_, size) in enumerate(rows) if 0.0 < size < np.inf]
-    steps = [_STEP * rows[k][-1] for k in there]
-    slopes = [(at(k, step) - at(k, -step)) / (2.0 * step) for k, step in zip(there, steps, strict=True)]
-    start = at(0, 0.0)
-    return priced(value, [rows[k][:3] for k in there], slopes, lambda k, step: at(there[k], step) - start)
+    return priced(value, [PricedLimit(*row) for row in _limits_of(plan)], lambda by: float(log(by)))
 
 
 def _limits_of(plan: CyclePlan) -> list[tuple[str, str, float, float]]:
-    """Name, the unit in which it is eased, that unit in SI, and size (SI) of every limit, in the order of `_eased`; a
-    size that is not finite or zero: there is no such limit."""
+    """Name, the unit in which it is eased, that unit in SI, and size (SI) of every limit, in the order of `_eased`."""
     limits, turns = plan.limits, float(plan.turns_free)
     axes = [axis.name for axis in plan.spec.rig.table.axis]
     spans = limits.reach[:, 1] - limits.reach[:, 0]

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.criteria import criterion_of
 from gradcal_jax.api.cycle_plan import CyclePlan
+from gradcal_jax.api.measure import criterion_of
 from gradcal_jax.api.systematic import counted_criterion
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.arrays import AnyArray, namespace, put

@@ -364,7 +364,9 @@ def _elements(
         for c in model.channels:
             axis = AXIS_NAMES[c.axis]
             if c.kind == "gyro" and requirement.axis in ("all", "worst", axis):
-                yield QuantityElement(axis, model.where(c.kind, c.axis), _heading(c.model, requirement, temperatures))
+                yield QuantityElement(
+                    axis, model.where(c.kind, c.axis), heading_contrasts(c.model, requirement, temperatures)
+                )
     else:
         kind, terms = _TERMS[requirement.quantity]
         for c in model.channels:
@@ -434,7 +436,7 @@ def _plain(rows: np.ndarray) -> Contrasts:
     return Contrasts(rows, np.zeros_like(rows), np.zeros(len(rows)))
 
 
-def _heading(
+def heading_contrasts(
     model: SensorModel, requirement: MissionHeadingRequirement | NorthRequirement, temperatures: np.ndarray
 ) -> Contrasts:
     """The error of a gyro's heading at the end of every mission, or of north at every temperature, rad."""

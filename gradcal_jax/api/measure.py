@@ -1,45 +1,47 @@
-"""The objective of a spec's [design]: one number of a plan, and by how much the plan exceeds the other targets."""
+"""The objective of a spec's [design] for the search of one gyro's turns, of the chamber, or of set points."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple, cast
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.criteria import criterion_of
-from gradcal_jax.api.scenarios import scenario_specs
-from gradcal_jax.api.structures import gyro_of
+from gradcal_jax.api.build import assemble
+from gradcal_jax.api.exact_objective import MISSED, ExactObjective, optimality
+from gradcal_jax.api.imu_residual import box, heading_contrasts
 from gradcal_jax.api.systematic import counted_criterion
 from gradcal_jax.api.tested_maps import hidden_test, with_hidden
-from gradcal_jax.api.verdicts import UNIT_OF, limit_of
-from gradcal_jax.design import KEPT, AnyCoordinates, Case, Compiled, Coordinates, Criterion, Objective, Optimality
+from gradcal_jax.api.verdicts import mission_weights
+from gradcal_jax.design import AnyCoordinates, Case, Compiled, Coordinates, Criterion, Objective, polynomial_grid
 from gradcal_jax.files import changed
-from gradcal_jax.files.design import ALL, OPTIMALITIES, TIMES, Design, Notice
+from gradcal_jax.files.design import ALL, OPTIMALITIES, Design
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, Requirement
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.information import begin_filter, noise_states, where_hidden
-from gradcal_jax.model import BIAS, SCALE_FACTOR
+from gradcal_jax.information import begin_filter, contrasts, noise_states, where_hidden
+from gradcal_jax.information.residual import Statistic, map_of
+from gradcal_jax.model import BIAS, SCALE_FACTOR, HigherPolynomials, Map, Polynomial, SensorModel
 from gradcal_jax.trajectory import Schedule, rule_of
 
 # The search sees a requirement's box on a grid of at most this many temperatures and rates.
 _GRID = 41
-MISSED = "the chance to miss a hidden map"
 
 
 class Measure(NamedTuple):
-    """The objective of a [design], in `unit`. `name`: for people. `limits`: requirements whose targets are limits.
+    """The objective of a [design] as a function of a plan's numbers.
 
     `cases`, `factors`, `targets`, `robust`: of an `Objective`, which `compiled` makes for coordinates.
     """
 
-    name: str
-    unit: str
-    limits: tuple[str, ...]
+    objective: ExactObjective
     cases: tuple[Case, ...]
     factors: np.ndarray
     targets: np.ndarray
-    robust: Any
+    robust: Literal["worst", "mean"]
+
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """What has a target that is a limit."""
+        return tuple(aim.name for aim in self.objective.aims if aim.limiting)
 
     def compiled(self, coordinates: AnyCoordinates) -> Compiled:
         """The objective over coordinates, through the program of the class of their sizes."""
@@ -56,16 +58,14 @@ class Measure(NamedTuple):
         objective = Objective(whole, cases, self.factors, self.targets, self.robust)
         return Compiled(objective, whole.size, places)
 
+    def logs(self, schedule: Schedule) -> np.ndarray:
+        """Logarithms of the exact value of one plan, and of its excess over limits."""
+        value, excess = Objective(None, self.cases, self.factors, self.targets, self.robust).of_schedule(schedule)
+        return np.log([value, *np.exp(excess)])
+
     def exact(self, schedule: Schedule) -> float:
         """The exact value of one plan, in the unit."""
-        return float(self._of(schedule)[0])
-
-    def notices(self, schedule: Schedule) -> bool:
-        """Whether a plan notices a hidden map as probably as it must."""
-        return MISSED not in self.limits or float(self._of(schedule)[1][-1]) <= KEPT
-
-    def _of(self, schedule: Schedule) -> tuple[Any, Any]:
-        return Objective(None, self.cases, self.factors, self.targets, self.robust).of_schedule(schedule)
+        return float(np.exp(self.logs(schedule)[0]))
 
 
 def design_of(spec: Spec) -> Design:
@@ -90,90 +90,64 @@ def design_block(spec: Spec) -> str:
 
 
 def measure(spec: Spec) -> Measure:
-    """The objective of the spec's [design]; for a minimised time, the largest residual over its target."""
-    design = design_of(spec)
-    if design.whole_turns:
-        # Whole turns cancel the encoder's harmonics; while turns are not yet whole, these only disturb the search.
-        spec = changed(spec, {"rig.table.axis[0].angle.harmonics": None})
-    scenarios = [(s, assemble(s), weight) for s, weight in scenario_specs(spec)]
-    limiting = [r for r in spec.requirement if r.target is not None and r.name != design.minimise]
-    if design.minimise in TIMES:
-        if not limiting:
-            raise ValueError(f'"{design.minimise}" is minimised under targets: give a requirement a target')
-        name, unit = "residual over target", "of the target"
-        mains = [[_criterion(built, r, limited=True) for r in limiting] for _, built, _ in scenarios]
-        factors = [1.0 / _limit(r) for r in limiting]
-        limiting = []
-    elif design.minimise in OPTIMALITIES:
-        name, unit = design.minimise, "ppm" if gyro_of(spec).scale_factor is not None else "deg/h"
-        mains = [[_optimality(built, design.minimise)] for _, built, _ in scenarios]
-        factors = [UNIT_OF["scale_factor" if unit == "ppm" else "bias"][1]]
+    """The objective of the spec's [design]."""
+    design, exact = design_of(spec), ExactObjective(spec)
+    counted = [aim for aim in exact.aims if aim.counted]
+    limiting = [aim for aim in exact.aims if aim.limiting]
+    cases = []
+    for case in exact.cases:
+        one = case.spec
+        if design.whole_turns:
+            # Whole turns cancel the encoder's harmonics; while turns are not yet whole, these only disturb the search.
+            one = changed(one, {"rig.table.axis[0].angle.harmonics": None})
+        built = assemble(one)
+        model, believed = built.model, None
+        criteria: dict[str, Any] = {}
+        for r, aim in zip(spec.requirement, exact.aims, strict=False):
+            if aim.counted or aim.limiting:
+                criteria[r.name] = counted_criterion(criterion_of(model, r, aim.statistic, _GRID), built)
+        if design.minimise in OPTIMALITIES:
+            criteria[design.minimise] = optimality(model, design.minimise)
+        if design.notice is not None:
+            if where_hidden(model, SCALE_FACTOR) is None:
+                model, believed = with_hidden(one, model, SCALE_FACTOR), model.size
+            criteria[MISSED] = hidden_test(model, design.notice, 0)
+        own, limits = (tuple(criteria[aim.name] for aim in of) for of in (counted, limiting))
+        lag = None if built.thermal_lag is None else np.asarray(built.thermal_lag)
+        cases.append(Case(model, lag, own, limits, np.asarray(case.weight), believed=believed, past=built.past))
+    # A criterion is SI.
+    factors = np.array([aim.per_si / aim.limit for aim in counted])
+    targets = np.array([aim.limit / aim.per_si for aim in limiting])
+    return Measure(exact, tuple(cases), factors, targets, design.robust if len(cases) > 1 else "mean")
+
+
+def criterion_of(
+    model: SensorModel, requirement: Requirement, name: Statistic | None = None, most: int | None = None
+) -> Criterion:
+    """A gyro's requirement, by its own statistic or that of a `name`, as a criterion of its model's parameters (SI).
+    `most`: see `box`; for a search, which interpolates a polynomial map between few places."""
+    name, at, between = name or requirement.statistic, box(requirement, most), None
+    shape = len(at[0]), len(at[1])
+    quantity = SCALE_FACTOR if requirement.quantity.endswith("scale_factor") else BIAS
+    if most is not None and not isinstance(requirement, MissionHeadingRequirement):
+        at, between = _few_places(map_of(model, quantity), *at)
+    if isinstance(requirement, MissionHeadingRequirement | NorthRequirement):
+        of = heading_contrasts(model, requirement, at[0])
     else:
-        main = next(r for r in spec.requirement if r.name == design.minimise)
-        unit, factor = UNIT_OF[main.quantity]
-        name = f"{main.name} ({main.statistic})"
-        mains, factors = [[_criterion(built, main)] for _, built, _ in scenarios], [factor]
-    limits = [[_criterion(built, r, limited=True) for r in limiting] for _, built, _ in scenarios]
-    targets = np.array([_limit(r) for r in limiting])
-    names = tuple(r.name for r in limiting)
-    models = [built.model for _, built, _ in scenarios]
-    believed = None
-    if design.notice is not None:
-        models, noticing, believed = _noticing(scenarios, design.notice)
-        # The chance of missing a hidden map has a target like any residual.
-        allowed = 1.0 - float(design.notice.power)
-        of_time = design.minimise in TIMES
-        for every, one in zip(mains if of_time else limits, noticing, strict=True):
-            every.append(one)
-        if of_time:
-            factors.append(1.0 / allowed)
-        else:
-            targets, names = np.append(targets, allowed), (*names, MISSED)
-    cases = tuple(
-        Case(
-            model,
-            None if built.thermal_lag is None else np.asarray(built.thermal_lag),
-            tuple(main),
-            tuple(limit),
-            np.asarray(weight),
-            believed=believed,
-            past=built.past,
-        )
-        for model, (_, built, weight), main, limit in zip(models, scenarios, mains, limits, strict=True)
-    )
-    robust = design.robust if len(cases) > 1 else "mean"
-    return Measure(name, unit, names, cases, np.array(factors, dtype=float), targets, robust)
+        of = contrasts(model, quantity, *(g.ravel() for g in np.meshgrid(*at, indexing="ij")))
+    # Such that the unweighted statistic of missions is the weighted one.
+    rows, alone, beyond = of.times(mission_weights(requirement, name)[:, 0])
+    return Criterion(rows, alone if np.any(alone) else None, beyond, shape, name, between)
 
 
-def _noticing(scenarios: list[tuple[Spec, Assembled, float]], notice: Notice):
-    """Models with the hidden map among their parameters, the criterion of missing it, and the number of parameters of
-    the believed model (None: all, where the sensor has a discrepancy of its own)."""
-    models, missing, believed = [], [], None
-    for spec, built, _ in scenarios:
-        model = built.model
-        if where_hidden(model, SCALE_FACTOR) is None:
-            believed = model.size
-            model = with_hidden(spec, model, SCALE_FACTOR)
-        missing.append(hidden_test(model, notice, 0))
-        models.append(model)
-    return models, missing, believed
-
-
-def _limit(requirement: Requirement) -> float:
-    """The largest allowed value of the limiting statistic, in SI."""
-    limit = limit_of(requirement)
-    assert limit is not None  # only requirements with a target limit a search
-    return limit[1] / UNIT_OF[requirement.quantity][1]
-
-
-def _criterion(built: Assembled, requirement: Requirement, *, limited: bool = False) -> Criterion:
-    """The criterion of a requirement's own statistic or, if `limited`, of the one that its target limits."""
-    limit = limit_of(requirement) if limited else None
-    criterion = criterion_of(built.model, requirement, None if limit is None else limit[0], _GRID)
-    return counted_criterion(criterion, built)
-
-
-def _optimality(built: Assembled, name: str) -> Optimality:
-    model = built.model
-    where = model.where(BIAS if model.scale is None else SCALE_FACTOR)
-    return Optimality(model.to_reported[where], cast("Any", name[0]))
+def _few_places(of: Map, temperatures: np.ndarray, rates: np.ndarray):
+    """The places at which a map's residual is evaluated, and the matrices that interpolate it onto the grid."""
+    bases = [(of.temperature, of.beyond and of.beyond.temperature), (of.rate, of.beyond and of.beyond.rate)]
+    pairs = []
+    for at, both in zip((temperatures, rates), bases, strict=True):
+        degrees = [
+            b.degree if isinstance(b, Polynomial | HigherPolynomials) else len(at) for b in both if b is not None
+        ]
+        pairs.append(polynomial_grid(at, max(degrees, default=0)))
+    (few_t, by_t), (few_w, by_w) = pairs
+    return (few_t, few_w), (by_t, by_w)

@@ -5,11 +5,13 @@ from functools import partial
 
 import numpy as np
 
+from gradcal_jax.api.cycle_plan import CyclePlan
 from gradcal_jax.api.minimise_time import minimise_time
-from gradcal_jax.api.pose_search import EVALUATIONS, QUICK_EVALUATIONS, search_poses
+from gradcal_jax.api.pose_search import EVALUATIONS, QUICK_EVALUATIONS, PoseSearch
 from gradcal_jax.api.search_results import Optimised, SearchStep
+from gradcal_jax.api.searching import PlanSearch, search_plans
 from gradcal_jax.api.structures import motion_time, with_motion
-from gradcal_jax.api.turn_search import STEPS, search_turns
+from gradcal_jax.api.turn_search import STEPS, TurnSearch
 from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.spec import expect_spec
@@ -53,13 +55,13 @@ def optimise(
         if checkpoint is not None:
             raise ValueError("a search for the shortest plan is not kept: start anew, without --resume")
         yield from minimise_time(spec, partial(optimise, spec, steps=steps, quick=quick, stop=stop), stop)
-    elif spec.turns_one_gyro:
-        options = {"quick": quick, "until_met": until_met, "motion": motion, "checkpoint": checkpoint, "stop": stop}
-        yield from search_turns(spec, steps=steps or STEPS, **options)
+        return
+    if spec.turns_one_gyro:
+        search: PlanSearch = TurnSearch(spec, steps=steps or STEPS, quick=quick, motion=motion, stop=stop)
     else:
         if motion is None and spec.design is not None and (spec.design.max_motion or spec.design.max_total):
             motion = motion_time(spec, spec.design)
         timed = spec if motion is None else with_motion(spec, motion)
         evaluations = steps or (QUICK_EVALUATIONS if quick else EVALUATIONS)
-        options = {"until_met": until_met, "checkpoint": checkpoint, "stop": stop}
-        yield from search_poses(timed, evaluations=evaluations, **options)
+        search = PoseSearch(CyclePlan(timed), evaluations, stop)
+    yield from search_plans(search, until_met=until_met, checkpoint=checkpoint)

@@ -14,7 +14,6 @@ from gradcal_jax.design import (
     Element,
     Limits,
     ProgrammeCoordinates,
-    ProgrammeKnots,
     StandardCoordinates,
 )
 from gradcal_jax.files import changed
@@ -36,7 +35,7 @@ def plan_to_spec(spec: Spec, coordinates: AnyCoordinates, point: np.ndarray) -> 
     """The spec with the plan of a point of the coordinates, rounded to the controllers' steps."""
     if isinstance(coordinates, StandardCoordinates):
         return _standard(spec, *coordinates.plan_of(point))
-    if isinstance(coordinates, ProgrammeCoordinates | ProgrammeKnots):
+    if isinstance(coordinates, ProgrammeCoordinates):
         return changed(spec, programme_keys(spec, coordinates, point))
     return _cycle(spec, coordinates, coordinates.cycle(point))
 
@@ -55,9 +54,7 @@ def _standard(spec: Spec, temperatures: np.ndarray, rates: np.ndarray, integrati
     return changed(spec, keys)
 
 
-def programme_keys(
-    spec: Spec, coordinates: ProgrammeCoordinates | ProgrammeKnots, point: np.ndarray
-) -> dict[str, object]:
+def programme_keys(spec: Spec, coordinates: ProgrammeCoordinates, point: np.ndarray) -> dict[str, object]:
     """The keys of a spec's course: stretches at slopes and temperatures of the controller's steps, no steeper than the
     chamber allows."""
     programme, steps = coordinates.programme(point), steps_of(spec)

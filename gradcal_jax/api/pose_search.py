@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,12 +16,10 @@ import numpy as np
 
 from gradcal_jax.api.cycle_plan import CyclePlan, RepeatedCycle
 from gradcal_jax.api.cycle_prices import active_limits, shadow_prices
-from gradcal_jax.api.search_results import MET, NO_TARGET, Optimised, SearchStep
-from gradcal_jax.api.turn_search import requirement_changes
+from gradcal_jax.api.search_results import Optimised
+from gradcal_jax.api.searching import PlanOutcome
 from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.design.pose_cycle import PoseTurn
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.rounding import rounded
 from gradcal_jax.files.spec_sections import Spec
 
 EVALUATIONS, QUICK_EVALUATIONS = 14000, 800
@@ -39,110 +37,48 @@ _RECOUNTED, _RECOUNT = 0.12, 0.3
 _COURSE, _COURSE_STEP = 0.2, 0.5
 
 
-def search_poses(
-    spec: Spec,
-    *,
-    evaluations: int = EVALUATIONS,
-    until_met: bool = False,
-    checkpoint: Mapping[str, np.ndarray] | None = None,
-    stop: Callable[[], bool] = lambda: False,
-) -> Iterator[SearchStep | Optimised]:
-    """As `optimise`, over cycles of turns and poses; a step after every descent.
+class PoseSearch:
+    """The search over structures of cycles of turns and poses, each of which descends along the gradient.
 
-    `evaluations`: of the objective and its gradient. The optimum is never worse than the spec's own plan.
+    `evaluations`: of the objective and its gradient.
     """
-    if not spec.requirement:
-        raise ValueError("the spec has no [[requirement]] to minimise: add one")
-    if until_met and all(r.target is None for r in spec.requirement):
-        raise ValueError(NO_TARGET)
-    plan = CyclePlan(spec)
-    name, unit, factor = plan.shown()
-    before = after = plan.residuals(spec)
-    least = plan.value_of(before)
-    best, words, used, cycle = spec, "as it was", 0, None
-    search = _Search(plan, evaluations, plan.design.seed, stop)
-    if checkpoint is not None:
-        cycle = search.resume(checkpoint)
-    if cycle is not None:
-        best = rounded(plan.spec_of(cycle)).spec
-        after = plan.residuals(best)
-        least, words = plan.value_of(after), plan.in_words(cycle)
-    # Other courses of the chamber, as they are, are plans too.
-    other_starts = [] if checkpoint is not None else plan.starts()[1:]
 
-    def improve(by: RepeatedCycle) -> None:
-        nonlocal best, after, least, cycle, words
-        with suppress(SpecError):
-            found = rounded(plan.spec_of(by)).spec
-            reached = plan.residuals(found)
-            if (value := plan.value_of(reached)) < least:
-                best, after, least, cycle, words = found, reached, value, by, plan.in_words(by)
-
-    met = until_met and plan.met(after)
-    for start in () if met else other_starts:
-        improve(start)
-    met = until_met and plan.met(after)
-    if not met:
-        seen: RepeatedCycle | None = None
-        for share in search.run():
-            used = search.used
-            if search.best is not seen:
-                seen = search.best
-                improve(seen)
-            missed = plan.exceeded(after)
-            was, now = (factor * math.exp(value) for value in (plan.without_limits(before), plan.without_limits(after)))
-            yield SearchStep(name, unit, _finite(was), now, share, words, ", ".join(missed), search.state(cycle))
-            met = until_met and plan.met(after)
-            if met:
-                break
-    kept = best is spec
-    if kept:
-        with suppress(SpecError):
-            best = rounded(spec).spec
-        after = plan.residuals(best)
-    changes, missed = requirement_changes(spec, best), plan.exceeded(after)
-    start, now = (factor * math.exp(plan.without_limits(left)) for left in (before, after))
-    result = Optimised(
-        best, name, unit, _finite(start), now, now, not missed, "", changes, words, kept, evaluations=used
-    )  # fmt: skip
-    if cycle is not None and not met and not stop():
-        result = result._replace(active=active_limits(plan, cycle), prices=shadow_prices(plan, cycle, now))
-    how = f"after {used} gradients" if used else "without a search"
-    sentence = f"{result.gain:.2f} times better in the geometric mean of all requirements, {how}"
-    if kept:
-        sentence = f"the plan as it was, which is kept {how}"
-        sentence = sentence if met else f"nothing better than {sentence}"
-    if len(spec.rig.table.place) > 1:
-        sentence += f"; {plan.apart}" if plan.apart else ", of all IMUs estimated together"
-    if missed:
-        sentence += f"; no plan was found that meets the target of {', '.join(missed)}"
-    yield result._replace(sentence=f"{MET}: {sentence}" if met else sentence)
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-class _Search:
-    """A search over structures, each of which descends along the gradient."""
-
-    def __init__(self, plan: "CyclePlan", evaluations: int, seed: int, stop: Callable[[], bool]) -> None:
+    def __init__(self, plan: CyclePlan, evaluations: int, stop: Callable[[], bool] = lambda: False) -> None:
+        self.objective, self.own_counts = plan.exact, True
         self._plan, self._budget, self._stop = plan, evaluations, stop
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(plan.design.seed)
         self._around = Neighbourhood(plan.limits, plan.slots)
         self.used, self.best, self._value = 0, plan.start, math.inf
         self._here, self._now, self._begun = plan.start, math.inf, 0
         self._state: dict[str, np.ndarray] = {}
 
-    def run(self) -> Iterator[float]:
-        """Yields the completed share after every round of descents."""
+    def plan_of(self, point: RepeatedCycle) -> tuple[Spec, str]:
+        """The plan of a cycle, and its structure in words."""
+        return self._plan.spec_of(point), self._plan.in_words(point)
+
+    def record(self, best: Optimised, point: RepeatedCycle | None, last: PlanOutcome) -> dict[str, Any]:
+        """What the search took, and the limits that bind the cycle of the best plan."""
+        del last
+        plan, of = self._plan, {"evaluations": self.used}
+        if point is not None and not self._stop():
+            of |= {"active": active_limits(plan, point), "prices": shadow_prices(plan, point, best.now)}
+        better = "" if best.kept else f"{best.gain:.2f} times better in the geometric mean of all requirements, "
+        sentence = f"{better}after {self.used} gradients"
+        if len(plan.spec.rig.table.place) > 1:
+            sentence += f"; {self.objective.apart}" if self.objective.apart else ", of all IMUs estimated together"
+        return of | {"sentence": sentence}
+
+    def run(self) -> Iterator[tuple[float, RepeatedCycle]]:
+        """A cycle after every round of descents; before them, other courses of the chamber, which are plans too."""
         plan, rng = self._plan, self._rng
+        for start in [] if self._begun else plan.starts()[1:]:
+            yield 0.0, start
         for sharpness, count in _FIRST[self._begun :]:
             begins = [self._here] if self._begun else plan.starts()
             self._now, self._here = min(self._descents(begins, sharpness, count), key=lambda found: found[0])
             self.best, self._value = self._here, self._now
             self._begun += 1
-            yield self._share()
+            yield self._share(), self.best
         last = min(_LAST[1], self._budget // 4)
         while self.used < self._budget - last and not self._stop():
             warm = _WARM * (1.0 - self.used / self._budget)
@@ -154,12 +90,12 @@ class _Search:
                     self.best, self._value = cycle, value
             if self._now > self._value + 3.0 * warm:
                 self._here, self._now = self.best, self._value
-            yield self._share()
+            yield self._share(), self.best
         ((_, self.best),) = self._descents([self.best], _LAST[0], last)
         if plan.design.angle_step is not None:
             snapped = self.best._replace(turns=plan.rounding.on_steps(self.best.turns))
             ((_, self.best),) = self._descents([snapped], _LAST[0], last, turnable=False)
-        yield 1.0
+        yield 1.0, self.best
 
     def state(self, reached: RepeatedCycle | None) -> dict[str, np.ndarray]:
         """Arrays from which `resume` continues, with the cycle of the best plan so far; of the last round that ended

@@ -44,28 +44,40 @@ class Price(NamedTuple):
     linear: float | None = None
 
 
-# Easings at which a price is compared with the objective itself, and the relative error up to which it is linear.
+class PricedLimit(NamedTuple):
+    """A limit that may be eased: the unit `per` which it is priced, that unit and the limit's size in SI; a size that
+    is zero or not finite: there is no such limit."""
+
+    name: str
+    per: str
+    unit: float
+    size: float
+
+
+# Step of a derivative, as a share of the limit; easings at which a price is compared with the objective itself, and the
+# relative error up to which it is linear.
+_STEP: Final = 1e-4
 _LINEAR_STEPS: Final = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01)
 _LINEAR: Final = 0.2
 
 
-def priced(
-    value: float,
-    limits: Sequence[tuple[str, str, float]],
-    slopes: Sequence[float],
-    change: Callable[[int, float], float],
-) -> tuple[Price, ...]:
-    """The prices of `limits` (name, the unit in which it is eased, that unit in SI) at an optimum: from the `slopes` of
-    the objective's logarithm, and its `change` where limit k is eased by a step, SI.
+def priced(value: float, limits: Sequence[PricedLimit], log: Callable[[np.ndarray], float]) -> tuple[Price, ...]:
+    """The prices of limits at an optimum of a `value`, from the objective's logarithm with the limits eased by so much
+    (SI), by central differences.
 
     A plan within a limit is within an eased one, so that no price is positive: where a slope is, the point is not
     quite an optimum, or the limit does not bind.
     """
-    prices = []
-    for k, (name, per, size) in enumerate(limits):
-        price = min(value * slopes[k], 0.0) * size
+    prices, eye = [], np.eye(len(limits))
+    start = log(0.0 * eye[0])
+    for by, (name, per, unit, size) in zip(eye, limits, strict=True):
+        if not 0.0 < size < math.inf:
+            continue
+        step = _STEP * size
+        slope = (log(step * by) - log(-step * by)) / (2.0 * step)
+        price = float(min(value * slope, 0.0) * unit)
         steps = _LINEAR_STEPS if price else ()
-        bent = (abs(change(k, s * size) / (slopes[k] * s * size) - 1.0) for s in steps)
+        bent = (abs((log(s * unit * by) - start) / (slope * s * unit) - 1.0) for s in steps)
         prices.append(Price(name, per, price, next((s for s, b in zip(steps, bent, strict=True) if b < _LINEAR), None)))
     return tuple(prices)
 

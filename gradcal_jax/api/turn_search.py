@@ -2,53 +2,33 @@
 objective; its result is rounded, with the limits that bind it."""
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.build import assemble
-from gradcal_jax.api.contract_rows import finite
-from gradcal_jax.api.fixture import hung_alike, known_together
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.api.imu_residual import ImuResidual, imu_residual
 from gradcal_jax.api.measure import Measure, design_of, measure
 from gradcal_jax.api.plan_to_spec import plan_to_spec
 from gradcal_jax.api.scenarios import scenario_specs
-from gradcal_jax.api.search_results import (
-    MARGIN,
-    MET,
-    NO_TARGET,
-    Optimised,
-    Price,
-    RequirementChange,
-    SearchStep,
-    priced,
-)
-from gradcal_jax.api.structures import Structure, structures
-from gradcal_jax.api.systematic import own_of_imu
-from gradcal_jax.api.verdicts import UNIT_OF, limit_of
+from gradcal_jax.api.search_results import Optimised, Price, PricedLimit, priced
+from gradcal_jax.api.searching import PlanOutcome
+from gradcal_jax.api.structures import structures
 from gradcal_jax.design import (
     KEPT,
     AnyCoordinates,
-    Compiled,
     Coordinates,
     Optimum,
     ProgrammeCoordinates,
-    ProgrammeKnots,
     SearchState,
     exactly,
-    missed_limit,
     multipliers,
     polish,
     search,
 )
-from gradcal_jax.files import SpecError
-from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.information.residual import Statistic
 
 STEPS: Final = 240
+# A point is proposed once it is better than the last one by this factor: its plan takes longer to judge than a value.
+_NEWS: Final = 0.95
 # A turn within this share of its limit counts as limited.
 _AT_LIMIT: Final = 1e-3
 _FIRST: Final = 100
@@ -59,36 +39,19 @@ _BRIEF_POLISH: Final = 40
 _NO_WORSE: Final = 1e-3
 # A larger relative cost of rounding is reported.
 _DEAR: Final = 0.05
-# Number of random steps from the best programme, and their sizes (shares of the time, of the chamber's range).
-_HOPS: Final = 80
-_HOP_STEPS: Final = (0.05, 0.1, 0.2, 0.4)
+# Rounds of random steps from the best programme at most, their sizes, the steps of each descent, and the gain of a
+# round that counts as none.
+_ROUNDS: Final = 6
+_HOP_SIZES: Final = (0.1, 0.3, 0.6, 1.0) * 4
+_HOP_STEPS: Final = 100
+_NO_GAIN: Final = 1e-5
 
 
-class _Checkpoint(NamedTuple):
-    """The state of a search for resuming it: the current structure and its state, and the best ones so far."""
+class _At(NamedTuple):
+    """Where a search is: the number of a structure, and the state there."""
 
     structure: int
     state: SearchState
-    best_structure: int
-    best: SearchState
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """As arrays by name."""
-        arrays = {"at": np.array([self.structure, self.best_structure])}
-        for name, state in (("state", self.state), ("best", self.best)):
-            arrays |= {f"{name}_{field}": np.asarray(entry) for field, entry in state._asdict().items()}
-        return arrays
-
-    @classmethod
-    def of(cls, arrays: Mapping[str, np.ndarray]) -> "_Checkpoint":
-        """From such arrays."""
-        states: list[SearchState] = []
-        for name in ("state", "best"):
-            of = {field: arrays[f"{name}_{field}"] for field in SearchState._fields}
-            numbers = int(of["step"]), float(of["first"]), float(of["best"])
-            states.append(SearchState(of["points"], of["values"], *numbers, of["best_point"]))
-        structure, best = (int(k) for k in arrays["at"])
-        return cls(structure, states[0], best, states[1])
 
 
 def belief_of(spec: Spec) -> str:
@@ -104,208 +67,114 @@ def belief_of(spec: Spec) -> str:
     )
 
 
-def exact(spec: Spec, of: Measure) -> float:
-    """The exact value of a spec's own plan, on the requirement's own grid; `inf` where it observes too little."""
-    wanted = [r for r in spec.requirement if r.name == design_of(spec).minimise]
-    if wanted and len(of.cases) == 1:
-        return residuals_of_plan(spec)[wanted[0].name].finite_statistic()
-    value = of.exact(assemble(spec).schedule)
-    return value if np.isfinite(value) else np.inf
+class TurnPoint(NamedTuple):
+    """A plan of a structure: its coordinates, the vector, and the structure in words."""
+
+    coordinates: AnyCoordinates
+    vector: np.ndarray
+    words: str
 
 
-def residuals_of_plan(spec: Spec) -> dict[str, ImuResidual]:
-    """What a spec's own plan leaves of every requirement, by the terms that the spec names; of a fixture by an estimate
-    of all IMUs together, where that is worst."""
-    hung = hung_alike(spec)
-    builts = [build_imu(at) for at, _ in hung]
-    known, _ = known_together(builts, [imu_posterior(b) for b in builts], [len(names) for _, names in hung])
-    own = [own_of_imu(*of) for of in zip(builts, known, strict=True)]
-    return {
-        r.name: max((imu_residual(*of, r) for of in zip(builts, own, strict=True)), key=ImuResidual.finite_statistic)
-        for r in spec.requirement
-    }
-
-
-def requirement_changes(spec: Spec, plan: Spec) -> tuple[RequirementChange, ...]:
-    """What two plans of a spec leave of its requirements."""
-    both = [residuals_of_plan(one) for one in (spec, plan)]
-    return tuple(
-        RequirementChange(r.name, UNIT_OF[r.quantity][0], *(of[r.name].statistic() for of in both))
-        for r in spec.requirement
-    )
-
-
-def targets_met(spec: Spec) -> bool:
-    """Whether a plan meets every target by its rule, with `MARGIN`. Errors: `ValueError` where there is no target."""
-    limits = {r.name: limit for r in spec.requirement if (limit := limit_of(r)) is not None}
-    if not limits:
-        raise ValueError(NO_TARGET)
-    return _within(spec, limits, 1.0 - MARGIN)
-
-
-def _within(spec: Spec, limits: Mapping[str, tuple[Statistic, float]], share: float) -> bool:
-    """Whether the named requirements are within that share of their limits, by the terms that the spec names."""
-    found = residuals_of_plan(spec)
-    left = {name: found[name].statistic(statistic) for name, (statistic, _) in limits.items()}
-    return all(value is not None and value <= share * limits[name][1] for name, value in left.items())
-
-
-def search_turns(
-    spec: Spec,
-    *,
-    steps: int = STEPS,
-    quick: bool = False,
-    until_met: bool = False,
-    motion: float | None = None,
-    checkpoint: Mapping[str, np.ndarray] | None = None,
-    stop: Callable[[], bool] = lambda: False,
-) -> Iterator[SearchStep | Optimised]:
-    """As `optimise`, for one gyro along the only axis of a table; a step every few iterations.
+class TurnSearch:
+    """The search for one gyro along the only axis of a table: of every structure, many starts; then a polish.
 
     `steps`: iterations of each start. `quick`: few starts, and a brief polish by the same program. `motion` s: time
-    without soaks, in the place of [design]'s.
+    without soaks, in the place of [design]'s; the spec's own plan, which has another, then counts for nothing.
     """
-    design = design_of(spec)
-    resumed = None if checkpoint is None else _Checkpoint.of(checkpoint)
-    of = measure(spec)
-    before = exact(spec, of)
-    known = finite(before)
 
-    def enough(plan: Callable[[], Spec], value: float, words: str, sentence: str) -> Optimised | None:
-        """The rounded plan, where it meets every target with margin in every scenario."""
-        try:
-            candidate = rounded(plan(), steps_of(spec)).spec
-        except SpecError:
-            return None
-        if not all(targets_met(scenario) for scenario, _ in scenario_specs(candidate)):
-            return None
-        now = exact(candidate, of)
-        rows = requirement_changes(spec, candidate)
-        return Optimised(candidate, of.name, of.unit, known, value, now, True, sentence, rows, words)
+    def __init__(
+        self, spec: Spec, *, steps: int, quick: bool, motion: float | None, stop: Callable[[], bool] = lambda: False
+    ) -> None:
+        self._of, self._options = measure(spec), {"steps": steps, "quick": quick, "stop": stop}
+        self._choices = structures(spec, [s for s, _ in scenario_specs(spec)], motion=motion)
+        self.objective, self.own_counts = self._of.objective, motion is None
+        self._now: _At | None = None
+        self._best: _At | None = None
+        self._optimum: tuple[AnyCoordinates, Optimum] | None = None
 
-    if until_met:
-        if design.notice is not None:
-            raise ValueError("a search until every target is met does not look at design.notice: leave one of them out")
-        own = enough(lambda: spec, before, "as it was", f"the plan as it was: {MET}, and nothing was searched")
-        if own is not None:
-            yield own
-            return
-
-    def reached_by(compiled: Compiled, state: SearchState) -> tuple[float, str]:
-        """The objective at the best point of a search, and the limits that it exceeds."""
-        value, excess = exactly(compiled, state.best_point)
-        return value, missed_limit(excess, of.limits)
-
-    choices = structures(spec, [s for s, _ in scenario_specs(spec)], motion=motion)
-    best = None if resumed is None else (resumed.best_structure, resumed.best)
-    value, missed = np.inf, ""
-    if best is not None:
-        value, missed = reached_by(of.compiled(choices[best[0]].coordinates), best[1])
-    first, state = (0, None) if resumed is None else (resumed.structure, resumed.state)
-    for k in range(first, len(choices)):
-        choice, options = choices[k], {"steps": steps, "quick": quick, "state": state, "stop": stop}
-        compiled = of.compiled(choice.coordinates)
-        for progress in search(
-            compiled, starts=design.starts, seed=design.seed, begin=choice.start, alone=choice.alone, **options
-        ):
-            better = best is None or progress.best < best[1].best
-            if best is None or better:
-                best = k, progress.state
-                value, missed = reached_by(compiled, progress.state)
-            share = (k + progress.step / progress.steps) / len(choices)
-            yield SearchStep(
-                of.name,
-                of.unit,
-                known,
-                value,
-                0.95 * share,
-                choices[k].words,
-                missed,
-                _Checkpoint(k, progress.state, *best).arrays(),
-            )
-            if until_met and better:
-                point, coordinates = progress.state.best_point, choices[k].coordinates
-                decoded = partial(plan_to_spec, spec, coordinates, point)
-                if early := enough(decoded, value, choices[k].words, f"stopped early: {MET}"):
-                    yield early
-                    return
+    def run(self) -> Iterator[tuple[float, TurnPoint]]:
+        """The best point after every descent, or one that is not much worse."""
+        design, stop = design_of(self.objective.spec), self._options["stop"]
+        first, state = self._now or (0, None)
+        point, proposed = None if self._best is None else self._point(self._best), np.inf
+        for k in range(first, len(self._choices)):
+            choice = self._choices[k]
+            options = {"starts": design.starts, "seed": design.seed, "begin": choice.start, "alone": choice.alone}
+            for progress in search(self._of.compiled(choice.coordinates), state=state, **options, **self._options):
+                self._now = _At(k, progress.state)
+                if self._best is None or progress.best < self._best.state.best:
+                    self._best = self._now
+                if point is None or self._best.state.best < _NEWS * proposed:
+                    point, proposed = self._point(self._best), self._best.state.best
+                yield 0.95 * (k + progress.step / progress.steps) / len(self._choices), point
+                if stop():
+                    break
+            state = None
             if stop():
                 break
-        state = None
-        if stop():
-            break
-    assert best is not None
-    yield finished(spec, of, known, choices[best[0]], best[1], motion, stop, quick)
+        assert self._best is not None
+        point, quick = self._point(self._best), self._options["quick"]
+        coordinates, optimum = self._optimum = polished(self._of, *point[:2], design.seed, stop, quick=quick)
+        yield 1.0, TurnPoint(*_pruned(self._of, coordinates, optimum.point), point.words)
 
+    def _point(self, at: _At) -> TurnPoint:
+        choice = self._choices[at.structure]
+        return TurnPoint(choice.coordinates, at.state.best_point, choice.words)
 
-def finished(
-    spec: Spec,
-    of: Measure,
-    before: float | None,
-    structure: Structure,
-    state: SearchState,
-    motion: float | None,
-    stop: Callable[[], bool],
-    quick: bool,
-) -> Optimised:
-    """Polish and round the best point of a search; keep the spec's own plan where that is as good."""
-    coordinates, optimum = polished(
-        of, structure.coordinates, state.best_point, design_of(spec).seed, stop, quick=quick
-    )
-    # Rounded as in a recipe, so that the value is that of the executed plan. A plan is returned in every case.
-    sentence, converged = optimum.sentence, optimum.converged
-    try:
-        plan = rounded(plan_to_spec(spec, *_pruned(of, coordinates, optimum.point)), steps_of(spec)).spec
-        now = exact(plan, of)
-    except SpecError as error:
-        plan, now = spec, np.inf
-        sentence = f"the optimum cannot be rounded to the controllers' steps: {error}"
-    if not np.isfinite(now):
-        converged = False
-        hint = "give finer ones"
-        if any(r.name == design_of(spec).minimise and r.quantity in ("heading", "north") for r in spec.requirement):
-            hint = "give the maps priors, or other requirements targets: a mission alone constrains little else"
-        sentence = f"rounded to the controllers' steps, the plan does not observe enough: {hint}; {sentence}"
-    elif now > (1.0 + _DEAR) * optimum.value:
-        more = 100.0 * (now / optimum.value - 1.0)
-        sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
-    # The spec's own plan stays where it is as good and misses no target that the new one meets, or where it alone meets
-    # the targets.
-    kept = False
-    if before is not None and motion is None:
-        own = _within_limits(spec, of)
-        kept = (own and (now >= before or not optimum.held)) or (now >= before and not _within_limits(plan, of))
-    if kept or not np.isfinite(now):
-        try:
-            plan = rounded(spec, steps_of(spec)).spec
-        except SpecError:
-            plan, sentence = spec, f"{sentence}; the plan as it was cannot be rounded either, and is kept unchanged"
-        now, converged = exact(plan, of), False
-    if kept:
-        sentence = (
-            f"nothing better than the plan as it was ({now:.4g} {of.unit}), which is kept; try more moves or starts"
-            + (f" ({sentence})" if not np.isfinite(now) or not optimum.held or optimum.value < 0.9 * now else "")
-        )
-    compiled = of.compiled(structure.coordinates)
-    ends = [exactly(compiled, point) for point in state.points]
-    turns = isinstance(coordinates, Coordinates)
-    return Optimised(
-        plan,
-        of.name,
-        of.unit,
-        before,
-        optimum.value,
-        now,
-        converged,
-        sentence,
-        requirement_changes(spec, plan),
-        structure.words,
-        kept or plan is spec,
-        tuple(sorted(value if np.all(excess <= KEPT) else float(np.inf) for value, excess in ends)),
-        optimum.gradient_norm,
-        active_limits(coordinates, optimum.point) if turns else (),
-        shadow_prices(of, coordinates, optimum) if turns else (),
-    )
+    def plan_of(self, point: TurnPoint) -> tuple[Spec, str]:
+        """The plan of a point, and its structure in words."""
+        return plan_to_spec(self.objective.spec, point.coordinates, point.vector), point.words
+
+    def state(self, reached: TurnPoint | None) -> dict[str, np.ndarray]:
+        """Arrays from which `resume` continues."""
+        del reached
+        if self._now is None or self._best is None:
+            return {}
+        arrays = {"at": np.array([self._now.structure, self._best.structure])}
+        for name, at in (("state", self._now), ("best", self._best)):
+            arrays |= {f"{name}_{field}": np.asarray(value) for field, value in at.state._asdict().items()}
+        return arrays
+
+    def resume(self, arrays: Mapping[str, np.ndarray]) -> TurnPoint:
+        """Continue from such arrays; returns the best point so far."""
+
+        def state(name: str) -> SearchState:
+            of: Any = (arrays[f"{name}_{field}"] for field in SearchState._fields)
+            return SearchState(*(value if value.ndim else value.item() for value in of))
+
+        now, best = (int(k) for k in arrays["at"])
+        self._now, self._best = _At(now, state("state")), _At(best, state("best"))
+        return self._point(self._best)
+
+    def record(self, best: Optimised, point: TurnPoint | None, last: PlanOutcome) -> dict[str, Any]:
+        """The optimum before rounding, and what rounding made of it."""
+        if self._optimum is None or self._best is None:
+            return {"converged": True}
+        coordinates, optimum = self._optimum
+        spec, sentence = self.objective.spec, optimum.sentence
+        if last.trouble:
+            sentence = f"the optimum cannot be rounded to the controllers' steps: {last.trouble}"
+        elif not np.isfinite(last.value):
+            hint = "give finer ones"
+            name = design_of(spec).minimise
+            if any(r.name == name and r.quantity in ("heading", "north") for r in spec.requirement):
+                hint = "give the maps priors, or other requirements targets: a mission alone constrains little else"
+            sentence = f"rounded to the controllers' steps, the plan does not observe enough: {hint}; {sentence}"
+        elif last.value > (1.0 + _DEAR) * optimum.value:
+            more = 100.0 * (last.value / optimum.value - 1.0)
+            sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
+        compiled = self._of.compiled(self._choices[self._best.structure].coordinates)
+        ends = [exactly(compiled, end) for end in self._best.state.points]
+        turns = coordinates if point is not None and isinstance(coordinates, Coordinates) else None
+        return {
+            "sentence": sentence,
+            "converged": optimum.converged and bool(np.isfinite(last.value)) and not best.kept,
+            "optimum": optimum.value,
+            "starts": tuple(sorted(value if np.all(excess <= KEPT) else float(np.inf) for value, excess in ends)),
+            "gradient_norm": optimum.gradient_norm,
+            "active": () if turns is None else active_limits(turns, optimum.point),
+            "prices": () if turns is None else shadow_prices(self._of, turns, optimum),
+        }
 
 
 def polished(
@@ -316,13 +185,13 @@ def polished(
     stop: Callable[[], bool] = lambda: False,
     *,
     quick: bool = False,
-) -> tuple[AnyCoordinates | ProgrammeKnots, Optimum]:
+) -> tuple[AnyCoordinates, Optimum]:
     """The local optimum from the best point of a search, with its coordinates; without turns that vanish."""
     # Fewer turns would be another size class, which would have to be compiled.
     if not quick:
         coordinates, point = _pruned(of, coordinates, point)
     if isinstance(coordinates, ProgrammeCoordinates):
-        return best_programme(of, *coordinates.knots(point), seed, stop)
+        return coordinates, best_programme(of, coordinates, point, seed, stop)
     if quick:
         return coordinates, polish(of.compiled(coordinates), point, steps=_BRIEF_POLISH, names=of.limits)
     optimum = polish(of.compiled(coordinates), point, steps=_FIRST, rounds=1, names=of.limits)
@@ -342,27 +211,26 @@ def polished(
     return coordinates, optimum
 
 
-def _within_limits(spec: Spec, of: Measure) -> bool:
-    """Whether the prediction of the spec's own plan meets the targets that limit the search."""
-    limits = {r.name: limit for r in spec.requirement if r.name in of.limits and (limit := limit_of(r)) is not None}
-    return (not limits or _within(spec, limits, 1.0)) and of.notices(assemble(spec).schedule)
-
-
 def best_programme(
-    of: Measure, knots: ProgrammeKnots, point: np.ndarray, seed: int, stop: Callable[[], bool]
-) -> tuple[ProgrammeKnots, Optimum]:
-    """Polish a programme, then polish from random steps about the best: programmes that lie on different limits are
-    separate local optima."""
-    objective, linear = of.compiled(knots), knots.limits
-    optimum, generator = polish(objective, point, linear=linear, names=of.limits), np.random.default_rng(seed)
-    for k in range(_HOPS):
-        if stop():
-            break
-        step = _HOP_STEPS[k % len(_HOP_STEPS)] * generator.standard_normal(point.shape)
-        other = polish(objective, knots.near(optimum.point + step), linear=linear, names=of.limits)
-        if other.held and other.value < optimum.value:
-            optimum = other
-    return knots, optimum
+    of: Measure, coordinates: ProgrammeCoordinates, point: np.ndarray, seed: int, stop: Callable[[], bool]
+) -> Optimum:
+    """Polish a programme, then polish from random steps about the best until they gain nothing: programmes that lie on
+    different limits are separate local optima, and where slopes are clipped the gradient need not vanish."""
+    objective, generator = of.compiled(coordinates), np.random.default_rng(seed)
+    optimum = polish(objective, point, names=of.limits)
+    for _ in range(_ROUNDS):
+        before = optimum.value
+        for size in _HOP_SIZES:
+            if stop():
+                return optimum
+            other = optimum.point + size * generator.standard_normal(point.shape)
+            other = polish(objective, other, steps=_HOP_STEPS, rounds=1, names=of.limits)
+            if other.held and (other.value < optimum.value or not optimum.held):
+                optimum = other
+        if optimum.held and optimum.value > (1.0 - _NO_GAIN) * before:
+            sentence = f"converged: none of {len(_HOP_SIZES)} descents from points about it ends lower"
+            return optimum if optimum.converged else optimum._replace(converged=True, sentence=sentence)
+    return optimum
 
 
 def _pruned(of: Measure, coordinates: AnyCoordinates, point: np.ndarray) -> tuple[AnyCoordinates, np.ndarray]:
@@ -400,6 +268,18 @@ def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...
     return tuple(binding)
 
 
+def shadow_prices(of: Measure, coordinates: Coordinates, optimum: Optimum) -> tuple[Price, ...]:
+    """The objective's derivatives in the limits. At an optimum the derivative through the free numbers vanishes
+    (envelope theorem); the multipliers count that easing a limit also changes the binding targets."""
+    limits, costs = coordinates.limits, np.append(1.0, multipliers(of.compiled(coordinates), optimum.point))
+    travel = limits.travel if coordinates.travels else 0.0
+    slope = limits.max_slope if "gradient" in coordinates.free else 0.0
+    sizes = coordinates.frame.motion_time, limits.max_rate, limits.max_acceleration, travel, slope
+    rows = [PricedLimit(*row, float(size)) for row, size in zip(PRICED, sizes, strict=True)]
+    logs = lambda by: of.logs(coordinates.eased(by).decode(optimum.point))  # noqa: E731
+    return priced(optimum.value, rows, lambda by: float(costs @ logs(by)))
+
+
 # Limits by the index of `Coordinates.eased`: name, unit in which the limit is eased, and that unit in SI.
 PRICED: Final = (
     ("ramp time, cycle and turns with it", "minute", 60.0),
@@ -408,20 +288,3 @@ PRICED: Final = (
     ("travel", "turn", 2.0 * np.pi),
     ("chamber slope", "K/min", 1.0 / 60.0),
 )
-
-
-def shadow_prices(of: Measure, coordinates: Coordinates, optimum: Optimum) -> tuple[Price, ...]:
-    """The objective's derivatives in the limits. At an optimum the derivative through the free numbers vanishes
-    (envelope theorem); the multipliers count that easing a limit also changes the binding targets."""
-    compiled = of.compiled(coordinates)
-    slopes, costs = compiled(optimum.point), multipliers(compiled, optimum.point)
-    derivatives = slopes.of_eased[0] + costs @ slopes.of_eased[1:]
-    bound = (True, True, True, coordinates.travels, "gradient" in coordinates.free)
-    start, places = slopes.logs[0] + costs @ slopes.logs[1:], np.flatnonzero(bound)
-
-    def change(k: int, step: float) -> float:
-        logs = compiled(optimum.point, by=step * np.eye(len(derivatives))[places[k]]).logs
-        return logs[0] + costs @ logs[1:] - start
-
-    limits = [PRICED[k] for k in places]
-    return priced(float(np.exp(slopes.logs[0])), limits, derivatives[places].tolist(), change)

@@ -20,14 +20,13 @@ from gradcal_jax.design.noise_floor import (
     scale_factor_floor,
 )
 from gradcal_jax.design.objective import AnyCoordinates, Case, Objective
-from gradcal_jax.design.other_plans import ProgrammeCoordinates, ProgrammeKnots, StandardCoordinates
+from gradcal_jax.design.other_plans import ProgrammeCoordinates, StandardCoordinates
 from gradcal_jax.design.search import (
     KEPT,
     Compiled,
     Optimum,
     SearchState,
     exactly,
-    missed_limit,
     multipliers,
     polish,
     search,

@@ -394,9 +394,6 @@ class Coordinates(eqx.Module):
         return replace(self, frame=frame._replace(**times), limits=limits)
 
 
-EASED = 5
-"""Number of limits that `Coordinates.eased` relaxes."""
-
 _STEEP = np.array([0.0, *STEEPNESS.values()])
 _HAS_RAMPS = np.array([shape in RAMPED_SHAPES for shape in SHAPES])
 # For unit peak rate: angle = first·duration + second·ramp, as `formulas.turned_angle`.

@@ -70,7 +70,10 @@ class Optimality(eqx.Module):
     def __call__(self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT):
         """The value in the parameters' unit; smooth except for E at equal eigenvalues."""
         del sharpness
-        half = solve_transposed(info.factor, (self.rows / info.scale[None, :]).T)
+        return self.of_root(solve_transposed(info.factor, (self.rows / info.scale[None, :]).T))
+
+    def of_root(self, half: Float[AnyArray, "p q"]):
+        """The same of a root of the covariance, `halfᵀ half`."""
         count, xp = self.rows.shape[0], namespace(half)
         if self.kind == "A":
             return xp.sqrt(xp.sum(half**2) / count)

@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace
-from gradcal_jax.design.coordinates import EASED, Coordinates
+from gradcal_jax.design.coordinates import Coordinates
 from gradcal_jax.design.criteria import EXACT, Criterion, Missed, Optimality, largest
-from gradcal_jax.design.other_plans import ProgrammeCoordinates, ProgrammeKnots, StandardCoordinates
+from gradcal_jax.design.other_plans import ProgrammeCoordinates, StandardCoordinates
 from gradcal_jax.information import information
 from gradcal_jax.model import SensorModel
 from gradcal_jax.trajectory import Past, Rule, Schedule, Trajectory
 
-AnyCoordinates = Coordinates | ProgrammeCoordinates | ProgrammeKnots | StandardCoordinates
+AnyCoordinates = Coordinates | ProgrammeCoordinates | StandardCoordinates
 
 
 class Case(eqx.Module):
@@ -68,23 +68,15 @@ class Objective(eqx.Module):
     robust: Literal["worst", "mean"] = eqx.field(static=True, default="mean")
 
     @property
-    def eased(self) -> int:
-        """Number of limits of rig and time that may be relaxed."""
-        return EASED if isinstance(self.coordinates, Coordinates) else 0
-
-    @property
     def cost(self) -> int:
         """Approximate number of noise steps of all cases."""
         template = getattr(self.coordinates, "template", None)
         return len(self.cases) * (0 if template is None else template.piece_count)
 
-    def value(self, z: Float[AnyArray, " n"], by: Float[AnyArray, " m"], sharpness):
-        """Value and excess of a vector's plan, with limits relaxed `by` so much (`Coordinates.eased`)."""
-        coordinates = self.coordinates
-        assert coordinates is not None
-        if isinstance(coordinates, Coordinates):
-            coordinates = coordinates.eased(by)
-        return self.of_schedule(coordinates.decode(z), sharpness)
+    def value(self, z: Float[AnyArray, " n"], sharpness):
+        """Value and excess of a vector's plan."""
+        assert self.coordinates is not None
+        return self.of_schedule(self.coordinates.decode(z), sharpness)
 
     def of_schedule(self, schedule: Schedule, sharpness=EXACT):
         """Value and excess of a plan."""

@@ -9,19 +9,13 @@ As in `coordinates`, any real vector is a plan that the rig can execute:
 | first temperature, the standard method's temperatures | range · sigmoid | inside the chamber's range |
 | the standard method's rates | largest · tanh | the table's and the sensor's limit |
 | integration time | even share of the time without soaks | it fills the time exactly |
-
-The best programmes run along the chamber's limits, where clipped slopes have kinks: the polish uses durations and
-temperatures themselves, whose limits are linear (`ProgrammeKnots`).
 """
-
-from abc import abstractmethod
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace
-from gradcal_jax.design.search import LinearLimits
 from gradcal_jax.trajectory import Programme, Schedule, standard_plan
 from gradcal_jax.trajectory.motion import even_division, standing
 from gradcal_jax.trajectory.schedule import Points, make_schedule
@@ -34,7 +28,7 @@ _INSIDE = 1e-4
 _PIECES_A_STRETCH = 16
 
 
-class _Programmes(eqx.Module):
+class ProgrammeCoordinates(eqx.Module):
     """Temperature programmes of `stretches` slopes for a standing axis, after a soak.
 
     `soak`, `time` (of the programme, without the soak), `read_every`: s. `coldest`, `warmest`: °C; `heating`,
@@ -56,10 +50,6 @@ class _Programmes(eqx.Module):
         """Number of free coordinates."""
         return 2 * self.stretches + 1
 
-    @abstractmethod
-    def programme(self, z: Float[AnyArray, " size"]) -> Programme:
-        """The programme of a vector, without its soak."""
-
     def decode(self, z: Float[AnyArray, " size"]) -> Schedule:
         """The plan of a vector, its readings relaxed."""
         of = self.programme(z)
@@ -78,10 +68,6 @@ class _Programmes(eqx.Module):
         )  # fmt: skip
         numbers = durations[first:], xp.asarray(self.read_every), whole
         return eqx.tree_at(lambda s: (s.duration, s.spacing, s.programme), template, numbers)
-
-
-class ProgrammeCoordinates(_Programmes):
-    """Any vector is a programme: the search's coordinates."""
 
     def programme(self, z: Float[AnyArray, " size"]) -> Programme:
         """The programme of a vector, without its soak."""
@@ -112,53 +98,6 @@ class ProgrammeCoordinates(_Programmes):
         size = (2.0 * slopes - heating + cooling) / (heating + cooling)
         first = _share(float(self.coldest), float(self.warmest), np.array([start]))
         return np.concatenate([np.log(spare), np.arctanh(np.clip(size, _INSIDE - 1.0, 1.0 - _INSIDE)), first])
-
-    def knots(self, z: np.ndarray) -> "tuple[ProgrammeKnots, np.ndarray]":
-        """The same programmes in durations and temperatures, and the vector of the programme of `z` there."""
-        of = self.programme(np.asarray(z))
-        own = ProgrammeKnots(**{name: getattr(self, name) for name in self.__dataclass_fields__})
-        begin, end = of.chamber()
-        temperatures = (np.append(begin, end[-1]) - float(self.coldest)) / float(self.warmest - self.coldest)
-        return own, np.concatenate([np.asarray(of.durations) / float(self.time), temperatures])
-
-
-class ProgrammeKnots(_Programmes):
-    """A programme as its stretches' shares of the time and its temperatures in shares of the range.
-
-    The chamber follows only vectors within `limits`.
-    """
-
-    def programme(self, z: Float[AnyArray, " size"]) -> Programme:
-        """The programme of a vector, without its soak."""
-        durations = self.time * z[: self.stretches]
-        temperatures = self.coldest + (self.warmest - self.coldest) * z[self.stretches :]
-        xp = namespace(temperatures)
-        return Programme(
-            xp.asarray(temperatures[0]), durations, xp.diff(temperatures) / durations, xp.zeros(durations.shape)
-        )
-
-    def near(self, z: np.ndarray) -> np.ndarray:
-        """A feasible start of a polish: durations fill the time, temperatures are in the chamber's range."""
-        durations = np.maximum(z[: self.stretches], _LEAST_SHARE / self.stretches)
-        return np.concatenate([durations / np.sum(durations), np.clip(z[self.stretches :], 0.0, 1.0)])
-
-    @property
-    def limits(self) -> LinearLimits:
-        """Least durations, both slopes of every stretch, the range at every knot; the durations fill the time."""
-        n = self.stretches
-        size, span = 2 * n + 1, float(self.warmest - self.coldest) / float(self.time)
-        steps = np.diff(np.eye(n + 1), axis=0) * span
-        eye = np.eye(size)
-        timed = np.eye(n, size)
-        heating, cooling = np.zeros((n, size)), np.zeros((n, size))
-        heating[:, :n], heating[:, n:] = float(self.heating) * np.eye(n), -steps
-        cooling[:, :n], cooling[:, n:] = float(self.cooling) * np.eye(n), steps
-        # Slopes relative to the faster one, so that every row is of about unit size.
-        fastest = max(float(self.heating), float(self.cooling))
-        rows = np.concatenate([timed, heating / fastest, cooling / fastest, eye[n:], -eye[n:], np.eye(1, size) * 0.0])
-        rows[-1, :n] = 1.0
-        least = np.concatenate([np.full(n, _LEAST_SHARE / n), np.zeros(2 * n), np.zeros(n + 1), -np.ones(n + 1), [1.0]])
-        return LinearLimits(rows, least, np.arange(len(rows)) == len(rows) - 1)
 
 
 class StandardCoordinates(eqx.Module):

@@ -342,9 +342,9 @@ class Together(NamedTuple):
 
 class CycleObjective:
     """The logarithm of a cycle's residuals over their targets: their mean or the worst, over `models` of the noise
-    likewise, in a mean with their `weights`; and `EXCESS` times what the `limiting` ones exceed. `known`: for each
-    model, the information before the plan begins; `geometries`: its table and mountings. `believed`: the parameters
-    that the residuals count, others being zero; `together`: of a fixture of several IMUs."""
+    likewise, in a mean with their `weights` (`of_logs`, else of the residuals); and `EXCESS` times what the `limiting`
+    ones exceed. `known`: for each model, the information before the plan begins; `geometries`: its table and mountings.
+    `believed`: the parameters that the residuals count, others being zero; `together`: of a fixture of several IMUs."""
 
     def __init__(
         self,
@@ -358,6 +358,7 @@ class CycleObjective:
         believed: Int[np.ndarray, " b"],
         together: Together | None,
         weights: Float[np.ndarray, " s"],
+        of_logs: bool,
         window: int,
         points: int,
         waves: int,
@@ -367,7 +368,7 @@ class CycleObjective:
         self.coordinates, self.models, self.known = coordinates, models, known
         self.geometries = [jax.tree.map(jnp.asarray, geometry) for geometry in geometries]
         self.statistics, self.window, self.points = (*statistics, *limiting), window, points
-        self.minimised, self.weights = len(statistics), weights
+        self.minimised, self.weights, self.of_logs = len(statistics), weights, of_logs
         self._believed, self._together = believed, together
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
 
@@ -386,7 +387,12 @@ class CycleObjective:
         logs = self.logs(decoded, of, ramps, sharpness)
         logs, beyond = logs[:, : self.minimised], logs[:, self.minimised :]
         each = largest_log(logs, sharpness, axis=1) if self.worst else jnp.mean(logs, axis=1)
-        total = largest_log(each, sharpness, axis=0) if self.worst_model else jnp.dot(self.weights, each)
+        if self.worst_model:
+            total = largest_log(each, sharpness, axis=0)
+        elif self.of_logs:
+            total = jnp.dot(self.weights, each)
+        else:
+            total = jax.scipy.special.logsumexp(each, b=self.weights)
         # From above, as all that is sharp: a limit is kept with a little room.
         total = total + EXCESS * jnp.sum(largest_log(jnp.stack([beyond, jnp.zeros_like(beyond)]), sharpness, axis=0))
         total = total + coordinates.penalty(decoded, of.period)

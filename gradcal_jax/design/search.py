@@ -45,36 +45,29 @@ _EVALUATIONS, _BEGINNING = 2, 20
 _EXACTLY = 1e-9
 # A limit nearer than this binds.
 _BINDING = 1e-4
-# Largest log excess at which a limit counts as satisfied; largest excess over a linear limit.
+# Largest log excess at which a limit counts as satisfied.
 KEPT = 1e-3
-_HELD = 1e-8
 
 
 @runtime_checkable
 class Minimised(Protocol):
     """An objective: a pytree, so that its numbers are arguments of the compiled program.
 
-    `value(z, by, sharpness)`: the positive value and the log excess (k,) over limits, with `eased` limits relaxed `by`
-    so much. `cost`: noise steps of one evaluation.
+    `value(z, sharpness)`: the positive value and the log excess (k,) over limits. `cost`: noise steps of one
+    evaluation.
     """
-
-    @property
-    def eased(self) -> int: ...
 
     @property
     def cost(self) -> int: ...
 
-    def value(self, z, by, sharpness) -> tuple[Any, Any]: ...
+    def value(self, z, sharpness) -> tuple[Any, Any]: ...
 
 
 class Slopes(NamedTuple):
-    """At a point: `logs` `(1 + k,)` of the value and of the excess over limits, and their derivatives in z and in the
-    relaxations, `(1 + k, n)` and `(1 + k, m)`.
-    """
+    """At a point: `logs` `(1 + k,)` of the value and of the excess over limits, and their derivatives `(1 + k, n)`."""
 
     logs: np.ndarray
     of_z: np.ndarray
-    of_eased: np.ndarray
 
     def merit(self) -> tuple[float, np.ndarray]:
         """The logarithm of the value plus the penalty, and its gradient."""
@@ -90,27 +83,25 @@ class Slopes(NamedTuple):
 def _program(structure):
     """Value and slopes of all objectives of a structure; compiled once for each class of sizes."""
 
-    def slopes(leaves, z, by, sharpness):
-        objective = jax.tree.unflatten(structure, leaves)
-
-        def logs(z, by):
-            value, excess = objective.value(z, by, sharpness)
+    def slopes(leaves, z, sharpness):
+        def logs(z):
+            value, excess = jax.tree.unflatten(structure, leaves).value(z, sharpness)
             return jnp.concatenate([jnp.log(value)[None], excess])
 
-        values, pull = jax.vjp(logs, z, by)
-        of_z, of_eased = jax.lax.map(pull, jnp.eye(values.shape[0]))
-        return values, of_z, of_eased
+        values, pull = jax.vjp(logs, z)
+        (of_z,) = jax.lax.map(pull, jnp.eye(values.shape[0]))
+        return values, of_z
 
     return jax.jit(slopes, compiler_options=compiler_options())
 
 
 @lru_cache(maxsize=64)
-def _descent(structure, eased: int) -> Descent:
+def _descent(structure) -> Descent:
     """Descents of the merit of all objectives of a structure, with the entries of a point that count marked by ones."""
 
     def merit(z, args):
         leaves, counts, sharpness = args
-        value, excess = jax.tree.unflatten(structure, leaves).value(z * counts, jnp.zeros(eased), sharpness)
+        value, excess = jax.tree.unflatten(structure, leaves).value(z * counts, sharpness)
         return jnp.log(value) + _PENALTY * jnp.sum(jnp.maximum(excess, 0.0) ** 2)
 
     return Descent(merit, _EXACTLY)
@@ -126,22 +117,18 @@ class Compiled:
         leaves, structure = jax.tree.flatten(objective)
         # (`jnp.asarray` would compile a program for every shape.)
         self._leaves = jax.device_put([np.asarray(leaf) for leaf in leaves])
-        self._program, self._descent = _program(structure), _descent(structure, objective.eased)
+        self._program, self._descent = _program(structure), _descent(structure)
         self._whole = whole
         self._places = np.arange(whole) if places is None else places
-        self._by = jax.device_put(np.zeros(objective.eased))
         self.cost = objective.cost
         self.size = len(self._places)
 
-    def __call__(
-        self, z: Float[np.ndarray, " n"], sharpness: float = np.inf, by: Float[np.ndarray, " m"] | None = None
-    ) -> Slopes:
-        """Value and slopes at a point, with limits relaxed `by` so much; an infinite sharpness is exact."""
+    def __call__(self, z: Float[np.ndarray, " n"], sharpness: float = np.inf) -> Slopes:
+        """Value and slopes at a point; an infinite sharpness is exact."""
         whole = np.zeros(self._whole)
         whole[self._places] = z
-        relaxed = self._by if by is None else by
-        logs, of_z, of_eased = (np.asarray(x) for x in self._program(self._leaves, whole, relaxed, sharpness))
-        return Slopes(logs, of_z[:, self._places], of_eased)
+        logs, of_z = (np.asarray(x) for x in self._program(self._leaves, whole, sharpness))
+        return Slopes(logs, of_z[:, self._places])
 
     def descend(
         self, z: Float[np.ndarray, " n"], sharpness: float, evaluations: int, stop: Callable[[], bool] = lambda: False
@@ -179,14 +166,6 @@ class Progress(NamedTuple):
     step: int
     steps: int
     state: SearchState
-
-
-class LinearLimits(NamedTuple):
-    """Limits on a vector: `rows @ z >= least`, equality where `equal` is true."""
-
-    rows: np.ndarray
-    least: np.ndarray
-    equal: np.ndarray
 
 
 class Optimum(NamedTuple):
@@ -316,32 +295,25 @@ def polish(
     *,
     steps: int = 300,
     rounds: int = _POLISHES,
-    linear: LinearLimits | None = None,
     names: Sequence[str] = (),
 ) -> Optimum:
     """A descent of the hardest soft maximum, which is nearly the exact one; with limits by SLSQP, which holds them
     exactly.
 
-    It restarts where `steps` do not suffice, `rounds` in all. `linear`: further limits on the vector itself. `names`:
-    of the compiled limits.
+    It restarts where `steps` do not suffice, `rounds` in all. `names`: of the limits.
     """
-    seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+    seen: dict[bytes, Slopes] = {}
 
     def at(z):
         key = np.asarray(z).tobytes()
         if key not in seen:
             seen.clear()
-            values, rows, _ = compiled(np.asarray(z), SHARPNESS[-1])
-            seen[key] = values, rows
+            seen[key] = compiled(np.asarray(z), SHARPNESS[-1])
         return seen[key]
 
     limits = []
     if len(at(point)[0]) > 1:
         limits.append({"type": "ineq", "fun": lambda z: -at(z)[0][1:], "jac": lambda z: -at(z)[1][1:]})
-    if linear is not None:
-        for kind, of in (("ineq", ~linear.equal), ("eq", linear.equal)):
-            rows, least = linear.rows[of], linear.least[of]
-            limits.append({"type": kind, "fun": lambda z, r=rows, b=least: r @ z - b, "jac": lambda z, r=rows: r})
     from scipy.optimize import minimize
 
     options = {"maxiter": steps, "ftol": 1e-12}
@@ -357,17 +329,16 @@ def polish(
         before_it = float(np.max(excess, initial=0.0))
         worse = after[0] > value and before_it <= 1e-6
         worse |= float(np.max(after[1], initial=0.0)) > max(before_it, 1e-6)
-        worse |= not np.all(np.isfinite(reached)) or _beyond(linear, reached) > max(_beyond(linear, point), _HELD)
+        worse |= not np.all(np.isfinite(reached))
         if not worse:
             point, (value, excess) = reached, after
-        norm = _projected(*at(point), point, linear)
+        norm = _projected(*at(point))
         if worse or norm < CONVERGED:
             break
-    held = bool(np.all(excess <= KEPT)) and _beyond(linear, point) <= _HELD
+    held = bool(np.all(excess <= KEPT))
     converged = norm < CONVERGED and held
     if not held:
-        over = missed_limit(excess, names) or f"a limit of the plan is exceeded by {_beyond(linear, point):.2g}"
-        sentence = f"not converged: {over}: no plan of this kind may meet it"
+        sentence = f"not converged: {missed_limit(excess, names)}: no plan of this kind may meet it"
     elif converged:
         sentence = f"converged: the largest gradient component is {norm:.1e} of the objective"
     else:
@@ -395,7 +366,7 @@ def multipliers(compiled: Compiled, point: np.ndarray) -> Float[np.ndarray, " k"
     """At an optimum: price of each compiled limit, d log value / d log excess; 0 where it does not bind."""
     from scipy.optimize import nnls
 
-    values, rows, _ = compiled(np.asarray(point), SHARPNESS[-1])
+    values, rows = compiled(np.asarray(point), SHARPNESS[-1])
     binding = values[1:] > -_BINDING
     costs = np.zeros(len(binding))
     if np.any(binding):
@@ -403,20 +374,9 @@ def multipliers(compiled: Compiled, point: np.ndarray) -> Float[np.ndarray, " k"
     return costs
 
 
-def _beyond(linear: LinearLimits | None, point: np.ndarray) -> float:
-    """Excess of a point over its worst linear limit."""
-    if linear is None:
-        return 0.0
-    room = linear.rows @ point - linear.least
-    return float(np.max(np.where(linear.equal, np.abs(room), -room), initial=0.0))
-
-
-def _projected(values: np.ndarray, rows: np.ndarray, point: np.ndarray, linear: LinearLimits | None) -> float:
+def _projected(values: np.ndarray, rows: np.ndarray) -> float:
     """Largest component of the gradient after subtraction of its best fit by the gradients of binding limits."""
     gradient, binding = rows[0], rows[1:][values[1:] > -_BINDING]
-    if linear is not None:
-        held = linear.rows[linear.equal | (linear.rows @ point - linear.least < _BINDING)]
-        binding = np.concatenate([binding, -held, linear.rows[linear.equal]])
     if not (np.all(np.isfinite(gradient)) and np.all(np.isfinite(binding))):
         return np.inf
     if len(binding):

@@ -12,7 +12,7 @@ from loop_scene import spec_of
 import gradcal_jax as gj
 from gradcal_jax import files
 from gradcal_jax.api.cycle_plan import CyclePlan, RepeatedCycle
-from gradcal_jax.api.pose_search import _Search
+from gradcal_jax.api.pose_search import PoseSearch
 from gradcal_jax.cli import main
 from gradcal_jax.files.spec_sections import Spec
 
@@ -106,7 +106,7 @@ def test_the_objective_of_a_free_course_is_about_that_of_its_plan(back, late):
     left = float(np.exp(jax.jit(value)(plan.point(plan.start, of))))
     found = plan.spec_of(plan.start)
     assert found.gradient_schedule.stretches[0].cycles == plan.start.cycles
-    assert left == pytest.approx(np.exp(plan.value_of(plan.residuals(found))), rel=0.2)
+    assert left == pytest.approx(np.exp(plan.exact.value_of(plan.exact.residuals(found))), rel=0.2)
 
 
 def test_the_objective_of_a_fixed_course_with_late_terms_is_about_that_of_its_plan():
@@ -115,7 +115,7 @@ def test_the_objective_of_a_fixed_course_with_late_terms_is_about_that_of_its_pl
     of = plan.structure(plan.start)
     args = jax.tree.map(jnp.asarray, of), plan.course(plan.start.cycles).ramps, np.inf
     left = float(np.exp(jax.jit(lambda z: plan._value(z, args))(plan.point(plan.start, of))))
-    assert left == pytest.approx(np.exp(plan.value_of(plan.residuals(plan.spec_of(plan.start)))), rel=0.1)
+    assert left == pytest.approx(np.exp(plan.exact.value_of(plan.exact.residuals(plan.spec_of(plan.start)))), rel=0.1)
 
 
 def test_the_plan_of_the_file_is_a_start_and_others_keep_its_time():
@@ -178,10 +178,10 @@ def test_what_cannot_be_free_is_refused(spec, changes, says):
 
 def test_the_course_is_kept_in_a_checkpoint():
     plan = CyclePlan(turning())
-    search = _Search(plan, 100, 0, lambda: False)
+    search = PoseSearch(plan, 100)
     search._here = search.best = plan.starts()[2]
     reached = plan.starts()[1]
     arrays = {name: np.asarray(array) for name, array in search.state(reached).items()}
-    again = _Search(plan, 100, 0, lambda: False)
+    again = PoseSearch(plan, 100)
     assert again.resume(arrays) == RepeatedCycle(*reached)
     assert again.best == plan.starts()[2]

@@ -139,9 +139,11 @@ def test_the_objective_has_the_chance_that_predict_has():
     assert np.exp(logs[0]) == pytest.approx([predicted.requirements[0].decisive, missed / 0.1], rel=0.02)
     # The test that is reported leaves out what the plan does not show.
     assert 0.5 * missed < 1.0 - power <= missed
-    left = plan.residuals(found)
-    assert plan.exceeded(left) == {"the chance to miss a hidden map": pytest.approx(math.log((1.0 - power) / 0.1))}
-    assert plan.value_of(left) > plan.without_limits(left) + 1.0
+    left = plan.exact.residuals(found)
+    assert plan.exact.exceeded(left) == {
+        "the chance to miss a hidden map": pytest.approx(math.log((1.0 - power) / 0.1))
+    }
+    assert plan.exact.value_of(left) > plan.exact.without_limits(left) + 1.0
 
 
 def test_the_columns_of_a_hidden_map_at_another_temperature_are_a_matrix_of_themselves():

@@ -10,9 +10,9 @@ import pytest
 from scipy.linalg import expm
 
 import gradcal_jax as gj
+from gradcal_jax.api.cycle_plan import CyclePlan
 from gradcal_jax.api.imu_build import build_imu, geometry, imu_posterior
 from gradcal_jax.api.imu_residual import imu_residual
-from gradcal_jax.api.pose_search import CyclePlan
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.cli import main
 from gradcal_jax.estimation import posteriors_together
@@ -182,9 +182,11 @@ def test_a_search_serves_all_places_by_the_joint_estimate():
     assert np.max(alone - expected) > 0.2
     for robust, over in (("mean", np.mean), ("worst", np.max)):
         plan = CyclePlan(searched(PLACES, robust))
-        assert plan.value_of(plan.residuals(spec)) == pytest.approx(over(np.mean(expected, axis=1)), abs=1e-7)
+        assert plan.exact.value_of(plan.exact.residuals(spec)) == pytest.approx(
+            over(np.mean(expected, axis=1)), abs=1e-7
+        )
     one = CyclePlan(searched(PLACES[:1]))
-    assert one.value_of(one.residuals(one.spec)) == pytest.approx(np.mean(alone[0]), abs=1e-7)
+    assert one.exact.value_of(one.exact.residuals(one.spec)) == pytest.approx(np.mean(alone[0]), abs=1e-7)
     plan = CyclePlan(spec)
     of = jax.tree.map(jnp.asarray, plan.structure(plan.start))
     decoded = plan.coordinates.decode(plan.coordinates.encode(plan.start.turns, of), of)
@@ -220,5 +222,5 @@ def test_a_plan_too_large_to_be_estimated_together_is_judged_alone_and_it_is_sai
     spec = searched(PLACES)
     plan = CyclePlan(spec)
     alone = logs_of(spec, lambda builts: [imu_posterior(b) for b in builts])
-    assert plan.value_of(plan.residuals(spec)) == pytest.approx(np.mean(alone), abs=1e-7)
-    assert "each place is that of an IMU alone" in plan.apart
+    assert plan.exact.value_of(plan.exact.residuals(spec)) == pytest.approx(np.mean(alone), abs=1e-7)
+    assert "each place is that of an IMU alone" in plan.exact.apart

@@ -12,8 +12,8 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax import files
+from gradcal_jax.api.cycle_plan import CyclePlan, RepeatedCycle
 from gradcal_jax.api.optimise import optimise
-from gradcal_jax.api.pose_search import CyclePlan, RepeatedCycle
 from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.cli import main
@@ -39,7 +39,9 @@ def left_by(plan: CyclePlan, cycle: RepeatedCycle) -> tuple[np.ndarray, Repeated
     logs = jax.jit(
         lambda z, of, *args: plan.objective.logs(plan.coordinates.decode(z, of), of, *args), compiler_options=QUICKLY
     )(z, *args)
-    rows = [r for r in plan.spec.requirement if plan.worst or plan.design.minimise in ("all requirements", r.name)]
+    rows = [
+        r for r in plan.spec.requirement if plan.exact.worst or plan.design.minimise in ("all requirements", r.name)
+    ]
     limits = [1.0 if r.target is None else float(r.target) * UNIT_OF[r.quantity][1] for r in rows]
     return np.exp(np.asarray(logs)) * limits, cycle._replace(turns=plan.coordinates.cycle(z, of))
 
@@ -277,7 +279,7 @@ def test_scenarios_count_by_their_weights():
     assert np.min(np.ptp(np.log(predicted), axis=0)) > 0.05
     targets = [1.0 if r.target is None else float(r.target) * UNIT_OF[r.quantity][1] for r in plan.spec.requirement]
     logs = np.mean(np.log(np.array(predicted) / targets), axis=1)
-    assert plan.value_of(plan.residuals(plan.spec_of(cycle))) == pytest.approx(
+    assert plan.exact.value_of(plan.exact.residuals(plan.spec_of(cycle))) == pytest.approx(
         0.75 * logs[0] + 0.25 * logs[1], abs=1e-6
     )
     of = jax.tree.map(jnp.asarray, plan.structure(plan.start))
@@ -292,13 +294,13 @@ def test_the_targets_of_other_requirements_limit_a_search():
     """A search for one requirement alone may exceed the other's target; with the target it is met, at some cost."""
     name, other = small().requirement[0].name, small().requirement[1]
     alone = CyclePlan(small(**minimising(name)))
-    left = alone.residuals(alone.spec)[0][1].statistic()
+    left = alone.exact.residuals(alone.spec)[0][1].statistic()
     unit = UNIT_OF[other.quantity][0]
     limited = CyclePlan(small(**minimising(name, **{other.quantity: f"{0.5 * left} {unit}"})))
-    before = limited.residuals(limited.spec)
-    assert limited.exceeded(before) == {other.name: pytest.approx(math.log(2.0), rel=1e-9)}
+    before = limited.exact.residuals(limited.spec)
+    assert limited.exact.exceeded(before) == {other.name: pytest.approx(math.log(2.0), rel=1e-9)}
     own = math.log(before[0][0].statistic())
-    assert limited.without_limits(before) == pytest.approx(own, rel=1e-12)
+    assert limited.exact.without_limits(before) == pytest.approx(own, rel=1e-12)
     of = jax.tree.map(jnp.asarray, limited.structure(limited.start))
     z, ramps = limited.coordinates.encode(limited.start.turns, of), limited.course(limited.start.cycles).ramps
     value = jax.jit(limited.objective.value, compiler_options=QUICKLY)
@@ -338,27 +340,27 @@ def test_a_plan_that_meets_its_targets_is_not_searched(searched):
 def test_targets_are_met_only_where_every_noise_meets_them():
     """Noise as it is written meets targets of 1.2 times what it leaves, the worst that it may be does not."""
     plain = CyclePlan(small())
-    left = [r.statistic() for r in plain.residuals(plain.spec)[0]]
+    left = [r.statistic() for r in plain.exact.residuals(plain.spec)[0]]
     units = [UNIT_OF[r.quantity][0] for r in plain.spec.requirement]
     rows = [r.model_dump(mode="json", exclude_unset=True) for r in plain.spec.requirement]
     wide = [row | {"target": f"{1.2 * now} {unit}"} for row, now, unit in zip(rows, left, units, strict=True)]
     certain, doubtful = CyclePlan(small(requirement=wide)), CyclePlan(small(**UNCERTAIN, requirement=wide))
-    assert certain.met(certain.residuals(certain.spec))
-    residuals = doubtful.residuals(doubtful.spec)
+    assert certain.exact.met(certain.exact.residuals(certain.spec))
+    residuals = doubtful.exact.residuals(doubtful.spec)
     assert [r.statistic() for r in residuals[0]] == pytest.approx(left, rel=1e-12)
-    assert not doubtful.met(residuals)
+    assert not doubtful.exact.met(residuals)
 
 
 def test_a_target_counts_by_its_rule():
     """Twice the standard deviation within the target is met where one is within half of it; a risk limits the worst."""
     plain = CyclePlan(small())
     rows = [r.model_dump(mode="json", exclude_unset=True) for r in plain.spec.requirement]
-    left = {r.requirement.name: r for r in plain.residuals(plain.spec)[0]}
+    left = {r.requirement.name: r for r in plain.exact.residuals(plain.spec)[0]}
 
     def met(share: float, of: str, **keys: object) -> bool:
         wide = [r | {"target": f"{share * left[r['name']].statistic(of)} {left[r['name']].unit}"} | keys for r in rows]
         plan = CyclePlan(small(requirement=wide))
-        return plan.met(plan.residuals(plan.spec))
+        return plan.exact.met(plan.exact.residuals(plan.spec))
 
     own = rows[0].get("statistic", "mean")
     assert met(1.2, own)

@@ -15,10 +15,6 @@ class Objective(eqx.Module):
     shape: np.ndarray
 
     @property
-    def eased(self) -> int:
-        return 0
-
-    @property
     def cost(self) -> int:
         return 0
 
@@ -26,16 +22,16 @@ class Objective(eqx.Module):
 class Well(Objective):
     """A well with a flat plain about it: the gradient vanishes at its bottom, and far away at the largest value."""
 
-    def value(self, z, by, sharpness):
-        del by, sharpness
+    def value(self, z, sharpness):
+        del sharpness
         return jnp.exp(1.0 - jnp.exp(-jnp.sum((z - self.shape) ** 2))), jnp.zeros(0)
 
 
 class Valley(Objective):
     """A valley that is a million times flatter along than across, askew to the coordinates."""
 
-    def value(self, z, by, sharpness):
-        del by, sharpness
+    def value(self, z, sharpness):
+        del sharpness
         return jnp.exp(jnp.sum((self.shape @ (z - 1.0)) ** 2)), jnp.zeros(0)
 
 
@@ -62,8 +58,8 @@ def test_entries_that_pad_a_point_change_nothing():
     alone = polish(Compiled(Well(LOWEST), 2), LOWEST + 0.6)
 
     class Padded(Well):
-        def value(self, z, by, sharpness):
-            return Well.value(self, z[1:], by, sharpness)
+        def value(self, z, sharpness):
+            return Well.value(self, z[1:], sharpness)
 
     padded = polish(Compiled(Padded(LOWEST), 3, np.array([1, 2])), LOWEST + 0.6)
     np.testing.assert_allclose(padded.point, alone.point, rtol=1e-9)

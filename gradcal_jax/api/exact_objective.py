@@ -1,0 +1,241 @@
+"""The objective of a spec's [design], as `predict` evaluates a plan: what it leaves of the requirements, over their
+targets."""
+
+import math
+from collections.abc import Sequence
+from statistics import fmean
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from gradcal_jax.api.fixture import hung_alike, known_together
+from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.api.imu_residual import ImuResidual, imu_residual, quantity_of
+from gradcal_jax.api.scenarios import scenario_specs
+from gradcal_jax.api.search_results import MARGIN, NO_TARGET, RequirementChange
+from gradcal_jax.api.systematic import own_of_imu
+from gradcal_jax.api.tested_maps import noticing
+from gradcal_jax.api.verdicts import UNIT_OF, limit_of
+from gradcal_jax.design import KEPT, Optimality
+from gradcal_jax.design.pose_cycle import EXCESS
+from gradcal_jax.files.design import ALL, OPTIMALITIES, TIMES, WORST, Design
+from gradcal_jax.files.requirement import Requirement
+from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.information import Posterior
+from gradcal_jax.information.residual import Statistic
+from gradcal_jax.model import BIAS, SCALE_FACTOR, SensorModel
+
+MISSED = "the chance to miss a hidden map"
+# The smallest chance that counts.
+_NEVER = 1e-12
+
+
+class PlanCase(NamedTuple):
+    """A `scenario` (by number) at a place, with its weight, and how many `imus` hang so."""
+
+    spec: Spec
+    weight: float
+    scenario: int
+    imus: int
+
+
+def cases_of(spec: Spec) -> list[PlanCase]:
+    """The spec at each place that hangs differently, in each scenario."""
+    return [
+        PlanCase(one, weight * len(names), k, len(names))
+        for at, names in hung_alike(spec)
+        for k, (one, weight) in enumerate(scenario_specs(at))
+    ]
+
+
+def estimated_together(cases: Sequence[PlanCase]) -> list[list[int]]:
+    """The cases of each scenario, where there are several IMUs."""
+    groups = [[k for k, c in enumerate(cases) if c.scenario == s] for s in range(1 + max(c.scenario for c in cases))]
+    return groups if sum(cases[k].imus for k in groups[0]) > 1 else []
+
+
+def known_after(cases: Sequence[PlanCase]) -> tuple[list[BuiltImu], list[Posterior], str]:
+    """What is known after the plans of cases, by the terms that their specs name, of a fixture by an estimate of all
+    IMUs together; and why not, in a sentence."""
+    builts, apart = [build_imu(case.spec) for case in cases], ""
+    known = [imu_posterior(built) for built in builts]
+    for group in estimated_together(cases):
+        own, alone, counts = zip(*((builts[k], known[k], cases[k].imus) for k in group), strict=True)
+        joint, apart = known_together(own, alone, counts)
+        for k, of in zip(group, joint, strict=True):
+            known[k] = of
+    return builts, [own_of_imu(*of) for of in zip(builts, known, strict=True)], apart
+
+
+class Left(NamedTuple):
+    """A number of a plan that is no residual: a chance, or an optimality (in ppm or deg/h)."""
+
+    value: float
+
+    def statistic(self, name: Statistic | None = None) -> float | None:
+        """The number itself; None: not observable."""
+        del name
+        return self.value if math.isfinite(self.value) else None
+
+
+Residuals = Sequence[Sequence[ImuResidual | Left]]
+
+
+class Aim(NamedTuple):
+    """A number of a plan: the statistic of a requirement that counts, and its `limit` (1 where there is none) in its
+    `unit`, of which `per_si` are one in SI. `counted` in the objective, or `limiting` the search."""
+
+    name: str
+    unit: str
+    per_si: float
+    statistic: Statistic
+    limit: float
+    counted: bool
+    limiting: bool
+
+    def log(self, left: ImuResidual | Left) -> float:
+        """The logarithm of the statistic over its limit."""
+        value = left.statistic(self.statistic)
+        return math.log(value / self.limit) if value else math.inf
+
+
+class ExactObjective:
+    """What the [design] of a spec minimises: the logarithms of the residuals over their `aims`, in each of its `cases`:
+    of the requirements in order, then the chance to miss a hidden map and an optimality, where the design has them.
+
+    Of several counted aims the mean or the `worst`; over the cases the worst, or the mean: of ratios to targets the
+    geometric one.
+    """
+
+    def __init__(self, spec: Spec) -> None:
+        self.spec, self.design = spec, spec.design or Design()
+        self.cases = cases_of(spec)
+        self.builts = [build_imu(case.spec) for case in self.cases]
+        # Why places are judged as those of an IMU alone, in a sentence.
+        self.apart = ""
+        weights = np.array([case.weight for case in self.cases])
+        self.weights = weights / np.sum(weights)
+        name, notice = self.design.minimise, self.design.notice
+        timed = name in TIMES
+        self.worst, self.of_logs = timed or name == WORST, name in (ALL, WORST)
+        limited = not self.worst and name != ALL
+        self.aims: tuple[Aim, ...] = tuple(
+            Aim(
+                r.name,
+                *UNIT_OF[r.quantity],
+                *_aim_of(r, self.design),
+                (self.worst or name in (ALL, r.name)) and not (timed and r.target is None),
+                limited and r.name != name and r.target is not None,
+            )
+            for r in spec.requirement
+        )
+        if timed and not any(aim.counted for aim in self.aims):
+            raise ValueError(f'"{name}" is minimised under targets: give a requirement a target')
+        if notice is not None:
+            self.aims += (Aim(MISSED, "", 1.0, "max", 1.0 - float(notice.power), timed, not timed),)
+        if name in OPTIMALITIES:
+            kind = "bias" if self.builts[0].model.channels[0].model.scale is None else SCALE_FACTOR
+            self.aims += (Aim(name, *UNIT_OF[kind], "max", 1.0, True, False),)
+        if not self.aims:
+            raise ValueError("the spec has no [[requirement]] to minimise: add one")
+        self._quantities = [tuple(quantity_of(built, r) for r in spec.requirement) for built in self.builts]
+
+    def residuals(self, spec: Spec) -> Residuals:
+        """What a spec's plan leaves at each place in each scenario, in the order of the aims."""
+        builts, known, self.apart = known_after(cases_of(spec))
+        left: list[list[ImuResidual | Left]] = []
+        for built, of, quantities in zip(builts, known, self._quantities, strict=True):
+            left.append([q.residual(of) for q in quantities])
+            if self.design.notice is not None:
+                rows = [row.power for row in noticing(built) if row.quantity == SCALE_FACTOR]
+                left[-1].append(Left(max(1.0 - min(power or 0.0 for power in rows), _NEVER)))
+            if self.design.minimise in OPTIMALITIES:
+                left[-1].append(Left(self.aims[-1].per_si * _optimality(built, of, self.design.minimise)))
+        return left
+
+    def value_of(self, residuals: Residuals) -> float:
+        """What a search minimises: the objective of a plan that leaves these residuals, and the cost of its excess."""
+        return self.without_limits(residuals) + EXCESS * sum(self.exceeded(residuals).values())
+
+    def without_limits(self, residuals: Residuals) -> float:
+        """The objective alone."""
+        logs = [[a.log(r) for r, a in zip(of, self.aims, strict=True) if a.counted] for of in residuals]
+        each = [(max if self.worst else fmean)(of) for of in logs]
+        if self.design.robust == "worst":
+            return max(each)
+        if self.of_logs or len(each) == 1 or not math.isfinite(max(each)):
+            return float(self.weights @ each)
+        return math.log(float(self.weights @ np.exp(each)))
+
+    def shown(self, residuals: Residuals) -> float:
+        """The objective alone, in the unit of `name_and_unit`."""
+        return self.name_and_unit()[2] * math.exp(self.without_limits(residuals))
+
+    def exceeded(self, residuals: Residuals) -> dict[str, float]:
+        """By how much (natural logarithm) targets that are limits are exceeded, summed over the cases, by name."""
+        logs = {a.name: [a.log(of[k]) for of in residuals] for k, a in enumerate(self.aims) if a.limiting}
+        return {name: sum(max(x, 0.0) for x in of) for name, of in logs.items() if max(of) > 0.0}
+
+    def missed(self, residuals: Residuals) -> dict[str, float]:
+        """The same of targets that are exceeded by more than what counts as rounding."""
+        return {name: by for name, by in self.exceeded(residuals).items() if by > KEPT}
+
+    def name_and_unit(self) -> tuple[str, str, float]:
+        """Name and unit of the objective for people, and how many of the unit are one of `value_of`, exponentiated."""
+        counted = [aim for aim in self.aims if aim.counted]
+        if self.worst or len(counted) > 1:
+            name = "residual over target" if self.worst else "residual over target, geometric mean"
+            rows = [r for r, aim in zip(self.spec.requirement, self.aims, strict=False) if aim.counted]
+            return name, "of the target" if all(r.target is not None for r in rows) else "", 1.0
+        (aim,) = counted
+        of_map = "" if aim.name in OPTIMALITIES else f" ({aim.statistic})"
+        return aim.name + of_map, aim.unit, aim.limit
+
+    def met(self, residuals: Residuals) -> bool:
+        """Whether every target is met by its rule with `MARGIN`, and a hidden map noticed, in every case. Errors:
+        `ValueError` where there is no target."""
+        aims = [limit_of(r) for r in self.spec.requirement]
+        if all(aim is None for aim in aims):
+            raise ValueError(NO_TARGET)
+        left = [(r.statistic(a[0]), a[1]) for of in residuals for r, a in zip(of, aims, strict=False) if a is not None]
+        met = all(value is not None and value <= (1.0 - MARGIN) * limit for value, limit in left)
+        return met and MISSED not in self.exceeded(residuals)
+
+
+def residuals_of_plan(spec: Spec) -> dict[str, ImuResidual]:
+    """What a spec's own plan leaves of every requirement, without scenarios; of a fixture where that is worst."""
+    builts, known, _ = known_after([PlanCase(at, 1.0, 0, len(names)) for at, names in hung_alike(spec)])
+    return {
+        r.name: max((imu_residual(*of, r) for of in zip(builts, known, strict=True)), key=ImuResidual.finite_statistic)
+        for r in spec.requirement
+    }
+
+
+def requirement_changes(spec: Spec, plan: Spec) -> tuple[RequirementChange, ...]:
+    """What two plans of a spec leave of its requirements."""
+    both = [residuals_of_plan(one) for one in (spec, plan)]
+    return tuple(
+        RequirementChange(r.name, UNIT_OF[r.quantity][0], *(of[r.name].statistic() for of in both))
+        for r in spec.requirement
+    )
+
+
+def _aim_of(requirement: Requirement, design: Design) -> tuple[Statistic, float]:
+    """The statistic of a requirement that counts, and what it is divided by (`UNIT_OF`): its target by its rule, or 1.
+    Of a requirement that alone is minimised its own statistic counts."""
+    limit = None if requirement.name == design.minimise else limit_of(requirement)
+    return (requirement.statistic, 1.0) if limit is None else limit
+
+
+def optimality(model: SensorModel, name: str) -> Optimality:
+    """The optimality criterion of that name of a gyro's reported coefficients: of its scale factor, if it has one."""
+    where = model.where(BIAS if model.scale is None else SCALE_FACTOR)
+    return Optimality(model.to_reported[where], cast("Any", name[0]))
+
+
+def _optimality(built: BuiltImu, known: Posterior, name: str) -> float:
+    """The criterion of the first gyro, SI."""
+    channel = built.model.channels[0]
+    of, where = optimality(channel.model, name), built.model.where(channel.kind, channel.axis)
+    part, rows = Posterior(known.spread[where], known.hidden[where]), np.asarray(of.rows)
+    return float(of.of_root((rows @ part.spread).T)) if np.all(np.isfinite(part.deviations(rows))) else math.inf

@@ -58,9 +58,8 @@ def check(seed: int) -> tuple[str, float]:
     """What became of a case ("held", or the refusal's sentence), and the least residual over its limit."""
     rng = np.random.default_rng(50_000 + seed)
     document = random_spec(rng, family=str(rng.choice(MOVING)))
-    spec = spec_of(document)
     try:
-        proven = limits(spec)
+        proven = limits(spec_of(document))
     except ValueError as error:
         said = str(error)
         if not any(word in said for word in REFUSALS):

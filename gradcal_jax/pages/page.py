@@ -3,7 +3,6 @@
 import os
 import re
 from datetime import UTC, datetime
-from importlib import resources
 from typing import Any, Final
 
 import gradcal_jax
@@ -21,6 +20,7 @@ from gradcal_jax.pages.plain_text import times_text
 from gradcal_jax.pages.report_data import ReportData
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources
+from gradcal_jax.pages.templates import page_file, page_templates
 from gradcal_jax.units import DEG_PER_S, time_text
 
 # Moves of a cycle that a page shows.
@@ -29,21 +29,9 @@ _MOST_MOVES: Final = 80
 
 def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
     """The whole page as HTML, in one file: styles and figures inside, and no script but that of the `panel`."""
-    from jinja2 import Environment, FunctionLoader, StrictUndefined
-
     if panel and sources.spec is None:
         raise ValueError("the panel is of a plan, and there is none here: leave --panel out")
-    environment = Environment(
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        loader=FunctionLoader(lambda name: (room / name).read_text(encoding="utf-8")),
-    )
-    environment.filters["figures"] = figures
-    environment.filters["sentence"] = sentence
-    room = resources.files(__name__.rsplit(".", 1)[0])
-    template = environment.get_template("page.html")
+    template = page_templates(figures=figures, sentence=sentence).get_template("page.html")
     spec, recipe, calibration = sources.spec, sources.recipe, sources.calibration
     targets = {r.name: r.target / r.coverage for r in data.requirements if r.target is not None}
     tracks = [] if spec is None or spec.is_one_axis else [pose_picture(spec)]
@@ -53,7 +41,7 @@ def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
         "panel": panel_of(spec) if panel and spec is not None else None,
         "recipe": recipe,
         "calibration_name": sources.calibration_name,
-        "css": (room / "style.css").read_text(encoding="utf-8"),
+        "css": page_file("style.css"),
         "words": _words(data, sources),
         "map_groups": map_pictures(data.maps, targets),
         "tracks": tracks,

@@ -31,8 +31,7 @@ from gradcal_jax.api.contradictions import (
     without_bad_rows,
 )
 from gradcal_jax.api.estimate_options import Lag, Options
-from gradcal_jax.api.estimated_calibration import calibration_of, tests_by_name
-from gradcal_jax.api.fit_of_log import FittedRows, Recorded, fit_of, points_of, together
+from gradcal_jax.api.fit_of_log import FittedRows, Recorded, calibration_of, fit_of, points_of, tests_by_name, together
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.imu_residual import internal_misalignments
 from gradcal_jax.api.log_rows import count_rows, imu_rows, with_earth, with_options

@@ -5,12 +5,22 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, ForceOutput, Json, JsonNumbers, OptionalOutput, Output, as_json, writable
+from gradcal_jax.cli.output import (
+    DONE,
+    NOT_AS_WISHED,
+    Flag,
+    ForceOutput,
+    Json,
+    JsonNumbers,
+    OptionalOutput,
+    Output,
+    as_json,
+    strong,
+    writable,
+)
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity
-from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
-from gradcal_jax.pages.plain_text import columns as table
+from gradcal_jax.display import columns as table
 
 if TYPE_CHECKING:
     from gradcal_jax.api.validation import Acceptance, AxisValidation

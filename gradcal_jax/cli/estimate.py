@@ -10,6 +10,8 @@ from cyclopts import Parameter
 from gradcal_jax.cli.calibrated import export_text
 from gradcal_jax.cli.estimated import discrepancy_lines, text_of_estimate, text_of_held
 from gradcal_jax.cli.output import (
+    DONE,
+    NOT_AS_WISHED,
     Flag,
     ForceOutput,
     JsonNumbers,
@@ -22,7 +24,6 @@ from gradcal_jax.cli.output import (
 )
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, load_all, quantity
-from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
 
 if TYPE_CHECKING:
     from gradcal_jax.files.calibration import Calibration

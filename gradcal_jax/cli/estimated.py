@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from gradcal_jax.cli.console import strong
-from gradcal_jax.pages.plain_text import columns as table
+from gradcal_jax.cli.output import strong
+from gradcal_jax.display import columns as table
 from gradcal_jax.units import PPM, G
 
 if TYPE_CHECKING:

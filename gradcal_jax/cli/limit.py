@@ -2,11 +2,9 @@
 
 from pathlib import Path
 
-from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Json, as_json
+from gradcal_jax.cli.output import DONE, Json, as_json, strong
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.status import DONE
-from gradcal_jax.pages.plain_text import amount, columns
+from gradcal_jax.display import amount, columns
 
 
 def limit(spec: Path, /, *, json: Json = False) -> int:

@@ -4,9 +4,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import Flag, as_json
-from gradcal_jax.cli.status import DONE
-from gradcal_jax.pages.plain_text import columns
+from gradcal_jax.cli.output import DONE, Flag, as_json
+from gradcal_jax.display import columns
 
 
 def schema(

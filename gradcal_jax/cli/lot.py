@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.output import (
+    DONE,
+    NOT_AS_WISHED,
     ForceOutput,
     JsonNumbers,
     OptionalOutput,
@@ -14,10 +15,10 @@ from gradcal_jax.cli.output import (
     as_json,
     drawable,
     save_figure,
+    strong,
     writable,
 )
-from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
-from gradcal_jax.pages.plain_text import columns
+from gradcal_jax.display import columns
 
 if TYPE_CHECKING:
     from gradcal_jax.api.lot import Lot
@@ -62,7 +63,7 @@ def lot(
     if output is None:
         return status
     if all(one.prior is None for one in found.maps):
-        from gradcal_jax.cli.console import complain
+        from gradcal_jax.cli.output import complain
 
         complain(f"no prior is written into {output}: no map of this lot repeats")
         return NOT_AS_WISHED

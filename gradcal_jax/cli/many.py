@@ -7,12 +7,25 @@ from typing import TYPE_CHECKING, Any, Final
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.console import complain, strong
-from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.output import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    NOT_AS_WISHED,
+    Flag,
+    Json,
+    OptionalOutput,
+    Plot,
+    as_json,
+    complain,
+    drawable,
+    save_figure,
+    strong,
+    writable,
+)
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import Bars
-from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED, NOT_AS_WISHED
-from gradcal_jax.pages.plain_text import amount, columns
+from gradcal_jax.display import amount, columns
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:

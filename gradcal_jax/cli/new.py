@@ -6,9 +6,8 @@ from typing import Annotated, Final
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import Force, writable
-from gradcal_jax.cli.status import DONE
-from gradcal_jax.pages.plain_text import columns
+from gradcal_jax.cli.output import DONE, Force, writable
+from gradcal_jax.display import columns
 
 _COLUMN_MAP: Final = "column-map"
 _POINT_MAP: Final = "point-map"

@@ -6,13 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Json, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.output import DONE, NOT_AS_WISHED, Flag, Json, Plot, as_json, drawable, save_figure, strong
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.display import amount, columns
 from gradcal_jax.pages.numbers import percent
-from gradcal_jax.pages.plain_text import amount, columns, times_text
-from gradcal_jax.units import time_text
+from gradcal_jax.units import time_text, times_text
 
 # Smaller changes, in per cent, are not shown.
 _NOTHING = 5e-4

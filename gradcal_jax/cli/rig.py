@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING
 
 from cyclopts import App
 
-from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Force, Json, Output, OutputOrPrint, as_json, writable
-from gradcal_jax.cli.status import DONE, FAILED
+from gradcal_jax.cli.output import DONE, FAILED, Flag, Force, Json, Output, OutputOrPrint, as_json, strong, writable
 from gradcal_jax.cli.user_config import rig_or_own
 from gradcal_jax.cli.watch import watch
-from gradcal_jax.pages.plain_text import columns
+from gradcal_jax.display import columns
 
 if TYPE_CHECKING:
     from gradcal_jax.files.rig import RigFile

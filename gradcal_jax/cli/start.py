@@ -2,8 +2,7 @@
 
 import sys
 
-from gradcal_jax.cli.output import Flag, Output, writable
-from gradcal_jax.cli.status import DONE
+from gradcal_jax.cli.output import DONE, Flag, Output, writable
 
 
 def start(*, output: Output, preset: str | None = None, force: Flag = False) -> int:

@@ -5,12 +5,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from gradcal_jax.cli.console import complain
-from gradcal_jax.cli.output import Flag, Json, RunPath, as_json
+from gradcal_jax.cli.output import DONE, FAILED, Flag, Json, RunPath, as_json, complain
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.cli.status import DONE, FAILED
-from gradcal_jax.pages.plain_text import amount
+from gradcal_jax.display import amount
 from gradcal_jax.units import time_text
 
 _SILENT_S = 60.0

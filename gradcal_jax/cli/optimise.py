@@ -189,7 +189,7 @@ def _read(path: Path) -> "Spec":
 
     from gradcal_jax.files import SpecError
     from gradcal_jax.files.mission import missions_from
-    from gradcal_jax.files.motion_plan import lies_in_travel, within_travel
+    from gradcal_jax.files.travel import lies_in_travel, within_travel
     from gradcal_jax.files.recipe import spec_in
     from gradcal_jax.files.spec import spec_of
 

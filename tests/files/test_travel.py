@@ -6,7 +6,7 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.cli.optimise import _read
-from gradcal_jax.files.motion_plan import lies_in_travel, within_travel
+from gradcal_jax.files.travel import lies_in_travel, within_travel
 from gradcal_jax.files.writing import tables_to_toml
 
 

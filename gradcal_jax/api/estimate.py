@@ -66,12 +66,11 @@ from gradcal_jax.files.absent import branch_sentences
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.calibration.correction import correct_triads
 from gradcal_jax.files.changes import along_axis
-from gradcal_jax.files.contracts import RequirementRow
+from gradcal_jax.files.contracts import RequirementRow, narrow_table
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.places import places_of, specs_at_places
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import Posterior, segments_of

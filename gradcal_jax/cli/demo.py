@@ -14,12 +14,11 @@ from typing import Any, Final
 
 from gradcal_jax.cli.estimate import estimate
 from gradcal_jax.cli.instability import instability
-from gradcal_jax.cli.limit import limit
 from gradcal_jax.cli.log import log
 from gradcal_jax.cli.new import new
 from gradcal_jax.cli.optimise import optimise
 from gradcal_jax.cli.output import DONE, NOT_AS_WISHED, Flag, Json, Output, as_json, strong
-from gradcal_jax.cli.predict import predict
+from gradcal_jax.cli.predict import limit, predict
 from gradcal_jax.cli.recordings import Recording
 from gradcal_jax.cli.report import report
 from gradcal_jax.cli.run import run

@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     import xarray
 
     from gradcal_jax.files.sweep import Sweep
-    from gradcal_jax.jobs.cluster import Cluster
-    from gradcal_jax.jobs.pool import LocalPool
+    from gradcal_jax.jobs.pool import Cluster, LocalPool
     from gradcal_jax.jobs.sweep import SweepEstimate
 
 _VERDICTS = ("met", "missed", "unobservable")
@@ -65,7 +64,7 @@ class Workers:
     def runner(self) -> "LocalPool | Cluster":
         """Worker processes of this machine, with the compilation cache of the other commands, or of a cluster."""
         if self.scheduler is not None:
-            from gradcal_jax.jobs.cluster import Cluster
+            from gradcal_jax.jobs.pool import Cluster
 
             return Cluster(self.scheduler)
         from gradcal_jax.cache import cache_folder

@@ -189,9 +189,9 @@ def _read(path: Path) -> "Spec":
 
     from gradcal_jax.files import SpecError
     from gradcal_jax.files.mission import missions_from
-    from gradcal_jax.files.travel import lies_in_travel, within_travel
     from gradcal_jax.files.recipe import spec_in
     from gradcal_jax.files.spec import spec_of
+    from gradcal_jax.files.travel import lies_in_travel, within_travel
 
     try:
         return spec_in(path)

@@ -25,9 +25,8 @@ from gradcal_jax.files.rig import Laboratory, RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.information.conformity import specific_risk
 from gradcal_jax.pages.numbers import figures, one_sign, percent
-from gradcal_jax.pages.provenance import stated_figures
 from gradcal_jax.pages.requirements import SUMMED
-from gradcal_jax.pages.sources import Sources
+from gradcal_jax.pages.sources import Sources, stated_figures
 from gradcal_jax.pages.templates import page_file, page_templates
 
 NOT_STATED: Final = "not stated"

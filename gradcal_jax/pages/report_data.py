@@ -12,10 +12,9 @@ from gradcal_jax.files.calibration.correction import correct
 from gradcal_jax.files.calibration.exports import FORMATS, export
 from gradcal_jax.files.contracts import notice_sentences
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_values, parameters
-from gradcal_jax.pages.provenance import assumptions, provenance_rows
 from gradcal_jax.pages.requirements import MapFact, RequirementFact, requirements_of
 from gradcal_jax.pages.run_history import RunHistory, history_of
-from gradcal_jax.pages.sources import Sources
+from gradcal_jax.pages.sources import Sources, assumptions, provenance_rows
 from gradcal_jax.units import DEG_PER_S
 
 _ENDINGS: Final = {

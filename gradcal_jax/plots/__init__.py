@@ -11,10 +11,18 @@ from gradcal_jax.plots.calibration_maps import (
 )
 from gradcal_jax.plots.identification import draw_allan, draw_boundary, draw_drift
 from gradcal_jax.plots.residual import draw_curves, draw_map, draw_over_temperature, draw_worst_over_temperature
-from gradcal_jax.plots.spec import draw_comparison, draw_heading, draw_poses, draw_prediction, draw_requirement
+from gradcal_jax.plots.spec import (
+    draw_comparison,
+    draw_heading,
+    draw_planned_rate,
+    draw_planned_temperature,
+    draw_poses,
+    draw_prediction,
+    draw_requirement,
+    draw_temperature,
+)
 from gradcal_jax.plots.style import save, style_of
 from gradcal_jax.plots.sweep import draw_frontier, draw_sensitivities, draw_sweep
-from gradcal_jax.plots.tracks import draw_planned_rate, draw_planned_temperature, draw_temperature
 
 __all__ = [
     "draw_allan",

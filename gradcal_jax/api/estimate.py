@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax.api.contract_rows import coefficient_rows, finite, judged_by_data, requirement_fields
+from gradcal_jax.api.contract_rows import coefficient_rows, finite, judged_by_data
 from gradcal_jax.api.contradictions import (
     MeasuredDiscrepancy,
     RecordFaults,
@@ -537,7 +537,10 @@ def _sensor_rows(report: SensorEstimate) -> dict[str, Any]:
         "share_beyond_three_sigma": tests.beyond_three,
         "largest_residual_sigma": tests.largest,
         "table": [row.model_dump(mode="json") for row in calibration.table],
-        "requirements": [requirement_fields(row) for row in report.requirements],
+        "requirements": [
+            row.model_dump(mode="json", exclude_none=True) | {"value": row.judged, "named": row.decisive}
+            for row in report.requirements
+        ],
         "internal_misalignment": [row._asdict() for row in report.internal],
         "gravity_rms_m_per_s2": report.gravity,
         "tests": [row.model_dump(mode="json") for row in calibration.fit],

@@ -173,7 +173,7 @@ def _standard(schedule: "StandardSchedule") -> list[str]:
     ]
     rates = ", ".join(f"{math.degrees(rate):g}" for rate in schedule.rates)
     at = f"at {rates} deg/s" if any(schedule.rates) else "standing still"
-    lines.append(f"  {at}: {time_text(schedule.integration)} each; {len(schedule.points)} points")
+    lines.append(f"  {at}: {time_text(schedule.integration)} each; {schedule.readings} points")
     return lines
 
 

@@ -112,7 +112,7 @@ def _plan(spec: Spec) -> dict[str, Any]:
     schedule = spec.schedule
     lasts = times_text(schedule.duration, schedule.soak, schedule.motion)
     if isinstance(schedule, StandardSchedule):
-        return {"times": f"{lasts}. {len(schedule.points)} points.", "moves": [], "more": ""}
+        return {"times": f"{lasts}. {schedule.readings} points.", "moves": [], "more": ""}
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     hung = len(spec.rig.table.mounting)
     left = len(schedule.steps) - _MOST_MOVES

@@ -28,12 +28,11 @@ from gradcal_jax.cli.output import (
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.display import amount, columns
-from gradcal_jax.units import time_text
+from gradcal_jax.units import parse, time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.api.frontier import FrontierPoint
     from gradcal_jax.api.search_results import Optimised, SearchStep
-    from gradcal_jax.files.recipe import Recipe
     from gradcal_jax.files.spec_sections import Spec
     from gradcal_jax.files.tracks import Stability
 
@@ -130,8 +129,6 @@ def optimise(
     if motion is not None:
         _refuse("with --motion", of_recipe | of_search | {"--quick": quick})
         times = durations(motion, 5 if points is None else points)
-        if output is not None:
-            output.mkdir(parents=True, exist_ok=True)
         use_float64()
         return show_frontier(specification, str(spec), times, output, steps, json=json, plot=plot)
     _refuse("without --motion", {"--points": points})
@@ -302,10 +299,8 @@ class _Interrupt:
 def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quick: bool, json: bool) -> int:
     """Search for the best plan of the rest of an interrupted run, and write it as a recipe. The part that was done by
     the journal counts in every prediction. `time`, `pause`: options of the command."""
-    from gradcal_jax.cli import optimise as searches
     from gradcal_jax.files import write_toml
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume, stretches_of
-    from gradcal_jax.units import parse, time_text
 
     folder = RunFolder(run)
     left_s, pause_s = None if time is None else parse(time, "time"), parse(pause, "time")
@@ -319,7 +314,7 @@ def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quic
 
     spans = [(part.start_s, part.end_s) for part in done]
     rest = rest_of(recipe.spec, spans, left_s=left_s, pause_s=pause_s)
-    best, interrupted = searches.search_and_watch(rest, quick=quick)
+    best, interrupted = search_and_watch(rest, quick=quick)
     status = f"interrupted, the best so far: {best.sentence}" if interrupted else ""
     code = INTERRUPTED if interrupted else DONE if best.converged else NOT_AS_WISHED
     seconds = sum(end - begin for begin, end in spans)
@@ -330,7 +325,7 @@ def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quic
     if json:
         print(as_json(record_of(best) | {"done": spans, "recipe": str(output)}))
     else:
-        print(searches.optimum_text(best))
+        print(optimum_text(best))
         print(f"wrote {output}, {remark}; go on with: gradcal run {output} --resume {run}")
     return code
 
@@ -367,11 +362,6 @@ def write_recipe(spec: "Spec", output: Path, stability: "Stability", *, keep_sha
         record = {"recipe": str(output), "fingerprint": result.fingerprint, "requirements": rows}
         print(as_json(record | {"rounded": list(result.rounded), "notes": list(result.notes)}))
         return
-    print_notes(result, output)
-
-
-def print_notes(result: "Recipe", output: Path) -> None:
-    """What a recipe notes, and where it was written."""
     for note in result.notes:
         print(f"note: {note}")
     if result.rounded:

@@ -1,4 +1,8 @@
-"""Reading a TOML document from a path or a text, with one sentence for a problem of the whole document."""
+"""Reading a TOML document from a path or a text, with one sentence for a problem of the whole document.
+
+**The line of each key**, for error messages, is found by a scanner of our own (`tomllib` does not give it). The text is
+known to be valid TOML, so that it only follows strings, comments and brackets.
+"""
 
 import re
 import tomllib

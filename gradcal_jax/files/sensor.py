@@ -1,4 +1,10 @@
-"""`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or a unit."""
+"""`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or a unit.
+
+**`[[sensor.gyro.bias.shape]]`** and the like are the prior of a map by functions that the IMUs of a type have in
+common. With coefficients `s_j` of shape j, the coefficients of the map have the covariance `Σ s_j s_jᵀ` about zero: a
+mean map is one shape, what the type varies in are others, and what may be beyond them are as many as there are
+coefficients.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Annotated, ClassVar, Final, Literal

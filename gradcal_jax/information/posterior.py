@@ -7,6 +7,10 @@ triangular factor is taken, so that nothing depends on the units of the paramete
 
 The design differentiates `SquareRootInformation`; results are reported from `Posterior`, in which the unobservable
 combinations are separate.
+
+**Regressors** are the derivatives of the integrated error at a reading with respect to each parameter. The terms of the
+model give their increments over every piece (`model.terms`). A reading of an angle sums all pieces since its origin;
+one of a held rate has that of its own piece.
 """
 
 from typing import NamedTuple

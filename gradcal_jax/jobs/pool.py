@@ -136,7 +136,9 @@ def cores() -> int:
 
 
 class Cluster(TaskRunner):
-    """A `pool.TaskRunner` on a Dask cluster. Errors: `ValueError` without the extra, or where no scheduler answers."""
+    """A `TaskRunner` on a Dask cluster (extra `cluster`), whose workers do their tasks in their own process, whatever
+    that may use; Dask repeats the chunk of a killed worker on another one. Errors: `ValueError` without the extra, or
+    where no scheduler answers."""
 
     def __init__(self, address: str, *, timeout_s: float = 20.0):
         try:

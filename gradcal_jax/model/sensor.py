@@ -2,8 +2,24 @@
 
     δω = B(T) + ε_d2d + ε_ins(t) + M(T, ω)·ω + ε_res(t)·ω + ε_RW(t)                       (Berman, eq. 1)
 
-Errors that are linear in parameters are terms (`terms`); all others are noise (`noise`). The parameter vector `β` holds
+Errors that are linear in parameters are terms (`terms`); all others are noise. The parameter vector `β` holds
 the terms' parameters, one term after the other.
+
+**Processes.** Every slow error is one scalar process `x` with
+
+    dx = −decay·x dt + diffusion dw,   Var x(0) = initial_std²,
+
+that drives the integrated angle at the rate `(bias_gain + rate_gain·ω(t))·x`:
+
+| error | initial_std | decay | diffusion | bias_gain | rate_gain |
+|---|---|---|---|---|---|
+| bias instability (σ, τ) | σ | 1/τ | σ√(2/τ) | 1 | 0 |
+| rate random walk K | 0 | 0 | K | 1 | 0 |
+| residual scale-factor instability (σ, τ) | σ | 1/τ | σ√(2/τ) | 0 | 1 |
+| error of the temperature measurement (σ, τ) | σ | 1/τ | σ√(2/τ) | dB/dT | dM/dT |
+| a constant (turn-on bias, sample clock) | σ | 0 | 0 | 1 or 0 | 0 or 1 |
+
+So the rate random walk is a limit of the first row and needs no code of its own.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,10 @@
-"""The page: data and figures in a template, without computation here and without external resources."""
+"""The page: data and figures in a template, without computation here and without external resources.
+
+**The panel** has predictions of a plan for other times, encoders and slopes. The grid has factors on the chamber's
+slope, numbers of ramps (there, back, there …, which is the time), and factors on every figure of the angles of all
+axes. The panel shows only grid points, so that each of its numbers is a prediction and none is interpolated. A point to
+which the plan does not fit (a cycle longer than its ramp, a slope beyond the chamber's) has none.
+"""
 
 import math
 import os

@@ -2,6 +2,15 @@
 
 One axis turns at a time; all others stand. Pieces, rates and temperatures are a `Trajectory`, as for a single axis; the
 geometry yields the body's rate, specific force and attitude at every instant.
+
+**Geometry.** Nested table axes on the rotating Earth; stages from outside in, body to East-North-Up:
+
+    R = exp[τ×] · base · Rot(e₁,θ₁) · exp[δ₁d₁×] · Rot(e₂,θ₂) · … · mounting · exp[μ×]
+
+τ tilt of the base and its azimuth, δ_l the non-orthogonality of the axes l and l+1 about `d_l = e_{l+1} × e_l`, μ the
+error of the mounting. One rule gives the effect of each of them: a small rotation p (body components) inserted at a
+stage adds `f × p` to the specific force and `ω_outer × p (+ ṗ along an axis that moves)` to the rate, ω_outer being
+the rate outside that stage: the Earth's plus that of the outer axes.
 """
 
 from dataclasses import replace

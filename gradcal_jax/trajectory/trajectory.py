@@ -7,6 +7,10 @@ Symbols: `P` pieces in order of time. Within piece `k`, at the fraction `v ∈ [
 
 Times in s, rates in rad/s, temperatures in °C. A move of one axis is a rest for the others, so each sensor axis has a
 trajectory of its own.
+
+**Parts of one run on a table**, cut at times and joined across pauses: in a pause nothing is read and every axis
+returns to the angle at which the next part begins, up to whole turns. The noise continues; at the end of the pause the
+angles have a new origin, in a standstill of their own.
 """
 
 from dataclasses import fields, replace

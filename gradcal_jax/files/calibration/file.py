@@ -8,6 +8,10 @@ factor of gyro x, "force y" for a sensitivity to acceleration. Signals are true 
 names; "temperature rate" is dT/dt. Coefficients are those of the paper: `a{k}` multiplies the k-th power of
 `(T − centre)/scale` in a bias, `b{j}{i}` the j-th power of `(ω − centre)/scale` and the i-th of the temperature's in
 a scale factor; other bases count their functions. Numbers without a unit are SI.
+
+**Version 1**, which is converted as it is read, had two forms, of a gyro's axes (`[[axis]]` with maps of its own) and
+of a whole IMU (`quantity = "unit"`, with one range for all channels). Faults of an old file stay faults, which the
+validation reports.
 """
 
 import copy

@@ -1,4 +1,4 @@
-"""The fit of a model to the rows of a log: the executed motion, the readings of it, and the estimate.
+"""The fit of a model to the rows of a log (the executed motion, the readings of it, the estimate), and its calibration.
 
 The motion is read from the log; the rates within a move are first the gyros' own, then corrected by the first estimate.
 """

@@ -1,4 +1,4 @@
-"""The prediction of a spec, as the contract gradcal-prediction/1, and its Monte Carlo simulation."""
+"""The prediction of a spec, as the contract gradcal-prediction/1, its Monte Carlo simulation, and its recipe."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, cast

@@ -1,4 +1,4 @@
-"""`gradcal apply`, `gradcal validate` and `gradcal export`: uses of a calibration."""
+"""`gradcal apply`, `validate`, `export` and `lot`: uses of a calibration, and of those of many IMUs of a type."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

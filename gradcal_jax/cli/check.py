@@ -1,4 +1,4 @@
-"""`gradcal check`: all errors of a spec at once; without any, a summary of its plan, its timeline, or a recipe."""
+"""`gradcal check`: all errors of a spec at once; a summary of its plan, its timeline, or a recipe; and `--upgrade`."""
 
 import csv as comma_separated
 import math

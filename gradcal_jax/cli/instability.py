@@ -1,4 +1,4 @@
-"""`gradcal instability` and `gradcal allan`: a sensor's noise from a record at rest."""
+"""`gradcal instability` and `gradcal allan`: a sensor's noise from a record at rest, and how long that must be."""
 
 import math
 from functools import partial

@@ -1,4 +1,4 @@
-"""`gradcal schema`: the keys of every file and contract, and the words that commands use."""
+"""`gradcal schema`: the keys of every file and contract, all commands, and the words that they use."""
 
 from typing import Annotated, Final
 

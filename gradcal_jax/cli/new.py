@@ -1,4 +1,4 @@
-"""`gradcal new`: a commented spec or column map to start from."""
+"""`gradcal new` and `gradcal start`: a commented spec, rig file or column map to start from."""
 
 import sys
 from pathlib import Path

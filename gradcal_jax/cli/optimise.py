@@ -1,4 +1,5 @@
-"""`gradcal optimise`: minimise the predicted residual over plans within the limits of sensor, rig and time."""
+"""`gradcal optimise`: the plan of least residual within the limits of sensor, rig and time, for several times
+(`--motion`), for the rest of a run, or as it is (`--steps 0`), as a recipe."""
 
 import math
 import signal

@@ -1,4 +1,4 @@
-"""Options, JSON and checks of output files for all commands."""
+"""Options, exit statuses, printing, JSON and checks of output files for all commands."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""`gradcal predict`: the residuals of plans, by requirement, side by side, and what they depend on."""
+"""`gradcal predict` and `gradcal limit`: the residuals of plans, what they depend on, and what no plan is below."""
 
 import math
 from pathlib import Path

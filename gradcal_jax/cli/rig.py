@@ -1,4 +1,4 @@
-"""`gradcal rig`: the devices of a rig and their ports."""
+"""`gradcal rig`: the devices of a rig and their ports; and `rig watch`, the state of a run."""
 
 import re
 import sys

@@ -1,4 +1,4 @@
-"""Runners of tasks: worker processes on this machine, and the interface shared with a Dask cluster."""
+"""Runners of tasks: worker processes on this machine, and a Dask cluster."""
 
 import os
 from abc import ABC, abstractmethod

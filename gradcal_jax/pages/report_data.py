@@ -1,4 +1,5 @@
-"""All numbers of a page, from recipe, run and calibration, by the functions behind the commands."""
+"""All numbers of a page, from recipe, run and calibration, by the functions behind the commands; and how a calibration
+is applied."""
 
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple

@@ -1,4 +1,4 @@
-"""The sources of a page: a plan, its run, a calibration, and a plan to compare with."""
+"""The sources of a page (a plan, its run, a calibration, a plan to compare with), and what their numbers rest on."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Maps of a calibration file with one standard deviation, and its residuals."""
+"""Maps of a calibration file with one standard deviation, and its residuals; and those of a lot."""
 
 import numpy as np
 from matplotlib.axes import Axes

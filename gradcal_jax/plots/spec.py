@@ -1,4 +1,4 @@
-"""Figures of a spec: the residuals of its plan, the poses at rest, and comparisons of plans."""
+"""Figures of a spec: the residuals of its plan, its tracks, the poses at rest, and comparisons of plans."""
 
 from collections.abc import Sequence
 from typing import Any

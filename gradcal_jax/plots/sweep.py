@@ -1,4 +1,4 @@
-"""Figures of a sweep's results: curves and panels of a grid, scatter plots of random points."""
+"""Figures of many plans: a sweep's results, the frontier of time and residual, and sensitivities."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any

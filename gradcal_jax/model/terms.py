@@ -38,13 +38,13 @@ class Term(PytreeModule):
         """SI unit of its parameters."""
 
     @property
-    @abstractmethod
     def size(self) -> int:
         """Number of parameters."""
+        return 1
 
-    @abstractmethod
     def names(self) -> list[str]:
         """Names of the reported parameters."""
+        return [self.name] if self.size == 1 else [f"{self.name}{k}" for k in range(self.size)]
 
     @abstractmethod
     def prior_rows(self) -> Float[AnyArray, "q size"]:
@@ -363,13 +363,6 @@ class GradientOfBias(Term):
     def unit(self) -> str:
         return self.si_unit
 
-    @property
-    def size(self) -> int:
-        return 1
-
-    def names(self) -> list[str]:
-        return [self.name]
-
     def prior_rows(self) -> Float[AnyArray, "q size"]:
         xp = namespace(self.std)
         return xp.reshape(1.0 / self.std, (1, 1)) if self.has_prior else xp.zeros((0, 1))
@@ -490,13 +483,6 @@ class OwnTerm(Term):
     @property
     def unit(self) -> str:
         return self.SI_UNIT
-
-    @property
-    def size(self) -> int:
-        return 1
-
-    def names(self) -> list[str]:
-        return [self.name] if self.size == 1 else [f"{self.name}{k}" for k in range(self.size)]
 
     def prior_rows(self) -> Float[AnyArray, "q size"]:
         return namespace(self.std).eye(self.size) / self.std

@@ -1,8 +1,8 @@
 """Calibration plans for gyros and accelerometers, designed by gradient descent through the predicted covariance.
 
-The names below are the public API, in the order of the data flow; each command of `gradcal` is the function of the same
-name. They load on first use (PEP 562): importing the package, or its hardware and file rooms, never imports JAX. The
-library does not change JAX's global configuration; functions that report a covariance require
+The public API is the list of names in `__init__.pyi`; each command of `gradcal` is the function of the same name. They
+load on first use (PEP 562): importing the package, or its hardware and file rooms, never imports JAX. The library does
+not change JAX's global configuration; functions that report a covariance require
 `jax.config.update("jax_enable_x64", True)` first.
 
 `gradcal_jax.plots` draws their results. `logging.getLogger("gradcal_jax")` tells of searches, runs and logs that are
@@ -11,9 +11,11 @@ read.
 Quantities are SI (°C for temperatures) unless the name ends in another unit; reports are in ppm and deg/h.
 """
 
+import ast
 import importlib
 import logging
 import warnings
+from pathlib import Path
 from typing import Any
 
 __version__ = "0.1.0"
@@ -21,70 +23,13 @@ __version__ = "0.1.0"
 # What the package logs goes to handlers of the program that uses it, or nowhere.
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
+# The stub for type checkers is the list of the public names and of their homes.
+_STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
 _HOME_OF_NAME: dict[str, str] = {
-    # what people write: specs, presets, rigs, and the schemas of all files
-    "Spec": "files",
-    "SpecError": "files",
-    "changed": "files",
-    "parse_spec": "files",
-    "presets": "files",
-    "read_rig": "files.rig",
-    "read_spec": "files",
-    "schema": "files",
-    "write_toml": "files",
-    # prediction
-    "check": "api.flow",
-    "predict": "api",
-    "timeline": "api",
-    "monte_carlo": "api",
-    # design
-    "optimise": "api.flow",
-    "limit": "api.flow",
-    "frontier": "api.flow",
-    "sensitivity": "api.sensitivity",
-    "differentiable": "api.differentiable",
-    "recipe": "api",
-    "replan": "api.replan",
-    "read_recipe": "files.recipe",
-    # many at once
-    "read_sweep": "files.sweep",
-    "sweep": "jobs.sweep",
-    "read_dataset": "jobs.dataset",
-    # runs and logs
-    "run": "hardware.execute",
-    "resume": "hardware.execute",
-    "log": "decoding.run_log",
-    "Log": "files.log",
-    "read_log": "files.log_file",
-    "write_log": "files.log_file",
-    "import_log": "files.importers",
-    "log_from": "files.log_from",
-    # identification
-    "instability": "api.log_flow",
-    "allan": "api.log_flow",
-    "fit_thermal_bias": "identify.thermal",
-    "limiting_function": "identify.limiting_function",
-    "limiting_function_of_mean": "identify.limiting_function",
-    # calibrations
-    "estimate": "api.log_flow",
-    "Calibration": "files.calibration",
-    "read_calibration": "files.calibration",
-    "write_calibration": "files.calibration",
-    "apply": "files.calibration.correction",
-    "validate": "api.validation",
-    "export": "files.calibration.exports",
-    "lot": "api.lot",
-    "report": "pages.report",
-    "estimate_by_hand": "api.hand_estimate",
-    # the core alone: error model, plans, covariance
-    "SensorModel": "model",
-    "gradient_plan": "trajectory",
-    "standard_plan": "trajectory",
-    "programme": "trajectory",
-    "rest": "trajectory",
-    "turn": "trajectory",
-    "posterior": "information",
-    "residual": "information",
+    alias.name: (node.module or "").removeprefix("gradcal_jax.")
+    for node in _STUB
+    if isinstance(node, ast.ImportFrom) and node.module != "typing"
+    for alias in node.names
 }
 
 __all__ = list(_HOME_OF_NAME)

@@ -51,7 +51,7 @@ from gradcal_jax.information import residual as residual
 from gradcal_jax.jobs.dataset import read_dataset as read_dataset
 from gradcal_jax.jobs.sweep import sweep as sweep
 from gradcal_jax.model import SensorModel as SensorModel
-from gradcal_jax.pages.report import report as report
+from gradcal_jax.pages.page import report as report
 from gradcal_jax.trajectory import gradient_plan as gradient_plan
 from gradcal_jax.trajectory import programme as programme
 from gradcal_jax.trajectory import rest as rest

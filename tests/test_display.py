@@ -19,8 +19,8 @@ from simulated_log import simulate_log
 import gradcal_jax as gj
 from gradcal_jax import display, identify
 from gradcal_jax.api import estimate, frontier, instability, limit, optimise
-from gradcal_jax.files.calibration.upgrade import upgraded
-from gradcal_jax.files.requirement_table import requirement_table
+from gradcal_jax.files.calibration.file import upgraded
+from gradcal_jax.files.contracts import requirement_table
 
 LINES, WIDTH = 15, 80
 WORDS = "a sentence that goes on and on, " * 40

@@ -10,17 +10,19 @@ import os
 import re
 import shutil
 import subprocess
+from functools import reduce
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from cyclopts import App
 
 import gradcal_jax as gj
 from gradcal_jax import plots
 from gradcal_jax.cli import main
 from gradcal_jax.cli.app import build
-from gradcal_jax.cli.commands_page import all_commands, commands_page
+from gradcal_jax.cli.lookup import commands_page
 from gradcal_jax.files import schemas
 from gradcal_jax.files.recipe import read_recipe
 
@@ -74,7 +76,8 @@ def test_every_option_that_is_named_exists(command, capsys):
         assert re.search(rf"(?<![\w-]){option}(?![\w-])", said), (command, option)
 
 
-COMMANDS = [name for name, _ in all_commands(build())]
+PARTS = re.findall(r"^## gradcal ([^-].*)$", TEXTS["docs/reference/commands.md"], flags=re.M)
+COMMANDS = [name for name in PARTS if reduce(App.__getitem__, name.split(), build()).default_command is not None]
 
 
 def test_the_page_of_commands_is_what_the_commands_say():
@@ -89,10 +92,11 @@ def test_every_option_of_a_command_is_documented(command, capsys):
     """The options are those of the help, which the page does not come from."""
     assert main([*command.split(), "--help"]) == 0
     of_help = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", capsys.readouterr().out.split("Parameters:", 1)[-1]))
-    documented = {cell[0]: cell[3] for cell in rows(section(f"gradcal {command}", "docs/reference/commands.md"))}
-    names = {option for cell in documented for option in re.findall(r"`(--[a-z-]+)`", cell)}
+    page = section(f"gradcal {command}", "docs/reference/commands.md")
+    documented = dict(re.findall(r"^\* `([^`]+)`: ((?:.|\n {4})*)", page, flags=re.M))
+    names = {option for usage in documented for option in re.findall(r"--[a-z-]+", usage)}
     assert names == of_help - {"--help", "--version"}
-    assert all(re.match(r"[A-Z].*\.$", meaning) for meaning in documented.values()), documented
+    assert all(re.match(r"[A-Z](.|\n)*\.( \*\*?\[.*)?$", meaning) for meaning in documented.values()), documented
 
 
 def test_the_readme_is_a_screen_and_begins_with_what_is_simulated():

@@ -5,7 +5,6 @@ programs read.
 """
 
 from gradcal_jax.api.build import assemble
-from gradcal_jax.api.prediction import monte_carlo, predict
-from gradcal_jax.api.recipe import recipe
+from gradcal_jax.api.prediction import monte_carlo, predict, recipe
 from gradcal_jax.api.timeline import timeline
 from gradcal_jax.api.verdicts import UNIT_OF, limit_of

@@ -119,8 +119,3 @@ def result_of_requirement(row: "RequirementRow") -> "Result":
         unit=row.unit,
         **{key: value for key, value in values.items() if value is not None},
     )
-
-
-def requirement_fields(row: "RequirementRow") -> dict[str, Any]:
-    """A requirement for `--json`: the row with the judged value, and that of the terms that the spec names."""
-    return row.model_dump(mode="json", exclude_none=True) | {"value": row.judged, "named": row.decisive}

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax.api.contract_rows import coefficient_rows, finite, judged_by_data, requirement_fields
+from gradcal_jax.api.contract_rows import coefficient_rows, finite, judged_by_data
 from gradcal_jax.api.contradictions import (
     MeasuredDiscrepancy,
     RecordFaults,
@@ -31,8 +31,7 @@ from gradcal_jax.api.contradictions import (
     without_bad_rows,
 )
 from gradcal_jax.api.estimate_options import Lag, Options
-from gradcal_jax.api.estimated_calibration import calibration_of, tests_by_name
-from gradcal_jax.api.fit_of_log import FittedRows, Recorded, fit_of, points_of, together
+from gradcal_jax.api.fit_of_log import FittedRows, Recorded, calibration_of, fit_of, points_of, tests_by_name, together
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.imu_residual import internal_misalignments
 from gradcal_jax.api.log_rows import count_rows, imu_rows, with_earth, with_options
@@ -67,12 +66,11 @@ from gradcal_jax.files.absent import attitude_sentences, branch_sentences
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.calibration.correction import correct_triads
 from gradcal_jax.files.changes import along_axis
-from gradcal_jax.files.contracts import RequirementRow
+from gradcal_jax.files.contracts import RequirementRow, narrow_table
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.moves import Axis
 from gradcal_jax.files.places import places_of, specs_at_places
 from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import Posterior, segments_of
@@ -540,7 +538,10 @@ def _sensor_rows(report: SensorEstimate) -> dict[str, Any]:
         "share_beyond_three_sigma": tests.beyond_three,
         "largest_residual_sigma": tests.largest,
         "table": [row.model_dump(mode="json") for row in calibration.table],
-        "requirements": [requirement_fields(row) for row in report.requirements],
+        "requirements": [
+            row.model_dump(mode="json", exclude_none=True) | {"value": row.judged, "named": row.decisive}
+            for row in report.requirements
+        ],
         "internal_misalignment": [row._asdict() for row in report.internal],
         "gravity_rms_m_per_s2": report.gravity,
         "tests": [row.model_dump(mode="json") for row in calibration.fit],

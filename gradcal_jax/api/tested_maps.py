@@ -14,7 +14,7 @@ from gradcal_jax.design import Missed
 from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.files.contracts import NoticeRow
 from gradcal_jax.files.design import Notice
-from gradcal_jax.files.sensor import GyroTriad, ScaleFactor
+from gradcal_jax.files.sensor import ScaleFactor
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import (
     SquareRootInformation,
@@ -53,7 +53,7 @@ class TestedMap(NamedTuple):
 def tested_maps(spec: Spec) -> dict[str, TestedMap]:
     """The test of every polynomial map, by quantity, with degrees and size of its discrepancy or `notice`."""
     maps: dict[str, TestedMap] = {}
-    gyro = _gyro(spec)
+    gyro = spec.sensor.gyro
     if gyro is None:
         return maps
     bias, scale = gyro.bias, gyro.scale_factor
@@ -83,10 +83,6 @@ def tested_maps(spec: Spec) -> dict[str, TestedMap]:
     return maps
 
 
-def _gyro(spec: Spec) -> GyroTriad | None:
-    return spec.sensor.gyro
-
-
 def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
     """The model with the hidden map of a quantity as its last term, where it has no discrepancy of its own.
 
@@ -95,7 +91,7 @@ def with_hidden(spec: Spec, model: SensorModel, quantity: str) -> SensorModel:
     if where_hidden(model, quantity) is not None:
         return model
     of = tested_maps(spec)[quantity]
-    gyro = _gyro(spec)
+    gyro = spec.sensor.gyro
     assert gyro is not None
     section = gyro.bias if quantity == BIAS else gyro.scale_factor
     assert section is not None

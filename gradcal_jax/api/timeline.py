@@ -34,7 +34,7 @@ from gradcal_jax.files.moves import Axis, ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy, Sensor
-from gradcal_jax.files.spec import expect_whole
+from gradcal_jax.files.spec import expect_spec, goes_on
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import (
@@ -60,7 +60,8 @@ def timeline(spec: Spec) -> Timeline | imu_rows.ImuTimeline:
     gradcal-timeline/2, with every reading of the angle; else gradcal-unit-timeline/1, with the angles of all axes and
     attitudes. Errors: `ValueError` for a spec with [[done]].
     """
-    expect_whole(spec, "a timeline")
+    if expect_spec(spec).done:
+        raise goes_on("a timeline")
     if too := too_large(spec):
         raise MemoryError(too)
     return _of_channel(spec) if spec.turns_one_gyro else _of_imu(spec)

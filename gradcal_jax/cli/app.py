@@ -9,25 +9,21 @@ from typing import Any, Final
 from cyclopts import App, CycloptsError, Group
 
 import gradcal_jax
-from gradcal_jax.cli.calibrated import apply, export, validate
+from gradcal_jax.cli.calibrated import apply, export, lot, validate
 from gradcal_jax.cli.check import check
-from gradcal_jax.cli.console import complain, is_plain
 from gradcal_jax.cli.demo import demo
 from gradcal_jax.cli.estimate import estimate
 from gradcal_jax.cli.instability import allan, instability
-from gradcal_jax.cli.limit import limit
 from gradcal_jax.cli.log import log_app
 from gradcal_jax.cli.lookup import schema
-from gradcal_jax.cli.lot import lot
 from gradcal_jax.cli.many import sweep
-from gradcal_jax.cli.new import new
+from gradcal_jax.cli.new import new, start
 from gradcal_jax.cli.optimise import optimise
-from gradcal_jax.cli.predict import predict
+from gradcal_jax.cli.output import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG_INPUT, complain, is_plain
+from gradcal_jax.cli.predict import limit, predict
 from gradcal_jax.cli.report import report
 from gradcal_jax.cli.rig import rig_app
 from gradcal_jax.cli.run import run as run_command
-from gradcal_jax.cli.start import start
-from gradcal_jax.cli.status import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG_INPUT
 from gradcal_jax.cli.user_config import own_defaults
 
 _HELP: Final = """Calibration plans for gyros, with their residual errors predicted beforehand.

@@ -1,27 +1,29 @@
-"""`gradcal check`: all errors of a spec at once; without any, a summary of its plan, its timeline, or a recipe."""
+"""`gradcal check`: all errors of a spec at once; a summary of its plan, its timeline, or a recipe; and `--upgrade`."""
 
+import csv as comma_separated
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Force, Json, OptionalOutput, as_json
+from gradcal_jax.cli.output import DONE, NOT_AS_WISHED, Flag, Force, Json, OptionalOutput, as_json, strong, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.predict import omitted_lines
-from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
-from gradcal_jax.cli.timeline import print_timeline
-from gradcal_jax.pages.plain_text import columns, times_text
-from gradcal_jax.units import time_text
+from gradcal_jax.display import columns
+from gradcal_jax.units import time_text, times_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
+    from gradcal_jax.files import Timeline
+    from gradcal_jax.files.imu_timeline import ImuTimeline
     from gradcal_jax.files.motion_plan import PlanSchedule
     from gradcal_jax.files.moves import ResolvedMove
     from gradcal_jax.files.requirement import Requirement
     from gradcal_jax.files.schedule import StandardSchedule
+    from gradcal_jax.files.section import Section
     from gradcal_jax.files.spec_sections import Spec
 
 _MOST_ROWS, _MOST_MOVES = 24, 60
@@ -66,8 +68,6 @@ def check(
     from gradcal_jax.files.recipe import Recipe, spec_or_recipe
 
     if upgrade:
-        from gradcal_jax.cli.upgrade import upgrade_file
-
         return upgrade_file(file, output, force=force)
     if output is not None:
         raise ValueError("--output is the file of --upgrade")
@@ -173,7 +173,7 @@ def _standard(schedule: "StandardSchedule") -> list[str]:
     ]
     rates = ", ".join(f"{math.degrees(rate):g}" for rate in schedule.rates)
     at = f"at {rates} deg/s" if any(schedule.rates) else "standing still"
-    lines.append(f"  {at}: {time_text(schedule.integration)} each; {len(schedule.points)} points")
+    lines.append(f"  {at}: {time_text(schedule.integration)} each; {schedule.readings} points")
     return lines
 
 
@@ -258,3 +258,157 @@ def notes(spec: "Spec") -> list[str]:
         if requirement.temperature[0] < low - 1e-6 or requirement.temperature[1] > high + 1e-6:
             sentences.append(f'requirement "{requirement.name}" goes beyond the plan\'s {low:.5g} to {high:.5g} degC')
     return sentences
+
+
+def upgrade_file(file: Path, output: Path | None, *, force: bool) -> int:
+    """Write a spec, recipe or calibration in today's form to `output`; without it, in the place of the file, which is
+    kept as FILE.old."""
+    from gradcal_jax.files.document import read_text, read_toml
+    from gradcal_jax.files.writing import write_toml, write_whole
+
+    text = read_text(file)
+    model, done = _upgraded(text, read_toml(text, str(file)), file)
+    if not done:
+        print(f"{file} is in today's form already; nothing was written")
+        return DONE
+    kept = None if output is not None else file.with_name(f"{file.name}.old")
+    writable(output or kept or file, force)
+    if kept is not None:
+        write_whole(kept, text)
+    goal = output or file
+    write_toml(model, goal, header=f"Converted by `gradcal check --upgrade` from {file.name}.")
+    print("\n".join(f"  {line}" for line in done))
+    if any(line.lstrip().startswith("#") or " #" in line for line in text.splitlines()):
+        print(f"note: the comments of {kept or file} are not in {goal}")
+    print(f"wrote {goal}" + (f"; the file as it was is {kept}" if kept is not None else ""))
+    return DONE
+
+
+def _upgraded(text: str, document: dict[str, Any], file: Path) -> "tuple[Section, list[str]]":
+    """The file's contents, and what of its form is an earlier version's. Raises `SpecError`, and `ValueError` for files
+    of other kinds."""
+    from gradcal_jax.files.axis_as_imu import is_of_axis
+    from gradcal_jax.files.calibration.file import OLD_FORMAT, is_calibration, parse_calibration
+    from gradcal_jax.files.mission import missions_from
+    from gradcal_jax.files.recipe import is_recipe, parse_recipe
+    from gradcal_jax.files.spec import FORMAT, parse_spec
+
+    if is_calibration(document):
+        model = parse_calibration(text, str(file))
+        old = document["format"] == OLD_FORMAT
+        return model, [f"{OLD_FORMAT} -> {model.format}, with a [[channel]] for each sensor axis"] if old else []
+    if is_recipe(document):
+        model = parse_recipe(text, str(file))
+        if not is_of_axis(document["spec"]):
+            return model, []
+        names = 'motion: moves name the table\'s axis; parameters: "b00" -> "gyro_x.b00"'
+        return model, [*_moved(document["spec"], "spec."), names]
+    if document.get("format") != FORMAT:
+        raise ValueError(f"{file}: expected a spec, a recipe or a calibration")
+    with missions_from(file.parent):
+        model = parse_spec(text, str(file))
+    return model, _moved(document, "") if is_of_axis(document) else []
+
+
+def _moved(spec: dict[str, Any], above: str) -> list[str]:
+    """What of a spec of one axis has another place."""
+    moved = [
+        f"[{above}sensor] -> [{above}sensor], and [{above}sensor.gyro] with its axis",
+        f"[{above}rig.table] -> [{above}rig.table], and [[{above}rig.table.axis]] with the spacing of its readings",
+    ]
+    if "earth_rate" in spec["rig"]:
+        moved.append(f"{above}rig.earth_rate -> {above}rig.site.latitude")
+    if spec.get("requirement"):
+        moved.append(f'[[{above}requirement]]: quantities have the sensor\'s name, such as "gyro_bias"')
+    if spec.get("done"):
+        moved.append(f"[[{above}done]]: plans likewise")
+    return moved
+
+
+_MOST_PRINTED = 60
+
+
+def print_timeline(spec: "Spec", rows: str, *, csv: bool, json: bool) -> None:
+    """Print the `rows` of a spec's timeline, "segments" or "readings": as a table, as CSV, or all as JSON."""
+    if json and csv:
+        raise ValueError("--json or --csv: choose one")
+    from gradcal_jax.files import Timeline
+
+    use_float64()
+    from gradcal_jax import api
+
+    contents = api.timeline(spec)
+    if not isinstance(contents, Timeline):
+        if rows == "readings":
+            raise ValueError("of an IMU every segment says which channels have a row of it: --timeline segments")
+        if json:
+            print(contents.model_dump_json(exclude_none=True))
+        else:
+            _as_csv(contents.segments) if csv else print(_table_of_imu(contents))
+    elif json:
+        print(contents.model_dump_json(indent=2, exclude_none=True))
+    elif csv:
+        _as_csv(contents.segments if rows == "segments" else contents.readings)
+    else:
+        print(_table(contents, rows))
+
+
+def _as_csv(entries: "Sequence[Section]") -> None:
+    names = list(type(entries[0]).model_fields)
+    writer = comma_separated.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(names)
+    for entry in entries:
+        writer.writerow([_cell(getattr(entry, name)) for name in names])
+
+
+def _cell(value: object) -> object:
+    """A cell of the table: a (nested) list as words with spaces between."""
+    if isinstance(value, tuple):
+        return " ".join("-" if v is None else str(_cell(v)) for v in value)
+    return "" if value is None else value
+
+
+def _table(plan: "Timeline", rows: str) -> str:
+    if rows == "segments":
+        table: list[tuple[str, ...]] = [
+            ("start", "axis", "what", "lasts", "angle, deg", "peak, deg/s", "chamber, degC")
+        ]
+        for s in plan.segments:
+            chamber = f"{s.temperature_start:.2f} -> {s.temperature_end:.2f}"
+            turns = (f"{math.degrees(s.angle):+.4g}", f"{math.degrees(s.peak_rate):+.4g}") if s.peak_rate else ("", "")
+            table.append((time_text(s.start), s.axis, s.shape, time_text(s.duration), *turns, chamber))
+    else:
+        table = [("time, s", "axis", "kind", "standstill", "white", "common to the standstill")]
+        for r in plan.readings:
+            unit = "deg" if r.kind == "angle" else "deg/s"
+            stands = "" if r.standstill_id is None else str(r.standstill_id)
+            noise = (f"{math.degrees(e):.4g} {unit}" for e in (r.white_std, r.offset_std))
+            table.append((f"{r.time:.3f}", r.axis, r.kind, stands, *noise))
+    lines = [columns(table[: _MOST_PRINTED + 1], indent="")]
+    if len(table) > _MOST_PRINTED + 1:
+        lines.append(f"… and {len(table) - _MOST_PRINTED - 1} more: --csv or --json gives all")
+    lines.append(f"{len(plan.segments)} segments, {len(plan.readings)} readings")
+    return "\n".join(lines)
+
+
+def _table_of_imu(unit: "ImuTimeline") -> str:
+    axes = [f"{axis.name}, deg" for axis in unit.table]
+    table: list[tuple[str, ...]] = [("start", "what", "lasts", *axes, "up, from the unit", "chamber, degC", "read")]
+    for s in unit.segments[:_MOST_PRINTED]:
+        what = s.shape if s.axis is None else f"{s.axis}: {s.shape}, {math.degrees(s.angle):+.4g} deg"
+        pairs = zip(s.angles_before, s.angles_after, strict=True)
+        angles = (_degrees(a) + (f" -> {_degrees(b)}" if a != b else "") for a, b in pairs)
+        up = " ".join(f"{round(v, 2) + 0.0:+.2f}" for v in s.attitude[2]) if s.axis is None else ""
+        chamber = f"{s.temperature_start:.2f} -> {s.temperature_end:.2f}"
+        kinds = dict.fromkeys(name.rpartition("_")[0] + "s" for name in s.read)
+        table.append((time_text(s.start), what, time_text(s.duration), *angles, up, chamber, ", ".join(kinds)))
+    lines = [columns(table, indent="")]
+    if len(unit.segments) > _MOST_PRINTED:
+        lines.append(f"… and {len(unit.segments) - _MOST_PRINTED} more: --csv or --json gives all")
+    rows = sum(len(s.read) for s in unit.segments)
+    lines.append(f"{len(unit.segments)} segments, {rows} rows of {len(unit.channels)} channels")
+    return "\n".join(lines)
+
+
+def _degrees(angle: float) -> str:
+    return f"{round(math.degrees(angle), 6) + 0.0:.7g}"

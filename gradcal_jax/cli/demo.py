@@ -12,20 +12,17 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from gradcal_jax.cli.console import strong
 from gradcal_jax.cli.estimate import estimate
 from gradcal_jax.cli.instability import instability
-from gradcal_jax.cli.limit import limit
 from gradcal_jax.cli.log import log
 from gradcal_jax.cli.new import new
 from gradcal_jax.cli.optimise import optimise
-from gradcal_jax.cli.output import Flag, Json, Output, as_json
-from gradcal_jax.cli.predict import predict
+from gradcal_jax.cli.output import DONE, NOT_AS_WISHED, Flag, Json, Output, as_json, strong
+from gradcal_jax.cli.predict import limit, predict
 from gradcal_jax.cli.recordings import Recording
 from gradcal_jax.cli.report import report
 from gradcal_jax.cli.run import run
-from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
-from gradcal_jax.pages.plain_text import amount
+from gradcal_jax.display import amount
 from gradcal_jax.units import time_text
 
 RECORDING: Final = "tofupilot_imu_thermal_cycle.npz"

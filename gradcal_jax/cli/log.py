@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
-from gradcal_jax.cli.output import ForceOutput, Json, OptionalOutput, Output, RunPath, as_json, writable
+from gradcal_jax.cli.output import DONE, ForceOutput, Json, OptionalOutput, Output, RunPath, as_json, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, load, quantity
-from gradcal_jax.cli.status import DONE
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
@@ -52,8 +51,8 @@ def turns(
     recorded = load(log, source, unit=unit)
     use_float64()
     from gradcal_jax.api.log_rows import with_turns
+    from gradcal_jax.display import columns
     from gradcal_jax.files.log_file import write_log
-    from gradcal_jax.pages.plain_text import columns
 
     marked, matched = with_turns(recorded, angles, axis=axis or 0, unit=unit or 0)
     write_log(marked, output)

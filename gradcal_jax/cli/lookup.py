@@ -1,12 +1,17 @@
-"""`gradcal schema`: the keys of every file and contract, and the words that commands use."""
+"""`gradcal schema`: the keys of every file and contract, all commands, and the words that they use."""
 
-from typing import Annotated
+from typing import Annotated, Final
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import Flag, as_json
-from gradcal_jax.cli.status import DONE
-from gradcal_jax.pages.plain_text import columns
+from gradcal_jax.cli.output import DONE, Flag, as_json
+from gradcal_jax.display import columns
+
+_COMMANDS_END: Final = """\
+Exit statuses: 0 done; 1 done, with a result that is not as requested (a target is missed); 2 wrong input; 3 a device
+or a run failed; 130 interrupted; 141 the reader of the output closed it. An error is a sentence that names the key, its
+value and what was expected. Output is plain away from a terminal, or if `NO_COLOR` is set.
+"""
 
 
 def schema(
@@ -43,8 +48,6 @@ def schema(
     if name is None:
         raise ValueError(f"which one? Known: {', '.join(schemas.schema_names())}")
     if name == "commands" and markdown:
-        from gradcal_jax.cli.commands_page import commands_page
-
         print(commands_page(), end="")
         return DONE
     if markdown:
@@ -73,3 +76,15 @@ def _words(wanted: str) -> str:
     if not rows:
         raise ValueError(f'the glossary has no term with "{wanted}" in it; gradcal schema words lists all of them')
     return columns(rows, indent="")
+
+
+def commands_page() -> str:
+    """The reference page of all commands in Markdown, from their signatures and docstrings."""
+    # Imported where it is used: the application imports this module.
+    from gradcal_jax.cli.app import build
+
+    head = "# Commands\n\nMade by `gradcal schema commands --markdown`; all commands and options.\n\n"
+    page = build().generate_docs(heading_level=2, flatten_commands=True, usage_name="gradcal")
+    # (The usage of a module that is run says so, and a link to an option has all its hyphens.)
+    page = page.replace(" -m gradcal_jax ", " ").replace("(#gradcal-install-", "(#gradcal---install-")
+    return f"{head}{page}\n{_COMMANDS_END}"

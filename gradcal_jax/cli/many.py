@@ -7,20 +7,32 @@ from typing import TYPE_CHECKING, Any, Final
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.console import complain, strong
-from gradcal_jax.cli.output import Flag, Json, OptionalOutput, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.output import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    NOT_AS_WISHED,
+    Flag,
+    Json,
+    OptionalOutput,
+    Plot,
+    as_json,
+    complain,
+    drawable,
+    save_figure,
+    strong,
+    writable,
+)
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import Bars
-from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED, NOT_AS_WISHED
-from gradcal_jax.pages.plain_text import amount, columns
+from gradcal_jax.display import amount, columns
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     import xarray
 
     from gradcal_jax.files.sweep import Sweep
-    from gradcal_jax.jobs.cluster import Cluster
-    from gradcal_jax.jobs.pool import LocalPool
+    from gradcal_jax.jobs.pool import Cluster, LocalPool
     from gradcal_jax.jobs.sweep import SweepEstimate
 
 _VERDICTS = ("met", "missed", "unobservable")
@@ -52,7 +64,7 @@ class Workers:
     def runner(self) -> "LocalPool | Cluster":
         """Worker processes of this machine, with the compilation cache of the other commands, or of a cluster."""
         if self.scheduler is not None:
-            from gradcal_jax.jobs.cluster import Cluster
+            from gradcal_jax.jobs.pool import Cluster
 
             return Cluster(self.scheduler)
         from gradcal_jax.cache import cache_folder

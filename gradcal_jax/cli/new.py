@@ -1,4 +1,4 @@
-"""`gradcal new`: a commented spec or column map to start from."""
+"""`gradcal new` and `gradcal start`: a commented spec, rig file or column map to start from."""
 
 import sys
 from pathlib import Path
@@ -6,9 +6,8 @@ from typing import Annotated, Final
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import Force, writable
-from gradcal_jax.cli.status import DONE
-from gradcal_jax.pages.plain_text import columns
+from gradcal_jax.cli.output import DONE, Flag, Force, Output, writable
+from gradcal_jax.display import columns
 
 _COLUMN_MAP: Final = "column-map"
 _POINT_MAP: Final = "point-map"
@@ -74,3 +73,101 @@ def new(
     )
     print(f"wrote {output}; next: {following}")
     return DONE
+
+
+def start(*, output: Output, preset: str | None = None, force: Flag = False) -> int:
+    """Answer some questions, and get a spec with a plan, a rig file and a column map, each commented.
+
+    An empty line takes the answer in brackets; "<" goes back to the question before.
+
+    Parameters
+    ----------
+    output
+        The directory for spec.toml, rig.toml and columns.toml; it is made where there is none.
+    preset
+        Ask nothing, and take the answers for drone-imu, bmi088, tactical-imu, drone-gyro, tactical-gyro or no-encoder.
+    force
+        Overwrite existing files.
+    """
+    from gradcal_jax.files import begin, parse_spec
+    from gradcal_jax.files.writing import write_whole
+
+    if output.exists() and not output.is_dir():
+        raise ValueError(f"{output} is a file; name a directory")
+    answers = _asked() if preset is None else begin.preset(preset)
+    texts = begin.files_of(answers)
+    if "spec.toml" in texts:
+        parse_spec(texts["spec.toml"], str(output / "spec.toml"))
+    output.mkdir(parents=True, exist_ok=True)
+    for name in texts:
+        writable(output / name, force)
+    for name, text in texts.items():
+        write_whole(output / name, text)
+    print(f"wrote {', '.join(str(output / name) for name in texts)}")
+    typical = begin.typical_terms(answers)
+    if typical:
+        print("not asked, and so in spec.toml with a figure typical of the class and its source:")
+        print("\n".join(f"  {line}" for line in typical))
+    print("next, in this order:")
+    print("\n".join(f"  {line}" for line in _next(answers, str(output))))
+    return DONE
+
+
+def _next(answers: dict[str, str], folder: str) -> list[str]:
+    """The commands from here to the firmware's header."""
+    from gradcal_jax.files.begin import NO_ENCODER
+
+    if answers["table"] == "none":
+        return [
+            "lay the IMU in some twenty positions in all directions, five seconds each, and record it",
+            f'gradcal estimate RECORDING --columns {folder}/columns.toml --gravity "9.81 m/s^2" '
+            f'--temperature "23 degC" -o {folder}/calibration.toml',
+        ]
+    # A search makes turns of a motor, and a hand's are as they are.
+    as_it_is = " --steps 0" if answers["table"] == "hand" or answers["angle"] == NO_ENCODER else " --until-met"
+    own = f" --recording FILE --columns {folder}/columns.toml" if answers["stream"] == "own" else ""
+    return [
+        f"gradcal predict {folder}/spec.toml",
+        f"gradcal optimise {folder}/spec.toml{as_it_is} -o {folder}/recipe.toml",
+        f"gradcal run {folder}/recipe.toml --simulate -o {folder}/rehearsal",
+        f"gradcal rig check {folder}/rig.toml",
+        f"gradcal run {folder}/recipe.toml --rig {folder}/rig.toml -o {folder}/run",
+        f"gradcal log {folder}/run{own}",
+        f"gradcal estimate {folder}/run/log.nc --recipe {folder}/recipe.toml -o {folder}/run/calibration.toml",
+        f"gradcal report {folder}/run -o {folder}/report.html --before {folder}/spec.toml",
+        f"gradcal export {folder}/run/calibration.toml --format c-header -o {folder}/calibration.h",
+    ]
+
+
+def _asked() -> dict[str, str]:
+    """Read the answers, one a line; an empty line takes the default. On a terminal, a wrong answer is asked again."""
+    from gradcal_jax.files.begin import DEFAULTS, QUESTIONS, asked, understood
+
+    answers: dict[str, str] = dict(DEFAULTS)
+    done: list[int] = []
+    number = 0
+    while number < len(QUESTIONS):
+        question = QUESTIONS[number]
+        if not question.when(answers):
+            number += 1
+            continue
+        usual = answers.get(question.name, "")
+        print(f"{len(done) + 1}. {asked(question)}" + f" [{usual}] " * bool(usual), end=" " * (not usual), flush=True)
+        line = sys.stdin.readline()
+        if not line:
+            raise ValueError(f"the answers ended at question {len(done) + 1}: {asked(question)}")
+        answer = line.strip() or usual
+        if answer == "<":
+            number = done.pop() if done else 0
+            continue
+        try:
+            understood(question, answer)
+        except ValueError as error:
+            if not sys.stdin.isatty():
+                raise ValueError(f"{asked(question)} {answer!r}: {error}") from None
+            print(f"   {error}")
+            continue
+        answers[question.name] = answer
+        done.append(number)
+        number += 1
+    return answers

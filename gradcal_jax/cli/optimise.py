@@ -1,4 +1,5 @@
-"""`gradcal optimise`: minimise the predicted residual over plans within the limits of sensor, rig and time."""
+"""`gradcal optimise`: the plan of least residual within the limits of sensor, rig and time, for several times
+(`--motion`), for the rest of a run, or as it is (`--steps 0`), as a recipe."""
 
 import math
 import signal
@@ -6,23 +7,35 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.console import complain, strong
-from gradcal_jax.cli.frontier import durations, show_frontier
-from gradcal_jax.cli.output import Flag, Force, Json, Plot, as_json, drawable, save_figure, writable
+from gradcal_jax.cli.output import (
+    DONE,
+    INTERRUPTED,
+    NOT_AS_WISHED,
+    Flag,
+    Force,
+    Json,
+    Plot,
+    as_json,
+    complain,
+    drawable,
+    save_figure,
+    strong,
+    writable,
+)
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.cli.recipe import stability_of, write_recipe
-from gradcal_jax.cli.replan import plan_the_rest
-from gradcal_jax.cli.status import DONE, INTERRUPTED, NOT_AS_WISHED
-from gradcal_jax.pages.plain_text import amount, columns
+from gradcal_jax.display import amount, columns
+from gradcal_jax.units import parse, time_text
 
 if TYPE_CHECKING:
+    from gradcal_jax.api.frontier import FrontierPoint
     from gradcal_jax.api.search_results import Optimised, SearchStep
     from gradcal_jax.files.spec_sections import Spec
+    from gradcal_jax.files.tracks import Stability
 
 
 def optimise(
@@ -117,8 +130,6 @@ def optimise(
     if motion is not None:
         _refuse("with --motion", of_recipe | of_search | {"--quick": quick})
         times = durations(motion, 5 if points is None else points)
-        if output is not None:
-            output.mkdir(parents=True, exist_ok=True)
         use_float64()
         return show_frontier(specification, str(spec), times, output, steps, json=json, plot=plot)
     _refuse("without --motion", {"--points": points})
@@ -284,3 +295,162 @@ class _Interrupt:
         self.asked = True
         complain("stopping with the best so far; Ctrl-C again stops at once")
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quick: bool, json: bool) -> int:
+    """Search for the best plan of the rest of an interrupted run, and write it as a recipe. The part that was done by
+    the journal counts in every prediction. `time`, `pause`: options of the command."""
+    from gradcal_jax.files import write_toml
+    from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume, stretches_of
+
+    folder = RunFolder(run)
+    left_s, pause_s = None if time is None else parse(time, "time"), parse(pause, "time")
+    prepare_resume(folder)
+    recipe = folder.recipe()
+    done = stretches_of(folder)
+    use_float64()
+    from gradcal_jax import api
+    from gradcal_jax.api.replan import rest_of
+    from gradcal_jax.api.search_results import record_of
+
+    spans = [(part.start_s, part.end_s) for part in done]
+    rest = rest_of(recipe.spec, spans, left_s=left_s, pause_s=pause_s)
+    best, interrupted = search_and_watch(rest, quick=quick)
+    status = f"interrupted, the best so far: {best.sentence}" if interrupted else ""
+    code = INTERRUPTED if interrupted else DONE if best.converged else NOT_AS_WISHED
+    seconds = sum(end - begin for begin, end in spans)
+    remark = f"after {time_text(float(round(seconds)))} with data were done; its prediction counts them"
+    notes = (f"the rest of a run, {remark}",)
+    result = api.recipe(best, stability=recipe.stability, status=status, notes=notes)
+    write_toml(result, output, header="Made by gradcal optimise; `gradcal check` prints it as a table.")
+    if json:
+        print(as_json(record_of(best) | {"done": spans, "recipe": str(output)}))
+    else:
+        print(optimum_text(best))
+        print(f"wrote {output}, {remark}; go on with: gradcal run {output} --resume {run}")
+    return code
+
+
+_HEADER: Final = (
+    "Made by gradcal; `gradcal check` prints it as a table. To change the plan, change the spec and make it anew."
+)
+
+
+def stability_of(wishes: Mapping[str, tuple[str, str | None]]) -> "Stability":
+    """When a temperature counts as stable: for each key the kind of quantity, and its text or None."""
+    from gradcal_jax.files import Quantity
+    from gradcal_jax.files.tracks import Stability
+
+    given = {name: Quantity.read(text, kind) for name, (kind, text) in wishes.items() if text is not None}
+    return Stability.model_validate(given)
+
+
+def write_recipe(spec: "Spec", output: Path, stability: "Stability", *, keep_shapes: bool, json: bool) -> None:
+    """Write the recipe of a spec's own plan, or print it for the name "-"."""
+    from gradcal_jax import api
+    from gradcal_jax.files import to_toml
+
+    result = api.recipe(spec, stability=stability, keep_shapes=keep_shapes)
+    text = to_toml(result, header=_HEADER)
+    if str(output) == "-":
+        print(text, end="")
+        return
+    from gradcal_jax.files.writing import write_whole
+
+    write_whole(output, text)
+    if json:
+        rows = [row.model_dump() for row in result.prediction.requirements]
+        record = {"recipe": str(output), "fingerprint": result.fingerprint, "requirements": rows}
+        print(as_json(record | {"rounded": list(result.rounded), "notes": list(result.notes)}))
+        return
+    for note in result.notes:
+        print(f"note: {note}")
+    if result.rounded:
+        print(f"rounded {len(result.rounded)} keys of the plan to the controllers' steps; the recipe lists them")
+    print(f"wrote {output}; read it with: gradcal check {output}")
+
+
+def show_frontier(
+    spec: "Spec",
+    source: str,
+    times: list[float],
+    output: Path | None,
+    steps: int | None,
+    *,
+    json: bool,
+    plot: Path | None,
+) -> int:
+    """Search for a plan of each duration of the ramp (s), with a line of progress; print them, and the shortest plan
+    for each target. `output`: a folder for their recipes."""
+    from gradcal_jax import api
+    from gradcal_jax.api import frontier as room
+    from gradcal_jax.files import write_toml
+
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+    reached: list[FrontierPoint] = []
+
+    def show(motion: float, step: "SearchStep") -> None:
+        best = amount(step.best, step.unit)
+        line.show(f"{time_text(motion)}: {step.share:4.0%}  {best}", number=(motion, best))
+
+    with MovingLine(sys.stderr) as line:
+        for point in room.frontier(spec, times, steps=steps, watch=show):
+            reached.append(point)
+            if output is not None and point.plan is not None:
+                write_toml(api.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
+    targets = {
+        r.name: limit[1]
+        for r in spec.requirement
+        if (limit := api.limit_of(r)) is not None
+        and limit[0] == r.statistic
+        and spec.design
+        and r.name == spec.design.minimise
+    }
+    times_for = {name: room.shortest(reached, target) for name, target in targets.items()}
+    if json:
+        rows = [
+            {
+                "motion_s": p.motion,
+                "residual": None if p.plan is None else p.plan.now,
+                "unit": None if p.plan is None else p.plan.unit,
+                "converged": p.plan is not None and p.plan.converged,
+                "sentence": p.reason,
+            }
+            for p in reached
+        ]
+        print(as_json({"points": rows, "shortest_s": times_for}))
+    else:
+        print(strong(spec.title or source))
+        shown = [("ramp", "residual", "search")]
+        for p in reached:
+            residual = "none" if p.plan is None else amount(p.plan.now, p.plan.unit)
+            shown.append((time_text(p.motion), residual, p.reason))
+        print(columns(shown, indent=""))
+        for name, target in targets.items():
+            time = times_for[name]
+            result = "is not reached in these durations" if time is None else f"takes a ramp of about {time_text(time)}"
+            print(f"{name} at {target:.4g} {next((p.plan.unit for p in reached if p.plan), '')} {result}")
+    save_figure(lambda plots: plots.draw_frontier(reached, targets), plot, quiet=json)
+    return DONE if all(p.plan is not None and p.plan.converged for p in reached) else NOT_AS_WISHED
+
+
+def durations(text: str, points: int) -> list[float]:
+    """Durations in s of "50min..300min" or "60min,100min". Errors: `ValueError` that says what was expected."""
+    from gradcal_jax.files import Quantity
+
+    def one(part: str) -> float:
+        value = float(Quantity.read(part.strip(), "time"))
+        if value <= 0.0:
+            raise ValueError(f"--motion: {part.strip()!r} is no duration")
+        return value
+
+    if ".." in text:
+        ends = text.split("..")
+        if len(ends) != 2 or points < 2:
+            raise ValueError(f"--motion: expected a range such as 50min..300min with 2 points or more, got {text!r}")
+        low, high = one(ends[0]), one(ends[1])
+        if low >= high:
+            raise ValueError(f"--motion: {text!r} does not rise")
+        return [low * (high / low) ** (k / (points - 1)) for k in range(points)]
+    return sorted(one(part) for part in text.split(","))

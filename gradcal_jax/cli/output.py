@@ -1,6 +1,8 @@
-"""Options, JSON and checks of output files for all commands."""
+"""Options, exit statuses, printing, JSON and checks of output files for all commands."""
 
 import json
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -59,3 +61,32 @@ def save_figure(draw: "Callable[[Any], Figure]", plot: Path | None, *, quiet: bo
     plots.save(draw(plots), plot)
     if not quiet:
         print(f"wrote {plot}")
+
+
+DONE: Final = 0
+NOT_AS_WISHED: Final = 1
+"""Done, but a target is missed, a search has not converged, data contradict their model."""
+WRONG_INPUT: Final = 2
+FAILED: Final = 3
+"""A device or a run failed."""
+INTERRUPTED: Final = 130
+BROKEN_PIPE: Final = 141
+"""The reader closed the pipe before the end of the output (as a shell counts a SIGPIPE)."""
+
+
+def is_plain(stream: Any) -> bool:
+    """Whether a stream gets text without escape sequences."""
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return True
+    return not stream.isatty()
+
+
+def strong(text: str) -> str:
+    """Bold on a terminal."""
+    return text if is_plain(sys.stdout) else f"\x1b[1m{text}\x1b[0m"
+
+
+def complain(text: str) -> None:
+    """Print an error on stderr."""
+    mark = "gradcal: " if is_plain(sys.stderr) else "\x1b[1;31mgradcal:\x1b[0m "
+    print(mark + text, file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""`gradcal predict`: the residuals of plans, by requirement, side by side, and what they depend on."""
+"""`gradcal predict` and `gradcal limit`: the residuals of plans, what they depend on, and what no plan is below."""
 
 import math
 from pathlib import Path
@@ -6,22 +6,20 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.console import strong
-from gradcal_jax.cli.output import Flag, Json, Plot, as_json, drawable, save_figure
+from gradcal_jax.cli.output import DONE, NOT_AS_WISHED, Flag, Json, Plot, as_json, drawable, save_figure, strong
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.status import DONE, NOT_AS_WISHED
+from gradcal_jax.display import amount, columns
 from gradcal_jax.pages.numbers import percent
-from gradcal_jax.pages.plain_text import amount, columns, times_text
-from gradcal_jax.units import time_text
-
-# Smaller changes, in per cent, are not shown.
-_NOTHING = 5e-4
+from gradcal_jax.units import time_text, times_text
 
 if TYPE_CHECKING:
     from gradcal_jax.api.prediction import TwinRow
     from gradcal_jax.files import Prediction
     from gradcal_jax.files.contracts import RequirementRow
     from gradcal_jax.files.spec_sections import Spec
+
+# Smaller changes, in per cent, are not shown.
+_NOTHING = 5e-4
 
 
 def predict(
@@ -150,8 +148,7 @@ def _fixture(prediction: "Prediction") -> list[str]:
 
 def prediction_text(prediction: "Prediction", name: str) -> str:
     """A prediction as text: ppm, deg/h, hours."""
-    from gradcal_jax.files.contracts import notice_sentences
-    from gradcal_jax.files.requirement_table import requirement_table
+    from gradcal_jax.files.contracts import notice_sentences, requirement_table
     from gradcal_jax.pages.coefficients import coefficient_table, parameters
 
     times = times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s)
@@ -280,3 +277,49 @@ def _simulated(rows, tests, runs: int, seed: int) -> str:
             f"likelihood ratio {test.statistic:.1f}, 99.9 % range {test.low:.1f} to {test.high:.1f}"
         )
     return "\n".join(lines)
+
+
+def limit(spec: Path, /, *, json: Json = False) -> int:
+    """Prove a lower limit on the residual of any plan on this rig in this time, and print the plan's efficiency.
+
+    The proof leaves out some limits of the rig, and lists them, so a real plan may not reach the limit; no plan lies
+    below it. An efficiency of 67 % means that no plan leaves less than 0.67 of what this one does.
+
+    Parameters
+    ----------
+    spec
+        The spec file, or a recipe. Its [design] says what a better plan might change; of a whole unit, the limit is for
+        every plan that takes as long at the same temperatures.
+    json
+        Print the limits for other programs.
+    """
+    from gradcal_jax.files.recipe import spec_in
+
+    specification = spec_in(spec)
+    use_float64()
+    from gradcal_jax.api.flow import limit as limit_of
+
+    rows = limit_of(specification)
+    if json:
+        print(as_json([row._asdict() for row in rows]))
+        return DONE
+    table = [("requirement", "no plan leaves less than", "relaxed problem reaches", "this plan leaves", "efficiency")]
+    for row in rows:
+        share = "" if row.efficiency is None else f"{row.efficiency:.0%}"
+        bounds = amount(row.certified, row.unit), amount(row.reached, row.unit)
+        table.append((f"{row.name} ({row.statistic})", *bounds, amount(row.value, row.unit), share))
+    print(strong(specification.title or str(spec)))
+    print(columns(table, indent=""))
+    for row in rows:
+        if row.judged is not None and row.judged != row.value:
+            print(
+                f"{row.name}: with what the file leaves out, at typical figures, no plan leaves less than "
+                f"{amount(row.counted, row.unit)}, and this one leaves {amount(row.judged, row.unit)}"
+            )
+    for kept in dict.fromkeys(row.kept for row in rows if row.kept):
+        print("of plans that keep: " + "; ".join(kept))
+    for relaxed in dict.fromkeys(row.relaxed for row in rows):
+        names = ", ".join(row.name for row in rows if row.relaxed == relaxed)
+        of = "" if all(row.relaxed == relaxed for row in rows) else f" for {names}"
+        print(f"the proof{of} relaxes: " + "; ".join(relaxed))
+    return DONE

@@ -5,7 +5,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any, Final
 
-from gradcal_jax.cli.console import is_plain
+from gradcal_jax.cli.output import is_plain
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
-from gradcal_jax.pages.plain_text import columns
+from gradcal_jax.display import columns
 
 if TYPE_CHECKING:
     from gradcal_jax.files.log import Log

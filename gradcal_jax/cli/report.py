@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import Flag, Force, Json, Output, as_json, writable
+from gradcal_jax.cli.output import DONE, Flag, Force, Json, Output, as_json, writable
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.status import DONE
 from gradcal_jax.cli.user_config import read_user_config
 
 if TYPE_CHECKING:
@@ -85,7 +84,7 @@ def report(
         if certificate:
             tables.append(_certificate(documents, page, xml, rig, words))
         else:
-            from gradcal_jax.pages.report import write_page
+            from gradcal_jax.pages.page import write_page
             from gradcal_jax.pages.report_data import as_tables
 
             tables.append(as_tables(write_page(documents, page, panel=panel)))

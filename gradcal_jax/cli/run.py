@@ -9,10 +9,8 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from gradcal_jax.cli.console import complain
-from gradcal_jax.cli.output import Flag, Json, OptionalOutput, as_json
+from gradcal_jax.cli.output import DONE, FAILED, INTERRUPTED, Flag, Json, OptionalOutput, as_json, complain
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.cli.status import DONE, FAILED, INTERRUPTED
 from gradcal_jax.cli.user_config import rig_or_own
 from gradcal_jax.units import parse, time_text
 

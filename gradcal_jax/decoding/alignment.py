@@ -64,9 +64,6 @@ class Alignment:
     def host_time_s(self, recorded_s: Floats) -> Floats:
         return self.offset_s + self.rate * (recorded_s - self.middle_s)
 
-    def recorded_s(self, host_s: Floats) -> Floats:
-        return self.middle_s + (host_s - self.offset_s) / self.rate
-
 
 @dataclass(frozen=True)
 class AngleTrack:

@@ -91,7 +91,7 @@ def absent_lever_arm(spec: Spec) -> AbsentTerm | None:
 def _fourth_power_of_rates(spec: Spec) -> float:
     """The integral of the fourth power of the plan's rates over time, (rad/s)⁴s, with the mean rate of each turn."""
     if isinstance(schedule := spec.schedule, StandardSchedule):
-        return sum(point.rate**4 * point.integration for point in schedule.points)
+        return len(schedule.temperatures) * schedule.integration * sum(rate**4 for rate in schedule.rates)
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     turns = [s.move for s in schedule.every_step if not s.move.is_rest and s.move.duration]
     return cycles * sum(abs(move.angle) ** 4 / move.duration**3 for move in turns)

@@ -310,7 +310,7 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
                     steps.append(PlanStep(k, quickest_turn(float(goal) - here[k], axis, item.peak_rate), i))
                     here[k] = float(goal)
             if item.rest is not None:
-                steps.append(rest_step(float(item.rest), i))
+                steps.append(PlanStep(-1, ResolvedMove("rest", float(item.rest)), i))
             continue
         if isinstance(item, AxisMove):
             problems += _unread(item, rig, key)
@@ -372,11 +372,6 @@ def _unclosed(ends: Sequence[float], start: Sequence[float], axes: Iterable[str]
         for name, begin, end in zip(axes, start, ends, strict=True)
         if abs((end - begin) / FULL_TURN - round((end - begin) / FULL_TURN)) > 1e-6
     ]
-
-
-def rest_step(duration: float, source: int) -> PlanStep:
-    """A rest of `duration` s."""
-    return PlanStep(-1, ResolvedMove("rest", duration), source)
 
 
 def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None) -> ResolvedMove:

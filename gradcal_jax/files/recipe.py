@@ -1,8 +1,8 @@
 """gradcal-recipe/1: an executable plan. Tracks of chamber and table, the predicted residual, the spec.
 
 The tracks follow from the spec inside, whose plan is rounded to the controllers' steps; a file in which they do not was
-changed by hand, and is refused. Nothing here imports JAX: `gradcal_jax.api.recipe` builds a recipe, and this package
-has all that a runner needs of it.
+changed by hand, and is refused. Nothing here imports JAX: `gradcal_jax.api.prediction` builds a recipe, and this
+package has all that a runner needs of it.
 """
 
 import contextlib
@@ -18,12 +18,19 @@ from gradcal_jax import units
 from gradcal_jax.display import html, whole_text
 from gradcal_jax.files.axis_as_imu import is_of_axis
 from gradcal_jax.files.changes import differences, tables_of
-from gradcal_jax.files.contracts import NoticeRow, ParameterRow, PlaceRow, Prediction, RequirementRow, Size
+from gradcal_jax.files.contracts import (
+    NoticeRow,
+    ParameterRow,
+    PlaceRow,
+    Prediction,
+    RequirementRow,
+    Size,
+    narrow_table,
+)
 from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.files.mission import missions_from
 from gradcal_jax.files.problems import Problem, SpecError
 from gradcal_jax.files.quantity import Text, Whole
-from gradcal_jax.files.requirement_table import narrow_table
 from gradcal_jax.files.rounding import ControllerSteps
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.spec import spec_of

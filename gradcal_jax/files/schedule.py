@@ -71,20 +71,9 @@ class CourseTimes:
 
 
 @dataclass(frozen=True)
-class Point:
-    """One point of the standard method: `integration` seconds at `temperature` (°C) and `rate` (rad/s)."""
-
-    start: float
-    temperature: float
-    rate: float
-    integration: float
-
-
-@dataclass(frozen=True)
 class StandardSchedule:
     """A standard plan in SI; each temperature begins with `soak` seconds of waiting."""
 
-    points: tuple[Point, ...]
     soak_each: float
     temperatures: tuple[float, ...]
     rates: tuple[float, ...]
@@ -104,26 +93,19 @@ class StandardSchedule:
     @property
     def motion(self) -> float:
         """All integrations together (s)."""
-        return self.integration * len(self.points)
+        return self.integration * self.readings
 
     @property
     def readings(self) -> int:
         """One mean rate for each point."""
-        return len(self.points)
+        return len(self.temperatures) * len(self.rates)
 
 
 def standard_schedule(plan: StandardPlan) -> StandardSchedule:
     """The points in order: temperatures outside, rates inside; a single rate of zero where the plan has none."""
     rates = (0.0,) if plan.rates is None else tuple(float(rate) for rate in plan.rates)
-    points: list[Point] = []
-    clock = 0.0
-    for temperature in plan.temperatures:
-        clock += plan.soak
-        for rate in rates:
-            points.append(Point(clock, float(temperature), rate, float(plan.integration)))
-            clock += plan.integration
     temperatures = tuple(float(temperature) for temperature in plan.temperatures)
-    return StandardSchedule(tuple(points), float(plan.soak), temperatures, rates, float(plan.integration), plan.points)
+    return StandardSchedule(float(plan.soak), temperatures, rates, float(plan.integration), plan.points)
 
 
 def programme_of(

@@ -1,6 +1,12 @@
-"""`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or a unit."""
+"""`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or a unit.
 
-from collections.abc import Iterable, Iterator, Mapping
+**`[[sensor.gyro.bias.shape]]`** and the like are the prior of a map by functions that the IMUs of a type have in
+common. With coefficients `s_j` of shape j, the coefficients of the map have the covariance `Σ s_j s_jᵀ` about zero: a
+mean map is one shape, what the type varies in are others, and what may be beyond them are as many as there are
+coefficients.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -8,10 +14,52 @@ from pydantic import BeforeValidator, Field, model_validator
 from gradcal_jax.files import quantity as q
 from gradcal_jax.files import temperature_path as path_terms
 from gradcal_jax.files.bases import Degree, RateBasis, TemperatureBasis
-from gradcal_jax.files.prior_shapes import BiasShape, ScaleFactorShape, SpecificForceShape, shape_problems
 from gradcal_jax.files.problems import Problem
+from gradcal_jax.files.quantity import Of, Quantity, Rate
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.uncertain import UncertainSection, figures_of
+
+
+class BiasShape(Section):
+    """A function of which every IMU of a type has another multiple, of mean 0 and variance 1."""
+
+    axis: Literal["x", "y", "z"] | None = None
+    """Of which channel; absent: of all."""
+    coefficients: Annotated[tuple[Rate, ...], Field(min_length=1, max_length=40_000)]
+    """Its coefficients, in the order of a calibration file."""
+
+
+class ScaleFactorShape(BiasShape):
+    """The same table, for the scale factor."""
+
+    coefficients: Annotated[tuple[Annotated[Quantity, Of("scale factor")], ...], Field(min_length=1, max_length=40_000)]
+
+
+class SpecificForceShape(BiasShape):
+    """The same table, for an accelerometer."""
+
+    coefficients: Annotated[tuple[Annotated[Quantity, Of("acceleration")], ...], Field(min_length=1, max_length=40_000)]
+
+
+def shape_problems(shapes: Sequence[BiasShape], size: int, prior: Quantity | None) -> Iterator[Problem]:
+    """What is wrong with the shapes of a map with `size` coefficients."""
+    if not shapes:
+        return
+    if prior is not None:
+        yield Problem(("shape",), 'is a prior, like "prior"; leave one of them out')
+    for k, shape in enumerate(shapes):
+        if len(shape.coefficients) != size:
+            message = f"expected {size}, as many as the bases have functions"
+            yield Problem(("shape", k, "coefficients"), message, len(shape.coefficients))
+            return
+    import numpy as np
+
+    for axis in ("x", "y", "z"):
+        rows = np.array([shape.coefficients for shape in shapes if shape.axis in (None, axis)], dtype=float)
+        largest = np.max(np.abs(rows), axis=0, initial=0.0)
+        if len(rows) and np.linalg.matrix_rank(rows / np.where(largest > 0.0, largest, 1.0)) < size:
+            message = f"those of {axis} do not span all {size} coefficients; add what the map may have beyond them"
+            yield Problem(("shape",), message)
 
 
 class _Process(UncertainSection):

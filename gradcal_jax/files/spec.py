@@ -24,12 +24,6 @@ def expect_spec(value: object) -> Spec:
     raise TypeError(f"expected a spec as gj.read_spec or gj.parse_spec give it, not {type(value).__name__}")
 
 
-def expect_whole(spec: Spec, what: str) -> None:
-    """Errors: `ValueError` where a plan continues an executed part, which `what` does not support."""
-    if expect_spec(spec).done:
-        raise goes_on(what)
-
-
 def goes_on(what: str) -> ValueError:
     """The message where a plan continues an executed part, which `what` does not support."""
     return ValueError(f"{what} needs a plan that starts a run; this spec continues an interrupted one ([[done]])")

@@ -31,14 +31,15 @@ from gradcal_jax.information.noticing import (
     quantiles,
     where_hidden,
 )
-from gradcal_jax.information.observability import unobservable_combinations
 from gradcal_jax.information.posterior import (
     Posterior,
     SquareRootInformation,
+    at_readings,
     information,
     posterior,
+    since_origin,
     square_root,
+    unobservable_combinations,
 )
-from gradcal_jax.information.regressors import at_readings, since_origin
 from gradcal_jax.information.residual import STATISTICS, contrasts, residual, statistic
 from gradcal_jax.information.whitening import FilterState, whiten, whiten_from

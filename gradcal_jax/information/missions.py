@@ -6,8 +6,8 @@ A calibration reduces the rate error `B(T) + M(T, ω)·ω` to `ψᵀ(β − β̂
 
 one linear functional of the maps, computed by the same columns as the plan's readings (`SensorModel.columns`), with
 those of a discrepancy (`residual.Contrasts`). A calibration does not remove noise: the angle random walk N√t and, for
-every process x that drives the angle at the rate g(t)·x (`model.noise`), the variance of `∫ g x dt` over a mission that
-begins with the process in its stationary state.
+every process x that drives the angle at the rate g(t)·x (`model.sensor`), the variance of `∫ g x dt` over a mission
+that begins with the process in its stationary state.
 """
 
 from collections.abc import Sequence

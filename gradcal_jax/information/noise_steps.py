@@ -48,7 +48,7 @@ def noise_states(line: Trajectory, model: SensorModel) -> int:
 
 
 def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> NoiseSteps:
-    """Steps of the noise alone, the parameters kept out of the state. `rule`: as of `regressors.at_readings`.
+    """Steps of the noise alone, the parameters kept out of the state. `rule`: as of `posterior.at_readings`.
 
     The first reading is the angle's origin: its white noise and the offset of its standstill are the initial error of
     the angle state, an exact treatment of an unknown initial angle. A new origin is read at the end of a gap. With a

@@ -7,6 +7,10 @@ triangular factor is taken, so that nothing depends on the units of the paramete
 
 The design differentiates `SquareRootInformation`; results are reported from `Posterior`, in which the unobservable
 combinations are separate.
+
+**Regressors** are the derivatives of the integrated error at a reading with respect to each parameter. The terms of the
+model give their increments over every piece (`model.terms`). A reading of an angle sums all pieces since its origin;
+one of a held rate has that of its own piece.
 """
 
 from typing import NamedTuple
@@ -15,15 +19,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from gradcal_jax.arrays import AnyArray, fixed, namespace
+from gradcal_jax.arrays import AnyArray, fixed, namespace, running_sum
 from gradcal_jax.display import summary
 from gradcal_jax.information.adjoint import whitened_factor
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
-from gradcal_jax.information.regressors import at_readings
 from gradcal_jax.information.whitening import SINGLE_PRECISION, whiten
 from gradcal_jax.linalg import column_norms, solve_transposed, triangular_factor
-from gradcal_jax.model import SensorModel
-from gradcal_jax.trajectory import Rule, Trajectory
+from gradcal_jax.model import ImuModel, SensorModel
+from gradcal_jax.trajectory import Rule, Trajectory, gauss_nodes
 
 # Singular values of unit-length columns below this share of the largest are rounding, not information.
 OBSERVABLE = 1e-11
@@ -165,3 +168,64 @@ def noise_of_sums(steps: NoiseSteps, weights: Float[np.ndarray, "N m"]) -> Float
         total = total + response.T @ np.asarray(steps.covariance[k]) @ response
         response = np.asarray(steps.transition[k]).T @ response
     return total + response.T @ np.asarray(steps.initial) @ response
+
+
+def at_readings(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> Float[AnyArray, "P p"]:
+    """Regressors of the reading at the end of each piece, rad for each parameter's unit.
+
+    `rule`: integration rule of the terms, for a traced trajectory. Errors: `ValueError` for an encoder's error by
+    angle where no angle is read.
+    """
+    if line.rates and model.harmonics is not None:
+        raise ValueError("the encoder's error by angle has no meaning for the standard method: leave the harmonics out")
+    increments = model.columns(gauss_nodes(line, model, rule))
+    return increments if line.rates else since_origin(increments, line.gap, line.has_gaps)
+
+
+def since_origin(
+    increments: Float[AnyArray, " P *c"], gap: AnyArray, has_gaps: bool = True
+) -> Float[AnyArray, " P *c"]:
+    """Running sums over pieces, from the end of the latest gap."""
+    xp = namespace(increments)
+    rows = running_sum(increments)
+    if not has_gaps:
+        return rows
+    latest = xp.maximum.accumulate(xp.where(gap, np.arange(len(rows)), -1))
+    origin = rows[xp.maximum(latest, 0)]
+    return rows - xp.where(xp.reshape(latest, (-1,) + (1,) * (rows.ndim - 1)) >= 0, origin, 0.0)
+
+
+def unobservable_combinations(known: Posterior, model: SensorModel | ImuModel) -> list[str]:
+    """Each unobservable combination of reported parameters as text: "a0 - 0.5·a2"."""
+    if not known.hidden.shape[1]:
+        return []
+    return [_as_text(row, model.names()) for row in _echelon((model.to_reported @ known.hidden).T)]
+
+
+def _echelon(rows: np.ndarray) -> np.ndarray:
+    """Reduced row-echelon form with pivots on the largest entry, for the shortest combinations."""
+    rows = rows / np.max(np.abs(rows), axis=1, keepdims=True)
+    done: list[int] = []
+    for k in range(len(rows)):
+        free = np.array([j for j in range(rows.shape[1]) if j not in done])
+        i, j = np.unravel_index(np.argmax(np.abs(rows[k:][:, free])), (len(rows) - k, len(free)))
+        rows[[k, k + i]] = rows[[k + i, k]]
+        pivot = int(free[j])
+        rows[k] = rows[k] / rows[k, pivot]
+        for other in range(len(rows)):
+            if other != k:
+                rows[other] = rows[other] - rows[other, pivot] * rows[k]
+        done.append(pivot)
+    return rows[np.argsort(done)]
+
+
+def _as_text(row: np.ndarray, names: list[str]) -> str:
+    row = row / np.max(np.abs(row))
+    terms = [(value, name) for value, name in zip(row, names, strict=True) if abs(value) > 1e-6]
+    if len(terms) == 1:
+        return terms[0][1]
+    text = " ".join(
+        f"{'-' if value < 0 else '+'} " + (name if abs(abs(value) - 1) < 1e-6 else f"{abs(value):.3g}·{name}")
+        for value, name in terms
+    )
+    return text.removeprefix("+ ")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from gradcal_jax.api.recipe import recipe
+from gradcal_jax.api.prediction import recipe
 from gradcal_jax.files import parse_spec, to_toml
 from gradcal_jax.files.writing import write_whole
 

@@ -19,16 +19,6 @@ from gradcal_jax.model.nodes import (
     Nodes,
     OtherTemperature,
 )
-from gradcal_jax.model.noise import (
-    Processes,
-    Reference,
-    angle_reference,
-    constant,
-    gauss_markov,
-    no_processes,
-    rate_random_walk,
-)
-from gradcal_jax.model.own import OwnTerm, constant_function, own_term
 from gradcal_jax.model.path import (
     GradientOfScale,
     HalfDifference,
@@ -37,7 +27,17 @@ from gradcal_jax.model.path import (
     TemperatureDifference,
     TurnOnTransient,
 )
-from gradcal_jax.model.sensor import SensorModel, gyro_model
+from gradcal_jax.model.sensor import (
+    Processes,
+    Reference,
+    SensorModel,
+    angle_reference,
+    constant,
+    gauss_markov,
+    gyro_model,
+    no_processes,
+    rate_random_walk,
+)
 from gradcal_jax.model.terms import (
     BIAS,
     DISCREPANCY,
@@ -48,8 +48,11 @@ from gradcal_jax.model.terms import (
     EncoderHarmonics,
     GradientOfBias,
     Map,
+    OwnTerm,
     RotationSensitivity,
     SignalMap,
     Term,
+    constant_function,
     make_map,
+    own_term,
 )

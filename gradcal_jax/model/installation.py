@@ -1,6 +1,6 @@
 """Installation terms: small errors of table, mounting, site and clock, common to all channels of the unit.
 
-Each is a small rotation p (body components) inserted at a stage of the table (`trajectory.geometry`), which adds
+Each is a small rotation p (body components) inserted at a stage of the table (`trajectory.table_motion`), which adds
 `ω_outer × p + ṗ` to the rate and `f × p` to the specific force, or a common scale. Their columns are shared by all
 channels: `(K, 6, size)`, three gyros and three accelerometers along the body's axes.
 """

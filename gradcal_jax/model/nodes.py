@@ -155,9 +155,9 @@ class BodyGroup(PytreeModule):
     `kinds`: numbers of the kinds; `pieces`, `kind`, `temperature`, `share`: see `SharedNodes`. `weight` s; `rate` rad/s
     and `force` m/s² in body components, the Earth's rate and gravity in them; `earth` rad/s and `up`, the Earth's rate
     and the vertical; `attitude`: body to East-North-Up. `axes`: the axes' directions; `crosses`: see
-    `trajectory.geometry`; `outer`: the rate of the stage outside each axis; `joint`: rate (rad/s) and `angle` (rad) of
-    each axis. `felt`: the force where the gyros are, off the axes, m/s²; None: as `force`. `time`, `slope`, `others`:
-    see `SharedNodes`.
+    `trajectory.table_motion`; `outer`: the rate of the stage outside each axis; `joint`: rate (rad/s) and `angle` (rad)
+    of each axis. `felt`: the force where the gyros are, off the axes, m/s²; None: as `force`. `time`, `slope`,
+    `others`: see `SharedNodes`.
     """
 
     kinds: Int[np.ndarray, " U"]

@@ -55,13 +55,6 @@ class PathTerm(Term):
         """The functions of the path at the points of every group."""
 
     @property
-    def size(self) -> int:
-        return 1
-
-    def names(self) -> list[str]:
-        return [self.name]
-
-    @property
     def nuisances(self) -> list[str]:
         """Names of parameters that describe the recording and not the sensor."""
         return []
@@ -196,9 +189,6 @@ class HalfDifference(PathTerm):
     @property
     def size(self) -> int:
         return self.temperature.size
-
-    def names(self) -> list[str]:
-        return [f"{self.name}{k}" for k in range(self.size)]
 
     def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m q"]]:
         result, knots = [], self.temperature.knots

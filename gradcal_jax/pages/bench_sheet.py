@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+from gradcal_jax.display import amount, columns
 from gradcal_jax.files.bench_tables import (
     CHAMBER_HEAD,
     MOVES_HEAD,
@@ -12,7 +13,6 @@ from gradcal_jax.files.bench_tables import (
     move_rows,
 )
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.pages.plain_text import amount, columns
 
 
 def show(recipe: Recipe, *, heading: Callable[[str], str] = str) -> str:

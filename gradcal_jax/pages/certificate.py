@@ -8,7 +8,6 @@ claims no accreditation; unknown entries are "not stated".
 import re
 from collections.abc import Iterator, Sequence
 from datetime import UTC, date, datetime
-from importlib import resources
 from math import sqrt
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -26,9 +25,9 @@ from gradcal_jax.files.rig import Laboratory, RigFile
 from gradcal_jax.files.writing import write_whole
 from gradcal_jax.information.conformity import specific_risk
 from gradcal_jax.pages.numbers import figures, one_sign, percent
-from gradcal_jax.pages.provenance import stated_figures
 from gradcal_jax.pages.requirements import SUMMED
-from gradcal_jax.pages.sources import Sources
+from gradcal_jax.pages.sources import Sources, stated_figures
+from gradcal_jax.pages.templates import page_file, page_templates
 
 NOT_STATED: Final = "not stated"
 _COVERAGE: Final = 2.0
@@ -312,11 +311,6 @@ def _shown(value: float | None, digits: int = 4, unit: str = "") -> str:
 
 def write_certificate(certificate: Certificate, output: str | Path) -> None:
     """The two parts as one HTML file. Errors: `OSError` where it cannot be written."""
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"figures": _shown, "percent": percent}
-    room = resources.files(__name__.rsplit(".", 1)[0])
-    template = environment.from_string((room / "certificate.html").read_text(encoding="utf-8"))
-    css = (room / "style.css").read_text(encoding="utf-8")
-    write_whole(output, one_sign(template.render(c=certificate, css=css, program=f"gradcal {gradcal_jax.__version__}")))
+    template = page_templates(figures=_shown, percent=percent).get_template("certificate.html")
+    program = f"gradcal {gradcal_jax.__version__}"
+    write_whole(output, one_sign(template.render(c=certificate, css=page_file("style.css"), program=program)))

@@ -30,14 +30,14 @@ from gradcal_jax.plots.calibration_maps import (
     panels_of,
 )
 from gradcal_jax.plots.residual import LOGARITHMIC, tick_text
-from gradcal_jax.plots.style import style_of
-from gradcal_jax.plots.tracks import (
+from gradcal_jax.plots.spec import (
     draw_against_time,
     draw_planned_temperature,
     planned_cycle,
     planned_rate,
     turned_axes,
 )
+from gradcal_jax.plots.style import style_of
 
 # Inches. A column is about 370 px wide on a telephone and 500 px on a desk: text of 10 points stays legible on both.
 _WIDE, _HIGH, _LOW = 5.2, 3.7, 2.9

@@ -11,10 +11,9 @@ import numpy as np
 from gradcal_jax.api.estimate import EstimateReport
 from gradcal_jax.files.bench_tables import CHAMBER_HEAD, chamber_rows
 from gradcal_jax.files.calibration import Calibration
-from gradcal_jax.files.contracts import Prediction, notice_sentences
+from gradcal_jax.files.contracts import Prediction, notice_sentences, requirement_table
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.requirement_table import requirement_table
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.pages.coefficients import coefficient_table, estimated_coefficients, parameters

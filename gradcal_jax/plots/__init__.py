@@ -3,15 +3,26 @@ never call `show`; `docs/gallery.md` shows each. Some draw figures of several pa
 
 from gradcal_jax.plots import calibration
 from gradcal_jax.plots.calibration import draw_gravity_left, draw_loop, draw_residuals_over_time, draw_turns_left
-from gradcal_jax.plots.calibration_maps import draw_calibrated_scale_factor, draw_calibrated_term
-from gradcal_jax.plots.design import draw_frontier, draw_sensitivities
+from gradcal_jax.plots.calibration_maps import (
+    draw_calibrated_scale_factor,
+    draw_calibrated_term,
+    draw_lot,
+    draw_lot_map,
+)
 from gradcal_jax.plots.identification import draw_allan, draw_boundary, draw_drift
-from gradcal_jax.plots.lot import draw_lot, draw_lot_map
 from gradcal_jax.plots.residual import draw_curves, draw_map, draw_over_temperature, draw_worst_over_temperature
-from gradcal_jax.plots.spec import draw_comparison, draw_heading, draw_poses, draw_prediction, draw_requirement
+from gradcal_jax.plots.spec import (
+    draw_comparison,
+    draw_heading,
+    draw_planned_rate,
+    draw_planned_temperature,
+    draw_poses,
+    draw_prediction,
+    draw_requirement,
+    draw_temperature,
+)
 from gradcal_jax.plots.style import save, style_of
-from gradcal_jax.plots.sweep import draw_sweep
-from gradcal_jax.plots.tracks import draw_planned_rate, draw_planned_temperature, draw_temperature
+from gradcal_jax.plots.sweep import draw_frontier, draw_sensitivities, draw_sweep
 
 __all__ = [
     "draw_allan",

@@ -1,18 +1,20 @@
 """From moves and temperature programmes to a schedule, its trajectory, and the nodes on which a model is integrated."""
 
 from gradcal_jax.trajectory.gauss import Rule, gauss_nodes, rule_of
-from gradcal_jax.trajectory.geometry import EARTH_RATE, Geometry, frames, rotation
 from gradcal_jax.trajectory.motion import Move, rest, turn
-from gradcal_jax.trajectory.parts import TablePart
 from gradcal_jax.trajectory.programme import Programme, programme
 from gradcal_jax.trajectory.schedule import Schedule, gradient_plan, standard_plan
 from gradcal_jax.trajectory.table_motion import (
+    EARTH_RATE,
+    Geometry,
     TableMotion,
     body_group,
     body_nodes,
     divided_motion,
+    frames,
     lagrange,
     motion_divided_by_plays,
+    rotation,
     table_motion,
 )
-from gradcal_jax.trajectory.trajectory import Past, Trajectory, held, quadrature
+from gradcal_jax.trajectory.trajectory import Past, TablePart, Trajectory, held, quadrature

@@ -182,7 +182,7 @@ def test_a_recipe_and_a_sweep_stand_alone(tmp_path, monkeypatch):
 
 def test_pictures_and_the_page_show_missions(tmp_path):
     from gradcal_jax.files import write_toml
-    from gradcal_jax.pages.report import report
+    from gradcal_jax.pages.page import report
     from gradcal_jax.plots import draw_comparison, draw_prediction
 
     spec = with_requirements(heading(hover(), target="2 deg"), heading(hover(), spin(), name="two"), NORTH)

@@ -18,8 +18,7 @@ from gradcal_jax.cli import main
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.log_file import write_log
 from gradcal_jax.files.vehicle import read_vehicle_log
-from gradcal_jax.identify.markov import fit_markov, markov_covariance
-from gradcal_jax.identify.record_length import coefficient_errors, drift_errors, shortest_record
+from gradcal_jax.identify.markov import coefficient_errors, drift_errors, fit_markov, markov_covariance, shortest_record
 from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "files"))

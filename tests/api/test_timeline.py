@@ -6,8 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from gradcal_jax.api.prediction import predict
-from gradcal_jax.api.recipe import recipe
+from gradcal_jax.api.prediction import predict, recipe
 from gradcal_jax.api.timeline import timeline
 from gradcal_jax.files import presets, spec_of
 from gradcal_jax.files.motion_plan import row_count

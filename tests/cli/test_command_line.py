@@ -11,8 +11,8 @@ import pytest
 
 from gradcal_jax.cli import main
 from gradcal_jax.cli.progress import MovingLine
+from gradcal_jax.display import columns
 from gradcal_jax.files import presets
-from gradcal_jax.pages.plain_text import columns
 from gradcal_jax.units import time_text
 
 GRADCAL = [sys.executable, "-c", "import sys; from gradcal_jax.cli import main; sys.exit(main())"]

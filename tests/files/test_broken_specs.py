@@ -7,7 +7,7 @@ import pytest
 from gradcal_jax import files
 from gradcal_jax.cli import main
 from gradcal_jax.files import SpecError
-from gradcal_jax.files.lines import lines_of
+from gradcal_jax.files.document import lines_of
 
 BROKEN = sorted((Path(__file__).parent / "broken").glob("*.toml"))
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import gradcal_jax as gj
-from gradcal_jax.files.lines import lines_of
+from gradcal_jax.files.document import lines_of
 
 FILES = [
     *Path(gj.files.presets.__file__).parent.glob("*.toml"),

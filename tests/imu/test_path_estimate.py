@@ -14,7 +14,7 @@ import gradcal_jax as gj
 from gradcal_jax.api.estimate import EstimateReport, SensorEstimate, estimate_rows, estimate_sensors
 from gradcal_jax.api.instability import at_rest, temperature_ranges
 from gradcal_jax.cli import main
-from gradcal_jax.cli.estimated import text_of_estimate
+from gradcal_jax.cli.estimate import text_of_estimate
 from gradcal_jax.files.calibration import read_calibration, write_calibration
 from gradcal_jax.files.calibration.correction import apply, temperature_slope
 from gradcal_jax.files.calibration.exports import export

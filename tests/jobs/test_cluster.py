@@ -7,8 +7,7 @@ import pytest
 from jobs_small import written
 
 from gradcal_jax.files.sweep import read_sweep
-from gradcal_jax.jobs.cluster import Cluster
-from gradcal_jax.jobs.pool import LocalPool
+from gradcal_jax.jobs.pool import Cluster, LocalPool
 from gradcal_jax.jobs.sweep import CHUNK, sweep
 
 distributed = pytest.importorskip("distributed", reason="the cluster's tests need the extra: gradcal_jax[cluster]")

@@ -21,8 +21,8 @@ from gradcal_jax.information import posterior
 from gradcal_jax.information.posterior import square_root
 from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, parameters
 from gradcal_jax.pages.numbers import figures
-from gradcal_jax.pages.panel import ANGLES, RAMPS, SLOPES, panel_of
-from gradcal_jax.pages.provenance import stated_figures
+from gradcal_jax.pages.page import ANGLES, RAMPS, SLOPES, panel_of
+from gradcal_jax.pages.sources import stated_figures
 
 # The paper's method at a coarser ramp: a third of the cycles.
 SPEC = gj.changed(

@@ -9,8 +9,7 @@ from report_samples import recipe, spec
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
-from gradcal_jax.pages.panel import ANGLES, RAMPS, SLOPES, panel_of
-from gradcal_jax.pages.report import report
+from gradcal_jax.pages.page import ANGLES, RAMPS, SLOPES, panel_of, report
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files.calibration import read_calibration, write_calibration
 from gradcal_jax.hardware import execute
-from gradcal_jax.pages.report import write_page
+from gradcal_jax.pages.page import write_page
 from gradcal_jax.pages.sources import read_sources
 
 pytestmark = [

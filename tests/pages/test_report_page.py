@@ -26,7 +26,7 @@ from gradcal_jax.pages.report_data import as_tables, report_data_of
 from gradcal_jax.pages.run_history import history_of, rates_of
 from gradcal_jax.pages.sources import read_sources
 from gradcal_jax.plots import draw_curves
-from gradcal_jax.plots.tracks import planned_cycle, planned_rate
+from gradcal_jax.plots.spec import planned_cycle, planned_rate
 
 DEG_PER_H = float(np.degrees(1.0)) * 3600.0
 

@@ -301,8 +301,14 @@ def _rotation_terms(gyro: GyroTriad) -> Iterator[RotationSensitivity]:
     if gyro.g_sensitivity is not None and (std := gyro.g_sensitivity.of_rotation):
         for of in combinations_with_replacement(AXIS_NAMES, 2):
             pair, signals = "".join(of), tuple(f"rate {a}" for a in of)
-            named = {"name": f"rotation_{pair}", "symbol": f"ww_{pair}", "si_unit": "s"}
-            yield RotationSensitivity(temperature=_CONSTANT, std=np.asarray(std), signals=signals, **named)
+            yield RotationSensitivity(
+                temperature=_CONSTANT,
+                std=np.asarray(std),
+                signals=signals,
+                name=f"rotation_{pair}",
+                symbol=f"ww_{pair}",
+                si_unit="s",
+            )
 
 
 def _path_terms(

@@ -76,8 +76,8 @@ _NEVER = 1e-12
 # Shortest soak that a programme may begin with, s.
 _BRIEF = 1.0
 NO_COURSE = (
-    'design.free = ["programme"] needs a plan of ramps whose data are used, after at most a soak whose data are not, '
-    "with one mounting, of a run that has not begun"
+    'design.free = ["programme"] needs a plan with one mounting, of ramps with used data after at most one soak '
+    "with unused data, and no executed part"
 )
 
 
@@ -103,7 +103,9 @@ class CyclePlan:
         plain = self.built.model
         models = [b.model if notice is None else imu_with_hidden(b.spec, b.model) for b in self._cases]
         if len({model.size for model in models}) > 1:
-            raise ValueError("a design.scenario changes which parameters there are: all must have those of the spec")
+            raise ValueError(
+                "a design.scenario changes the set of parameters: every scenario must have the parameters of the spec"
+            )
         self._fine = [tuple(quantity_of(built, r) for r in spec.requirement) for built in self._cases]
         self._aims: tuple[tuple[Statistic, float], ...] = tuple(_aim_of(r, self.design) for r in spec.requirement)
         weights = np.array([case.weight for case in cases])
@@ -184,7 +186,7 @@ class CyclePlan:
             own = self.free_course.coordinates.vector(*_own_course(self._schedule))
             self.start = self.start._replace(course=tuple(own.tolist()))
         elif not self.turns_free:
-            raise ValueError(f"nothing of the plan is free: the table stands, and {NO_COURSE}")
+            raise ValueError(f"no part of the plan is free: the table stands, and {NO_COURSE}")
         self.descent = Descent(self._value)
 
     def _joint(self, cases: "Sequence[PlanCase]", model: ImuModel) -> Together | None:
@@ -351,7 +353,7 @@ class CyclePlan:
 
     def residuals(self, spec: Spec) -> list[list["ImuResidual | _Chance"]]:
         """What a spec's plan leaves at each place in each scenario, by an estimate of all IMUs together, in the order
-        of its requirements; then the chance to miss a hidden map, where one must be noticed."""
+        of its requirements; then the probability of missing a hidden map, where one must be noticed."""
         cases = cases_of(spec)
         builts = [build_imu(case.spec) for case in cases]
         known = [posterior_of_plan(built) for built in builts]

@@ -118,7 +118,7 @@ def calibration_of(
 
 
 def _estimator(solution: ImuEstimate, lag: Lag, options: Options) -> str:
-    parts = [f"Gauss-Newton through the finite geometry, {solution.rounds} rounds"]
+    parts = [f"Gauss-Newton with finite rotations, {solution.rounds} iterations"]
     if np.any(solution.weights < 1.0):
         parts.append("robust (Huber)")
     if lag.std is not None:

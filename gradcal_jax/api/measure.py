@@ -24,7 +24,7 @@ from gradcal_jax.trajectory import Schedule, rule_of
 
 # The search sees a requirement's box on a grid of at most this many temperatures and rates.
 _GRID = 41
-MISSED = "the chance to miss a hidden map"
+MISSED = "the probability of missing a hidden map"
 
 
 class Measure(NamedTuple):
@@ -72,7 +72,7 @@ def design_of(spec: Spec) -> Design:
     """The spec's [design]. Errors: `ValueError` where it has none."""
     if spec.design is None:
         raise ValueError(
-            f"the spec has no [design]: say what to minimise and what is free. To paste:\n\n{design_block(spec)}"
+            f"the spec has no [design]: state the objective and the free parts. To paste:\n\n{design_block(spec)}"
         )
     return spec.design
 

@@ -108,9 +108,9 @@ def search_poses(
     if cycle is not None and not met and not stop():
         result = result._replace(active=active_limits(plan, cycle), prices=shadow_prices(plan, cycle, now))
     how = f"after {used} gradients" if used else "without a search"
-    sentence = f"{result.gain:.2f} times better in the geometric mean of all requirements, {how}"
+    sentence = f"better by a factor of {result.gain:.2f} in the geometric mean of all requirements, {how}"
     if kept:
-        sentence = f"the plan as it was, which is kept {how}"
+        sentence = f"the plan in the file, which remains {how}"
         sentence = sentence if met else f"nothing better than {sentence}"
     if len(spec.rig.table.place) > 1:
         sentence += f"; {plan.apart}" if plan.apart else ", of all IMUs estimated together"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from gradcal_jax.api.search_results import Optimised
 
 _VERSIONS = ("jax", "numpy", "equinox")
-NOT_OPTIMISED = "not optimised: the plan as it stands in the spec"
+NOT_OPTIMISED = "not optimised: the plan of the spec"
 
 
 def recipe(

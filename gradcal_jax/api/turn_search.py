@@ -99,7 +99,7 @@ def belief_of(spec: Spec) -> str:
     if not sure:
         return ""
     return (
-        f"assumed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure of the "
+        f"assumed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure in the "
         "spec; a discrepancy in the spec allows deviations from it, and gives a plan that is robust against them"
     )
 
@@ -185,7 +185,7 @@ def search_turns(
 
     if until_met:
         if design.notice is not None:
-            raise ValueError("a search until every target is met does not look at design.notice: leave one of them out")
+            raise ValueError("a search until every target is met ignores design.notice: leave one of them out")
         own = enough(lambda: spec, before, "as it was", f"the plan as it was: {MET}, and nothing was searched")
         if own is not None:
             yield own
@@ -264,11 +264,11 @@ def finished(
         converged = False
         hint = "give finer ones"
         if any(r.name == design_of(spec).minimise and r.quantity in ("heading", "north") for r in spec.requirement):
-            hint = "give the maps priors, or other requirements targets: a mission alone constrains little else"
+            hint = "add priors for the maps, or targets for other requirements: a mission alone constrains little else"
         sentence = f"rounded to the controllers' steps, the plan does not observe enough: {hint}; {sentence}"
     elif now > (1.0 + _DEAR) * optimum.value:
         more = 100.0 * (now / optimum.value - 1.0)
-        sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
+        sentence += f"; rounding to the controllers' steps and whole readings costs {more:.2g} % of it: give finer ones"
     # The spec's own plan stays where it is as good and misses no target that the new one meets, or where it alone meets
     # the targets.
     kept = False
@@ -279,13 +279,13 @@ def finished(
         try:
             plan = rounded(spec, steps_of(spec)).spec
         except SpecError:
-            plan, sentence = spec, f"{sentence}; the plan as it was cannot be rounded either, and is kept unchanged"
+            plan, sentence = spec, f"{sentence}; the plan in the file cannot be rounded either, and remains unchanged"
         now, converged = exact(plan, of), False
     if kept:
         sentence = (
-            f"nothing better than the plan as it was ({now:.4g} {of.unit}), which is kept; try more moves or starts"
-            + (f" ({sentence})" if not np.isfinite(now) or not optimum.held or optimum.value < 0.9 * now else "")
-        )
+            f"no plan is better than the plan in the file ({now:.4g} {of.unit}), which remains; try more "
+            "moves or starts"
+        ) + (f" ({sentence})" if not np.isfinite(now) or not optimum.held or optimum.value < 0.9 * now else "")
     compiled = of.compiled(structure.coordinates)
     ends = [exactly(compiled, point) for point in state.points]
     turns = isinstance(coordinates, Coordinates)
@@ -387,7 +387,7 @@ def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...
     fastest = int(np.sum(peaks > float(coordinates.limits.max_rate) * (1.0 - _AT_LIMIT)))
     binding = ["the time at the table"]
     if fastest:
-        binding.append(f"the largest rate, in {fastest} of {len(peaks)} turns")
+        binding.append(f"the maximum rate, in {fastest} of {len(peaks)} turns")
     if coordinates.travels:
         angles = np.cumsum(coordinates.angles(cycle))
         if np.max(np.abs(angles)) > float(coordinates.limits.travel) * (1.0 - _AT_LIMIT):

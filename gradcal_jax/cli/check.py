@@ -39,7 +39,7 @@ def check(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """List all errors of a spec, or print what its plan does and what it cannot observe; print a recipe as a table.
+    """List all errors of a spec, or describe its plan and what the plan cannot observe; print a recipe as a table.
 
     Parameters
     ----------
@@ -47,16 +47,16 @@ def check(
         The spec file, or a recipe, whose table has the steps of the chamber, those of the table, and the predicted
         residuals.
     timeline
-        Print every segment, or reading, of the plan instead.
+        Print every segment, or every reading, of the plan instead.
     csv
         Print the rows of the timeline as comma-separated values, in SI.
     upgrade
-        Write a spec, recipe or calibration of an earlier version in today's form, with the same contents; every command
-        reads the earlier forms, too.
+        Write a spec, recipe or calibration of an earlier version in the current format, with the same contents; every
+        command reads the earlier formats as well.
     output
-        The file that --upgrade writes; without it FILE is replaced, and kept as FILE.old.
+        The file that --upgrade writes; by default FILE is replaced, and saved as FILE.old.
     files_only
-        Leave out what the plan cannot observe, which takes a few seconds to work out.
+        Leave out what the plan cannot observe, which takes a few seconds to compute.
     json
         Print the plan's times, notes, and what it cannot observe, as JSON; of a recipe its contents; with --timeline
         gradcal-timeline/2: segments, readings and the sensor's model, in SI (of an IMU gradcal-unit-timeline/1, with
@@ -70,9 +70,9 @@ def check(
 
         return upgrade_file(file, output, force=force)
     if output is not None:
-        raise ValueError("--output is the file of --upgrade")
+        raise ValueError("--output is only for --upgrade")
     if csv and timeline is None:
-        raise ValueError("--csv is of the rows of --timeline segments or --timeline readings")
+        raise ValueError("--csv is only for --timeline segments or --timeline readings")
     contents = spec_or_recipe(file)
     specification = contents.spec if isinstance(contents, Recipe) else contents
     if timeline is not None:
@@ -246,15 +246,17 @@ def notes(spec: "Spec") -> list[str]:
     if isinstance(schedule, StandardSchedule):
         visited = list(schedule.temperatures)
         if any(schedule.rates) and spec.rig.table.rate_accuracy is None:
-            sentences.append("rig.table.rate_accuracy is absent: the reference rate counts as exact")
+            sentences.append("rig.table.rate_accuracy is absent: the reference rate is taken as exact")
     else:
         used = [segment for segment in schedule.segments if segment.used]
         visited = [t for segment in used for t in (segment.temperature_start, segment.temperature_end)]
         left = sum(stretch.leftover for stretch in schedule.stretches)
         if schedule.steps and left > 0.0:
-            sentences.append(f"after the last cycle's moves the table stands for {time_text(left)}")
+            sentences.append(f"after the moves of the last cycle the table is at rest for {time_text(left)}")
     low, high = min(visited), max(visited)
     for requirement in spec.requirement:
         if requirement.temperature[0] < low - 1e-6 or requirement.temperature[1] > high + 1e-6:
-            sentences.append(f'requirement "{requirement.name}" goes beyond the plan\'s {low:.5g} to {high:.5g} degC')
+            sentences.append(
+                f'requirement "{requirement.name}" exceeds the plan\'s range, {low:.5g} to {high:.5g} degC'
+            )
     return sentences

@@ -13,9 +13,9 @@ from gradcal_jax.cli.app import GROUPS, build
 
 _VALUES: Final = {Path: "path", str: "text", int: "whole number", float: "number"}
 _END: Final = """\
-Exit statuses: 0 done; 1 done, with a result that is not as requested (a target is missed); 2 wrong input; 3 a device
-or a run failed; 130 interrupted; 141 the reader of the output closed it. An error is a sentence that names the key, its
-value and what was expected. Output is plain away from a terminal, or if `NO_COLOR` is set.
+Exit statuses: 0 done; 1 done, with an unsatisfactory result (a target is missed); 2 wrong input; 3 a device or a
+run failed; 130 interrupted; 141 the program that reads the output closed the pipe. An error message names the key,
+its value and what was expected. Output has no colours if it does not go to a terminal, or if `NO_COLOR` is set.
 """
 
 

@@ -70,7 +70,7 @@ def text_of_estimate(report: "SensorEstimate") -> str:
         words = ", ".join(f"{name} {std * factor:.3g} {unit}" for name, std, unit, factor in stds)
         lines.append(f"smoothness (1σ of neighbours' differences): {words}")
     spread = _sizes(report)
-    lines += ["", "the terms, at most over the temperatures:", table(spread, right=(1, 2))]
+    lines += ["", "the largest value of each term over the temperatures:", table(spread, right=(1, 2))]
     if calibration.path:
         of_path: list[tuple[str, ...]] = [("beside the maps", "value", "1σ", "")]
         for one in calibration.path:
@@ -92,8 +92,8 @@ def text_of_estimate(report: "SensorEstimate") -> str:
     tests = report.consistency
     lines += [
         _tests(report),
-        f"  residuals are {tests.noise_scale:.3f} times what the spec says; {tests.beyond_three:.2%} beyond 3σ, the "
-        f"largest {tests.largest:.1f}σ",
+        f"  residuals are {tests.noise_scale:.3f} times the noise of the spec; {tests.beyond_three:.2%} beyond "
+        f"3σ, the largest {tests.largest:.1f}σ",
     ]
     lines += [_neighbours(name, groups) for name, groups in report.neighbours.items()]
     if report.gravity is not None:

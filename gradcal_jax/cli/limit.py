@@ -10,16 +10,16 @@ from gradcal_jax.pages.plain_text import amount, columns
 
 
 def limit(spec: Path, /, *, json: Json = False) -> int:
-    """Prove a lower limit on the residual of any plan on this rig in this time, and print the plan's efficiency.
+    """Prove a lower limit for all plans on this rig in this time, and print the efficiency of this plan.
 
     The proof leaves out some limits of the rig, and lists them, so a real plan may not reach the limit; no plan lies
-    below it. An efficiency of 67 % means that no plan leaves less than 0.67 of what this one does.
+    below it. An efficiency of 67 % means that no plan leaves less than 0.67 of the residual of this one.
 
     Parameters
     ----------
     spec
-        The spec file, or a recipe. Its [design] says what a better plan might change; of a whole unit, the limit is for
-        every plan that takes as long at the same temperatures.
+        The spec file, or a recipe. Its [design] states what a better plan might change; for an IMU, the limit is for
+        every plan of the same duration at the same temperatures.
     json
         Print the limits for other programs.
     """
@@ -43,7 +43,7 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     for row in rows:
         if row.judged is not None and row.judged != row.value:
             print(
-                f"{row.name}: with what the file leaves out, at typical figures, no plan leaves less than "
+                f"{row.name}: including the omitted terms with typical figures, no plan leaves less than "
                 f"{amount(row.counted, row.unit)}, and this one leaves {amount(row.judged, row.unit)}"
             )
     for kept in dict.fromkeys(row.kept for row in rows if row.kept):

@@ -23,11 +23,11 @@ def schema(
     name
         Its name; see --list. "words" for the glossary.
     term
-        Of the glossary, only terms with these words in them.
+        Only glossary terms that contain these words.
     listing
         List the names.
     markdown
-        Print a page for people: every key with its value, default and meaning; of the name "commands", every command
+        Print a page for people: every key with its value, default and meaning; for the name "commands", every command
         in full.
     """
     from gradcal_jax.files import schemas
@@ -39,7 +39,7 @@ def schema(
         print(_words(" ".join(term)))
         return DONE
     if term:
-        raise ValueError(f'"{" ".join(term)}": terms are of the glossary alone: gradcal schema words {" ".join(term)}')
+        raise ValueError(f'"{" ".join(term)}": terms are only for the glossary: gradcal schema words {" ".join(term)}')
     if name is None:
         raise ValueError(f"which one? Known: {', '.join(schemas.schema_names())}")
     if name == "commands" and markdown:
@@ -71,5 +71,5 @@ def _words(wanted: str) -> str:
         if wanted.lower() in name.lower()
     ]
     if not rows:
-        raise ValueError(f'the glossary has no term with "{wanted}" in it; gradcal schema words lists all of them')
+        raise ValueError(f'the glossary has no term that contains "{wanted}"; gradcal schema words lists all of them')
     return columns(rows, indent="")

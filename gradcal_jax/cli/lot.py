@@ -32,20 +32,20 @@ def lot(
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
-    """Say what the calibrations of a number of IMUs of one type say of the type, map by map.
+    """Compute the mean and the spread of a type of IMU from calibrations of several IMUs, map by map.
 
-    The mean and the spread of every map, with the uncertainty of each calibration taken off; how many shapes repeat, by
-    a chi-squared test at 1 %; groups; and strangers, at 1 % over the whole lot. The exit status is 1 where there are
-    strangers or groups, or where priors are asked for and no shape repeats.
+    The spread excludes the uncertainty of each calibration. A chi-squared test at 1 % gives the number of shapes that
+    repeat; further tests report groups, and outliers at 1 % over the whole lot. The exit status is 1 if there are
+    outliers or groups, or if priors are requested and no shape repeats.
 
     Parameters
     ----------
     calibrations
-        Calibration files, one of each IMU, estimated by one spec; three or more.
+        Calibration files, one for each IMU, estimated with the same spec; three or more.
     output
-        Write priors for the spec of the next IMU here (.toml), where the shapes repeat.
+        Write priors for the spec of the next IMU to this file (.toml), if the shapes repeat.
     plot
-        Draw the maps of all IMUs, their mean and shapes into this file (.png, .svg, .pdf).
+        Draw the maps of all IMUs, their mean and their shapes into this file (.png, .svg, .pdf).
     """
     from gradcal_jax.files.calibration import read_calibration
 

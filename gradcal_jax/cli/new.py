@@ -13,7 +13,7 @@ from gradcal_jax.pages.plain_text import columns
 _COLUMN_MAP: Final = "column-map"
 _POINT_MAP: Final = "point-map"
 _TEMPLATES: Final = {
-    "export-gains": "Zeros and gains of a flight controller, for export --template",
+    "export-gains": "Offsets and gains of a flight controller, for export --template",
     "export-tracker": "Matrices of a body or head tracker in JSON, for export --template",
     "export-ins": "Noise and errors for an inertial navigation filter, for export --template",
 }
@@ -27,7 +27,7 @@ def new(
     listing: Annotated[bool, Parameter(name="--list", negative="")] = False,
     force: Force = False,
 ) -> int:
-    """Write a commented spec, or a column map for a recording of another program, to start from.
+    """Write a commented example of a spec, or of a column map for recordings of other programs.
 
     Parameters
     ----------

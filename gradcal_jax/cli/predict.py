@@ -34,28 +34,28 @@ def predict(
     seed: int = 0,
     sensitivity: Flag = False,
 ) -> int:
-    """Predict the residual of every requirement after a spec's plan, before anyone books a chamber.
+    """Predict the residual of every requirement after the plan of a spec, before anyone books a chamber.
 
-    Of several specs, compare the plans: hours, residuals, and the errors that limit each. The exit status is 1 where a
-    target of a single spec is missed or a requirement cannot be observed.
+    Of several specs, compare the plans: duration, residuals, and the errors that limit each. The exit status is 1 if
+    a target of a single spec is missed or a requirement cannot be observed.
 
     Parameters
     ----------
     specs
         The spec file; several to compare their plans.
     json
-        Print the prediction as gradcal-prediction/1 (of several specs a list of these); with --monte-carlo, both as
-        parts of one object.
+        Print the prediction as gradcal-prediction/1 (for several specs, a list); with --monte-carlo, both results in
+        one object.
     plot
         Draw the residual maps, those of all plans against rate or temperature, or the sensitivities as bars, into this
         file (.png, .svg, .pdf).
     monte_carlo
-        Simulate this many calibrations, too, and compare them with the prediction.
+        Also simulate this number of calibrations, and compare them with the prediction.
     seed
         The seed of the simulated calibrations.
     sensitivity
-        Print the change of the residual, in per cent, for one per cent more of every figure of sensor, rig and plan.
-        Of an optimised recipe it is the same after the plan is optimised again.
+        Print the change of the residual, in per cent, for an increase of one per cent in each figure of sensor, rig
+        and plan. For an optimised recipe, this change also applies after optimising again.
     """
     from gradcal_jax.files.recipe import spec_in
 
@@ -64,7 +64,7 @@ def predict(
     drawable(plot)
     plans = [(path.stem, spec_in(path)) for path in specs]
     if len(plans) > 1 and (sensitivity or monte_carlo is not None):
-        raise ValueError("--sensitivity and --monte-carlo are of one spec")
+        raise ValueError("--sensitivity and --monte-carlo are for a single spec")
     use_float64()
     if sensitivity:
         return _sensitivity(plans[0][1], str(specs[0]), json=json, plot=plot)
@@ -144,7 +144,7 @@ def _fixture(prediction: "Prediction") -> list[str]:
         f"{prediction.imus_per_shift:.4g} in a shift",
         *([columns(rows, indent="", right=tuple(range(1, len(names) + 1))), units] if names else []),
         f"below, the worst place: {prediction.place}"
-        + (f"; estimated without the others it would have {others}" if others else ""),
+        + (f"; estimated without the other IMUs: {others}" if others else ""),
     ]
 
 
@@ -187,12 +187,12 @@ def omitted_lines(spec: "Spec") -> list[str]:
         return of_branches
     sensor, table = sensor_grade(spec.sensor), table_grade(spec)
     lines = [
-        "not in the file, and so counted with figures typical of the class:",
+        "not in the file, so typical figures of the class count:",
         columns([(term.key, term.typical) for term in absent]),
         f"  sensor: {sensor.name} grade ({sensor.like}), by {sensor.reason}",
         f"  table: {table.name} ({table.like}), by {table.reason}",
-        "put your own figures into the file; 0 (or an empty list) says that there is none. Sources of the figures: "
-        "gradcal check --json",
+        "enter your own figures in the file; 0 (or an empty list) means that there is no such error. Sources of "
+        "the figures: gradcal check --json",
     ]
     return lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH for term in absent) * spec.is_one_axis + of_branches
 
@@ -227,7 +227,7 @@ def _judged(row: "RequirementRow", several: bool) -> list[str]:
     if row.rule and row.verdict != "unobservable":
         lines.append(f"{name}: {row.verdict} by {row.rule}")
         if row.specific_risk is not None:
-            lines.append(f"  error beyond it at the worst place: {percent(row.specific_risk)}")
+            lines.append(f"  error beyond it at the worst point: {percent(row.specific_risk)}")
         if row.chance is not None and row.chance_everywhere is not None:
             own = "" if row.statistic == "max" else f"; by {row.statistic}: {percent(row.chance, 1e-3)}"
             lines.append(f"  a unit keeps it everywhere: {percent(row.chance_everywhere, 1e-3)}{own}")

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Final
 from gradcal_jax.cli.output import as_json
 
 _HEADER: Final = (
-    "Made by gradcal; `gradcal check` prints it as a table. To change the plan, change the spec and make it anew."
+    "Made by gradcal; `gradcal check` prints it as a table. To change the plan, change the spec and make the "
+    "recipe again."
 )
 
 if TYPE_CHECKING:

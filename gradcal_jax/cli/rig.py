@@ -25,7 +25,7 @@ rig_app.command(watch)
 
 @rig_app.command
 def new(*, output: OutputOrPrint, force: Force = False) -> int:
-    """Write a commented rig file to start from.
+    """Write a commented example of a rig file.
 
     Parameters
     ----------
@@ -40,14 +40,13 @@ def new(*, output: OutputOrPrint, force: Force = False) -> int:
         return DONE
     writable(output, force)
     write_whole(output, TEMPLATE)
-    print(f"wrote {output}; put in your ports and devices, then: gradcal rig check {output}")
+    print(f"wrote {output}; enter your ports and devices, then: gradcal rig check {output}")
     return DONE
 
 
 @rig_app.command
 def protocols(name: str | None = None, /) -> int:
-    """List the devices that the drivers "lines" and "registers" know, or print the description of one, to start your
-    own from.
+    """List the devices that the drivers "lines" and "registers" know, or print the description of one as an example.
 
     Parameters
     ----------
@@ -74,16 +73,16 @@ def protocols(name: str | None = None, /) -> int:
 def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag = False, json: Json = False) -> int:
     """Read the identity and the limits of every device of a rig. Nothing moves, unless --move is given.
 
-    With --recipe everything is tried that its run needs: a reading of each device, the rate of each unit's samples, the
-    recipe against the devices' limits; with --move each axis finds its reference, and makes its longest turn there and
-    back. The exit status is 3 where a device does not answer as it should.
+    With --recipe, test everything that its run needs: a reading of each device, the sample rate of each IMU, and the
+    recipe against the devices' limits. With --move, each axis also finds its reference, and makes its longest turn
+    and returns. The exit status is 3 if a device does not answer correctly.
 
     Parameters
     ----------
     rig
-        The rig file; without it, that of the user's configuration.
+        The rig file; by default that of the user's configuration.
     recipe
-        Try what the run of this recipe needs.
+        Test what the run of this recipe needs.
     move
         Move the axes, too: the operator stands by.
     json
@@ -119,20 +118,21 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
 
 @rig_app.command
 def record(rig: Path | None = None, /, *, output: Output, move: Flag = False, force: Force = False) -> int:
-    """Talk to every device of a rig, and keep all bytes both ways in one file, which shows whether a driver fits it.
+    """Communicate with every device of a rig, and record all bytes in both directions in one file, which shows
+    whether a driver fits the device.
 
-    Send that file with a report: it is replayed as the device. Nothing moves, unless --move is given. The exit status
-    is 3 where a device did not answer as it should.
+        Send that file with a report: the file can be replayed in place of the device. Nothing moves, unless --move is
+        given. The exit status is 3 if a device did not answer correctly.
 
-    Parameters
-    ----------
-    rig
-        The rig file; without it, that of the user's configuration.
-    output
-        The transcript to write.
-    move
-        Condition the chamber at its present temperature, home each axis and turn it by 10 deg, too: the operator stands
-        by.
+        Parameters
+        ----------
+        rig
+            The rig file; by default that of the user's configuration.
+        output
+            The transcript to write.
+        move
+            Also condition the chamber at its present temperature, home each axis and turn it by 10 deg: the operator
+            stands by.
     """
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock

@@ -32,7 +32,7 @@ def print_timeline(spec: "Spec", rows: str, *, csv: bool, json: bool) -> None:
     contents = api.timeline(spec)
     if not isinstance(contents, Timeline):
         if rows == "readings":
-            raise ValueError("of an IMU every segment says which channels have a row of it: --timeline segments")
+            raise ValueError("for an IMU every segment lists the channels with a row in it: --timeline segments")
         if json:
             print(contents.model_dump_json(exclude_none=True))
         else:

@@ -30,7 +30,7 @@ def upgrade_file(file: Path, output: Path | None, *, force: bool) -> int:
     print("\n".join(f"  {line}" for line in done))
     if any(line.lstrip().startswith("#") or " #" in line for line in text.splitlines()):
         print(f"note: the comments of {kept or file} are not in {goal}")
-    print(f"wrote {goal}" + (f"; the file as it was is {kept}" if kept is not None else ""))
+    print(f"wrote {goal}" + (f"; the original file is now {kept}" if kept is not None else ""))
     return DONE
 
 
@@ -70,7 +70,7 @@ def _moved(spec: dict[str, Any], above: str) -> list[str]:
     if "earth_rate" in spec["rig"]:
         moved.append(f"{above}rig.earth_rate -> {above}rig.site.latitude")
     if spec.get("requirement"):
-        moved.append(f'[[{above}requirement]]: quantities have the sensor\'s name, such as "gyro_bias"')
+        moved.append(f'[[{above}requirement]]: quantities begin with the sensor\'s name, such as "gyro_bias"')
     if spec.get("done"):
         moved.append(f"[[{above}done]]: plans likewise")
     return moved

@@ -18,14 +18,15 @@ _LOOKS_S = 1.0
 
 
 def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Json = False) -> int:
-    """Show the state of a run until it ends: step, temperature against its course, angles, samples, residuals so far.
+    """Show the state of a run until it ends: step, temperature, planned temperature, angles, samples, residuals.
 
-    It only reads, and may be closed at any time. The exit status is 3 where the run ended badly, or is silent.
+    It only reads the status file, and may be closed at any time. The exit status is 3 if the run ended badly, or does
+    not respond.
 
     Parameters
     ----------
     once
-        Show it once, and do not wait for the end.
+        Show the state once, and do not wait for the end.
     known
         Print only the residuals: after the part that was executed (by the journal), and after the whole run.
     json

@@ -1,4 +1,4 @@
-"""gradcal-unit-timeline/1: all that another program needs to compute a whole unit's covariance by itself. SI, °C.
+"""gradcal-unit-timeline/1: all inputs for another program to compute the covariance of an IMU. SI, °C.
 
 Every channel has one row of each segment that lists it in `read`: its own integral over the segment, in the body, less
 what is known,
@@ -40,19 +40,19 @@ class TableAxisRow(Section):
     name: str
     """Of the axis."""
     direction: Vector3
-    """While all stand at zero, in the frame that the axis outside carries (outermost: East, North, up)."""
+    """With all axes at zero, in the frame that the next outer axis carries (outermost: East, North, up)."""
     reading_noise: rows.Size
     """Standard deviation of a reading (rad)."""
     standstill_offset: rows.Size
-    """Standard deviation of what a standstill's readings share (rad)."""
+    """Standard deviation of the error common to the readings of a standstill (rad)."""
     read_every: rows.Size | None = None
     """Spacing of readings (s); absent: one reading in each standstill."""
     harmonics: tuple[rows.HarmonicRow, ...] = ()
-    """Errors that repeat with the angle."""
+    """Errors that are periodic in the angle."""
 
 
 class MountingRow(Section):
-    """How the body hangs on the innermost axis."""
+    """The mounting of the body on the innermost axis."""
 
     name: str | None = None
     """Of the mounting."""
@@ -73,8 +73,8 @@ class ImuTermRow(rows.MapRow):
     unit: str
     """Of each coefficient, in SI."""
     lag: rows.Size | None = None
-    """Time constant (s) of a first-order lag of the temperature, which the function follows in its place; L = T at the
-    begin of the plan."""
+    """Time constant (s) of a first-order lag of the temperature, which replaces it in the function; L = T at the
+    beginning of the plan."""
 
 
 class PathTermRow(Section):
@@ -166,21 +166,21 @@ class ImuSegmentRow(rows.CourseRow):
     axis: str | None = None
     """The axis that moves; null: all stand."""
     angles_before: tuple[rows.Finite, ...]
-    """Angles of all axes as it begins, outermost first (rad)."""
+    """Angles of all axes at its beginning, outermost first (rad)."""
     angles_after: tuple[rows.Finite, ...]
-    """Angles of all axes as it ends (rad)."""
+    """Angles of all axes at its end (rad)."""
     attitude: Matrix3
-    """Matrix from the body to East, North, up as it begins."""
+    """Matrix from the body to East, North, up at its beginning."""
     mounting: int
     """The mounting, counted from 0."""
     standstill_ids: tuple[int | None, ...]
     """Number of each axis's standstill; null while it moves."""
     read: tuple[str, ...]
-    """Channels that have a row of it."""
+    """Channels with a row for it."""
 
 
 class ImuTimeline(Section):
-    """gradcal-unit-timeline/1: all that another program needs to compute a whole unit's covariance by itself.
+    """gradcal-unit-timeline/1: all inputs for another program to compute the covariance of an IMU.
 
     With `standing` "read" every segment ends with a reading of all axes, whose error is its standstill's draw of
     `standstill_offset` and a draw of `reading_noise`, and a rest from reading to reading is a segment; a gyro's row has
@@ -201,7 +201,7 @@ class ImuTimeline(Section):
     standing: Literal["held", "read"]
     """The model of axes at rest: see above."""
     mountings: tuple[MountingRow, ...]
-    """How the unit hangs on the innermost axis."""
+    """The mounting of the IMU on the innermost axis."""
     thermal_lag: rows.Size | None = None
     """Time constant (s), first order, between the chamber and what all terms see; equilibrium at the start."""
     channels: tuple[ChannelRow, ...]
@@ -209,4 +209,4 @@ class ImuTimeline(Section):
     installation: tuple[InstallationRow, ...]
     """Errors that all channels see."""
     segments: tuple[ImuSegmentRow, ...]
-    """Motion of the table, and course of the chamber."""
+    """Motion of the table, and temperature of the chamber."""

@@ -15,22 +15,22 @@ from gradcal_jax.files.section import Section
 
 
 class BiasShape(Section):
-    """A function of which every IMU of a type has another multiple, of mean 0 and variance 1."""
+    """A function with a random factor for each IMU of a type, of mean 0 and variance 1."""
 
     axis: Literal["x", "y", "z"] | None = None
-    """Of which channel; absent: of all."""
+    """Its channel; absent: all channels."""
     coefficients: Annotated[tuple[Rate, ...], Field(min_length=1, max_length=40_000)]
     """Its coefficients, in the order of a calibration file."""
 
 
 class ScaleFactorShape(BiasShape):
-    """The same table, for the scale factor."""
+    """The same, for the scale factor."""
 
     coefficients: Annotated[tuple[Annotated[Quantity, Of("scale factor")], ...], Field(min_length=1, max_length=40_000)]
 
 
 class SpecificForceShape(BiasShape):
-    """The same table, for an accelerometer."""
+    """The same, for an accelerometer."""
 
     coefficients: Annotated[tuple[Annotated[Quantity, Of("acceleration")], ...], Field(min_length=1, max_length=40_000)]
 
@@ -52,5 +52,8 @@ def shape_problems(shapes: Sequence[BiasShape], size: int, prior: Quantity | Non
         rows = np.array([shape.coefficients for shape in shapes if shape.axis in (None, axis)], dtype=float)
         largest = np.max(np.abs(rows), axis=0, initial=0.0)
         if len(rows) and np.linalg.matrix_rank(rows / np.where(largest > 0.0, largest, 1.0)) < size:
-            message = f"those of {axis} do not span all {size} coefficients; add what the map may have beyond them"
+            message = (
+                f"the shapes of {axis} do not span all {size} coefficients; add shapes for the other deviations "
+                "of the map"
+            )
             yield Problem(("shape",), message)

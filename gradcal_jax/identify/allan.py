@@ -164,7 +164,7 @@ def overlapping_allan(
     lengths = tuple((edges[:, 1] - edges[:, 0]).tolist())
     longest = max(lengths, default=0)
     if longest < 2:
-        raise ValueError("an Allan deviation needs two usable samples in a row")
+        raise ValueError("an Allan deviation needs two consecutive usable samples")
     if averaging_times_s is None:
         averaging_times_s = averaging_times(max(longest, 3), sample_interval_s)
     steps = _whole_samples(averaging_times_s, sample_interval_s)
@@ -210,7 +210,7 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
             f"{chosen.sum()} coefficients"
         )
     if not np.all(variance > 0):
-        raise ValueError("the rate does not change: there is no noise to fit")
+        raise ValueError("the rate does not change: the record has no noise to fit")
     steps = np.rint(tau / interval).astype(np.int64)
     lengths, counts = np.unique(np.array(allan.stretch_lengths), return_counts=True)
     runs = tuple(zip(lengths.tolist(), counts.tolist(), strict=True))

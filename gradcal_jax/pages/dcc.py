@@ -94,7 +94,9 @@ def _document(certificate: Certificate) -> ET.Element:
     statements = _add(data, "statements")
     sentences = ["This document claims no accreditation.", *certificate.validity]
     if certificate.simulated:
-        sentences.insert(0, "SIMULATED: the data come from simulated devices. This certifies nothing of a real sensor.")
+        sentences.insert(
+            0, "SIMULATED: the data come from simulated devices. This is not a certificate of a real sensor."
+        )
     for sentence in sentences:
         _text(_add(statements, "statement"), "declaration", sentence)
     _measurement(_add(_add(root, "measurementResults"), "measurementResult"), certificate)
@@ -149,9 +151,9 @@ def _error(results: ET.Element, row: ResultRow) -> None:
     if row.target is not None:
         _real(data, "limit on the error", row.target * factor, unit)
     if row.worst is not None:
-        _real(data, "standard uncertainty at the worst place", row.worst * factor, unit)
+        _real(data, "standard uncertainty at the worst point", row.worst * factor, unit)
     if row.risk is not None:
-        _real(data, "specific risk (JCGM 106) at the worst place", row.risk, _ONE)
+        _real(data, "specific risk (JCGM 106) at the worst point", row.risk, _ONE)
     if row.rule and row.verdict in ("met", "missed"):
         meta = _add(_add(quantity, "measurementMetaData"), "metaData")
         _text(meta, "declaration", f"Decision rule: {row.rule}.")

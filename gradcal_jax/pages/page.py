@@ -32,7 +32,7 @@ def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
     if panel and sources.spec is None:
-        raise ValueError("the panel is of a plan, and there is none here: leave --panel out")
+        raise ValueError("the panel needs a plan, and there is none here: leave --panel out")
     environment = Environment(
         autoescape=True,
         undefined=StrictUndefined,
@@ -142,7 +142,7 @@ def _verdict(data: ReportData) -> str:
     done = "achieved" if achieved else "predicted"
     if data.verdict == "not valid":
         failed = [test.replace("_", " ") for test in data.contradicted]
-        return f"Not valid: the data contradict the model ({'; '.join(failed)}), so that no stated uncertainty holds."
+        return f"Not valid: the data contradict the model ({'; '.join(failed)}), so no stated uncertainty is valid."
     if data.verdict == "met":
         return f"Met: every target is met by the {done} residuals ({_against(with_target)})."
     if data.verdict == "missed":
@@ -150,7 +150,7 @@ def _verdict(data: ReportData) -> str:
         return f"Missed: the {done} residual exceeds a target ({_against(missed)})."
     if data.verdict == "not covered":
         names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "not covered"))
-        return f"Not covered: the data do not reach all temperatures and rates of {names}, so there is no verdict."
+        return f"Not covered: the data do not cover all temperatures and rates of {names}, so there is no verdict."
     if data.verdict == "unobservable":
         names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "unobservable"))
         return f"Unobservable: this plan does not observe {names}."
@@ -248,13 +248,16 @@ def _done(data: ReportData) -> list[str]:
     waited = sum(row.waited_s for row in history.waited)
     lines = [
         f"Run begun {history.begun}, {parts}: {history.status}, {history.steps} steps, "
-        f"{time_text(history.duration_s)} in all, of which {time_text(waited)} waited for stable temperatures.",
-        "Every device was left verified safe." if history.verified_safe else "NOT verified safe at the end.",
+        f"{time_text(history.duration_s)} in total, including {time_text(waited)} of waiting for stable "
+        "temperatures.",
+        "Every device was verified to be safe at the end."
+        if history.verified_safe
+        else "NOT verified safe at the end.",
     ]
     if history.seams:
         lines.append(f"The run was paused or resumed {history.seams} times.")
     if history.damaged_bytes:
-        lines.append(f"{history.damaged_bytes} bytes of the journal belong to no sound record.")
+        lines.append(f"{history.damaged_bytes} bytes of the journal belong to no valid record.")
     return lines
 
 

@@ -16,7 +16,7 @@ from gradcal_jax.pages.sources import Sources
 def assumptions(spec: Spec | None, calibration: Calibration | None) -> list[tuple[str, str]]:
     """The figures behind the numbers: those of a plan's spec, with what it leaves out, or of a calibration."""
     if spec is not None:
-        left_out = "not stated, and so counted as is typical of its class: "
+        left_out = "not stated, so typical figures of the class count: "
         omitted = [(term.key, left_out + term.typical) for term in absent_terms(spec)]
         return [*stated_figures(spec), *omitted]
     noise = None if calibration is None else calibration.noise

@@ -51,5 +51,5 @@ def draw_sensitivities(known: Sensitivities, *, figure: Figure | SubFigure | Non
         axes.axvline(0.0, color="0.3", linewidth=0.8)
         value, unit = known.residuals[name]
         axes.set_title(f"{name}: {value:.4g} {unit}")
-        axes.set_xlabel("change of the residual for one per cent more (%)")
+        axes.set_xlabel("change of the residual for an increase of one per cent (%)")
     return figure.get_figure(root=True)

@@ -19,7 +19,7 @@ def draw_lot(found: Lot, *, figure: Figure | SubFigure | None = None) -> Figure:
 
 
 def draw_lot_map(one: LotMap, *, ax: Axes | None = None) -> Axes:
-    """A map of all IMUs over temperature, slowly turned: strangers dashed, the mean with a band of one standard
+    """A map of all IMUs over temperature, slowly turned: outliers dashed, the mean with a band of one standard
     deviation of the type, and each shape by one standard deviation about the mean."""
     ax = new_axes(ax)
     strangers = {stranger.serial_number for stranger in one.strangers}
@@ -35,7 +35,7 @@ def draw_lot_map(one: LotMap, *, ax: Axes | None = None) -> Axes:
             stranger = name in strangers
             (line,) = ax.plot(t, values, linewidth=0.8, color="0.7")
             if stranger:
-                line.set(color=PALETTE[1], linestyle="--", label=f"{name}, a stranger")
+                line.set(color=PALETTE[1], linestyle="--", label=f"{name}, an outlier")
         ax.plot(t, one.mean, linewidth=2.0, color=PALETTE[0], label="mean ± 1σ of the type")
         ax.fill_between(t, one.mean - one.spread, one.mean + one.spread, color=PALETTE[0], alpha=0.2)
         for k, shape in enumerate(one.shapes):

@@ -86,7 +86,7 @@ def test_its_lines_are_as_many_as_it_says() -> None:
         ("modbus", ("air      = { address = 1, decimals = 1 }", 'air      = { address = 1, type = "uint16" }'), ""),
         ("modbus", ("address = 1, decimals = 1", "address = 1, decimals = 0"), "is not plausible"),
         ("modbus", ('[chamber.options.protocol.state]\nconditioning = { field = "run", equals = "RUN" }', ""),
-         "nothing else shows what tell.on did"),
+         "no reply shows the effect of tell.on"),
         ("modbus", ('title  = "my oven"\n', 'title  = "my oven"\nline   = { timeout = "0.2 s" }\n'), ""),
         ("grbl", ('protocol = "grbl"', 'protocol = "grb"'), "nearest: 'grbl'"),
         ("board", ("{temperature},{time}", "{time}"), "and the description expects"),

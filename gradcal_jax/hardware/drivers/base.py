@@ -95,7 +95,7 @@ class ChamberDriver(ExchangeDriver[Config], TemperatureChamber, ABC):
     def _plausible(self, temperature_c: float) -> float:
         if not _LOWEST_PLAUSIBLE_C <= temperature_c <= _HIGHEST_PLAUSIBLE_C:
             what = f"{self._title} reports {temperature_c} degC, which is not plausible"
-            raise FramingError(f"{what}. Check the line, the sensor, and what is known of the protocol.")
+            raise FramingError(f"{what}. Check the line, the sensor, and the description of the protocol.")
         return temperature_c
 
     def _check(self, temperature_c: float) -> None:
@@ -351,10 +351,10 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         if "ramp" not in self._config.described.tell:
-            raise Rejected(f"The protocol of {self._title} has no ramps: it is ramped by steps of its set point.")
+            raise Rejected(f"The protocol of {self._title} has no ramps: the run ramps it by steps of its set point.")
         limits = self.limits()
         if not max(limits.slowest_ramp_k_per_min, 1e-9) <= rate_k_per_min <= limits.fastest_ramp_k_per_min:
-            raise LimitExceeded(f"{rate_k_per_min:g} K/min lies outside what {self._title} can do.")
+            raise LimitExceeded(f"{rate_k_per_min:g} K/min is outside the range of {self._title}.")
         self._check(temperature_c)
         self._make_ready()
         now = self.read()

@@ -54,8 +54,8 @@ class VectorNavConfig:
             raise ValueError(f"sample_rate {self.sample_rate_hz:g} /s does not divide {self.base_rate_hz:g} /s.")
         if 10 * _PACKET * self.sample_rate_hz > self.baudrate:
             raise ValueError(
-                f"{self.sample_rate_hz:g} samples/s of {_PACKET} bytes do not fit {self.baudrate} baud. Raise baudrate "
-                "(also in the unit) or lower sample_rate."
+                f"{self.sample_rate_hz:g} samples/s of {_PACKET} bytes do not fit {self.baudrate} baud. Raise "
+                "baudrate (also in the IMU) or lower sample_rate."
             )
 
 

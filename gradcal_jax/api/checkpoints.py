@@ -31,11 +31,11 @@ def read(path: Path, spec: Spec) -> dict[str, np.ndarray]:
         if str(arrays["format"]) != _FORMAT:
             raise ValueError(f"{path} is not a search saved by optimise")
         if str(arrays["spec"]) != _fingerprint(spec):
-            raise ValueError(f"{path} was kept for another spec: start anew, without --resume")
+            raise ValueError(f"{path} was saved for another spec: start again, without --resume")
         return arrays
     except (OSError, KeyError, zipfile.BadZipFile, EOFError) as error:
         raise ValueError(
-            f"{path} cannot be read as a search saved by optimise: start anew, without --resume"
+            f"{path} cannot be read as a search saved by optimise: start again, without --resume"
         ) from error
 
 

@@ -186,7 +186,7 @@ class CyclePlan:
             own = self.free_course.coordinates.vector(*_own_course(self._schedule))
             self.start = self.start._replace(course=tuple(own.tolist()))
         elif not self.turns_free:
-            raise ValueError(f"no part of the plan is free: the table stands, and {NO_COURSE}")
+            raise ValueError(f"no part of the plan is free: the table is at rest, and {NO_COURSE}")
         self.descent = Descent(self._value)
 
     def _joint(self, cases: "Sequence[PlanCase]", model: ImuModel) -> Together | None:

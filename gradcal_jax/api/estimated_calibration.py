@@ -171,7 +171,7 @@ def _terms(spec: Spec, channel: Channel, values: np.ndarray) -> Iterator[Calibra
 
 
 def _path_coefficients(built: BuiltImu, values: np.ndarray, deviations: np.ndarray) -> Iterator[PathCoefficient]:
-    """What depends on the path of temperature and was estimated beside the maps, from all reported parameters."""
+    """Path-of-temperature terms, estimated in addition to the maps, from all reported parameters."""
     begin = 0
     for c in built.model.channels:
         for term in c.model.terms:

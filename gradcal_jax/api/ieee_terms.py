@@ -82,7 +82,7 @@ def term_map(
 ) -> TermMap:
     """A term at temperatures (°C) and rates (rad/s), both `(n,)`. Errors: `ValueError` for a term that is not there."""
     if (term := channel.term_of(name)) is None:
-        raise ValueError(f"the calibration of {channel.label} holds no {name.replace('_', ' ')}")
+        raise ValueError(f"the calibration of {channel.label} has no {name.replace('_', ' ')}")
     one = np.ones((len(temperature_c), 1))
     cold = one if term.temperature is None else term.temperature.values(temperature_c)
     fast = one if term.rate is None else term.rate.values(rate)

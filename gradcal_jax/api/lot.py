@@ -103,7 +103,7 @@ def lot(calibrations: Sequence[Calibration]) -> Lot:
     chosen = [(key, _with_term(calibrations, *key)) for key in names]
     wanted = [(key, having) for key, (having, _) in chosen if len(having) >= 3]
     if not wanted:
-        raise ValueError("no map has a covariance in three or more of the calibrations: estimate them from logs anew")
+        raise ValueError("no map has a covariance in three or more of the calibrations: estimate them again from logs")
     maps = [_map_of(having, *key, tests=len(wanted)) for key, having in wanted]
     notes = [note for _, (_, note) in chosen if note]
     notes += [

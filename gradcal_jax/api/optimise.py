@@ -51,7 +51,7 @@ def optimise(
         if until_met:
             raise ValueError(NO_UNTIL_MET)
         if checkpoint is not None:
-            raise ValueError("a search for the shortest plan is not saved: start anew, without --resume")
+            raise ValueError("a search for the shortest plan is not saved: start again, without --resume")
         yield from minimise_time(spec, partial(optimise, spec, steps=steps, quick=quick, stop=stop), stop)
     elif spec.turns_one_gyro:
         options = {"quick": quick, "until_met": until_met, "motion": motion, "checkpoint": checkpoint, "stop": stop}

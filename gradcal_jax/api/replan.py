@@ -104,7 +104,7 @@ def rest_of(spec: Spec, done: Sequence[Span], *, left_s: float | None = None, pa
     slope = fine * min(math.ceil(span_k / least / fine - _ROUNDING), math.floor(steepest / fine + _ROUNDING))
     span_k = grid_k * math.floor(min(span_k, slope * lasts_s) / grid_k + _ROUNDING)
     if span_k <= 0.0:
-        raise ValueError(f"no time is left for a ramp: {_GO_ON}")
+        raise ValueError(f"there is no time for a ramp: {_GO_ON}")
     ends_c, lasts_s = begins_c + math.copysign(span_k, ends_c - begins_c), span_k / slope
     plan: dict[str, Any] = {
         "plan.programme": None,

@@ -153,7 +153,7 @@ def structures(spec: Spec, scenarios: list[Spec], *, motion: float | None = None
         return _standard(spec, scenarios, design, motion)
     cycle = cycle_of(spec)
     if cycle is None:
-        _only(design, ("programme", "gradient"), "a gradient plan whose axis stands")
+        _only(design, ("programme", "gradient"), "a gradient plan with the axis at rest")
         return _programmes(spec, scenarios, design, motion)
     _only(design, ("duration", "rest", "turn", "peak_rate", "ramp", "gradient", "cycle"), "a gradient plan with moves")
     return _cycles(spec, scenarios, cycle, design, motion)

@@ -72,7 +72,7 @@ def apply(
         if corrected.left_alone:
             print(f"note: not calibrated, and left unchanged: {', '.join(corrected.left_alone)}")
         if corrected.left_in:
-            print(f"note: known, and not taken off: {', '.join(corrected.left_in)}")
+            print(f"note: known, and not subtracted: {', '.join(corrected.left_in)}")
         print(f"wrote {output}")
     return NOT_AS_WISHED if any(outside.values()) else DONE
 

@@ -148,7 +148,7 @@ def _sensors(spec: "Spec") -> "Iterator[str]":
                 for key, part in triad
                 if isinstance(part[0] if isinstance(part, tuple) and part else part, Section) and key not in skipped
             ]
-            yield f"to be found: {name} {', '.join(triad.axes)}: {', '.join(own)}"
+            yield f"to estimate: {name} {', '.join(triad.axes)}: {', '.join(own)}"
 
 
 def _required(requirement: "Requirement") -> str:

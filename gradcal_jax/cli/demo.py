@@ -188,7 +188,7 @@ def _whole_imu(sitting: "_Sitting", seed: int) -> dict[str, Any]:
     optimisation, designed = sitting.optimise(spec, steps=_IMU_STEPS)
     sitting.say(f"better by a factor of {optimisation['gain']:.2f} in the geometric mean of all")
 
-    title = "The calibration of all axes, and what the run says of the table"
+    title = "The calibration of all axes, and the errors of the table found in the run"
     calibration = sitting.calibration(seed, "table and IMU", title)
     sitting.step("The page")
     page = sitting.numbers(report, (_RUN,), output=_REPORT)

@@ -83,7 +83,7 @@ def estimate(
         The sensor's axis that the table turned, if the spec has one gyro on a table of one axis; by default that of
         the spec, or the only one of the log. Without a spec: which axes; may be repeated.
     unit
-        Which unit; may be repeated. All, without it.
+        Which IMU; may be repeated. All, without it.
     table_axis
         The name in the log of the axis of a one-axis table.
     earth_rate

@@ -72,7 +72,7 @@ def text_of_estimate(report: "SensorEstimate") -> str:
     spread = _sizes(report)
     lines += ["", "the largest value of each term over the temperatures:", table(spread, right=(1, 2))]
     if calibration.path:
-        of_path: list[tuple[str, ...]] = [("beside the maps", "value", "1σ", "")]
+        of_path: list[tuple[str, ...]] = [("in addition to the maps", "value", "1σ", "")]
         for one in calibration.path:
             unit, factor = UNITS_OF_TERMS.get(one.unit, (one.unit, 1.0))
             numbers = f"{one.value * factor:.4g}", f"{one.standard_deviation * factor:.2g}"
@@ -113,7 +113,7 @@ def _neighbours(channel: str, groups: "Sequence[Group]") -> str:
 
 def discrepancy_lines(row: "MeasuredDiscrepancy") -> list[str]:
     """The size of a measured discrepancy, and its table for a spec."""
-    several = f", {row.units} units together" if row.units > 1 else ""
+    several = f", {row.units} IMUs together" if row.units > 1 else ""
     high = "∞" if row.high is None else f"{row.high:.3g}"
     heading = (
         f"discrepancy of the {row.quantity.replace('_', ' ')}, axis {row.axis}{several}: {row.standard_deviation:.3g} "

@@ -206,7 +206,7 @@ def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
     bound = result.bound
     times = bound.integration_time_s
     lines = [
-        strong(f"axis {result.rest.axis}, unit {result.rest.unit}"),
+        strong(f"axis {result.rest.axis}, IMU {result.rest.unit}"),
         f"angle random walk {result.rest.walk_of_sensor(bound.angle_random_walk) * DEG_PER_SQRT_H:.4g} deg/sqrt(h); "
         f"drift after an average of {bound.averaging_time_s:g} s, over {times[0]:.4g} to {times[-1]:.4g} s",
     ]
@@ -235,7 +235,7 @@ def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
     if result.rest.thermal is not None:
         thermal = result.rest.thermal
         lines.append(
-            f"B(T) of degree {len(thermal.coefficients) - 1} taken off"
+            f"B(T) of degree {len(thermal.coefficients) - 1} subtracted"
             + (f", {thermal.lag_time_s:.0f} s late" if thermal.lag_time_s > 0 else "")
             + f"; it leaves {thermal.residual_rms * DEG_PER_H:.4g} deg/h rms, noise included"
         )
@@ -383,7 +383,7 @@ def allan(
         print(described(recorded, str(log)))
         for rest, _, of_rows in drawn:
             fit = work.of_sensor(rest, of_rows)
-            print("\n" + strong(f"axis {rest.axis}, unit {rest.unit}" + (f", {rest.part}" if rest.part else "")))
+            print("\n" + strong(f"axis {rest.axis}, IMU {rest.unit}" + (f", {rest.part}" if rest.part else "")))
             print(_allan_text(fit))
             for message in (*work.allan_notes(fit), *rest.messages):
                 print(f"note: {message}")

@@ -41,7 +41,7 @@ def turns(
     axis
         The axis of the sensor about which it was turned; the first one, without it.
     unit
-        Which unit; the first one, without it.
+        Which IMU; the first one, without it.
     json
         Print the turns as JSON.
     """
@@ -115,7 +115,7 @@ def log(
 
 
 def _written(run: Path, unit: str | None, recorded: "Log | None", target: Path, *, quiet: bool) -> dict[str, Any]:
-    """Write the log of a unit; what `--json` prints of it."""
+    """Write the log of an IMU; what `--json` prints of it."""
     from gradcal_jax.decoding.run_log import log_in_blocks
     from gradcal_jax.files.log_file import write_log
 

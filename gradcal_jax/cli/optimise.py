@@ -97,7 +97,8 @@ def optimise(
     time
         Duration of the rest of a run without waiting, such as "40 min"; absent: the remaining time of the recipe.
     pause
-        Time between the interruption and the continuation of a run, by default "30 min"; an IMU's drifts begin anew.
+        Time between the interruption and the continuation of a run, by default "30 min"; the drifts of an IMU start
+        again.
     """
     drawable(plot)
     if (steps is not None and 0 < steps < 20) or (steps or 0) < 0:
@@ -164,7 +165,7 @@ def optimise(
     drawn = [("before", specification), ("optimised", best.spec)]
     save_figure(lambda plots: plots.draw_comparison(drawn), plot, quiet=json)
     if interrupted:
-        again = f"; go on with: gradcal optimise {spec} -o {output} --resume" if kept.exists() else ""
+        again = f"; next step: gradcal optimise {spec} -o {output} --resume" if kept.exists() else ""
         complain(f"interrupted{again}")
         return INTERRUPTED
     return DONE if best.converged else NOT_AS_WISHED
@@ -229,7 +230,7 @@ def optimum_text(best: "Optimised") -> str:
     """An optimised plan as text."""
     from gradcal_jax.api.turn_search import belief_of
 
-    before = "the plan of the spec observes too little" if best.before is None else amount(best.before, best.unit)
+    before = "the plan of the spec does not observe enough" if best.before is None else amount(best.before, best.unit)
     lines = [
         strong(f"{best.name}: {before} -> {amount(best.now, best.unit)} (rounded to the controllers' steps)"),
         f"{best.structure}; {amount(best.optimum, best.unit)} before rounding",
@@ -239,7 +240,7 @@ def optimum_text(best: "Optimised") -> str:
         kept = [value for value in best.starts if value < math.inf]
         those = f"{len(best.starts)} starts"
         if len(kept) < len(best.starts):
-            those = f"{len(kept)} of {those} kept the limits and" if kept else f"none of {those} kept the limits"
+            those = f"{len(kept)} of {those} met the limits and" if kept else f"none of {those} met the limits"
         lines.append(those + (f" ended between {kept[0]:.4g} and {kept[-1]:.4g} {best.unit}" if kept else ""))
     if belief := belief_of(best.spec):
         lines.append(belief)

@@ -143,7 +143,7 @@ def _fixture(prediction: "Prediction") -> list[str]:
         f"{len(prediction.places)} IMUs at once: {prediction.minutes_per_imu:.3g} min for each, "
         f"{prediction.imus_per_shift:.4g} in a shift",
         *([columns(rows, indent="", right=tuple(range(1, len(names) + 1))), units] if names else []),
-        f"below, the worst place: {prediction.place}"
+        f"below, the worst point: {prediction.place}"
         + (f"; estimated without the other IMUs: {others}" if others else ""),
     ]
 
@@ -230,7 +230,7 @@ def _judged(row: "RequirementRow", several: bool) -> list[str]:
             lines.append(f"  error beyond it at the worst point: {percent(row.specific_risk)}")
         if row.chance is not None and row.chance_everywhere is not None:
             own = "" if row.statistic == "max" else f"; by {row.statistic}: {percent(row.chance, 1e-3)}"
-            lines.append(f"  a unit keeps it everywhere: {percent(row.chance_everywhere, 1e-3)}{own}")
+            lines.append(f"  a sensor meets it everywhere: {percent(row.chance_everywhere, 1e-3)}{own}")
         if row.check is not None:
             lines.append(
                 f"  a second run as a check: accepts {percent(row.check.accepted)}, falsely "
@@ -249,7 +249,7 @@ def another_run_line(row: "RequirementRow", name: str) -> str:
 
 
 def own_noise_lines(row: "RequirementRow", name: str) -> list[str]:
-    """The noise that no calibration takes off, beside the residual; with several missions, a row for each."""
+    """The noise that no calibration corrects, next to the residual; with several missions, a row for each."""
     if row.own is None or row.own_sources is None:
         return []
     parts = ", ".join(f"{source} {value:.3g}" for source, value in row.own_sources.items() if value >= 0.05 * row.own)

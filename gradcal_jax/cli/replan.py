@@ -39,5 +39,5 @@ def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quic
         print(as_json(record_of(best) | {"done": spans, "recipe": str(output)}))
     else:
         print(searches.optimum_text(best))
-        print(f"wrote {output}, {remark}; go on with: gradcal run {output} --resume {run}")
+        print(f"wrote {output}, {remark}; next step: gradcal run {output} --resume {run}")
     return code

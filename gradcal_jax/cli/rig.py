@@ -112,7 +112,7 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
         for one in tried:
             print(f"  {one.name}: {one.what}" + ("" if one.good else "  NOT AS IT SHOULD BE"))
         good = all(entry.good for entry in (*reports, *tried))
-        print("every device answers as the rig file says" if good else "the rig is not ready")
+        print("every device answers as the rig file states" if good else "the rig is not ready")
     return DONE if all(entry.good for entry in (*reports, *tried)) else FAILED
 
 

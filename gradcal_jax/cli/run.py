@@ -222,7 +222,7 @@ def _say(folder: Path, result: "RunResult", json: bool) -> int:
     else:
         complain(
             f"the run did not begin, and no command was sent: {result.reason}\n"
-            f"Mend that, then: gradcal run --resume {folder}"
+            f"Correct this, then: gradcal run --resume {folder}"
         )
     by_operator = result.reason in ("Ctrl-C", "interrupted from the keyboard")
     return INTERRUPTED if by_operator and result.verified_safe else FAILED

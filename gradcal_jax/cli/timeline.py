@@ -85,7 +85,7 @@ def _table(plan: "Timeline", rows: str) -> str:
 
 def _table_of_imu(unit: "ImuTimeline") -> str:
     axes = [f"{axis.name}, deg" for axis in unit.table]
-    table: list[tuple[str, ...]] = [("start", "what", "lasts", *axes, "up, from the unit", "chamber, degC", "read")]
+    table: list[tuple[str, ...]] = [("start", "what", "lasts", *axes, "up, from the IMU", "chamber, degC", "read")]
     for s in unit.segments[:_MOST_ROWS]:
         what = s.shape if s.axis is None else f"{s.axis}: {s.shape}, {math.degrees(s.angle):+.4g} deg"
         pairs = zip(s.angles_before, s.angles_after, strict=True)

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 
 def upgrade_file(file: Path, output: Path | None, *, force: bool) -> int:
-    """Write a spec, recipe or calibration in today's form to `output`; without it, in the place of the file, which is
-    kept as FILE.old."""
+    """Write a spec, recipe or calibration in the current format to `output`; by default it replaces the file, which is
+    saved as FILE.old."""
     from gradcal_jax.files.document import read_text, read_toml
     from gradcal_jax.files.writing import write_toml, write_whole
 

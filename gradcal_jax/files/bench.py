@@ -39,7 +39,7 @@ class AngleReference(Section):
     """Errors that are periodic in the angle."""
 
     def _problems(self) -> Iterable[Problem]:
-        message = "this order stands above already: give one amplitude for each order"
+        message = "this order already exists above: give one amplitude for each order"
         return repeated_names("harmonics", "order", [str(harmonic.order) for harmonic in self.harmonics], message)
 
 
@@ -130,7 +130,7 @@ class AxisEncoder(AngleReference):
     and its gyros count whole turns. The actual angles may differ from the plan, and each is estimated. Leave out all
     other keys except `read_every`."""
     read_every: Spacing = q.Quantity(1.0, "1 s", "time")
-    """Spacing of the readings while the axis stands; "rest": one, at the end of each rest."""
+    """Spacing of the readings at rest; "rest": one, at the end of each rest."""
 
 
 class TableAxis(Section):

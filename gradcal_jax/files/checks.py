@@ -234,7 +234,7 @@ def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, ke
     if span is None:
         return []
     return [
-        Problem((*key, i), f"lies outside the {key[-1]} basis (its first and last entries)", end.text)
+        Problem((*key, i), f"is outside the range of the {key[-1]} basis (its first and last entries)", end.text)
         for i, end in enumerate(box)
         if not span[0] <= end <= span[1]
     ]
@@ -305,7 +305,7 @@ def _course(
 def _in_chamber(value: Quantity, chamber: Chamber, key: Key) -> Iterator[Problem]:
     low, high = chamber.range
     if not low <= value <= high:
-        yield Problem(key, f"lies outside the chamber's range, {low} to {high}", value.text)
+        yield Problem(key, f"is outside the chamber's range, {low} to {high}", value.text)
 
 
 def _slope(slope: Quantity, heats: bool, chamber: Chamber, key: Key) -> Iterator[Problem]:

@@ -156,7 +156,7 @@ def contradiction(column: str, unit: str) -> str | None:
     with contextlib.suppress(units.UnitError):
         if abs(units.convert(1.0, named, unit) - 1.0) < 1e-9:
             return None
-    return f"the name of column '{column}' states {text}, and the map states {unit}: which of them is right?"
+    return f"the name of column '{column}' states {text}, and the map states {unit}: which of them is correct?"
 
 
 def question_of(name: str, source: Measured) -> str | None:
@@ -165,7 +165,7 @@ def question_of(name: str, source: Measured) -> str | None:
     plain = _BRACKET.sub("", name).strip()
     for quantity, pattern in _QUANTITIES.items():
         if own and quantity != own and pattern.fullmatch(plain):
-            return f"the name of column '{name}' states {quantity}, and the map states {own}: which of them is right?"
+            return f"the name of column '{name}' states {quantity}, and the map states {own}: which of them is correct?"
     bracket = _BRACKET.search(name)
     if source.scale != 1.0:
         return None

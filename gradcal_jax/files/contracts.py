@@ -29,8 +29,8 @@ Functions = Literal["monomial", "legendre", "chebyshev", "b-spline", "bins"]
 class BasisRow(Section):
     """A basis: polynomials in x = (value − centre)/scale, splines or bins.
 
-    B-splines are clamped: the end knots are repeated, and beyond them the value at the end holds; beyond the outer
-    edges the outer bins hold.
+    B-splines are clamped: the end knots are repeated, and beyond them the value at the end applies; beyond the outer
+    edges the outer bins apply.
     """
 
     basis: Literal["polynomial", "b-spline", "bins"]
@@ -46,9 +46,9 @@ class BasisRow(Section):
     edges: tuple[Finite, ...] | None = None
     """Where bins meet (°C or rad/s)."""
     prior_functions: Functions
-    """Functions whose coefficients the map's `prior` is on, and a prediction's `std`."""
+    """Functions whose coefficients have the map's `prior` and the prediction's `std`."""
     smoothness_functions: Functions | None = None
-    """Functions whose coefficients its `smoothness` is on; null without one."""
+    """Functions whose coefficients have its `smoothness`; null without one."""
 
 
 class ProcessRow(Section):

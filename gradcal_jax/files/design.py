@@ -92,7 +92,7 @@ class Design(Section):
     robust: Literal["mean", "worst"] = "mean"
     """Whether the mean or the worst counts: over the scenarios, and over the ranges of `uncertain` noise figures."""
     scenario: Annotated[tuple[Scenario, ...], Field(max_length=1000)] = ()
-    """Variants of sensor or rig that the plan must serve too."""
+    """Variants of sensor or rig for which the plan must also be good."""
     angle_step: q.PositiveAngle | None = None
     """Turns are multiples of this angle; absent: any angle."""
     shortest_rest: q.Time = q.Quantity(2.0, "2 s", "time")

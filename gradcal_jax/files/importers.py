@@ -204,9 +204,7 @@ def _refuse_counts(table: Numbers, columns: ColumnMap) -> None:
             values = table.numbers(source)
             known = values[np.isfinite(values)]
             if len(known) > _MANY and np.ptp(known) > 1.0 and np.all(known == np.rint(known)):
-                words = (
-                    f"{source.words()} holds whole numbers alone: are they counts? Then state the scale of one count"
-                )
+                words = f"{source.words()} has only whole numbers: are they counts? Then state the scale of one count"
                 raise LogError(f"{words} {_MEND}")
 
 

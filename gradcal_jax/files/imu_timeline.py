@@ -157,14 +157,14 @@ class InstallationRow(Section):
     orders: tuple[int, ...] | None = None
     """Periods in one turn, of harmonics."""
     forces: bool | None = None
-    """Of "sample_clock": whether accelerometers see it, too."""
+    """Of "sample_clock": whether it also affects accelerometers."""
 
 
 class ImuSegmentRow(rows.CourseRow):
     """A rest, or the move of one axis."""
 
     axis: str | None = None
-    """The axis that moves; null: all stand."""
+    """The axis that moves; null: all are at rest."""
     angles_before: tuple[rows.Finite, ...]
     """Angles of all axes at its beginning, outermost first (rad)."""
     angles_after: tuple[rows.Finite, ...]

@@ -278,7 +278,7 @@ class LineProtocol(Section):
             key = ("tell", name)
             known = _ROLES[self.role].values
             if name not in known:
-                yield Problem(key, f"a {self.role} is told {', '.join(known)}; {instead(name, known)}")
+                yield Problem(key, f"a {self.role} needs the command {', '.join(known)}; {instead(name, known)}")
                 continue
             written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}
             if (name == "setpoint" or command.shown_by) and len(written) != 1:

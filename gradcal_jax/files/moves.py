@@ -104,7 +104,7 @@ class _Move(Section):
 
     def _problems(self) -> Iterator[Problem]:
         if self.read is not None and self.read_every is not None:
-            yield Problem(("read_every",), 'cannot stand beside "read"; keep one of them', self.read_every.text)
+            yield Problem(("read_every",), 'cannot be combined with "read"; keep one of them', self.read_every.text)
 
     @abstractmethod
     def resolve(self, max_acceleration: float) -> ResolvedMove:
@@ -141,7 +141,7 @@ class Angled(Section):
     @model_validator(mode="after")
     def _one_angle(self) -> "Angled":
         if self.turn is not None and self.turns is not None:
-            refuse(Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns))
+            refuse(Problem(("turns",), 'cannot be combined with "turn"; keep one of them', self.turns))
         if self.turn == 0.0:
             refuse(Problem(("turn",), "must not be zero; a rest is written { rest = … }", "0"))
         if abs(self.turn or 0.0) > 1e6 * FULL_TURN:

@@ -127,7 +127,9 @@ class RegisterProtocol(Section):
                 yield Problem(key, f"there is no such register; {instead(str(name), known)}", name)
         for name, writes in self.tell.items():
             if name not in _VALUES:
-                yield Problem(("tell", name), f"a chamber is told {', '.join(_VALUES)}; {instead(name, _VALUES)}")
+                yield Problem(
+                    ("tell", name), f"a chamber needs the command {', '.join(_VALUES)}; {instead(name, _VALUES)}"
+                )
                 continue
             for register, value in writes.items():
                 entry = known.get(register)

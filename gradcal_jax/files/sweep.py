@@ -90,11 +90,11 @@ class Axis(Section):
                 problems.append(Problem(("key",), str(error), text))
         limits = [name for name in ("start", "stop", "count", "step") if getattr(self, name) is not None]
         if self.values is not None:
-            problems += [Problem((name,), 'cannot stand beside "values"', getattr(self, name)) for name in limits]
+            problems += [Problem((name,), 'cannot be combined with "values"', getattr(self, name)) for name in limits]
         elif self.start is None or self.stop is None:
             problems.append(Problem((), 'expected "values", or "start" and "stop"', kind="missing"))
         elif self.count is not None and self.step is not None:
-            problems.append(Problem(("step",), 'cannot stand beside "count"; keep one of them', self.step))
+            problems.append(Problem(("step",), 'cannot be combined with "count"; keep one of them', self.step))
         refuse(*problems)
         if self.values is None:
             try:

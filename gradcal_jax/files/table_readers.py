@@ -365,7 +365,7 @@ def _values(
         shown = text[:40].replace(_LEADER, ".")
         for way, meaning in _WAYS.items():
             if way.fullmatch(text) and (place not in readable or way in _CERTAIN):
-                raise LogError(f"column {names[place]} holds {meaning}: '{shown}'")
+                raise LogError(f"column {names[place]} has {meaning}: '{shown}'")
         if place not in readable:
             raise LogError(f"column {names[place]} has no numbers, but texts such as '{shown}'")
         if unread[place] > max(_MANY_UNREAD, _SHARE_UNREAD * len(values)):

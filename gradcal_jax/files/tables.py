@@ -203,7 +203,7 @@ class Numbers:
         """One column, unconverted (integers stay integers)."""
         values = self.raw(source)
         if values.dtype.kind not in "biuf":
-            raise LogError(f"{source.words()} holds no numbers")
+            raise LogError(f"{source.words()} has no numbers")
         if self.rows is None:
             self.rows = len(values)
         if len(values) != self.rows:

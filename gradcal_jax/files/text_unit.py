@@ -92,7 +92,7 @@ class TextSensor(Section):
             if name not in NAMES:
                 yield Problem(("line",), f"{{{name}}} is not known here; {instead(name, NAMES)}", self.line)
         if len(set(self.fields)) != len(self.fields):
-            yield Problem(("line",), "a field stands twice", self.line)
+            yield Problem(("line",), "a field appears twice", self.line)
         if not any(name.startswith(("gyro", "acceleration")) for name in self.fields):
             yield Problem(("line",), "expected a field of a rate or an acceleration, such as {gyro_x}", self.line)
         if ("count" in self.fields) is not (self.counter is not None):

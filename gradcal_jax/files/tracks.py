@@ -77,7 +77,7 @@ class TrackMove(Section):
     start: q.SizeOfTime
     """From the beginning of the repetition."""
     do: Doing
-    """The action of the axis; "wait": it stands while other axes turn, or idle."""
+    """The action of the axis; "wait": it is at rest while other axes turn, or nothing happens."""
     duration: q.Time
     """How long."""
     axis: Name = "x"

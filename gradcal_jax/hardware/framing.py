@@ -202,7 +202,7 @@ def parse_words(modbus: Modbus, frame: bytes, sent: bytes, count: int) -> tuple[
     """The registers of a reply to function 3 or 4, unsigned."""
     data = modbus.body(frame, sent)[1:]
     if len(data) != 1 + 2 * count or data[0] != 2 * count:
-        raise FramingError(f"The reply {printable(frame)!r} does not hold {count} registers.")
+        raise FramingError(f"The reply {printable(frame)!r} does not have {count} registers.")
     return struct.unpack(f">{count}H", data[1:])
 
 

@@ -212,8 +212,8 @@ class Guard:
         if not received:
             self._end()
             raise HardwareError(
-                f"The guard, which makes the rig safe if this run is killed, cannot work with {self._folder}: "
-                "what it said stands above."
+                f"The guard, which makes the rig safe if this run is killed, cannot work with {self._folder}: see "
+                "its message above."
             )
 
     def _end(self) -> None:

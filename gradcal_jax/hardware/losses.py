@@ -72,7 +72,7 @@ class SampleLosses:
         newest.turned_deg += float(np.nansum(np.linalg.norm(batch.gyro_dps, axis=1))) * self._decoder.sample_s
 
     def between(self, executed: ExecutedStep, share: float, latest_s: float, turned_deg: float | None) -> str:
-        """A sentence where more than a share of a step's samples is missing, the unit restarted in it or sends at
+        """A sentence where more than a share of a step's samples is missing, the IMU restarted in it or sends at
         another rate, or where its gyro shows another angle than the table turned (None: unknown).
 
         `latest_s`: how late the computer may read them.

@@ -63,7 +63,7 @@ class RunFolder:
                 f"{self.path} is not the folder of a run: there is no run.json that can be read."
             ) from None
         if not isinstance(notes, dict) or notes.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
-            raise RunFolderError(f"{self.path} holds no {FORMAT}; it may be of another version.")
+            raise RunFolderError(f"{self.path} has no {FORMAT}; it may be of another version.")
         return notes  # pyright: ignore[reportUnknownVariableType]
 
     def track(self, recipe: Recipe | None = None) -> Track:
@@ -93,7 +93,7 @@ def new_folder(
     there = path / "journal"
     if there.exists() and sessions(read_journal(there, chunks=False)):
         raise RunFolderError(
-            f"{path} holds a run already: continue it with `gradcal run --resume {path}`, or name another folder."
+            f"{path} already has a run: continue it with `gradcal run --resume {path}`, or name another folder."
         )
     names = {entry.name for entry in path.iterdir()} if path.exists() else set[str]()
     # A folder with other files, or with a foreign journal, is left unchanged.

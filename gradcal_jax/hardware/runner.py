@@ -287,7 +287,7 @@ class Runner:
             self.clock.sleep(_SLICE_S)
         self._shortfall = None
         self._unconfirmed = [executed for executed in self._unconfirmed if executed.number < number]
-        self._event("seam", step=name, why="the step is made again; it was not executed as written")
+        self._event("seam", step=name, why="the step is repeated; it was not executed as written")
 
     def _pause_between(self, step: TrackStep) -> None:
         """Stop every axis: nothing turns while a run is paused, not even a spin that the next step continues."""
@@ -326,7 +326,7 @@ class Runner:
                 self._wait_paused()
                 until = self.clock.now() + _LONGEST_ARRIVAL_S
             if self.clock.now() > until:
-                raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: see the units.")
+                raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: check the IMUs.")
             self.clock.sleep(_SLICE_S)
 
     def _run_step(self, step: TrackStep, again: bool) -> ExecutedStep:
@@ -426,7 +426,7 @@ class Runner:
         ready = step.again or step.ready
         if chamber is not None and ready is not None:
             self._stabilise(step, chamber, _FOR_HANDS_C, ready)
-        console.ask(f"hang the units so: {step.hang}; press Enter when they hang:")
+        console.ask(f"mount the IMUs as follows: {step.hang}; press Enter when they are mounted:")
         try:
             while console.answer() is None:
                 self._duties()

@@ -223,8 +223,8 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
         chosen[0] = False  # the low-pass's own term has the form of quantisation's
         if len(rows) < chosen.sum() + 1:
             raise ValueError(
-                f"samples are averaged over about {end / 2 * interval:.3g} s by a low-pass, and the record holds too "
-                f"few times longer than that for {chosen.sum()} coefficients"
+                f"a low-pass averages samples over about {end / 2 * interval:.3g} s, and the record has too few "
+                f"longer averaging times for {chosen.sum()} coefficients"
             )
     fit = whole = _least_squares(steps[rows], variance[rows], runs, interval, chosen, low_passed)
     farthest = float(tau[rows[whole.farthest]])

@@ -148,7 +148,7 @@ def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, p
     begun, output = time.monotonic(), Path(output)
     identity = identity_of(job)
     if already_finished(job, output):
-        raise ValueError(f"{output} already has the results of this sweep; nothing is left to do")
+        raise ValueError(f"{output} already has the results of this sweep; nothing remains to do")
     if output.exists():
         raise ValueError(f"{output} exists and belongs to another sweep; choose another output, or delete it")
     if not output.parent.is_dir():

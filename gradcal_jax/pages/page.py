@@ -118,7 +118,7 @@ def _plan(spec: Spec) -> dict[str, Any]:
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     hung = len(spec.rig.table.mounting)
     left = len(schedule.steps) - _MOST_MOVES
-    lasts += f". A cycle of {time_text(schedule.period)}, made {cycles} times" if cycles else ""
+    lasts += f". A cycle of {time_text(schedule.period)}, repeated {cycles} times" if cycles else ""
     return {
         "times": lasts + (f", in {hung} mountings." if hung > 1 else "."),
         "moves": [

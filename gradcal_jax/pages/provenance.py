@@ -109,7 +109,7 @@ def provenance_rows(sources: Sources) -> list[tuple[str, str]]:
     if recipe is not None:
         rows += [
             ("recipe", recipe.fingerprint),
-            ("recipe made by", recipe.made.by),
+            ("recipe written by", recipe.made.by),
             ("versions", ", ".join(f"{name} {number}" for name, number in recipe.made.versions.items())),
         ]
         if recipe.made.seed is not None:

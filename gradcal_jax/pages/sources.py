@@ -114,7 +114,7 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
         if "calibration" not in parts and (own := calibrations_in(run.path)):
             if len(own) > 1:
                 names = ", ".join(path.name for path in own)
-                raise ValueError(f"{run.path} holds several calibrations ({names}): also name the intended one")
+                raise ValueError(f"{run.path} has several calibrations ({names}): also name the intended one")
             take_calibration(own[0])
         parts["hidden_truth"] = _hidden_truth(run)
     if "plan" in parts and "recipe" in parts:

@@ -27,7 +27,7 @@ def draw_sweep(
     )
     unknown = [name for name in names if name not in results.data_vars]
     if unknown or not names:
-        raise ValueError(f"the results hold no variable {unknown[0]!r}" if unknown else "the results hold no residuals")
+        raise ValueError(f"the results have no variable {unknown[0]!r}" if unknown else "the results have no residuals")
     rows = [_drawn(results, name) if "point" in results.dims else _grid(results, name) for name in names]
     width = max(len(row) for row in rows)
     figure = new_figure(figure, (max(6.4, 3.4 * width), 3.9 * len(rows)))

@@ -140,7 +140,9 @@ def test_the_objective_has_the_chance_that_predict_has():
     # The test that is reported leaves out what the plan does not show.
     assert 0.5 * missed < 1.0 - power <= missed
     left = plan.residuals(found)
-    assert plan.exceeded(left) == {"the chance to miss a hidden map": pytest.approx(math.log((1.0 - power) / 0.1))}
+    assert plan.exceeded(left) == {
+        "the probability of missing a hidden map": pytest.approx(math.log((1.0 - power) / 0.1))
+    }
     assert plan.value_of(left) > plan.without_limits(left) + 1.0
 
 

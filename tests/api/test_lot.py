@@ -66,7 +66,7 @@ def test_alike_imus_have_no_spread():
     one = only(lot_of("alike"))
     assert one.shape_count == 0
     assert np.mean(one.spread_interval[0] == 0.0) > 0.9
-    assert "no spread is seen" in one.findings[0]
+    assert "no spread is visible" in one.findings[0]
     assert one.prior is not None
 
 
@@ -77,7 +77,7 @@ def test_few_imus_say_what_they_cannot_say(count):
     assert only(found).shape_count is None
     assert "too few" in " ".join(only(found).findings)
     (note,) = found.notes
-    assert note.startswith(f"{count} IMUs do not say whether one is a stranger")
+    assert note.startswith(f"{count} IMUs are too few to detect outliers")
 
 
 def test_the_stated_range_of_a_spread_of_few_is_students():

@@ -299,7 +299,7 @@ def test_a_design_for_nothing_that_is_required_is_refused(spec):
 def test_a_target_that_no_plan_can_meet_is_refused_with_the_limit(spec):
     limit = limits(spec)[0].certified
     asked = changed(spec, {"requirement[0].target": f"{0.9 * limit} ppm", "design.minimise": "motion time"})
-    with pytest.raises(ValueError, match=f"it is proven that none leaves less than {limit:.4g} ppm in 50 min"):
+    with pytest.raises(ValueError, match=f"proven limits show that no plan leaves less than {limit:.4g} ppm in 50 min"):
         next(optimise(asked))
 
 
@@ -425,7 +425,7 @@ def test_many_short_visits_begin_with_the_same_moves_in_each(spec):
     back = [moves[0], moves[1] | {"turn": "-360 deg"}]
     many = changed(spec, {"plan.cycle": {"moves": [*moves, *back]}, "design.moves": None})
     (structure,) = structures(many, [])
-    assert structure.words.endswith("cycles with the moves of the spec")
+    assert structure.words.endswith("cycles with the moves in the spec")
     assert not structure.alone
     # Of moves of their own, too few fit into a visit for the plan to be among them.
     own = changed(many, {"design.cycles": "own"})

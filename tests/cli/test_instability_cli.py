@@ -147,14 +147,14 @@ def test_noise_that_no_gyro_has_is_status_1_with_a_question(tmp_path, capsys, fa
     for command in ("allan", "instability"):
         status, told = printed(capsys, command, path, *(("--longest", "20 s") if command == "instability" else ()))
         assert status == 1
-        assert "stated as rad/s" in told.out
+        assert "state rad/s for rates in deg/s" in told.out
 
 
 @pytest.mark.parametrize("factor", [1 / 57.3, 1.7 / 1000**0.5])
 def test_noise_of_the_quietest_gyros_alone_is_a_question(tmp_path, capsys, factor):
     """0.1 deg/√h in rad/s stated as deg/s, and 0.17 deg/√h with stamps in s stated as ms."""
     path = noise_log(tmp_path / "a.nc", 3, factor=factor)
-    assert "stated as deg/s, or stamps in s as ms?" in printed(capsys, "allan", path)[1].out
+    assert "or state deg/s for rates in rad/s, or ms for time stamps in s?" in printed(capsys, "allan", path)[1].out
     assert "?" not in printed(capsys, "allan", noise_log(tmp_path / "b.nc", 3))[1].out
 
 
@@ -227,7 +227,7 @@ def test_text_named_h5_is_told_from_damage(tmp_path, capsys):
         (("allan", "missing.nc"), "does not exist"),
         (("allan", "table.csv"), "--columns"),
         (("allan", "LOG", "--columns", "map.toml"), "needs no --columns"),
-        (("allan", "LOG", "--plot", "picture.docx"), "ends in .png, .svg or .pdf"),
+        (("allan", "LOG", "--plot", "picture.docx"), "must end in .png, .svg or .pdf"),
     ],
 )
 def test_wrong_input_is_a_sentence(record, arguments, sentence, capsys):

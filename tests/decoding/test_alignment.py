@@ -6,7 +6,7 @@ from motion_and_recording import Motion, Recorded, readings, recording, turns
 
 from gradcal_jax.decoding.alignment import Alignment, AngleTrack, NoAlignment, align
 
-UNKNOWN = "of another run|fits at two places"
+UNKNOWN = "of another run|agrees with the run at two times"
 
 
 def one(seed: int, cycles: int = 12) -> tuple[Alignment, Recorded]:

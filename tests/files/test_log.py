@@ -326,9 +326,9 @@ def test_wrong_units_are_found_by_size_and_against_the_table():
     time = np.arange(3000) * 0.01
     turning = np.sin(time)
     for arguments, sentence in [
-        ({"rate": 300 * np.sin(time)}, "too large a unit"),
+        ({"rate": 300 * np.sin(time)}, "unit in the map too large"),
         ({"rate": quiet(3000), "temperature_c": np.full((1, 3000), 293.0) + time}, "K, degF, or counts"),
-        ({"rate": quiet(3000), "sample_rate_hz": 1e5}, "as far apart"),
+        ({"rate": quiet(3000), "sample_rate_hz": 1e5}, "times those of the stated rate"),
         ({"rate": quiet(3000), "time": time * 1e9}, "another unit"),
         ({"rate": np.degrees(turning), "table_rate_rad_per_s": turning[:, None]}, "deg for rad"),
         ({"rate": turning / 57.2958, "table_angle_rad": -np.cos(time)[:, None]}, "deg for rad"),

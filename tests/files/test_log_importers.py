@@ -82,7 +82,7 @@ encoding = "latin-1"
         ("t,gx\n12:00:00.1,1\n12:00:00.2,2\n", "'t' holds dates or times of day"),
         ("t,gx\n0,0x1F\n10,0x20\n", "'gx' holds hexadecimal counts"),
         ("t,gx\n0,FF1F\n10,FE20\n", "'gx' holds hexadecimal counts"),
-        ("t,gx\n0,fast\n10,slow\n", "'gx' holds no numbers, but texts such as 'slow'"),
+        ("t,gx\n0,fast\n10,slow\n", "'gx' has no numbers, but texts such as 'slow'"),
         ("t,gx,gx\n0,1,2\n10,3,4\n", "several columns are named 'gx': say which by its number, 1 or 2, from 0"),
         ("t;gx\n0;1\n10;3\n", 'or is it delimiter = ";", under'),
     ],
@@ -328,7 +328,7 @@ def test_a_faulty_column_map_is_told_by_key(text, sentence):
 @pytest.mark.parametrize(
     ("name", "content", "extra", "sentence"),
     [
-        ("a.xyz", b"1", "", "the ending tells"),
+        ("a.xyz", b"1", "", "the file name extension determines"),
         ("a.csv", b"", "", "is empty"),
         ("a.csv", b"t,gx\n", "", "no rows below the header"),
         ("a.csv", b"1,2\n3,4\n", "", "no line of column names"),
@@ -354,7 +354,7 @@ def test_pickles_directories_and_missing_files_are_refused(tmp_path):
     with pytest.raises(LogError, match="without pickles"):
         import_log(tmp_path / "p.npz", plain())
     np.savez(tmp_path / "w.npz", t=np.arange(3.0), gx=np.array(["a", "b", "c"]))
-    with pytest.raises(LogError, match="holds no numbers"):
+    with pytest.raises(LogError, match="has no numbers"):
         import_log(tmp_path / "w.npz", plain())
     np.savez(tmp_path / "l.npz", t=np.arange(3.0), gx=np.arange(4.0))
     with pytest.raises(LogError, match="3 rows, the columns before it 4"):

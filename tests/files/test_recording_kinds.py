@@ -121,7 +121,7 @@ def log_start(time: np.ndarray) -> float:
 def test_units_in_headers_are_compared_with_the_map(name: str, unit: str, says: str):
     question = contradiction(name, unit)
     assert question is not None
-    assert f"says {says}, and the map says {unit}" in question
+    assert f"says {says}, and the map states {unit}" in question
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_coarse_steps_and_dead_bands_give_no_angle_random_walk(tmp_path: Path):
     time = np.arange(len(rate)) / 100.0
     half = np.rint((rate - 0.02 + 0.5 * step) / step) * step  # between two values
     for values in (np.rint(rate / step) * step, half, np.where(np.abs(rate) < 0.15, 0.0, rate)):
-        with pytest.raises(LogError, match=r"dead band|coarse for its noise"):
+        with pytest.raises(LogError, match=r"dead band|coarse compared with its noise"):
             at_rest(imported(tmp_path, time, values))
 
 
@@ -202,4 +202,4 @@ def test_steps_that_add_to_the_noise_are_said(tmp_path: Path):
     step = 0.05  # the noise
     log = imported(tmp_path, np.arange(len(rate)) / 100.0, np.rint(rate / step) * step)
     (said,) = at_rest(log).messages
-    assert "of its noise, and add to it" in said
+    assert "of its noise, and increase it" in said

@@ -71,7 +71,7 @@ def checked(
 def test_what_the_how_to_writes_is_a_green_check(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, said = checked(BLOCKS[name], name, tmp_path, capsys)
     assert status == 0, said
-    assert "every device answers as the rig file says" in said
+    assert "every device answers as the rig file states" in said
 
 
 def test_its_lines_are_as_many_as_it_says() -> None:

@@ -267,7 +267,7 @@ def test_a_run_that_hangs_is_ended_and_made_safe(tmp_path: Path) -> None:
         assert lab.stdout.readline().split() == ["STANDBY", "0.0"]
         run.communicate(timeout=30.0)
         assert run.returncode == -signal.SIGKILL
-    assert "did not answer any more" in by_guard(journal)[0].data["what"]
+    assert "no longer responded" in by_guard(journal)[0].data["what"]
 
 
 def run_of(lab: SimulatedLab, folder: RunFolder, clock: RealClock, **more: Any) -> RunResult:

@@ -214,7 +214,7 @@ def test_the_parts_of_another_sweep_are_refused(done, pool, tmp_path):
     with pytest.raises(ValueError, match="is not a sweep's"):
         sweep(job, tmp_path / "other.nc", runner=pool)
     (tmp_path / "taken.nc").write_text("mine")
-    with pytest.raises(ValueError, match="exists and is not of this sweep"):
+    with pytest.raises(ValueError, match="exists and belongs to another sweep"):
         sweep(job, tmp_path / "taken.nc", runner=pool)
     assert identity_in(tmp_path / "taken.nc") is None
 

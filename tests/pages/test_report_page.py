@@ -112,9 +112,7 @@ def test_the_requirements_of_a_page_are_those_of_recipe_and_calibration(made, wh
     assert (rows[0]["verdict"], number(rows[0]["target"])) == ("met", 2000.0)
     assert "Met: every target" in shown.text
     # The drawn results are not those of the drawn covariance, as with a model discrepancy; the page says so.
-    assert any(
-        "achieved maps are by the covariance" in note and "123.5 ppm in the table" in note for note in data.notes
-    )
+    assert any("achieved maps use the covariance" in note and "123.5 ppm in the table" in note for note in data.notes)
 
 
 def test_predicted_maps_have_the_recipes_statistics_and_achieved_ones_the_covariances(made, whole):

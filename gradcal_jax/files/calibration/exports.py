@@ -449,7 +449,7 @@ def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     ]
     lines += _kalibr_noise(calibration.noise)
     if calibration.noise is None:
-        notes.append("the calibration holds no noise: fill in the noise densities and random walks")
+        notes.append("the calibration has no noise figures: fill in the noise densities and random walks")
     notes.append("the file needs an accelerometer_random_walk, which no calibration contains")
     lines += ["model: scale-misalignment", "accelerometers:", "  M:", *_matrix_lines(form.accelerometer)]
     lines += ["gyroscopes:", "  M:", *_matrix_lines(form.gyro), "  A:", *_matrix_lines(form.sensitivity)]

@@ -28,9 +28,9 @@ KINDS: Final = {
 _WORDS: Final = {"ulog": "ULog", "dataflash": "DataFlash", "ros": "a ROS bag or MCAP"}
 _FIRMWARE: Final = {"ulog": {"firmware": "px4"}, "dataflash": {"firmware": "ardupilot"}}
 _FROM_MAVLINK: Final = (
-    "holds MAVLink messages: their HIGHRES_IMU (as PX4 sends it) is not the output of the sensor: the "
-    "estimator's gyro bias is subtracted, and the temperature is that of the barometer. A calibration needs the "
-    "log of the flight controller: PX4's .ulg with sensor_gyro, ArduPilot's .bin"
+    "has MAVLink messages: their HIGHRES_IMU (as PX4 sends it) is not the output of the sensor: the estimator's "
+    "gyro bias is subtracted, and the temperature is that of the barometer. A calibration needs the log of the "
+    "flight controller: PX4's .ulg with sensor_gyro, ArduPilot's .bin"
 )
 
 

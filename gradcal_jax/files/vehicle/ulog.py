@@ -38,7 +38,7 @@ def gyros(path: Path) -> Sequence[GyroStream]:
     if not topics:
         only = "only sensor_combined, which has calibration and bias subtracted" if names else "no gyro"
         raise LogError(
-            f"the log holds {only}: make PX4 log sensor_gyro with the thermal calibration bit (4) of SDLOG_PROFILE"
+            f"the log has {only}: make PX4 log sensor_gyro with the thermal calibration bit (4) of SDLOG_PROFILE"
         )
     published = _published(log.data_list)
     singles = {_device(data): _single(data, start_s, published) for data in topics if data.name == "sensor_gyro"}

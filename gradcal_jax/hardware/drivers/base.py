@@ -102,7 +102,7 @@ class ChamberDriver(ExchangeDriver[Config], TemperatureChamber, ABC):
         limits = self.limits()
         if not limits.lowest_c <= temperature_c <= limits.highest_c:
             bounds = self._BOUNDS.format(low=limits.lowest_c, high=limits.highest_c, device=self._title)
-            raise LimitExceeded(f"{temperature_c:.1f} degC lies outside {bounds}")
+            raise LimitExceeded(f"{temperature_c:.1f} degC is outside {bounds}")
 
     def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
         if policy is ChamberSafe.STANDBY:
@@ -160,7 +160,7 @@ class AxisDriver(ExchangeDriver[Options], Unwatched, MotionAxis, ABC):
     def _require_travel(self, position_deg: float, travel_deg: tuple[float, float]) -> None:
         lowest, highest = travel_deg
         if not lowest - 1e-9 <= position_deg <= highest + 1e-9:
-            raise LimitExceeded(f"{position_deg:g} deg lies outside the travel {lowest:g} to {highest:g} deg.")
+            raise LimitExceeded(f"{position_deg:g} deg is outside the travel, {lowest:g} to {highest:g} deg.")
 
     def _require_motion(self, rate_dps: float, fastest_dps: float, acceleration_dps2: float, most_dps2: float) -> None:
         for value, most, unit in ((rate_dps, fastest_dps, "deg/s"), (acceleration_dps2, most_dps2, "deg/s²")):

@@ -2,7 +2,7 @@
 
 The program writes a question without a line end, with a bell, and waits for a line:
 
-    x: turn by +360 deg in 10 s, to 360 deg; let it stand and type the angle that its scale shows: 360.02 deg
+    x: turn by +360 deg in 10 s, to 360 deg; let it come to rest and type the angle that its scale shows: 360.02 deg
 
 An angle has its unit, by the grammar of all files (`359° 58′ 30″` is valid, `360,02` is not), or `unit` is the unit of
 bare numbers. The question is repeated for an invalid answer, and once for an angle further than `miss` from the goal. A
@@ -197,7 +197,7 @@ class OperatorAxis(Unwatched):
     def _ask(self, what: str) -> None:
         enter = self._told or self._encoder is not None
         answer = "press Enter" if enter else "type the angle that its scale shows"
-        self._question = f"{what}; let it stand and {answer}:"
+        self._question = f"{what}; let it come to rest and {answer}:"
         self._doubted = False
         self._ring_s = self._clock.now() + self._config.remind_s
         drawing, self._drawing = self._drawing.replace("\n", "\r\n"), ""

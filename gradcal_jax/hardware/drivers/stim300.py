@@ -137,7 +137,7 @@ class Stim300Decoder:
 
     The first datagram shows whether the unit ends them in CR LF.
 
-    A start-up bit within a stream means that the unit restarted: power was cut, or it was reset.
+    A start-up bit within a stream means that the IMU restarted: power was cut, or it was reset.
 
     Special datagrams, which come after power-on and are never asked for, count as `bad_bytes`. A datagram that comes
     twice, at once or later, counts once.
@@ -344,7 +344,7 @@ def parse_utility(frame: bytes) -> tuple[str, list[str]]:
     status = int(fields[0])
     if status not in (0, 8):
         text = _STATUS_TEXTS.get(str(status), "unknown status")
-        raise Rejected(f"The unit refuses {name or 'the command'}: status {status} ({text}).")
+        raise Rejected(f"The IMU refuses {name or 'the command'}: status {status} ({text}).")
     return name, fields[1:]
 
 

@@ -1,8 +1,8 @@
 """Units that print their samples as lines of text, which a rig file describes (`files.text_unit`).
 
-Nothing is sent to such a unit, and it cannot be asked who it is: its lines are its identity. A counter that wraps early
-shows losses modulo its modulus, and the host's clock the rest (as of a STIM300); a time or a long counter shows them
-all, and that the unit restarted.
+Nothing is sent to such a unit, and it cannot be asked who it is: its lines are its identity. A counter that wraps
+early shows losses modulo its modulus, and the host's clock the rest (as of a STIM300); a time or a long counter shows
+them all, and that the IMU restarted.
 
 Unverified on real hardware: everything.
 """

@@ -87,7 +87,7 @@ class Layout:
                 f"and once in the write layout; they are {' '.join(self.read)} and {' '.join(self.write)}."
             )
         if missing := [name for name in self.write if name not in self.read]:
-            raise ValueError(f"Channels {' '.join(missing)} are written but never read; the layout cannot be right.")
+            raise ValueError(f"Channels {' '.join(missing)} are written but never read; the layout cannot be correct.")
 
     def nominal(self, channel: str) -> int:
         """Position of the nominal value: the first of a channel's two numbers, or its only one."""

@@ -33,7 +33,7 @@ RECORDING: Final = "tofupilot_imu_thermal_cycle.npz"
 # The paper's sensor and chamber, on a table whose acceleration it does not name: here one of 300 deg/s^2. Two turns a
 # visit, two starts and 60 steps: so that the search takes a minute; more of each finds some per cent less.
 _HEADLINE: Final[dict[str, object]] = {
-    "title": "Berman's gyro, with its own plan",
+    "title": "Berman's gyro, with a plan of its own",
     "rig.table.axis[0].max_acceleration": "300 deg/s^2",
     "plan.cycle.moves": [
         {"rest": "8 s", "read_every": "1 s"},

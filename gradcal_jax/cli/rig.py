@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from gradcal_jax.hardware.dry_run import Tried
     from gradcal_jax.hardware.setup import DeviceReport
 
+_UNITS = {
+    "_k_per_min": "K/min", "_dps2": "deg/s^2", "_dps": "deg/s", "_deg": "deg", "_hz": "Hz", "_c": "degC", "_k": "K",
+}  # fmt: skip
+_ABILITIES = {"by_hand": "turned by hand", "typed": "the operator types its angle", "told": "nothing reads its angle"}
+
 rig_app = App(name="rig", help="The rig: which device is on which port, whether each answers, and the state of a run.")
 rig_app.command(watch)
 
@@ -165,6 +170,14 @@ def _tried(rig: "RigFile", recipe: Path, move: bool) -> "list[Tried]":
             put_back(bench)
 
 
+def _limit(name: str, value: object) -> str:
+    """A limit in words, with its unit; empty for one that the device does not have."""
+    if isinstance(value, bool) or value is None or value in (0.0, float("inf")):
+        return _ABILITIES.get(name, name.replace("_", " ")) if value is True else ""
+    words, unit = next((name.removesuffix(end), unit) for end, unit in _UNITS.items() if name.endswith(end))
+    return f"{words.replace('_', ' ')} {value:g} {unit}"
+
+
 def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
     head = (report.name, report.driver, report.port)
     if report.problem:
@@ -175,6 +188,6 @@ def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
     )
     limits = {} if report.limits is None else asdict(report.limits)
     limits.pop("registers", None)
-    rows = [f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in limits.items()]
+    rows = [words for name, value in limits.items() if (words := _limit(name, value))]
     rows += [report.remark] if report.remark else []
     return [(*head, described), *(("", "", "", row) for row in rows)]

@@ -254,13 +254,16 @@ class ImuSettings:
 class ImuBatch:
     """Samples decoded together. `n` of them, three axes; a quantity that the unit does not send is NaN.
 
-    host_time_s (n,) clock of the run when the last byte of the sample was in hand device_time_s (n,) the unit's own
-    time, unwrapped, from its counter or clock gyro_dps (n, 3) angular rate, deg/s acceleration_g (n, 3) specific
-    force, in g0 = 9.80665 m/s² temperature_c (n, 3) of the gyro axes second_c (n,) of a second thermometer, °C; of a
-    unit that measures both, that of its accelerometers status (n,) status bits, 0 = good; the meaning is the driver's
-    gap_before (n,) number of samples missing just before this one, as far as the decoder has seen disturbed (n,)
-    whether bytes just before it belong to no sound frame; False where stamps are absolute restarted (n,) whether the
-    IMU restarted before it, so that its own time is not continuous
+    host_time_s     (n,)   clock of the run when the last byte of the sample was in hand
+    device_time_s   (n,)   the unit's own time, unwrapped, from its counter or clock
+    gyro_dps        (n, 3) angular rate, deg/s
+    acceleration_g  (n, 3) specific force, in g0 = 9.80665 m/s²
+    temperature_c   (n, 3) of the gyro axes
+    second_c        (n,)   of a second thermometer, °C; of a unit that measures both, that of its accelerometers
+    status          (n,)   status bits, 0 = good; the meaning is the driver's
+    gap_before      (n,)   number of samples missing just before this one, as far as the decoder has seen
+    disturbed       (n,)   whether bytes just before it belong to no sound frame; False where stamps are absolute
+    restarted       (n,)   whether the IMU restarted before it, so that its own time is not continuous
     """
 
     host_time_s: NDArray[np.float64]

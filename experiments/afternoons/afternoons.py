@@ -119,8 +119,9 @@ DEVICES = (
     (
         "A BMI088 on a table of ±170°",
         "bmi088",
-        "A home-made one-axis table with a stepper on a GRBL board, whose cable allows ±170°; a fridge and a hair dryer,\n"
-        "operated by the clock; a board that prints lines of text. Three ramps, with a change of mounting in between.",
+        "A home-made one-axis table with a stepper on a GRBL board, whose cable allows ±170°; a fridge and a hair\n"
+        "dryer, operated by the clock; a board that prints lines of text. Three ramps, with a change of mounting in\n"
+        "between.",
         False,
     ),
     (

@@ -154,7 +154,7 @@ class Instability:
         walk = f'angle_random_walk = "{number(walk)} deg/sqrt(h)"'
         if not self.bound.drift_shows:
             hidden = number(self.bound.hidden_drift_std * DEG_PER_H)
-            return f"# {walk}\n# no drift shows above the angle random walk; one of up to {hidden} deg/h could hide"
+            return f"# {walk}\n# no drift is visible above the angle random walk; up to {hidden} deg/h could be present"
         return "\n".join(
             [
                 f"# {walk}",

@@ -104,7 +104,7 @@ def check(
 
 
 def blind_of(spec: "Spec") -> list[str]:
-    """All warnings of `check`: what the plan cannot observe, and what requirements ask for beyond it."""
+    """All warnings of `check`: what the plan cannot observe, and requirements beyond its range."""
     use_float64()
     from gradcal_jax.api.flow import check as check_of
 

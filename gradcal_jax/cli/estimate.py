@@ -206,7 +206,7 @@ def _by_hand(
     plot: Path | None,
     json: bool,
 ) -> int:
-    """The estimate of units that were laid down in many positions, without a table."""
+    """The estimate of IMUs that were laid down in many positions, without a table."""
     from gradcal_jax.api.estimate_options import Options
     from gradcal_jax.api.hand_estimate import estimate_by_hand, hand_estimate_rows
 
@@ -286,7 +286,7 @@ def _spec(spec: Path | None, recipe: Path | None) -> "Spec":
 
 
 def _files(output: Path | None, units: Sequence[str], force: bool) -> dict[str, Path]:
-    """The output file of each unit, checked to be writable; those of several units have their names added."""
+    """The output file of each IMU, checked to be writable; for several IMUs, with the name of the IMU added."""
     if output is None:
         return {}
     files = {units[0]: output}

@@ -1,4 +1,4 @@
-"""Results of `gradcal estimate` as text: of a log by a spec, or of a unit turned by hand (`--gravity`)."""
+"""Results of `gradcal estimate` as text: of a log with a spec, or of an IMU turned by hand (`--gravity`)."""
 
 import math
 from collections.abc import Sequence

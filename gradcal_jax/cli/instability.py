@@ -90,9 +90,9 @@ def instability(
     temperature
         Use only rows between two temperatures: --temperature "20 degC" "40 degC".
     ranges
-        Also for each of this many equal ranges of temperature.
+        Number of equal temperature ranges to compute separately as well.
     bins
-        Also for each range of temperature of this width, such as "2 K".
+        Width of temperature ranges to compute separately as well, such as "2 K".
     branches
         Also fit heating and cooling separately, each as a whole and in the temperature ranges.
     plot
@@ -312,7 +312,7 @@ def allan(
     output
         The file of --format.
     plan
-        No record: expected relative errors of N, B, K and of a drift's σ and τ. Takes the options below.
+        Without a record: print the expected relative errors of N, B, K and a drift's σ and τ, from the options below.
     noise
         Angle random walk, such as "0.1 deg/sqrt(h)".
     bias_instability
@@ -328,7 +328,7 @@ def allan(
     rate
         Sample rate.
     bins
-        Also for each range of temperature of this width, such as "2 K".
+        Width of temperature ranges to compute separately as well, such as "2 K".
     branches
         Also fit heating and cooling separately, each as a whole and in the temperature ranges.
     plot

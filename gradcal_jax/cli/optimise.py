@@ -137,7 +137,7 @@ def optimise(
     if str(output) != "-":
         writable(output, force or resume)
     elif steps != 0 or json:
-        raise ValueError("-o - prints the recipe of --steps 0 itself: leave --json out, or name a file")
+        raise ValueError("with -o - the recipe of --steps 0 is printed: leave --json out, or name a file")
     use_float64()
     if steps == 0:
         write_recipe(specification, output, stability, keep_shapes=keep_shapes, json=json)
@@ -197,7 +197,7 @@ def _read(path: Path) -> "Spec":
 
 
 def _refuse(where: str, options: Mapping[str, object]) -> None:
-    """Raise `ValueError` for options that are given and that nothing looks at."""
+    """Raise `ValueError` for stated options without an effect."""
     if given := [name for name, value in options.items() if value is not None and value is not False]:
         raise ValueError(f"{', '.join(given)}: no effect {where}; leave {'it' if len(given) == 1 else 'them'} out")
 

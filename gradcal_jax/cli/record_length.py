@@ -22,7 +22,7 @@ def plan_record(
     rate: str,
     json: bool,
 ) -> int:
-    """Print the expected relative errors of N, B, K, σ and τ, or the record that leaves an `error`."""
+    """Print the expected relative errors of N, B, K, σ and τ, or the length of the record for a given `error`."""
     if noise is None:
         raise ValueError('--plan needs the sensor\'s angle random walk: --noise "0.1 deg/sqrt(h)"')
     walk = quantity(noise, "angle random walk", "--noise")

@@ -50,7 +50,7 @@ WHOLE: Final = Recording()
 def load(path: Path, source: Recording = WHOLE, *, unit: str | None = None) -> "Log":
     """Read the requested part of a log of this program (netCDF), a flight log, or a table with its column map.
 
-    `unit` is needed for a flight log with several units at different clocks. Raises `ValueError`.
+    `unit` is needed for a flight log with several IMUs on different clocks. Raises `ValueError`.
     """
     return _stated(_load(path, source, unit), source)
 
@@ -90,7 +90,7 @@ def _load(path: Path, source: Recording, unit: str | None) -> "Log":
 
 
 def load_all(path: Path, source: Recording = WHOLE) -> "list[Log]":
-    """As `load`, of a vehicle's log with every gyro: a log for each clock."""
+    """Like `load`, for a vehicle's log with every gyro: a log for each clock."""
     from gradcal_jax.files.log import part_of
     from gradcal_jax.files.vehicle import is_vehicle_log, read_vehicle_logs
 

@@ -123,21 +123,20 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
 
 @rig_app.command
 def record(rig: Path | None = None, /, *, output: Output, move: Flag = False, force: Force = False) -> int:
-    """Communicate with every device of a rig, and record all bytes in both directions in one file, which shows
-    whether a driver fits the device.
+    """Communicate with every device of a rig, and record all bytes in both directions in one file.
 
-        Send that file with a report: the file can be replayed in place of the device. Nothing moves, unless --move is
-        given. The exit status is 3 if a device did not answer correctly.
+    The file shows whether a driver fits the device. Send it with a report: it can be replayed in place of the device.
+    Nothing moves, unless --move is given. The exit status is 3 if a device did not answer correctly.
 
-        Parameters
-        ----------
-        rig
-            The rig file; by default that of the user's configuration.
-        output
-            The transcript to write.
-        move
-            Also condition the chamber at its present temperature, home each axis and turn it by 10 deg: the operator
-            stands by.
+    Parameters
+    ----------
+    rig
+        The rig file; by default that of the user's configuration.
+    output
+        The transcript to write.
+    move
+        Also condition the chamber at its present temperature, home each axis and turn it by 10 deg: the operator
+        stands by.
     """
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock
@@ -172,7 +171,8 @@ def _tried(rig: "RigFile", recipe: Path, move: bool) -> "list[Tried]":
 
 def _limit(name: str, value: object) -> str:
     """A limit in words, with its unit; empty for one that the device does not have."""
-    if isinstance(value, bool) or value is None or value in (0.0, float("inf")):
+    none = value in (None, float("inf")) or (value == 0.0 and ("step" in name or "slowest" in name))
+    if isinstance(value, bool) or none:
         return _ABILITIES.get(name, name.replace("_", " ")) if value is True else ""
     words, unit = next((name.removesuffix(end), unit) for end, unit in _UNITS.items() if name.endswith(end))
     return f"{words.replace('_', ' ')} {value:g} {unit}"

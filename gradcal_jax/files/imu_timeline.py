@@ -81,9 +81,10 @@ class PathTermRow(Section):
     """A function of the path of temperature times the product of `signals`, as of `ImuTermRow`. By `kind`:
 
     "hysteresis": of the two extreme states of a play, `P = max(T − width, min(T + width, P⁻))` from P = T ± width at
-    the begin of the course, soaks included: the functions (high + low)/2 − T and (high − low)/(2 width). "temperature
-    gradient": dT/dt. "transient": exp(−t/time_constant), t from the begin of the plan. "temperature difference":
-    gain·(L − T), L a first-order lag of T with the time constant, L = T at the begin of the plan.
+    the beginning of the temperature profile, soaks included: the functions (high + low)/2 − T and
+    (high − low)/(2 width). "temperature gradient": dT/dt. "transient": exp(−t/time_constant), t from the beginning of
+    the plan. "temperature difference": gain·(L − T), L a first-order lag of T with the time constant, L = T at the
+    beginning of the plan.
     """
 
     kind: Literal["hysteresis", "temperature gradient", "transient", "temperature difference"]
@@ -134,14 +135,15 @@ class ChannelRow(Section):
 
 
 class InstallationRow(Section):
-    """An error that all channels see, with a prior for each parameter. By `kind` the rotation p inserted (body):
+    """An error common to all channels, with a prior for each parameter. `kind` gives the inserted rotation p (in the
+    body frame) and the part outside of it, which p turns relative to the body.
 
-    "base": Rᵀ times East, North, up (tilt, tilt, azimuth); outside it turns the Earth. "orthogonality" of axes l and
-    l + 1: about e_{l+1} × e_l, carried by axis l; outside it turn the Earth and the axes up to l. "harmonics" of `axis`
-    l: a_l times cosine and sine of `orders` times its angle; outside, the axes before l; besides, a_li times their
-    change where l turns. "mounting": the body's x, y, z, of each mounting while it is used; outside, everything.
-    "gravity" (m/s²): along up, for accelerometers. "sample_clock": the rate itself and, with
-    `forces`, the force itself.
+    "base": p = Rᵀ times East, North, up (tilt, tilt, azimuth); outside: the Earth. "orthogonality" of axes l and l + 1:
+    p about e_{l+1} × e_l, carried by axis l; outside: the Earth and the axes up to l. "harmonics" of `axis` l: p = a_l
+    times cosine and sine of `orders` times its angle; outside: the axes before l; in addition, a_li times their change
+    while l turns. "mounting": p about the body's x, y, z, for each mounting while it is used; outside: everything.
+    "gravity" (m/s²): a force along up, for accelerometers. "sample_clock": the rate itself and, with `forces`, the
+    force itself.
     """
 
     kind: Literal["base", "orthogonality", "harmonics", "mounting", "gravity", "sample_clock"]

@@ -70,6 +70,7 @@ OF_THE_FIELD: Final[dict[str, str]] = {
     ),
     "motion": "The time in which the temperature or the table changes; soaks do not count.",
     "noise": "Random errors: random walk, drift, readings.",
+    "objective": "The quantity that a search minimises: a residual, a duration or a combination.",
     "observe": "A plan observes a coefficient if its readings depend on the coefficient.",
     "optimised": "Of a plan: changed by gradient descent to the smallest residual for this sensor, rig and time.",
     "parameter": "A coefficient of B or M: a0, a1, … and b{power of rate}{power of temperature}, as in the paper.",

@@ -92,7 +92,7 @@ def test_where_no_drift_shows_the_status_says_so(tmp_path, capsys):
     write_log(Log(np.arange(4000.0), WALK * rng.standard_normal((1, 4000, 1)), ("a",), ("x",)), path)
     status, told = printed(capsys, "instability", path, "--longest", "200 s")
     assert status == 1
-    assert "does not show" in told.out
+    assert "not visible" in told.out
     assert "[[sensor.drift]]" not in told.out
 
 
@@ -119,7 +119,7 @@ def test_the_deciding_drift_is_dated_and_can_be_left_out(tmp_path, capsys):
     assert status == 1
     (channel,) = json.loads(told.out)["channels"]
     assert not channel["drift_shows"]
-    assert "520 rows from 99.9 s to 105.1 s are left out as asked" in channel["messages"]
+    assert "520 rows from 99.9 s to 105.1 s are left out as requested" in channel["messages"]
 
 
 def test_a_part_of_a_log_is_what_all_commands_take(tmp_path, capsys):

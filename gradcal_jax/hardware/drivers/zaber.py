@@ -250,5 +250,5 @@ def _meaning(flag: str) -> str:
 
 def _number(reply: Reply) -> float:
     if re.fullmatch(r"-?\d+(\.\d+)?", reply.data) is None:
-        raise FramingError(f"The stage answered {reply.data!r} where a number was expected.")
+        raise FramingError(f"The stage answered {reply.data!r} instead of a number.")
     return float(reply.data)

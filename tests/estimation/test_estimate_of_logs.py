@@ -309,7 +309,7 @@ def test_points_are_found_in_the_log_whatever_the_plan_says():
     (channel,) = estimated(parse_spec(few), made.log)
     assert len(channel.solution.weights) == 35
     assert any(
-        "31 points, at held rates and stable temperatures, that are not in the plan" in m for m in channel.messages
+        "31 points, at constant rates and stable temperatures, that are not in the plan" in m for m in channel.messages
     )
     (all_planned,) = estimated(parse_spec(many), made.log)
     np.testing.assert_allclose(

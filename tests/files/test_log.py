@@ -219,7 +219,7 @@ def test_a_clock_that_restarts_or_wraps_late_in_the_record_is_refused_too():
 
 def test_stamps_too_coarse_to_tell_rows_apart_are_refused():
     time = np.floor(np.arange(5000) * 0.01)  # whole seconds at 100 Hz
-    with pytest.raises(LogError, match=r"4950 have the stamp of an earlier row.*sample_rate"):
+    with pytest.raises(LogError, match=r"4950 have the time stamp of an earlier row.*sample_rate"):
         examine(columns(quiet(5000), time))
 
 

@@ -177,7 +177,8 @@ def test_rare_wrong_rows_are_left_out_and_said(tmp_path: Path):
     log = imported(tmp_path, np.arange(len(rate)) / 100.0, rate)
     rest = at_rest(log)
     assert np.count_nonzero(~rest.valid) == 40
-    assert "40 rows (0.00067 of all) are more than 10 standard deviations" in rest.messages[0]
+    words = "40 rows (0.00067 of all) differ from their neighbours by more than 10 standard deviations"
+    assert words in rest.messages[0]
     assert walk(log) == pytest.approx(N, rel=0.03)
 
 

@@ -69,7 +69,7 @@ def test_gyros_of_one_ulog_are_units_by_device_id(tmp_path):
     assert other.units == ("13",)
     assert other.temperature_c is None
     assert len(other.time_s) == ROWS // 2
-    with pytest.raises(LogError, match="no unit '14' in this log; it has 11, 12, 13"):
+    with pytest.raises(LogError, match="no IMU '14' in this log; it has 11, 12, 13"):
         read_vehicle_log(path, unit="14")
 
 

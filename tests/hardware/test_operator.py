@@ -152,7 +152,7 @@ def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
     with gimbal(clock, travel_deg=400.0) as (axis, person, _):
         axis.home()
         settled(axis, clock)
-        with pytest.raises(LimitExceeded, match="outside the travel of 400 deg each way"):
+        with pytest.raises(LimitExceeded, match="outside the travel of 400 deg in each direction"):
             axis.move_to(500.0, 30.0, 10.0)
         axis.move_to(360.0, 30.0, 10.0)
         clock.sleep(3.0)

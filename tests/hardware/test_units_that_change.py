@@ -97,4 +97,4 @@ def test_lost_lines_of_a_unit_that_does_not_count_are_noticed_by_their_rate(shar
     said = losses.between(ExecutedStep(0, 1.0, 40.0), 0.02, 1.0, None)
     assert bool(said) is (share > 0.0)
     assert share == 0.0 or "45." in said
-    assert share == 0.0 or "samples/s and was set to 50" in said
+    assert share == 0.0 or "samples/s, and its setting is 50" in said

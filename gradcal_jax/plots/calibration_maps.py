@@ -18,7 +18,7 @@ def panels_of(calibration: Calibration) -> list[tuple[str, str]]:
 def draw_calibrated_term(
     calibration: Calibration, kind: str, name: str, *, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
-    """A term of all channels of a kind over temperature, slowly turned, each with a band of ± 1σ."""
+    """A term of all channels of a kind over temperature, at a low rate, each with a band of ± 1σ."""
     ax = new_axes(ax)
     lines: list[Line2D] = []
     unit = ""

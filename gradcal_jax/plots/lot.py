@@ -19,7 +19,7 @@ def draw_lot(found: Lot, *, figure: Figure | SubFigure | None = None) -> Figure:
 
 
 def draw_lot_map(one: LotMap, *, ax: Axes | None = None) -> Axes:
-    """A map of all IMUs over temperature, slowly turned: outliers dashed, the mean with a band of one standard
+    """A map of all IMUs over temperature, at a low rate: outliers dashed, the mean with a band of one standard
     deviation of the type, and each shape by one standard deviation about the mean."""
     ax = new_axes(ax)
     strangers = {stranger.serial_number for stranger in one.strangers}

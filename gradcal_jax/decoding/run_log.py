@@ -9,7 +9,7 @@ turns follows the commanded trapezoid between its readings before and after; eve
 
 The time stamp of a row is the sensor's clock, aligned with the computer's where data begin. `host_time` is the
 computer's clock, by a straight line through the quickest arrivals, whose slope and residuals are in the log's
-provenance. Where a run was resumed or a IMU restarted, the computer's clock gives the length of the interruption.
+provenance. Where a run was resumed or an IMU restarted, the computer's clock gives the length of the interruption.
 
 A log is made block by block from a spool on the disk, so that a run of days takes no more memory than one of an hour.
 """
@@ -392,7 +392,7 @@ def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
     times = f"{anew} time{'s' * (anew > 1)} in the run; samples that it would have sent are not counted"
     others = [
         (unsure > SETTLED_S, Finding("late stamps", "mask", 0, f"{lateness} at both ends of every standstill")),
-        (anew, Finding("IMU restarted", "split", anew, f"the IMU restarted {times}")),
+        (anew, Finding("unit restarted", "split", anew, f"the IMU restarted {times}")),
         (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no valid datagram")),
         (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice and count once")),
     ]

@@ -121,7 +121,7 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
     most = int(np.argmax(counts))
     if len(known) > _WINDOW and counts[most] > 0.5 * len(known):
         raise LogError(
-            f"{where}: {counts[most] / len(known):.3g} of its rows at rest have the same value "
+            f"{where}: {100.0 * counts[most] / len(known):.3g} % of its rows at rest have the same value "
             f"({distinct[most]:.4g}, SI): it has a dead band, or steps that are coarse compared with its noise, "
             "which hide smaller changes; log more digits, without a dead band"
         )
@@ -140,13 +140,13 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
     far = np.abs(distinct - middle) > FAR * 1.4826 * float(np.median(np.abs(known - middle)))
     if np.sum(counts[far]) > _RARE * len(known) and (some := int(np.max(counts[far]))) > 0.5 * np.sum(counts[far]):
         raise LogError(
-            f"{where}: {some / len(known):.2g} of its rows at rest have the value "
+            f"{where}: {100.0 * some / len(known):.2g} % of its rows at rest have the value "
             f"{distinct[far][np.argmax(counts[far])]:.6g} (SI), far from all others: does it mark a missing "
             "value? Leave those cells empty"
         )
     if counts[most] > _ONE_VALUE * len(known) and counts[most] > _UNUSUAL * np.max(np.delete(counts, most), initial=0):
         return (
-            f"{where}: {counts[most] / len(known):.2g} of its rows at rest have the same value "
+            f"{where}: {100.0 * counts[most] / len(known):.2g} % of its rows at rest have the same value "
             f"({distinct[most]:.4g}, SI), and no other value is as frequent: a dead band? It takes from the noise"
         )
     # (The resolution may change in the course of a record.)
@@ -320,7 +320,7 @@ def refuse_clipped(where: str, values: Floats) -> None:
         size, noise = np.abs(values[limit] - middle), 1.4826 * float(np.median(np.abs(known - middle)))
         if float(np.max(size)) < FAR * noise:
             raise LogError(
-                f"{where}: {share:.2g} of its rows at rest are at a limit {float(np.min(size)) / noise:.2g} "
+                f"{where}: {100.0 * share:.2g} % of its rows at rest are at a limit {float(np.min(size)) / noise:.2g} "
                 "standard deviations from the middle, which cuts off its noise: the record does not show how "
                 "large the noise is; use a larger full scale, or the values before limiting"
             )

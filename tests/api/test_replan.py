@@ -107,7 +107,7 @@ def test_what_cannot_be_planned_anew_is_refused(spec):
         {"ramp_to": "-30 degC", "rate": "1.5 K/min"},
     ]
     there = changed(spec, {"plan.temperature": None, "plan.gradient": None, "plan.programme": programme})
-    with pytest.raises(ValueError, match="not one ramp"):
+    with pytest.raises(ValueError, match="not a single ramp"):
         rest_of(there, [(60.0, 600.0)])
     with pytest.raises(SpecError, match="expected a time after its start"):
         with_done(spec, [(600.0, 500.0)])

@@ -171,7 +171,7 @@ valued("two values", lambda w: np.rint((w - 0.02) / 0.5 + 0.5) * 0.5, "dead band
 valued("one value in most rows", lambda w: np.rint(w / 0.5) * 0.5, "dead band|coarse")
 valued("steps of the noise", lambda w: np.rint(w / 0.05) * 0.05, "of its noise, and increase it")
 valued("steps of a fifth of the noise", lambda w: np.rint(w / 0.01) * 0.01)
-valued("one constant value", lambda w: np.full(ROWS, 0.25), "one value|does not change")
+valued("one constant value", lambda w: np.full(ROWS, 0.25), "the same value|does not change")
 valued("counts of 16 bits without a sign", lambda w: np.rint(w / 0.004) % 65536, "unit in the map too large")
 valued("the mean of 8 samples", lambda w: np.convolve(noise(ROWS + 7), np.ones(8) / 8, "valid"))
 valued("a sample that is read twice", lambda w: np.repeat(noise(ROWS // 2, 50.0), 2))
@@ -186,8 +186,8 @@ def turned(periods: int):
     return lambda w: w + np.array([0.0, 1.3, -0.9, 2.1])[K % periods]
 
 
-valued("two sensors in turns", turned(2), "several sensors in turns")
-valued("three sensors in turns", turned(3), "several sensors in turns")
+valued("two sensors in turns", turned(2), "several sensors alternate")
+valued("three sensors in turns", turned(3), "several sensors alternate")
 
 
 def lines(name: str, header: str, row: Callable[[int, float], str], more: str = "", asks: str | None = None, **options):
@@ -244,9 +244,9 @@ lines("names of sensors, and whose", "t,sensor,gx", lambda k, v: f"{k / HZ:.4f},
 lines("rows of another channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f},\n{k / HZ + 0.004:.4f},,9.8")
 lines("a slower channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f}," + ("" if k % 4 else f"{9.8 + v:.4f}"),
       'interpolate = true\n[force]\nx = { column = "ax", unit = "m/s^2" }\n')  # fmt: skip
-lines("rad/s by the header", "t,gx (rad/s)", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.9f}", "", "says rad/s",
+lines("rad/s by the header", "t,gx (rad/s)", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.9f}", "", "states rad/s",
       base=HEAD + TIME + 'rate.x = { column = "gx (rad/s)", unit = "deg/s" }\n')  # fmt: skip
-lines("mdps by the header", "t,gx [mdps]", lambda k, v: f"{k / HZ:.2f},{1000 * v:.3f}", "", "says mdps",
+lines("mdps by the header", "t,gx [mdps]", lambda k, v: f"{k / HZ:.2f},{1000 * v:.3f}", "", "states mdps",
       base=HEAD + TIME + 'rate.x = { column = "gx [mdps]", unit = "deg/s" }\n')  # fmt: skip
 lines("deg/s as rad/s", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}", "", "any gyro|no gyro",
       base=HEAD + TIME + 'rate.x = { column = "gx", unit = "rad/s" }\n')  # fmt: skip
@@ -261,7 +261,7 @@ def thinned_and_said(folder: Path) -> Recorded:
 
 @kind
 def thinned_and_not_said(folder: Path) -> Recorded:
-    return Recorded(table(folder, K / 10.0, noise(ROWS, 400.0)), MAP, "every n-th of them")
+    return Recorded(table(folder, K / 10.0, noise(ROWS, 400.0)), MAP, "each row is a single sample")
 
 
 @kind
@@ -334,18 +334,18 @@ def named(name: str, column: str, asks: str, unit: str = "deg/s", size: float = 
           base=HEAD + TIME + f'rate.x = {{ column = "{column}", unit = "{unit}" }}\n')  # fmt: skip
 
 
-named("as a quaternion", "qx", "says a quaternion")
-named("as an angle", "roll", "says an angle")
-named("as a specific force", "acc_x", "says a specific force")
-named("as a magnetic field", "mag_x", "says a magnetic field")
+named("as a quaternion", "qx", "states a quaternion")
+named("as an angle", "roll", "states an angle")
+named("as a specific force", "acc_x", "states a specific force")
+named("as a magnetic field", "mag_x", "states a magnetic field")
 named("as counts", "gx (LSB)", "states counts")
-named("in turns a minute", "gx [rpm]", "says rpm")
+named("in turns a minute", "gx [rpm]", "states rpm")
 lines("stamps named as ticks", "t [ticks],gx", lambda k, v: f"{k * 328},{v:.6f}", "", "states counts",
       base=HEAD + 'time = { column = "t [ticks]", unit = "us" }\n' + RATE)  # fmt: skip
 lines("unnamed ticks beside a stated rate", "t,gx", lambda k, v: f"{k * 12800},{v:.6f}", "", "clock ticks",
       base=HEAD + 'sample_rate = "100 Hz"\ntime = { column = "t", unit = "us" }\n' + RATE)  # fmt: skip
-lines("a row of other units", "t,gx\ns,rad/s", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.8f}", "", "says rad/s")
-lines("a row of units in brackets", "t,gx\n[s],[mdps]", lambda k, v: f"{k / HZ:.2f},{1e3 * v:.3f}", "", "says mdps")
+lines("a row of other units", "t,gx\ns,rad/s", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.8f}", "", "states rad/s")
+lines("a row of units in brackets", "t,gx\n[s],[mdps]", lambda k, v: f"{k / HZ:.2f},{1e3 * v:.3f}", "", "states mdps")
 lines("whole numbers", "t,gx", lambda k, v: f"{k / HZ:.2f},{v / 0.2:.0f}", "", "are they counts")
 lines("row numbers without a name", "t,gx", lambda k, v: f"{k + 1},{k / HZ:.2f},{v:.6f}", "", "more fields than")
 lines("unquoted thousands", "t,gx", lambda k, v: f"{k / HZ:.2f},{1000 + v / 5e-4:,.0f}", "", "more fields than",
@@ -400,9 +400,9 @@ shuffled("from the start's clock to that of the day", K, "another clock", 1.7e9 
 shuffled("daylight saving ends", K, "steps back", -3600.0 * (K > 7000))
 shuffled("daylight saving begins", K, None, 3600.0 * (K > 7000))
 stamped("two logs on end", np.concatenate([K[:6000], K[:6000]]) / HZ, asks="steps back")
-stamped("intervals for stamps", 0.01 + 1e-5 * rng.standard_normal(ROWS), asks="do not grow", stamp=".7f")
-stamped("one interval for all stamps", np.full(ROWS, 0.01), asks="do not grow")
-stamped("six digits of an epoch", 1.7e9 + K / HZ, asks="do not grow", stamp=".5E")
+stamped("intervals for stamps", 0.01 + 1e-5 * rng.standard_normal(ROWS), asks="do not increase", stamp=".7f")
+stamped("one interval for all stamps", np.full(ROWS, 0.01), asks="do not increase")
+stamped("six digits of an epoch", 1.7e9 + K / HZ, asks="do not increase", stamp=".5E")
 stamped("32 bits with a sign", (2**31 - 60_000_000 + K * 10_000 + 2**31) % 2**32 - 2**31, in_unit("us"), "wrapped",
         stamp="d")  # fmt: skip
 stamped("days of a spreadsheet", 45_000.0 + K / HZ / 86_400.0, in_unit("d"), stamp=".9f")
@@ -441,4 +441,4 @@ warmed("that begins at 85", np.where(K < 100, 85.0, WARM), "changes abruptly")
 warmed("that restarts", np.where(K % 700 < 20, 85.0, WARM), "changes abruptly")
 warmed("with a loose wire", np.where(K % 1000 == 7, 0.0, WARM), "changes abruptly")
 warmed("in tenths", 10.0 * WARM, "counts")
-warmed("that stops", np.where(K > 5000, WARM[5000], WARM), "stands still")
+warmed("that stops", np.where(K > 5000, WARM[5000], WARM), "constant temperature")

@@ -78,12 +78,12 @@ encoding = "latin-1"
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        ("t,gx\n2024-05-01T12:00:00,1\n2024-05-01T12:00:01,2\n", "'t' holds dates or times of day"),
-        ("t,gx\n12:00:00.1,1\n12:00:00.2,2\n", "'t' holds dates or times of day"),
-        ("t,gx\n0,0x1F\n10,0x20\n", "'gx' holds hexadecimal counts"),
-        ("t,gx\n0,FF1F\n10,FE20\n", "'gx' holds hexadecimal counts"),
+        ("t,gx\n2024-05-01T12:00:00,1\n2024-05-01T12:00:01,2\n", "'t' has dates or times of day"),
+        ("t,gx\n12:00:00.1,1\n12:00:00.2,2\n", "'t' has dates or times of day"),
+        ("t,gx\n0,0x1F\n10,0x20\n", "'gx' has hexadecimal counts"),
+        ("t,gx\n0,FF1F\n10,FE20\n", "'gx' has hexadecimal counts"),
         ("t,gx\n0,fast\n10,slow\n", "'gx' has no numbers, but texts such as 'slow'"),
-        ("t,gx,gx\n0,1,2\n10,3,4\n", "several columns are named 'gx': say which by its number, 1 or 2, from 0"),
+        ("t,gx,gx\n0,1,2\n10,3,4\n", "several columns are named 'gx': give the column number, 1 or 2, from 0"),
         ("t;gx\n0;1\n10;3\n", 'or is it delimiter = ";", under'),
     ],
 )
@@ -357,7 +357,7 @@ def test_pickles_directories_and_missing_files_are_refused(tmp_path):
     with pytest.raises(LogError, match="has no numbers"):
         import_log(tmp_path / "w.npz", plain())
     np.savez(tmp_path / "l.npz", t=np.arange(3.0), gx=np.arange(4.0))
-    with pytest.raises(LogError, match="3 rows, the columns before it 4"):
+    with pytest.raises(LogError, match="3 rows, and the previous columns have 4"):
         import_log(tmp_path / "l.npz", plain())
     (tmp_path / "d.csv").mkdir()
     with pytest.raises(LogError, match="is a directory"):

@@ -121,7 +121,7 @@ def log_start(time: np.ndarray) -> float:
 def test_units_in_headers_are_compared_with_the_map(name: str, unit: str, says: str):
     question = contradiction(name, unit)
     assert question is not None
-    assert f"says {says}, and the map states {unit}" in question
+    assert f"states {says}, and the map states {unit}" in question
 
 
 @pytest.mark.parametrize(

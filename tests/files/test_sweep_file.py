@@ -66,7 +66,7 @@ def test_drawn_points_fill_the_box_and_follow_the_seed(method):
     ("text", "said"),
     [
         (GRADIENT, 'a grid needs "count" or "step"'),
-        (GRADIENT + 'count = 3\nstep = "1 K/min"', 'cannot stand beside "count"'),
+        (GRADIENT + 'count = 3\nstep = "1 K/min"', 'cannot be combined with "count"'),
         (GRADIENT + "count = 1", "at least 2"),
         (GRADIENT + 'step = "-1 K/min"', "must lead from start to stop"),
         (GRADIENT.replace("2 K/min", "2 s") + "count = 3", "that is a time"),

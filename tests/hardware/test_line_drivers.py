@@ -167,12 +167,12 @@ def changed(name: str, change: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("name", "change", "expected"),
     [
-        ("thermotron-3800", lambda t: t["tell"]["ramp"].pop("shown_by"), "cannot be read back"),
+        ("thermotron-3800", lambda t: t["tell"]["ramp"].pop("shown_by"), "must be read back"),
         ("thermotron-3800", lambda t: t["ask"].pop("setpoint"), "{setpoint}"),
         ("thermotron-3800", lambda t: t["ask"].pop("mode"), "no reply has the field {mode}"),
         ("thermotron-3800", lambda t: t["limits"].pop("free_ramp"), "a command is needed to end a ramp"),
         ("cts", lambda t: t["tell"]["ramp"].update(shown_by=["up", "side"]), "{side}"),
-        ("aerosmith-like", lambda t: t["tell"]["acceleration"].pop("shown_by"), "cannot be read back"),
+        ("aerosmith-like", lambda t: t["tell"]["acceleration"].pop("shown_by"), "must be read back"),
         ("aerosmith-like", lambda t: t["state"].pop("powered"), "no reply shows the effect of tell.on"),
         ("grbl", lambda t: t["tell"]["move"].update(send="$J=X{place:.3f}"), "{place} is not known"),
         ("grbl", lambda t: t["tell"]["move"].update(send="$J=X{position!r}"), "expected values such as"),

@@ -250,7 +250,7 @@ def test_the_templates_gimbal_is_a_rig() -> None:
     ("change", "said"),
     [
         (("gravity_loaded = false", "gravity_loaded = true"), "it would fall"),
-        (('driver = "operator"', 'driver = "zaber"'), 'only the driver "operator" speaks with a terminal'),
+        (('driver = "operator"', 'driver = "zaber"'), 'only the driver "operator" uses a terminal'),
         (
             ("gravity_loaded = false", 'gravity_loaded = false\nencoder = { driver = "operator", port = "/dev/a" }'),
             "an encoder is only for",

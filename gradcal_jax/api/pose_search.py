@@ -110,7 +110,7 @@ def search_poses(
     how = f"after {used} gradients" if used else "without a search"
     sentence = f"better by a factor of {result.gain:.2f} in the geometric mean of all requirements, {how}"
     if kept:
-        sentence = f"the plan in the file, which remains {how}"
+        sentence = f"the plan in the file, {how}"
         sentence = sentence if met else f"nothing better than {sentence}"
     if len(spec.rig.table.place) > 1:
         sentence += f"; {plan.apart}" if plan.apart else ", of all IMUs estimated together"

@@ -65,8 +65,8 @@ def optimise(
     spec
         The spec file, a recipe, or the folder of an interrupted run.
     output
-        The recipe file to write; with --motion, the folder for the recipes, if any. With --steps 0, a hyphen prints
-        the recipe instead.
+        The recipe file to write; with --motion, the folder for the recipes, if any. With --steps 0, "-" prints the
+        recipe instead.
     json
         Print the result for other programs.
     plot

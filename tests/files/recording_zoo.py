@@ -395,7 +395,7 @@ def shuffled(name: str, order: np.ndarray, asks: str | None = None, later: np.nd
 shuffled("pairs of rows swapped", K.reshape(-1, 2)[:, ::-1].ravel())
 shuffled("tens of rows from the last", swapped)
 shuffled("packets out of order", np.argsort(K + 3.0 * rng.random(ROWS)))
-shuffled("two alternating clocks", K, "two clocks", 1000.0 * (K % 2))
+shuffled("two clocks in turns", K, "two alternating clocks", 1000.0 * (K % 2))
 shuffled("from the start's clock to that of the day", K, "another clock", 1.7e9 * (K > 3000))
 shuffled("daylight saving ends", K, "steps back", -3600.0 * (K > 7000))
 shuffled("daylight saving begins", K, None, 3600.0 * (K > 7000))

@@ -454,10 +454,10 @@ def test_arbitrary_maps_give_a_sentence(text, tail):
 @pytest.mark.parametrize(
     ("header", "units", "asked"),
     [
-        ("t_ms,gx [deg/s]", ("ms", "rad/s"), r"'gx \[deg/s\]' says deg/s, and the map says rad/s"),
-        ("t_ms,gx_rad/s", ("ms", "deg/s"), "'gx_rad/s' says rad/s, and the map says deg/s"),
-        ("t_ms,gx", ("s", "deg/s"), "'t_ms' says ms, and the map says s"),
-        ("time_s,gx", ("ms", "deg/s"), "'time_s' says s, and the map says ms"),
+        ("t_ms,gx [deg/s]", ("ms", "rad/s"), r"'gx \[deg/s\]' states deg/s, and the map states rad/s"),
+        ("t_ms,gx_rad/s", ("ms", "deg/s"), "'gx_rad/s' states rad/s, and the map states deg/s"),
+        ("t_ms,gx", ("s", "deg/s"), "'t_ms' states ms, and the map states s"),
+        ("time_s,gx", ("ms", "deg/s"), "'time_s' states s, and the map states ms"),
         ("time [s],gx (dps)", ("s", "deg/s"), None),
         ("t,gx", ("s", "rad/s"), None),
     ],

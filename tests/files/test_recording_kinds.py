@@ -150,7 +150,9 @@ def test_points_among_decimal_commas_are_refused(tmp_path: Path):
     text += '[csv]\ndelimiter = ";"\ndecimal = ","\n'
     path = tmp_path / "record.csv"
     path.write_text("zeit;gx\n0,00;999\n0,01;1.105\n0,02;1.074\n", encoding="utf-8")
-    with pytest.raises(LogError, match=r"column 'gx' holds a point, where decimal.*mark of thousands.*'1\.105'"):
+    with pytest.raises(
+        LogError, match=r"column 'gx' has a decimal point, although decimal.*mark of thousands.*'1\.105'"
+    ):
         import_log(path, parse_column_map(text))
     path.write_text("zeit;gx;day\n0,00;999;1.1.\n0,01;1105,5;1.1.\n0,02;1074;1.1.\n", encoding="utf-8")
     log = import_log(path, parse_column_map(text))

@@ -205,8 +205,8 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
     for fit in apart:
         used = "the computer's is used" if clock == "host" else "the sensor's is used: --clock host takes the other"
         said.append(
-            f"the log's two clocks differ by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more than {_APART:g} times the "
-            f"uncertainty of the sensor's clock: {used}"
+            f"the log's two clocks contradict each other: they differ by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more "
+            f"than {_APART:g} times the uncertainty of the sensor's clock: {used}"
         )
     return spec, replace(options, clock=clock), said
 

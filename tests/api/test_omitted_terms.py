@@ -367,7 +367,7 @@ def test_two_clocks_that_contradict_each_other_are_said_and_the_computers_is_use
     values = {p["name"]: p["value"] for p in unit["parameters"]}
     own = plain.calibrations[0].values()
     assert values["gyro_x.b00"] == pytest.approx(own["gyro_x.b00"], abs=1e-6)
-    assert any("two clocks differ by 499" in m for m in unit["messages"])
+    assert any("contradict each other: they differ by 499" in m for m in unit["messages"])
     main([*words, "--clock", "sensor"])
     (unit,) = json.loads(capsys.readouterr().out)["units"]
     values = {p["name"]: p["value"] for p in unit["parameters"]}

@@ -235,7 +235,7 @@ def test_mavlink_is_refused_with_why(tmp_path):
 def test_a_thermometer_that_steps_by_a_degree_is_named(tmp_path):
     rows = sensor_gyro(STAMPS_US, RATE, np.rint(TEMPERATURE), 5)
     log = read_vehicle_log(ulog(tmp_path / "a.ulg", ("sensor_gyro", 0, rows)))
-    assert any("steps by 1 degC" in finding.message for finding in log.findings)
+    assert any("steps of 1 degC" in finding.message for finding in log.findings)
 
 
 @pytest.mark.parametrize(

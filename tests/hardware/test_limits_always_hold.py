@@ -152,7 +152,7 @@ def test_without_limits_in_the_rig_file_the_chambers_own_hold(tmp_path: Path) ->
         once(runner, lambda progress: progress.state is RunState.PAUSED, lambda: weld_on(rig))
         after(runner, 7200.0, lambda: runner.request("abort", "nothing ended it"))
         result = runner.run()
-        assert "it is never to leave -53 to 73 degC" in result.reason
+        assert "its limits are -53 to 73 degC" in result.reason
         assert rig.chamber.plant.air_c(runner.clock.now()) < 75.0
 
 
@@ -362,7 +362,7 @@ def test_a_jammed_axis_is_said_to_stand_and_is_not_pushed_for_long(tmp_path: Pat
         once(runner, lambda progress: abs(rig.axis.state(runner.clock.now())[1]) > 100.0, jam)
         result = runner.run()
         assert result.exit_status == "aborted"
-        assert "axis table has stood at 81.9 deg" in result.reason
+        assert "axis table has been at 81.9 deg" in result.reason
         assert "should have reached 3600.0 deg" in result.reason
         assert result.verified_safe
     (move,) = (event for event in events(tmp_path, "move") if event.data["kind"] == kind)

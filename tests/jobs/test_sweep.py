@@ -276,7 +276,7 @@ def test_a_dry_run_counts_times_and_writes_nothing(done, pool):
 
 def test_a_sweep_of_which_no_point_is_a_spec_says_why(tmp_path, pool):
     path = written(tmp_path, GRID.replace('"60 deg/s", "80 deg/s", "110 deg/s"', '"110 deg/s"'))
-    with pytest.raises(ValueError, match=r"not one of the 4 points has a result.*exceeds max_rate of axis"):
+    with pytest.raises(ValueError, match=r"none of the 4 points has a result.*exceeds max_rate of axis"):
         sweep(read_sweep(path), tmp_path / "results.nc", runner=pool)
     assert not (tmp_path / "results.nc.parts").exists()
 

@@ -251,7 +251,7 @@ def _standard(plan: StandardPlan, table: RigTable, chamber: Chamber) -> Iterator
         slope = chamber.max_heating if after > before else chamber.max_cooling
         needed = abs(after - before) / slope
         if needed > plan.soak * (1.0 + _SLACK):
-            message = f"is too short: the chamber needs at least {before} to {after} {needed / 60.0:.4g} min"
+            message = f"is too short: from {before} to {after} the chamber needs at least {needed / 60.0:.4g} min"
             yield Problem(("soak",), message, plan.soak.text)
             break
     for i, rate in enumerate(plan.rates or ()):

@@ -95,7 +95,7 @@ def test_a_fifo_is_unrolled_and_takes_the_temperature_of_its_device(tmp_path):
 
 def test_sensor_combined_is_refused(tmp_path):
     rows = sensor_gyro(STAMPS_US, RATE, TEMPERATURE, 1)
-    with pytest.raises(LogError, match="calibration and bias are taken off: let PX4 log sensor_gyro"):
+    with pytest.raises(LogError, match="calibration and bias subtracted: make PX4 log sensor_gyro"):
         read_vehicle_log(ulog(tmp_path / "a.ulg", ("sensor_combined", 0, rows)))
 
 
